@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shutil
 from collections.abc import Generator
 from math import isfinite
 from pathlib import Path
@@ -46,6 +47,23 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the shared data folder {folder} is absent")
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser() -> Generator[Any, None, None]:
+    """Chromium of the distribution's packages, without a network; skips where it is absent."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser")
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+    if program is None:
+        pytest.skip("no chromium on the PATH")
+    options = [
+        "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking",
+        "--disable-component-update", "--disable-sync", "--no-first-run",
+    ]  # fmt: skip
+    with playwright.sync_playwright() as driver:
+        made = driver.chromium.launch(executable_path=program, args=options)
+        yield made
+        made.close()
 
 
 @pytest.fixture

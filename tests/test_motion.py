@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -28,13 +26,6 @@ def test_equation_1() -> None:
     assert float(motion.v) == pytest.approx(0.435)
 
 
-def test_each_tread_turns_about_its_icr() -> None:
-    about_left = Motion.from_twist(ICR.left * 0.3, 0.3, ICR)
-    assert float(about_left.v_left) == pytest.approx(0.0)
-    about_right = Motion.from_twist(-ICR.right * 0.3, 0.3, ICR)
-    assert float(about_right.v_right) == pytest.approx(0.0)
-
-
 def test_missing_channel_is_named() -> None:
     with pytest.raises(MissingChannelError, match="'slope': ground slope"):
         Motion(0.0, 0.0, ICR).channel("slope")
@@ -45,13 +36,6 @@ def test_shapes_that_do_not_broadcast_are_refused() -> None:
         Motion(np.zeros(3), np.zeros(3), ICR, {"slope": np.zeros(4)})
     with pytest.raises(InvalidInputError, match=r"'v': \(3,\), 'omega': \(4,\)"):
         Motion.from_twist(np.zeros(3), np.zeros(4), ICR)
-
-
-def test_motion_travels_between_processes() -> None:
-    motion = Motion(np.zeros(3), np.ones(3), ICR, {"slope": 0.1})
-    again = pickle.loads(pickle.dumps(motion))
-    assert again.omega == pytest.approx(motion.omega)
-    assert again.channel("slope") == pytest.approx(np.full(3, 0.1))
 
 
 def test_accelerations_of_a_trajectory() -> None:

@@ -17,10 +17,10 @@ from numpy.testing import assert_allclose
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.errors import EnergyPlanError, PathError
+from energyplan.errors import EnergyPlanError
 from energyplan.io.files import atomic_write
 from energyplan.path import Pose, wrap_angle
-from energyplan.power import HOTEL, PowerModel
+from energyplan.power import PowerModel
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 COST = ep.EnergyCost(MODEL)
@@ -29,14 +29,6 @@ HALF = ICR.half_track
 
 
 # -- speeds and curvatures ----------------------------------------------------------------------
-
-
-def test_a_robot_at_rest_draws_its_hotel_load_and_nothing_else() -> None:
-    rest = ep.Motion(np.zeros(3), np.zeros(3), ICR)
-    assert_allclose(MODEL.power(rest), 0.0)
-    assert_allclose(MODEL.with_term(HOTEL, 25.0).power(rest), 25.0)
-    sides = MODEL.sides(rest)
-    assert_allclose([sides.left, sides.right], 0.0)
 
 
 @pytest.mark.parametrize("tiny", [0.0, 5e-324, 1e-300, 1e-160, 1e-30])
@@ -56,14 +48,6 @@ def test_spin_is_the_limit_of_tight_arcs_from_either_side() -> None:
     assert_allclose(energy, spin, rtol=1e-12)
 
 
-def test_pivot_is_where_wider_arcs_begin_to_cost_more() -> None:
-    below, at, above = COST.segment_energy(
-        [HALF * (1 - 1e-12), HALF, HALF * (1 + 1e-12)], [1.0] * 3
-    )
-    assert_allclose([below, above], at, rtol=1e-9)
-    assert COST.segment_energy([1.01 * HALF], [1.0])[0] > at
-
-
 def test_straight_motion_is_the_limit_of_gentle_arcs() -> None:
     turn = np.array([-1e-9, -1e-16, -1e-320, 0.0, 1e-320, 1e-16, 1e-9])
     energy = COST.segment_energy(np.full(turn.shape, 2.0), turn)
@@ -74,14 +58,6 @@ def test_arcs_of_vanishing_turn_end_where_straight_lines_do() -> None:
     for turn in (0.0, 1e-320, 1e-16, 1e-12, -1e-9):
         end = ep.Path(Pose(1.0, 2.0, 0.3), ds=[3.0], dtheta=[turn]).end
         assert_allclose(end, [1 + 3 * math.cos(0.3), 2 + 3 * math.sin(0.3), 0.3], atol=1e-8)
-
-
-def test_a_segment_of_nothing_costs_nothing() -> None:
-    assert COST.segment_energy([0.0, -0.0], [0.0, -0.0]).tolist() == [0.0, 0.0]
-    path = ep.Path(Pose(0, 0, 0), ds=[0.0, 1.0, 0.0], dtheta=[0.0, 0.0, 0.0])
-    straight = ep.Path(Pose(0, 0, 0), ds=[1.0], dtheta=[0.0])
-    assert COST.energy(path) == pytest.approx(COST.energy(straight))
-    assert sum(COST.breakdown(path).values()) == pytest.approx(COST.energy(path))
 
 
 def test_profiles_of_spins_and_of_reversals_are_finite_and_come_to_rest() -> None:
@@ -111,20 +87,6 @@ def test_whole_turns_of_a_heading_do_not_matter(turns: int) -> None:
     plain = ep.steering.energy(start, goal, COST)
     turned = ep.steering.energy(start, (1.0, 0.4, -3.1 + 2 * math.pi * turns), COST)
     assert turned == pytest.approx(plain, rel=1e-9)
-
-
-def test_headings_on_either_side_of_pi_are_neighbours() -> None:
-    for gap in (0.0, 1e-12, 1e-3):
-        energy = ep.steering.energy((0, 0, math.pi - gap), (0, 0, -math.pi + gap), COST)
-        per_radian = COST.segment_energy([0.0], [1.0])[0]
-        assert energy == pytest.approx(2 * gap * per_radian, rel=1e-6, abs=1e-6)
-
-
-def test_angles_wrap_into_one_turn_and_keep_their_direction() -> None:
-    angles = np.array([-np.pi, np.pi, 3 * np.pi, -1e-300, 1e6, -1e6, 0.0])
-    wrapped = wrap_angle(angles)
-    assert np.all(np.abs(wrapped) <= np.pi)
-    assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-9)
 
 
 def test_a_log_whose_heading_jumps_by_whole_turns_is_the_same_log() -> None:
@@ -176,20 +138,6 @@ def test_start_at_the_goal_takes_nothing() -> None:
     assert math.isfinite(plan.gap)
     told = ep.compare(ep.PlanningProblem(hall, COST, (2, 2, 1), (2, 2, 1)), effort=50_000)
     assert told.saving == 0.0
-
-
-def test_paths_that_are_no_numbers_are_refused() -> None:
-    for ds, dtheta in (([math.nan], [0.0]), ([1.0], [math.inf]), ([1.0, 2.0], [0.0])):
-        with pytest.raises(PathError):
-            ep.Path(Pose(0, 0, 0), ds=ds, dtheta=dtheta)
-
-
-def test_what_is_random_repeats_with_its_seed() -> None:
-    first, again, other = (
-        simulate.drive(MODEL, "spiral", power_noise=9.0, seed=seed).power for seed in (5, 5, 6)
-    )
-    assert first.tolist() == again.tolist()
-    assert first.tolist() != other.tolist()
 
 
 # -- runs that end early ------------------------------------------------------------------------
@@ -279,14 +227,6 @@ def test_ctrl_c_while_the_program_still_starts_is_clean() -> None:
     )
     assert done.returncode == 130
     assert done.stderr == "energyplan: interrupted; files are as they were\n"
-
-
-def test_the_package_runs_as_a_program() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "energyplan", "--help"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done
-    assert "energyplan [OPTIONS] COMMAND" in done.stdout
 
 
 # -- odd surroundings ---------------------------------------------------------------------------

@@ -21,13 +21,12 @@ from energyplan.io.bundled import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log, write_trajectory
 from energyplan.path import Trajectory
-from energyplan.power import HOTEL, PowerModel
+from energyplan.power import PowerModel
 from energyplan.studies.doubt import most_power
 
 Run = Callable[..., "Result"]
 MODEL = PowerModel.preset("quadriga:full:marble")
 pytestmark = pytest.mark.usefixtures("counted")
-COMMANDS = ("identify", "diagnose", "plan", "compare", "check", "mission", "range", "demo")
 
 
 class Result:
@@ -52,53 +51,9 @@ def spiral(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(log, tmp_path_factory.mktemp("logs") / "spiral.csv")
 
 
-@pytest.mark.usefixtures("few_effects")
-def test_diagnose_writes_a_model_that_the_planner_takes(run: Run, tmp_path: Path) -> None:
-    truth = MODEL.with_term(HOTEL, 40.0)
-    files = [
-        write_log(make(truth, power_noise=5.0, seed=seed), tmp_path / f"{seed}.csv")
-        for seed, make in enumerate((simulate.identification_drive, simulate.validation_drive))
-    ]
-    out, report = tmp_path / "extended.yaml", tmp_path / "diagnosis.html"
-    result = run("diagnose", files[0], "--holdout", files[1], "--vehicle", "quadriga:full",
-                 "--out", out, "--report", report, "--json")  # fmt: skip
-    assert result.code == 0
-    keys = {"verdict", "effects", "before", "after", "unexplained", "advice"}
-    assert keys <= set(result.json)
-    (effect,) = result.json["effects"]
-    wanted = {"name", "symbol", "value", "unit", "std_error", "evidence", "rivals"}
-    assert wanted <= set(effect)
-    assert effect["name"] == "hotel_load"
-    assert effect["value"] == pytest.approx(40.0, abs=5 * effect["std_error"])
-    assert result.json["after"]["rmse"] < result.json["before"]["rmse"]
-    assert report.read_text().startswith("<!doctype html>")
-    planned = run("plan", "--map", bundled("office.yaml"), "--model", out, "--start",
-                  "1.2,2,90deg", "--goal", "3.9,2,90deg", "--json")  # fmt: skip
-    assert planned.json["breakdown"]["hotel_load"] > 0
-
-
 def test_a_drive_is_not_both_learned_from_and_held_out(run: Run, spiral: Path) -> None:
     result = run("diagnose", spiral, "--holdout", spiral, "--vehicle", "quadriga:full")
     assert_refused(result, spiral.name, "hold-out")
-
-
-@pytest.mark.usefixtures("hurried")
-def test_mission_flags_what_is_out_of_reach(run: Run, tmp_path: Path) -> None:
-    report = tmp_path / "mission.html"
-    file = bundled("mission_warehouse.yaml")
-    result = run("mission", file, "--report", report, "--json")
-    assert result.code == 0
-    assert set(result.json) >= {"tasks", "order", "energy", "energy_upper", "soc_end", "feasible"}
-    verdicts = {task["name"]: (task["verdict"], task["reason"]) for task in result.json["tasks"]}
-    assert verdicts.pop("wash the marble hall") == ("unreachable", "battery")
-    assert {verdict for verdict, _ in verdicts.values()} == {"reachable"}
-    assert result.json["feasible"]
-    for task in result.json["tasks"]:
-        assert set(task) == {"name", "verdict", "reason", "reachable_alone", "energy",
-                             "energy_upper", "soc_after", "shortfall", "remedy", "remedies",
-                             "arrival", "departure", "pose", "soc_lower", "start",
-                             "start_upper"}  # fmt: skip
-    assert "wash the marble hall" in report.read_text()
 
 
 def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
@@ -138,13 +93,6 @@ def assert_refused(result: Result, *words: str) -> None:
         assert word in result.err
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_shows_an_example(run: Run, command: str) -> None:
-    result = run(command, "--help")
-    assert result.code == 0
-    assert f"Example: energyplan {command}" in result.out
-
-
 def test_identify_prints_what_the_library_finds(run: Run, spiral: Path, tmp_path: Path) -> None:
     out = tmp_path / "model.yaml"
     result = run("identify", spiral, "--vehicle", "quadriga:full", "--out", out, "--json")
@@ -162,21 +110,6 @@ def test_identify_prints_what_the_library_finds(run: Run, spiral: Path, tmp_path
     again = ep.read_model(out)
     assert again.coefficients == pytest.approx(found.model.coefficients)
     assert again.covariance == pytest.approx(found.model.covariance)
-
-
-def test_columns_of_another_name_and_unit(run: Run, spiral: Path, tmp_path: Path) -> None:
-    log = ep.DriveLog.read(spiral)
-    rows = np.column_stack(
-        [log.t, log.channel("v_left"), log.channel("v_right"), log.power,
-         np.degrees(log.channel("yaw"))]
-    )  # fmt: skip
-    other = tmp_path / "other.csv"
-    np.savetxt(other, rows, delimiter=",", header="t,velL,velR,power,heading", comments="")
-    columns = "v_left=velL,v_right=velR,yaw=heading[deg]"
-    result = run("identify", other, "--vehicle", "quadriga:full", "--columns", columns, "--json")
-    whole = run("identify", spiral, "--vehicle", "quadriga:full", "--json")
-    for mine, theirs in zip(result.json["terms"], whole.json["terms"], strict=True):
-        assert mine["value"] == pytest.approx(theirs["value"], rel=0.01)
 
 
 def test_check_answers_no_and_strict_says_so(run: Run, tmp_path: Path) -> None:
@@ -287,12 +220,6 @@ def test_the_same_route_twice_is_told_of_once(run: Run) -> None:
                  "--start", "1.2,2,90deg", "--goal", "1.2,2,90deg", "--effort", 100)  # fmt: skip
     assert result.code == 0
     assert result.err.count("there is nothing to drive") == 1
-
-
-def test_what_a_log_cannot_tell_is_an_error_not_a_number(run: Run, tmp_path: Path) -> None:
-    log = simulate.drive(MODEL, "straight", power_noise=5.0)
-    file = write_log(log, tmp_path / "straight.csv")
-    assert_refused(run("identify", file, "--vehicle", "quadriga:full"), "mu", "spin")
 
 
 def test_interrupting_is_clean(

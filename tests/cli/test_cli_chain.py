@@ -136,13 +136,6 @@ def test_a_range_is_priced_at_the_speed_that_plans_are(
     assert "0.6" in refused["error"]
 
 
-def test_both_routes_of_a_comparison_are_driven(run: Run, hall: list[object]) -> None:
-    told = run("compare", *hall)
-    for name in ("energy_optimal", "shortest"):
-        assert told[name]["energy_driven"] > 0
-        assert told[name]["duration"] > 0
-
-
 def test_inputs_that_say_nothing_are_refused(run: Run, hall: list[object], tmp_path: Path) -> None:
     assert "neither metres per second" in run("plan", *hall, "--speed", "fast", code=2)["error"]
     run("plan", *hall, "--trajectory", tmp_path / "t.csv")

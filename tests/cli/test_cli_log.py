@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -126,31 +125,6 @@ def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     with pytest.raises(SystemExit) as left:
         cli.main()
     return int(left.value.code or 0)
-
-
-def test_the_command_prints_what_the_library_tells(
-    table: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert command(monkeypatch, "log", "info", table, "--json") == 0
-    document = json.loads(capsys.readouterr().out)
-    told = describe_log(table)
-    assert set(document) == {"name", "kind", "duration", "entries", "channels", "notes"}
-    assert [entry["name"] for entry in document["entries"]] == [e.name for e in told.entries]
-    assert command(monkeypatch, "log", "info", table) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"drive.csv: table, {told.duration:.1f} s"
-    assert any("-> v_left [m/s]" in line for line in lines)
-
-
-def test_the_command_shows_an_example_and_refuses_by_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert command(monkeypatch, "log", "info", "--help") == 0
-    assert "Example: energyplan log info" in capsys.readouterr().out
-    assert command(monkeypatch, "log", "info", tmp_path / "absent.csv") == 2
-    error = capsys.readouterr().err
-    assert "absent.csv" in error
-    assert len(error.splitlines()) == 1
 
 
 def test_topic_maps_are_chosen_by_name(

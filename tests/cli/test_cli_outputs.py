@@ -289,13 +289,6 @@ def test_usual_slips_are_told_with_their_remedy(
     assert said in refused(folder, capsys, *words)
 
 
-def test_a_goal_at_the_start_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, error = run(capsys, *PLAN[:-1], PLAN[6], "--effort", 100)
-    assert code == 0
-    assert "energy: 0 J" in out
-    assert error.splitlines()[0] == "start and goal are the same pose: there is nothing to drive"
-
-
 @pytest.mark.parametrize(("turns", "told"), [(1.0, False), (2.0, True)])
 def test_an_angle_that_the_yaw_contradicts_is_told(
     folder: Path, capsys: pytest.CaptureFixture[str], turns: float, told: bool
@@ -350,16 +343,6 @@ def test_a_file_of_another_kind_or_without_content_is_told_as_such(
     assert said in refused(folder, capsys, *words)
 
 
-@pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF"),
-                                               (".png", b"\x89PNG")])  # fmt: skip
-def test_pictures_are_of_the_kind_that_they_are_called(
-    folder: Path, capsys: pytest.CaptureFixture[str], suffix: str, start: bytes
-) -> None:
-    code, _, error = run(capsys, *PLAN, "--effort", 10_000, "--plot", f"route{suffix}")
-    assert code == 0, error
-    assert (folder / f"route{suffix}").read_bytes().startswith(start)
-
-
 @pytest.mark.parametrize(
     "arguments",
     [("a.csv", "--holdout", "c.csv", "d.csv"), ("--holdout", "c.csv", "d.csv", "--", "a.csv"),
@@ -374,18 +357,6 @@ def test_all_that_follows_holdout_is_held_out(
     told = json.loads(out)
     assert told["training"] == ["a.csv"]
     assert told["judging"] == ["c.csv", "d.csv"]
-
-
-def test_the_page_and_the_text_name_the_drives(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, out, error = run(capsys, "diagnose", "a.csv", "b.csv", "--vehicle", "robot.yaml",
-                           "--report", "page.html", "--holdout", "c.csv", "d.csv")  # fmt: skip
-    assert code == 0, error
-    page = (folder / "page.html").read_text()
-    for line in ("training: a.csv, b.csv", "judging: c.csv, d.csv"):
-        assert line in out
-        assert line in page
 
 
 def test_a_drive_by_another_name_is_not_held_out(

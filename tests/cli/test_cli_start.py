@@ -14,7 +14,6 @@ from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 import energyplan as ep
 from energyplan import simulate
 from energyplan.io.logs import read_log
-from energyplan.io.project import read_project
 from energyplan.io.robot import Given
 from energyplan.io.start import start
 from energyplan.io.trajectory import write_log
@@ -133,28 +132,6 @@ def test_a_mistake_in_the_measures_is_told(
     assert out.exists()
 
 
-@pytest.mark.usefixtures("few_effects")
-def test_the_whole_chain_takes_the_project(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for seed, name in enumerate(("one.csv", "two.csv")):
-        table(drive(seed), "rates").to_csv(name, index=False)
-    project = ("--project", "robot.yaml")
-    steps = [
-        ("start", "one.csv", "--wheel-radius", RADIUS, *MEASURES, "--out", "robot.yaml"),
-        ("identify", "one.csv", *project, "--out", "model.yaml"),
-        ("diagnose", "one.csv", "--holdout", "two.csv", *project, "--out", "extended.yaml"),
-    ]
-    for step in steps:
-        code, _, error = run(capsys, *step)
-        assert code == 0, error
-    model = ep.read_model("model.yaml")
-    assert model.coefficient("traction_resistance") == pytest.approx(22.0, rel=0.05)
-    assert model.coefficient("slip_friction") == pytest.approx(0.6, rel=0.05)
-    assert model.vehicle.motor.acceleration == read_project("robot.yaml").vehicle.motor.acceleration
-
-
 def test_a_wrong_wheel_radius_is_told_by_identify(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,24 +210,6 @@ def test_presets_are_models_with_a_source(name: str) -> None:
         assert 0 < model.std_error("traction_resistance") < model.coefficient("traction_resistance")
     per_weight = 2 * model.coefficient("traction_resistance") / (9.81 * model.vehicle.mass)
     assert 0.02 < per_weight < 0.5
-
-
-def test_every_answer_from_a_preset_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from energyplan.io.bundled import bundled
-
-    monkeypatch.chdir(tmp_path)
-    options = ("--map", bundled("office.yaml"), "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg")
-    code, text, error = run(capsys, "plan", *options, "--model", "jackal:flooring", "--json")
-    assert code == 0, error
-    (told,) = json.loads(text)["preset"]
-    assert (told["name"], told["measured"]) == ("jackal:flooring", False)
-    assert "not measured on this robot" in error
-    ep.write_model(ep.PowerModel.preset("jackal:flooring"), tmp_path / "own.yaml")
-    code, text, error = run(capsys, "plan", *options, "--model", "own.yaml", "--json")
-    assert code == 0
-    assert "preset" in json.loads(text)  # a copy of one that bears its name
 
 
 def test_a_preset_that_a_mission_names_is_told(tmp_path: Path) -> None:

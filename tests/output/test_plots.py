@@ -57,12 +57,6 @@ def test_bin_means_of_the_residual() -> None:
     assert_axes_have_units(ax)
 
 
-def test_a_constant_channel_is_one_bin() -> None:
-    ax = plots.figure().axes[0]
-    plots.residual_against(ax, np.ones(50), {"before": np.arange(50.0)}, "slope [rad]")
-    assert np.asarray(ax.get_lines()[1].get_ydata()) == pytest.approx([24.5])
-
-
 @pytest.mark.parametrize("free", [False, True])
 def test_what_a_map_does_not_know_is_not_drawn_as_free(free: bool) -> None:
     cells = np.zeros((3, 4, 6), bool)
@@ -72,15 +66,6 @@ def test_what_a_map_does_not_know_is_not_drawn_as_free(free: bool) -> None:
     greys = np.ma.filled(shown.get_array().astype(float), 1.0)
     assert (np.diff(greys[:, :3]) > 0.1).all()
     assert (greys[:, 2:] == 1.0).all()
-
-
-def test_route_ends_where_the_path_ends() -> None:
-    path = Path(Pose(1, 2, 0), [1.0, 0.5], [0.0, 1.0])
-    ax = plots.figure().axes[0]
-    plots.route(ax, path, "route")
-    line = ax.get_lines()[0]
-    assert line.get_xdata()[-1] == pytest.approx(path.end.x)
-    assert line.get_ydata()[-1] == pytest.approx(path.end.y)
 
 
 def test_the_last_arrow_has_the_heading_at_the_end() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from energyplan import __version__
 from energyplan.errors import InvalidInputError
-from energyplan.html import number, quantity, table, unit
+from energyplan.html import quantity, table, unit
 from energyplan.output import plots
 from energyplan.output.report import Page, svg
 from energyplan.power import PowerModel
@@ -66,20 +66,6 @@ def test_text_from_files_cannot_become_markup() -> None:
     page.command(evil)
     assert "<script" not in page.html()
     assert parsed(page).text.count(evil) == 8
-
-
-def test_an_empty_list_leaves_no_trace() -> None:
-    page = Page("Title")
-    page.bullets([])
-    assert "<ul>" not in page.html()
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0"), (12345.6, "12346"), (0.123456, "0.1235"), (-3.0, "-3"), (1e-7, "1e-07")],
-)
-def test_numbers_read_well(value: float, text: str) -> None:
-    assert number(value) == text
 
 
 def test_the_footer_says_what_made_the_page(tmp_path: Path) -> None:

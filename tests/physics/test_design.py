@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import sys
-from pathlib import Path as File
-from unittest.mock import patch
-
 import numpy as np
 import pytest
 
 import energyplan as ep
-from energyplan import cli
 from energyplan.errors import InvalidInputError
-from energyplan.io.trajectory import read_trajectory
 from energyplan.motion import Motion
 from energyplan.physics.design import Explanation, design, explanations_of
 from energyplan.power import Sides
@@ -36,11 +29,6 @@ def test_the_designed_drive_stays_in_the_free_space() -> None:
     made = design(MODEL, SPEEDS, duration=30.0, square=4.0)
     hall = ep.OccupancyGrid.from_polygons([], (0.0, 0.0, 4.0, 4.0))
     assert np.all(hall.footprint_free(made.trajectory.poses, MODEL.vehicle))
-
-
-def test_more_time_separates_more() -> None:
-    short, long = (design(MODEL, SPEEDS, duration=d) for d in (25.0, 50.0))
-    assert sum(p.log_odds for p in long.separates) > sum(p.log_odds for p in short.separates)
 
 
 def shown(trajectory: ep.Trajectory, name: str) -> float:
@@ -94,17 +82,3 @@ def test_bad_input_is_named() -> None:
         design(MODEL, SPEEDS, duration=1.0)
     with pytest.raises(InvalidInputError, match="room"):
         design(MODEL, square=0.5)
-
-
-def test_command(tmp_path: File, capsys: pytest.CaptureFixture[str]) -> None:
-    report, out = tmp_path / "diagnosis.json", tmp_path / "next.csv"
-    effect = {"name": "viscous_loss", "value": 60.0, "rivals": ["air_drag"]}
-    report.write_text(json.dumps({"effects": [effect]}))
-    words = ["energyplan", "design", "--model", "quadriga:full:concrete", "--report", str(report),
-             "--duration", "30", "--out", str(out), "--json"]  # fmt: skip
-    with patch.object(sys, "argv", words), pytest.raises(SystemExit) as end:
-        cli.main()
-    assert not end.value.code
-    told = json.loads(capsys.readouterr().out)
-    assert told["separates"] and told["probabilities_expected"]
-    assert read_trajectory(out).duration == pytest.approx(told["duration"], abs=1e-6)

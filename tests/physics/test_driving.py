@@ -16,7 +16,7 @@ from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.io.bundled import bundled
 from energyplan.io.trajectory import write_trajectory
 from energyplan.limits.speed import profile
-from energyplan.physics import Driven, Effect, Ground, Robot, Sensors, drive, energy_told
+from energyplan.physics import Driven, Ground, Robot, Sensors, drive
 from energyplan.power import HOTEL
 from energyplan.vehicle import predict_icr
 
@@ -46,12 +46,6 @@ def test_energy_taken_is_the_energy_told(driven: Driven) -> None:
     assert driven.tracking_error < 0.03
     assert abs(driven.error) < 0.015
     assert driven.energy_taken == pytest.approx(sum(driven.taken.values()), rel=1e-9)
-
-
-def test_backwards_it_arrives_too() -> None:
-    made = drive(trajectory(ROUTE.reversed()), Robot.from_model(MODEL), MODEL)
-    assert made.arrived
-    assert abs(made.error) < 0.015
 
 
 def any_route(seed: int) -> tuple[ep.Trajectory, ep.PowerModel]:
@@ -106,11 +100,6 @@ def test_motors_that_share_no_load_push_against_each_other() -> None:
     assert fought(drive(asked, Robot.from_model(MODEL), MODEL)) < 0.01
     with pytest.raises(InvalidInputError, match="sharing"):
         replace(alone, sharing=0.0)
-
-
-def test_told_of_a_path_is_what_planning_counts() -> None:
-    told = energy_told(trajectory(), MODEL)
-    assert sum(told.values()) == pytest.approx(ep.EnergyCost(MODEL).energy(ROUTE), rel=0.003)
 
 
 def test_an_effect_takes_what_its_term_tells(driven: Driven) -> None:
@@ -251,8 +240,3 @@ def test_without_the_extra_the_error_names_it(
         assert "energyplan[physics]" in err
     # A design needs no engine.
     assert run_command(["design", *model, "--duration", "20"], capsys)[0] == 0
-
-
-def test_effects_parse() -> None:
-    effect = Effect.parse("surface_border=0.2,direction=0.5,offset=3")
-    assert dict(effect.details) == {"direction": 0.5, "offset": 3.0}

@@ -68,12 +68,6 @@ def test_each_side_in_an_arc(left: float, right: float) -> None:
     assert held(run, run.shaft_right) == pytest.approx(float(sides.right), abs=0.005 * whole)
 
 
-def test_straight_is_the_traction_resistance() -> None:
-    run = Engine(ROBOT).drive(steady(0.5, 0.5))
-    assert held(run, run.force_left) == pytest.approx(118.0, rel=0.001)
-    assert held(run, run.power) == pytest.approx(118.0, rel=0.001)
-
-
 @pytest.mark.parametrize(("speed", "acceleration"), [(0.72, 0.5), (0.36, 1.0)])
 def test_starts_and_stops_straight_ahead_take_nothing(speed: float, acceleration: float) -> None:
     """From rest to rest only the metres count: what a start takes the stop returns."""
@@ -194,15 +188,6 @@ def test_every_joule_is_accounted_for_whatever_is_commanded(seed: int) -> None:
     assert abs(run.closure) < 0.002 * moved
     most = robot.vehicle.motor.force
     assert max(np.abs(run.force_left).max(), np.abs(run.force_right).max()) <= most * (1 + 1e-9)
-
-
-def test_a_command_that_jumps_makes_no_motor_chatter() -> None:
-    """The wheels slide until the body has the speed that was asked for, then all is steady."""
-    run = Engine(ROBOT).drive(lambda state: (0.5, 0.5) if state.t < 1.0 else None)
-    assert abs(run.closure) < 0.001 * run.taken
-    later = run.t > 0.5
-    assert np.allclose(run.force_left[later], 118.0, rtol=0.01)
-    assert np.allclose(run.v[later], 0.5, rtol=0.01)
 
 
 def test_a_drive_that_does_not_add_up_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -63,14 +63,6 @@ def closed(*effects: Effect) -> Loop:
     return close_loop(PROBLEM, source, rounds=2, tolerance=0.0, effort=20_000)
 
 
-def test_nothing_hidden() -> None:
-    """To the corner and round it: half the way of the others."""
-    near = replace(PROBLEM, goal=ep.Pose(12.0, 3.5, 0.5 * np.pi))
-    source = EngineDrives(Robot.from_model(MODEL))
-    made = close_loop(near, source, rounds=1, tolerance=0.0, effort=2_000)
-    assert abs(made.rounds[0].error) < 0.015
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     ("effect", "near"),

@@ -15,10 +15,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium on the PATH")
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser")
 
 
 @pytest.fixture(scope="module")
@@ -44,18 +41,6 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     finally:
         server.terminate()
         server.wait(30)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    options = [
-        "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking",
-        "--disable-component-update", "--disable-sync", "--no-first-run",
-    ]  # fmt: skip
-    with playwright.sync_playwright() as driver:
-        made = driver.chromium.launch(executable_path=BROWSER, args=options)
-        yield made
-        made.close()
 
 
 class Opened:
@@ -99,7 +84,10 @@ class Opened:
         return self.page.inner_text("#answer .big")
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1300, "light"), (390, "dark")])
+@pytest.mark.parametrize(
+    ("width", "scheme"),
+    [pytest.param(1300, "light", marks=pytest.mark.nightly), (390, "dark")],
+)
 def test_two_clicks_make_a_route(browser: Any, address: str, width: int, scheme: str) -> None:
     opened = Opened(browser, address, width, scheme)
     told = opened.route()
@@ -111,6 +99,7 @@ def test_two_clicks_make_a_route(browser: Any, address: str, width: int, scheme:
     assert (opened.errors, opened.elsewhere) == ([], [])
 
 
+@pytest.mark.nightly
 def test_a_key_moves_a_pose_and_plans_again(browser: Any, address: str) -> None:
     opened = Opened(browser, address, 1300)
     before = opened.route()
@@ -145,6 +134,7 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     assert opened.errors == []
 
 
+@pytest.mark.nightly
 def test_places_in_reach_are_drawn(browser: Any, address: str) -> None:
     opened = Opened(browser, address, 390)
     before = opened.page.locator(".leaflet-overlay-pane path").count()

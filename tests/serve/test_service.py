@@ -74,12 +74,6 @@ def test_a_plan_is_that_of_the_library(client: TestClient) -> None:
     assert told["energy"] == pytest.approx(expected["energy"], rel=1e-9)  # a straight line
 
 
-def test_a_comparison_names_both_routes(client: TestClient) -> None:
-    surfaces = {**QUERY, "surfaces": "warehouse_surfaces.geojson"}
-    told = client.post("/api/compare", json=surfaces).json()
-    assert {"energy_optimal", "shortest", "saving"} <= set(told)
-
-
 def test_no_path_is_an_answer(client: TestClient) -> None:
     boxed = {**QUERY, "map": "room.yaml", "goal": [7, 2, 0], "time_limit": 0.5}
     told = client.post("/api/plan", json=boxed)
@@ -295,9 +289,3 @@ def test_others_are_served_only_with_a_token(folder: Path, tmp_path: Path) -> No
     assert [is_loopback(h) for h in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "robot")] == [
         True, True, True, False, False,
     ]  # fmt: skip
-
-
-def test_the_interface_is_described(client: TestClient) -> None:
-    paths = client.get("/openapi.json").json()["paths"]
-    wanted = {"/api/plan", "/api/compare", "/api/check", "/api/mission", "/api/diagnose"}
-    assert wanted <= set(paths)
