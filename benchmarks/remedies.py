@@ -11,8 +11,8 @@ from collections import Counter
 from itertools import count, islice
 from pathlib import Path
 
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path[:0] = [str(TESTS), str(TESTS / "mission")]
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "mission"))
 
 from troubled_missions import trials
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from energyplan.mission import evaluate
 
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path[:0] = [str(TESTS), str(TESTS / "mission")]
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "mission"))
 
 from uncertain_missions import missions, simulated
 
