@@ -99,7 +99,7 @@ GATES = (
          unit=" %"),
     Gate("willow: gap of nine in ten at 50,000", WILLOW,
          r"effort 50000:.*gap [\d.]+ / ([\d.]+) /", most=10, unit=" %"),
-    Gate("maps and floors: pairs found at 50,000", PAIRS, r"effort 50000: (\d+) of \d+ found", 32,
+    Gate("maps and floors: pairs found at 50,000", PAIRS, r"effort 50000: (\d+) of \d+ found", 48,
          of=sum),
     Gate("maps and floors: mean excess at 50,000", PAIRS, f"effort 50000:.*{EXCESS[0]}", most=0.15,
          unit=" %", of=fmean),

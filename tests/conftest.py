@@ -17,9 +17,9 @@ from energyplan.planning import Budget
 from energyplan.planning.budget import PACE
 from energyplan.power.effects import catalogue
 
-# The same cases in every run; at night `--hypothesis-profile=varied` draws others.
-settings.register_profile("repeatable", derandomize=True)
-settings.register_profile("varied")
+# The same cases in every run, however long each takes; `--hypothesis-profile=varied` draws others.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile("varied", deadline=None)
 settings.load_profile("repeatable")
 
 collect_ignore = ["fuzz", "mutation.py"]  # scripts for the night
