@@ -3,10 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from energyplan import Motion, Trajectory, TreadICR
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.motion import Motion
-from energyplan.path import Trajectory
-from energyplan.vehicle import TreadICR
 
 ICR = TreadICR(0.5, 0.4, 0.1)
 

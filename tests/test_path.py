@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from energyplan import Path, Pose, Trajectory
 from energyplan.errors import PathError
-from energyplan.path import Path, Pose, Trajectory, wrap_angle
+from energyplan.path import wrap_angle
 
 number = st.floats(-3, 3)
 segments = st.lists(st.tuples(number, number), min_size=1, max_size=6)

@@ -16,11 +16,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import energyplan as ep
-from energyplan import simulate
+from energyplan import Pose, PowerModel, simulate
 from energyplan.errors import EnergyPlanError
 from energyplan.io.files import atomic_write
-from energyplan.path import Pose, wrap_angle
-from energyplan.power import PowerModel
+from energyplan.path import wrap_angle
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 COST = ep.EnergyCost(MODEL)

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from energyplan import MotorLimits, TreadICR, Vehicle
 from energyplan.errors import UnknownNameError, VehicleError
-from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle, predict_icr, wheel_loads
+from energyplan.vehicle import GRAVITY, predict_icr, wheel_loads
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from energyplan.battery import Battery, BatteryRun
+from energyplan import Battery
+from energyplan.battery import BatteryRun
 from energyplan.battery._kernel import discharge
 from energyplan.errors import BatteryError, UnknownNameError
 

@@ -14,14 +14,12 @@ from commands import run as run_command
 from PIL import Image
 
 import energyplan as ep
-from energyplan import simulate
+from energyplan import PowerModel, Trajectory, simulate
 from energyplan.html import number
 from energyplan.io.bag_fields import bag_fields
 from energyplan.io.bundled import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log, write_trajectory
-from energyplan.path import Trajectory
-from energyplan.power import PowerModel
 from energyplan.studies.doubt import most_power
 
 Run = Callable[..., "Result"]

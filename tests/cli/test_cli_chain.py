@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from limits.fine_integral import fine_energy
 
-from energyplan import cli
-from energyplan.io.config import write_model, write_vehicle
+from energyplan import PowerModel, cli, write_model
+from energyplan.io.config import write_vehicle
 from energyplan.io.trajectory import read_trajectory
-from energyplan.power import PowerModel
 from energyplan.power.effects import term
 
 pytestmark = pytest.mark.usefixtures("counted")

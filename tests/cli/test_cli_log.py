@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from energyplan import cli, simulate
+from energyplan import PowerModel, cli, simulate
 from energyplan.errors import DriveLogError
 from energyplan.io.logs import describe_log
 from energyplan.io.trajectory import write_log
-from energyplan.power import PowerModel
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,11 @@ import pytest
 import yaml
 from commands import run as run_command
 
-from energyplan.io.config import write_model
+from energyplan import OccupancyGrid, PowerModel, write_model
 from energyplan.io.maps import write_map
 from energyplan.io.nav2_lattice import read_lattice
 from energyplan.io.route_graph import read_route_graph
-from energyplan.power import PowerModel
 from energyplan.power.effects import term
-from energyplan.terrain import OccupancyGrid
 
 Run = Callable[..., "tuple[int, str, str]"]
 MODEL = "quadriga:empty:concrete"

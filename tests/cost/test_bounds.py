@@ -10,12 +10,11 @@ import shapely
 from by_day import by_day
 from random_models import SIZES, random_model
 
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, PowerModel, SurfaceMap
 from energyplan.cost.bounds import SLACK, Infimum
 from energyplan.planning.scene.prices import Prices, least_prices
-from energyplan.power import PowerModel
 from energyplan.power.effects import catalogue, term, with_weight
-from energyplan.terrain import Surface, SurfaceMap
+from energyplan.terrain import Surface
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 

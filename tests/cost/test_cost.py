@@ -7,14 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import steering
-from energyplan.cost import EnergyCost
+from energyplan import (
+    EnergyCost,
+    Motion,
+    MotorLimits,
+    Path,
+    Pose,
+    PowerModel,
+    Term,
+    TreadICR,
+    Vehicle,
+    steering,
+)
 from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
-from energyplan.motion import Motion
-from energyplan.path import Path, Pose
-from energyplan.power import HOTEL, TRACTION, PowerModel, Term
+from energyplan.power import HOTEL, TRACTION
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, term
-from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 C = MODEL.vehicle.icr.half_track

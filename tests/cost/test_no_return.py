@@ -7,14 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan.cost import EnergyCost
+from energyplan import (
+    EnergyCost,
+    MotorLimits,
+    OccupancyGrid,
+    Path,
+    PlanningProblem,
+    Pose,
+    PowerModel,
+    Vehicle,
+    check,
+    plan,
+)
 from energyplan.errors import ModelError
-from energyplan.limits.feasibility import check
-from energyplan.path import Path, Pose
-from energyplan.planning import PlanningProblem, plan
-from energyplan.power import HOTEL, PowerModel
-from energyplan.terrain import OccupancyGrid
-from energyplan.vehicle import MotorLimits, Vehicle
+from energyplan.power import HOTEL
 
 HALF = Vehicle.preset("quadriga:empty").icr.half_track
 SLIPPING = 2.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, MotorLimits, Path, Pose, PowerModel, Sides, TreadICR, Vehicle
 from energyplan.cost.speeds import (
     admissible_rate,
     asked_speed,
@@ -17,10 +17,8 @@ from energyplan.cost.speeds import (
     last_within,
 )
 from energyplan.errors import InvalidInputError
-from energyplan.path import FloatArray, Path, Pose
-from energyplan.power import PowerModel, Sides
+from energyplan.path import FloatArray
 from energyplan.power.effects import term
-from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 VEHICLE = Vehicle.preset("husky_a200")
 MODEL = PowerModel.paper(VEHICLE, K=40.0, mu=0.5)

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from random_models import random_model
 
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, PowerModel
 from energyplan.cost.table import tabulate
 from energyplan.errors import InvalidInputError
 from energyplan.io.cost_table import write_cost_table
-from energyplan.power import PowerModel
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 

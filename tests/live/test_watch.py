@@ -16,8 +16,19 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan import simulate
-from energyplan.battery import Battery
+from energyplan import (
+    Battery,
+    DriveLog,
+    Mission,
+    OccupancyGrid,
+    Pose,
+    PowerModel,
+    SurfaceMap,
+    Task,
+    evaluate,
+    simulate,
+    watch,
+)
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.trajectory import write_log
@@ -33,14 +44,9 @@ from energyplan.live import (
     Trouble,
     follow,
     lines_of,
-    watch,
 )
 from energyplan.live.watcher import Settings
-from energyplan.logs import DriveLog
-from energyplan.mission import Mission, Task, evaluate
-from energyplan.path import Pose
-from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain import Surface
 
 MARBLE = PowerModel.preset("quadriga:full:marble")
 CONCRETE = PowerModel.preset("quadriga:full:concrete")

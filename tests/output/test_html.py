@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import energyplan as ep
-from energyplan import simulate
+from energyplan import PowerModel, simulate
 from energyplan.html import Readable, Summary, number, table
-from energyplan.power import HOTEL, PowerModel
+from energyplan.power import HOTEL
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 

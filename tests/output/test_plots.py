@@ -10,14 +10,21 @@ from matplotlib.axes import Axes
 from matplotlib.quiver import Quiver
 from matplotlib.text import Annotation, Text
 
-from energyplan import simulate
-from energyplan.battery import Battery
-from energyplan.mission import Mission, MissionReport, Task, evaluate
+from energyplan import (
+    Battery,
+    Mission,
+    MissionReport,
+    OccupancyGrid,
+    Path,
+    Pose,
+    PowerModel,
+    SurfaceMap,
+    Task,
+    evaluate,
+    simulate,
+)
 from energyplan.output import plots
 from energyplan.output.report import image
-from energyplan.path import Path, Pose
-from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.terrain.surfaces import Surface
 
 MODEL = PowerModel.preset("quadriga:empty:marble")

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from energyplan import __version__
+from energyplan import PowerModel, __version__
 from energyplan.errors import InvalidInputError
 from energyplan.html import quantity, table, unit
 from energyplan.output import plots
 from energyplan.output.report import Page, svg
-from energyplan.power import PowerModel
 
 
 class Collector(HTMLParser):

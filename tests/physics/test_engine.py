@@ -10,6 +10,7 @@ from by_day import by_day
 from scipy.optimize import fsolve
 
 import energyplan as ep
+from energyplan import HeightMap
 from energyplan.errors import InvalidInputError, ModelError, PhysicsError, UnknownNameError
 from energyplan.physics import (
     EFFECTS,
@@ -24,7 +25,6 @@ from energyplan.physics import (
 )
 from energyplan.physics.engine import Controller
 from energyplan.power.effects import term
-from energyplan.terrain import HeightMap
 from energyplan.vehicle import GRAVITY, predict_icr
 
 pytest.importorskip("mujoco")

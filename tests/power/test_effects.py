@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import EnergyCost
+from energyplan import EnergyCost, Motion, PowerModel, Term, Vehicle
 from energyplan.errors import ModelError, UnknownNameError
-from energyplan.motion import Motion
-from energyplan.power import TRACTION, PowerModel, Term, effects, tread_forces
+from energyplan.power import TRACTION, effects, tread_forces
 from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
     DRAGGING_RIGHT,
@@ -53,7 +52,7 @@ from energyplan.power.effects import (
     term,
 )
 from energyplan.power.empirical import CARRIERS, place, signal
-from energyplan.vehicle import GRAVITY, Vehicle
+from energyplan.vehicle import GRAVITY
 
 VEHICLE = Vehicle.preset("quadriga:full")
 T = np.array([0.0, 30.0, 90.0])

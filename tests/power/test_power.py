@@ -7,21 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from energyplan import Motion, PowerModel, Sides, Term, TreadICR, Vehicle
 from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
-from energyplan.motion import Motion
 from energyplan.power import (
     DRIVE_LOSS,
     HOTEL,
     REGENERATION_LOSS,
     SLIP,
     TRACTION,
-    PowerModel,
-    Sides,
-    Term,
     effects,
     tread_forces,
 )
-from energyplan.vehicle import TreadICR, Vehicle
 
 speed = st.floats(-1.5, 1.5)
 offset = st.floats(0.1, 1.0)

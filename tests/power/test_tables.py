@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from energyplan.power import PowerModel
+from energyplan import PowerModel, Vehicle
 from energyplan.power.effects import catalogue
 from energyplan.power.presets import MODEL_PRESETS
-from energyplan.vehicle import Vehicle
 from energyplan.vehicle.presets import VEHICLE_PRESETS
 
 PAGE = Path(__file__).parents[2] / "docs" / "tables.md"

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from energyplan import Motion, Path, Pose, PowerModel, Trajectory, TreadICR, Vehicle
 from energyplan.errors import InvalidInputError, MissingChannelError, UnknownNameError
-from energyplan.motion import Motion
-from energyplan.path import Path, Pose, Trajectory
-from energyplan.power import SLIP, PowerModel
+from energyplan.power import SLIP
 from energyplan.power.effects import GRADE, LINEAR_INERTIA
 from energyplan.simulate import PATTERNS, Setpoint, drive, identification_drive, validation_drive
-from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
+from energyplan.vehicle import GRAVITY
 
 
 @pytest.fixture(scope="module")

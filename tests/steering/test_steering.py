@@ -12,17 +12,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from steering_optimum import Corners, optimum
 
-from energyplan import steering
-from energyplan.cost import EnergyCost
+from energyplan import (
+    EnergyCost,
+    Motion,
+    MotorLimits,
+    Path,
+    Pose,
+    PowerModel,
+    Sides,
+    Term,
+    TreadICR,
+    steering,
+)
 from energyplan.cost.steering import polygon_steering
 from energyplan.errors import InvalidInputError
-from energyplan.motion import Motion
-from energyplan.path import Path, Pose
-from energyplan.power import HOTEL, PowerModel, Sides, Term, tread_forces
+from energyplan.power import HOTEL, tread_forces
 from energyplan.power.effects import VISCOUS_LOSS
 from energyplan.steering.kernels import steer_energy
 from energyplan.steering.polygon import polygon_energies
-from energyplan.vehicle import MotorLimits, TreadICR
 
 FULL = PowerModel.preset("quadriga:full:marble")
 LIMITED = replace(FULL, vehicle=replace(FULL.vehicle, motor=MotorLimits(speed=1.2)))

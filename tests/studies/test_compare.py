@@ -2,11 +2,7 @@ import numpy as np
 import pytest
 from by_day import by_day
 
-from energyplan.cost import EnergyCost
-from energyplan.planning import PlanningProblem
-from energyplan.power import PowerModel
-from energyplan.studies.comparison import compare
-from energyplan.terrain import OccupancyGrid
+from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, PowerModel, compare
 
 COST = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
 

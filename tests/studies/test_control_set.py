@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, Path, Pose, PowerModel
 from energyplan.errors import InvalidInputError, MapError
 from energyplan.io.nav2_lattice import read_lattice, write_lattice, write_penalties
-from energyplan.path import Path, Pose
-from energyplan.power import PowerModel
 from energyplan.studies.control_set import (
     control_set,
     headings_of,

@@ -12,8 +12,17 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan import steering
-from energyplan.cost import EnergyCost
+from energyplan import (
+    EnergyCost,
+    OccupancyGrid,
+    PlanningProblem,
+    Pose,
+    PowerModel,
+    Residual,
+    energy_map,
+    plan,
+    steering,
+)
 from energyplan.errors import (
     InvalidInputError,
     MapError,
@@ -21,13 +30,8 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.io.energy_map import write_contours, write_energies
-from energyplan.path import Pose
-from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.power import PowerModel, Residual
-from energyplan.studies import energy_map
 from energyplan.studies.doubt import most_power, upper_prices
-from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 

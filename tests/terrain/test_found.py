@@ -5,16 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan.battery import Battery
-from energyplan.cost import EnergyCost
-from energyplan.limits.feasibility import check
+from energyplan import (
+    Battery,
+    EnergyCost,
+    HeightMap,
+    Mission,
+    OccupancyGrid,
+    Path,
+    PlanningProblem,
+    Pose,
+    PowerModel,
+    Task,
+    check,
+    evaluate,
+    plan,
+)
 from energyplan.limits.speed import profile
-from energyplan.mission import Mission, Task, evaluate
-from energyplan.path import Path, Pose
-from energyplan.planning import PlanningProblem, plan
-from energyplan.power import PowerModel
 from energyplan.power.effects import term, with_weight
-from energyplan.terrain import HeightMap, OccupancyGrid, laid_out, path_price
+from energyplan.terrain import laid_out, path_price
 
 LEVEL = PowerModel.preset("quadriga:empty:concrete")
 MASS, TILT = LEVEL.vehicle.mass, np.array([0.06, 0.03])

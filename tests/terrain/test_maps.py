@@ -8,12 +8,11 @@ import shapely
 from scipy import ndimage
 from shapely import affinity
 
+from energyplan import OccupancyGrid, Path, Pose, Vehicle
 from energyplan.errors import MapError
-from energyplan.path import Path, Pose
-from energyplan.terrain import OccupancyGrid, footprint
 from energyplan.terrain import collision as _collision
+from energyplan.terrain import footprint
 from energyplan.terrain.updates import distance_to_blocked
-from energyplan.vehicle import Vehicle
 
 VEHICLE = Vehicle.preset("quadriga")
 

@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan.cost import EnergyCost
+from energyplan import (
+    EnergyCost,
+    HeightMap,
+    OccupancyGrid,
+    Path,
+    Pose,
+    PowerModel,
+    SurfaceMap,
+    TreadICR,
+    read_heights,
+)
 from energyplan.errors import MapError
-from energyplan.io.heights import read_heights
-from energyplan.path import Path, Pose
-from energyplan.power import PowerModel, effects
-from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap, path_price
-from energyplan.vehicle import TreadICR
+from energyplan.power import effects
+from energyplan.terrain import Surface, path_price
 
 MARBLE = PowerModel.preset("quadriga:empty:marble")
 CONCRETE = PowerModel.preset("quadriga:empty:concrete")
