@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.battery._kernel import Circuit, discharge
-from energyplan.battery._tables import CHEMISTRIES, PRESETS
+from energyplan.battery._tables import CHEMISTRIES, PRESETS, Chemistry, chemistry_of
 from energyplan.battery.model import BatteryModel, BatteryRun, BrownOut
 from energyplan.errors import BatteryError, UnknownNameError
 from energyplan.kinds import check_fields, checked, numbers
@@ -20,6 +22,61 @@ __all__ = ["Battery", "BatteryModel", "BatteryRun", "BrownOut"]
 
 _REASONS: tuple[BrownOut, ...] = ("none", "voltage", "charge", "current")
 _REFERENCE_TEMPERATURE = 25.0
+
+
+EXAMPLE = "24 V 20 Ah lead-acid"
+"""A battery in words."""
+
+_UNITS = {
+    "v": ("V", 1.0), "ah": ("Ah", 1.0), "mah": ("Ah", 1e-3), "wh": ("Wh", 1.0),
+    "kwh": ("Wh", 1e3), "ohm": ("ohm", 1.0), "mohm": ("ohm", 1e-3), "degc": ("degC", 1.0),
+}  # fmt: skip
+_COUNTS = re.compile(r"\b(\d+)\s*s\s*(\d+)\s*p\b")
+_SHARE = re.compile(r"\b(usable|health)\s*:?\s*(\d+(?:\.\d+)?)\s*%")
+_AMOUNT = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*(mohm|ohm|mah|ah|kwh|wh|degc|v)\b")
+
+
+@dataclass(frozen=True)
+class _Words:
+    """What some words say of a battery."""
+
+    chemistry: Chemistry
+    counts: tuple[int, int] | None  # in series and in parallel
+    amounts: Mapping[str, float]  # by unit: V, Ah, Wh, ohm, degC; usable and health as fractions
+
+    @classmethod
+    def read(cls, words: str) -> _Words:
+        """Read them, and say all that is missing or unknown at once."""
+        rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
+        counts = _COUNTS.search(rest)
+        rest = _COUNTS.sub(" ", rest)
+        amounts = {name: float(value) / 100.0 for name, value in _SHARE.findall(rest)}
+        rest = _SHARE.sub(" ", rest)
+        for value, symbol in _AMOUNT.findall(rest):
+            unit, factor = _UNITS[symbol]
+            amounts[unit] = float(value) * factor
+        left = " ".join(_AMOUNT.sub(" ", rest).replace(",", " ").replace(" at ", " ").split())
+        kind = chemistry_of(left)
+        known = ", ".join([*PRESETS])
+        said = bool(counts or amounts)
+        _require(
+            said,
+            f"unknown battery {words!r}; give its voltage, capacity and chemistry, as in "
+            f"{EXAMPLE!r} or '7S4P 3 Ah li-ion', or a preset: {known}",
+        )
+        missing = [] if counts or "V" in amounts else ["its voltage (24 V) or counts (7S4P)"]
+        if not ("Ah" in amounts or ("Wh" in amounts and "V" in amounts)):
+            missing.append("its capacity (20 Ah)")
+        names = ", ".join(c.aliases[0] for c in CHEMISTRIES.values())
+        if kind is None and not left:
+            missing.append(f"its chemistry ({names})")
+        wrong = f"{left!r} is no chemistry; known are {names}" if kind is None and left else ""
+        lacks = f"it lacks {' and '.join(missing)}" if missing else ""
+        told = "; ".join(filter(None, (wrong, lacks)))
+        _require(not told, f"battery {words!r}: {told}; write it as {EXAMPLE!r}")
+        assert kind is not None
+        pair = (int(counts[1]), int(counts[2])) if counts else None
+        return cls(kind, pair, amounts)
 
 
 def _require(condition: bool, message: str) -> None:
@@ -65,6 +122,8 @@ class Battery(ByValue, html.Readable):
         Relative rise of the resistances per kelvin below 25 degC [1/K].
     health : float
         Capacity left over capacity when new, in (0, 1]. The resistances rise by its inverse.
+    notes : tuple of str
+        What was assumed about it; missions warn of it.
 
     Raises
     ------
@@ -105,6 +164,7 @@ class Battery(ByValue, html.Readable):
     derating_factor: FloatArray = field(default_factory=lambda: np.array([1.0]))
     resistance_coefficient: float = 0.0
     health: float = 1.0
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self, BatteryError, f"battery {self.name}: ")
@@ -369,10 +429,10 @@ class Battery(ByValue, html.Readable):
         series: int,
         parallel: int,
         unit_capacity: float,
-        unit_resistance: float,
+        unit_resistance: float | None = None,
         rated_time: float = 20 * 3600.0,
         discharge_rate: float = 5.0,
-        charge_rate: float = 0.3,
+        charge_rate: float | None = None,
         pair_share: float = 0.5,
         pair_time: float = 60.0,
         cutoff_soc: float = 0.0,
@@ -384,13 +444,15 @@ class Battery(ByValue, html.Readable):
         name : str
             What to call it.
         chemistry : {"lead_acid", "lithium_ion", "lithium_iron_phosphate"}
-            Chemistry; a unit is a 12 V block of lead-acid, or one lithium cell.
+            Chemistry, or another name of it, such as ``"LiFePO4"``; a unit is a 12 V block of
+            lead-acid, or one lithium cell.
         series, parallel : int
             Units in series, and strings in parallel.
         unit_capacity : float
             Capacity of one unit [C].
-        unit_resistance : float
-            Series resistance of one unit [ohm].
+        unit_resistance : float, optional
+            Series resistance of one unit [ohm]; where not given, one that is typical of the
+            chemistry and capacity, which a note says.
         rated_time : float
             Discharge time at which the capacity was measured [s].
         discharge_rate, charge_rate : float
@@ -414,10 +476,19 @@ class Battery(ByValue, html.Readable):
         BatteryError
             If a count or a value is out of its range.
         """
-        if chemistry not in CHEMISTRIES:
+        kind = chemistry_of(chemistry)
+        if kind is None:
             raise UnknownNameError("battery chemistry", chemistry, CHEMISTRIES)
+        notes: tuple[str, ...] = ()
+        if unit_resistance is None:
+            unit_resistance = kind.typical_resistance * 3600.0 / unit_capacity
+            told = unit_resistance * series / parallel
+            notes = (
+                f"battery {name}: its resistance of {1e3 * told:.3g} mohm is typical of its "
+                f"chemistry and capacity; others have from {500 * told:.3g} to "
+                f"{2e3 * told:.3g} mohm, so give it where you know it",
+            )
         _require(series >= 1 and parallel >= 1, f"{series} x {parallel} units; give 1 or more")
-        kind = CHEMISTRIES[chemistry]
         capacity = unit_capacity * parallel
         resistance = unit_resistance * series / parallel
         return cls(
@@ -435,10 +506,78 @@ class Battery(ByValue, html.Readable):
             cutoff_soc=cutoff_soc,
             max_voltage=series * kind.max_voltage,
             max_discharge_current=discharge_rate * capacity / 3600.0,
-            max_charge_current=charge_rate * capacity / 3600.0,
+            max_charge_current=(charge_rate or kind.charge_rate) * capacity / 3600.0,
             derating_temperature=np.array(kind.temperature),
             derating_factor=np.array(kind.capacity_factor),
             resistance_coefficient=kind.resistance_coefficient,
+            notes=notes,
+        )
+
+    @classmethod
+    @checked(BatteryError)
+    def of(cls, words: str) -> Battery:
+        """Return the battery that a preset or some words name.
+
+        The words give voltage, capacity (or energy) and chemistry of the whole pack, or, with
+        counts as in ``7S4P``, the capacity of one cell. In any order there may also be a
+        resistance (``30 mohm``, of the pack or of one cell alike), ``usable 80 %``, ``health 90 %``
+        and a temperature (``5 degC``).
+
+        Parameters
+        ----------
+        words : str
+            Such as ``"24 V 20 Ah lead-acid"``, ``"7S4P 3 Ah li-ion"`` or ``"husky_a200"``.
+
+        Returns
+        -------
+        Battery
+            The battery.
+
+        Raises
+        ------
+        BatteryError
+            If something is missing or not understood; all of it is said at once.
+
+        Examples
+        --------
+        >>> pack = Battery.of("25.6 V 100 Ah LiFePO4, usable 80 %")
+        >>> round(pack.full_energy / 3600), round(pack.cutoff_soc, 2)
+        (2622, 0.2)
+        """
+        if words.strip() in PRESETS:
+            return cls.preset(words.strip())
+        found = _Words.read(words)
+        kind, counts, given = found.chemistry, found.counts, found.amounts
+        for unit in given.keys() - {"degC"}:
+            _require(given[unit] > 0, f"battery {words!r}: {given[unit]:g} {unit} is not positive")
+        capacity = given["Ah"] if "Ah" in given else given["Wh"] / given["V"]
+        notes: tuple[str, ...] = ()
+        if counts is None:
+            series = max(round(given["V"] / kind.voltage), 1)
+            cells, nominal = (series, 1), series * kind.voltage
+            off = nominal / given["V"] - 1.0
+            _require(
+                abs(off) < 0.12,
+                f"battery {words!r}: {given['V']:g} V is no multiple of the {kind.voltage:g} V of "
+                f"one unit of {kind.name}; give the counts, as in {series}S1P",
+            )
+            if abs(off) > 0.03:
+                notes = (f"battery {words}: taken to have {series} units in series",)
+        else:
+            cells = counts
+        resistance = given.get("ohm")
+        if resistance is not None and counts is None:
+            resistance = resistance / cells[0]
+        pack = cls.from_units(
+            words.strip(), kind.name, series=cells[0], parallel=cells[1],
+            unit_capacity=3600.0 * capacity, unit_resistance=resistance,
+            cutoff_soc=1.0 - given.get("usable", 1.0),
+        )  # fmt: skip
+        return replace(
+            pack,
+            temperature=given.get("degC", pack.temperature),
+            health=given.get("health", pack.health),
+            notes=(*notes, *pack.notes),
         )
 
     @classmethod

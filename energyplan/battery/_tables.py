@@ -20,6 +20,10 @@ class Chemistry:
     charge_efficiency: float  # charge stored over charge supplied
     cutoff_voltage: float  # voltage of one unit at which discharging and charging must end [V]
     max_voltage: float  # voltage of one unit at which discharging and charging must end [V]
+    voltage: float  # nominal voltage of one unit [V]
+    typical_resistance: float  # of a unit, times its capacity [ohm Ah]; others have half or twice
+    charge_rate: float  # largest charging current over the capacity [1/h]
+    aliases: tuple[str, ...]  # other names of it
     source: str  # where the open-circuit voltage and the derating come from
 
 
@@ -34,6 +38,10 @@ LEAD_ACID = Chemistry(
     charge_efficiency=0.90,
     cutoff_voltage=10.5,
     max_voltage=14.4,
+    voltage=12.0,
+    typical_resistance=0.28,
+    charge_rate=0.3,
+    aliases=("lead-acid", "lead acid", "leadacid", "pb", "agm", "gel", "sla", "vrla"),
     source=(
         "12 V block at 26.7 degC, specific gravity 1.265 when full: Battery Council "
         "International. Derating from 0 degC: Discover Energy, discharge longer than 60 min. "
@@ -56,6 +64,20 @@ LITHIUM_ION = Chemistry(
     charge_efficiency=0.99,
     cutoff_voltage=2.8,
     max_voltage=4.2,
+    voltage=3.65,
+    typical_resistance=0.10,
+    charge_rate=0.5,
+    aliases=(
+        "li-ion",
+        "li ion",
+        "liion",
+        "lithium-ion",
+        "lithium ion",
+        "lipo",
+        "li-po",
+        "nmc",
+        "nca",
+    ),
     source=(
         "Molicel INR-21700-P42A, mean of discharge and charge at C/32: Sunil, Pattipati, "
         "Balasingam, Piecewise Linear Approximation of Battery Open-Circuit Voltage "
@@ -77,6 +99,10 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
     charge_efficiency=0.99,
     cutoff_voltage=2.5,
     max_voltage=3.65,
+    voltage=3.2,
+    typical_resistance=0.06,
+    charge_rate=0.5,
+    aliases=("lifepo4", "lfp", "lithium iron phosphate", "life"),
     source=(
         "Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
         "Derating: Canbat on its CLI100-12, 80 % at 0 degC and 70 % at -20 degC; X2Power tells "
@@ -88,6 +114,12 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
 
 CHEMISTRIES = {c.name: c for c in (LEAD_ACID, LITHIUM_ION, LITHIUM_IRON_PHOSPHATE)}
 """Chemistries by name."""
+
+
+def chemistry_of(name: str) -> Chemistry | None:
+    """Return the chemistry of a name or alias in any case; None where there is none."""
+    told = name.strip().lower()
+    return next((c for c in CHEMISTRIES.values() if told in (c.name, *c.aliases)), None)
 
 
 class Pack(TypedDict, total=False):

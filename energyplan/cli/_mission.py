@@ -112,11 +112,11 @@ def reach(
 
     Computes the energy that it takes to reach each place of a map, and to come back if asked.
     """
-    from energyplan.battery import Battery
     from energyplan.errors import InvalidInputError
     from energyplan.io.energy_map import write_contours, write_energies
     from energyplan.io.files import atomic_write
     from energyplan.io.maps import read_map
+    from energyplan.io.mission import read_battery
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
     from energyplan.planning import PlanningProblem
@@ -135,7 +135,7 @@ def reach(
     problem = PlanningProblem(read_map(map_file), cost, pose, pose, surfaces=ground, heights=hills)
     home = parse_pose(charger) if charger else pose
     if pack:
-        energy = energy_of_charge(cost, Battery.preset(pack), 1.0 if soc is None else soc)
+        energy = energy_of_charge(cost, read_battery(pack), 1.0 if soc is None else soc)
     usable = None if energy is None else (1.0 - reserve) * energy
     with progress("searching"):
         found = energy_map(

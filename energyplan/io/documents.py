@@ -304,7 +304,10 @@ class _Builder:
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
     "power": {"W": 1.0, "kW": 1e3},
-    "charge": {"C": 1.0, "Ah": 3600.0},
+    "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6},
+    "resistance": {"ohm": 1.0, "mohm": 1e-3},
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3},
     "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
     "mass": {"kg": 1.0, "g": 1e-3},
     "fraction": {"%": 0.01},

@@ -99,7 +99,7 @@ def read_fleet(path: str | Path) -> Fleet:
         }  # fmt: skip
         lines = _lines(document, k, able, set(extra))
         own = Document(document.source, data, lines, MissionError)
-        mission = MissionReader(own, Path(path).parent).mission()
+        mission = MissionReader(own, Path(path).parent, anywhere=True).mission()
         if robots:  # one map, so that routes are planned once for all
             mission = replace(mission, map=robots[0].mission.map)
         robots.append(Robot(robot.name, mission))

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator
 
-from energyplan.battery import Battery
+from energyplan.battery import EXAMPLE, Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
@@ -39,6 +39,9 @@ Speed = Annotated[
     float | Literal["cheapest"],
     BeforeValidator(lambda value: value if value == "cheapest" else amount("speed", value)),
 ]
+Ohms = Annotated[float, BeforeValidator(partial(amount, "resistance"))]
+Volts = Annotated[float, BeforeValidator(partial(amount, "voltage"))]
+Current = Annotated[float, BeforeValidator(partial(amount, "current"))]
 Fraction = Annotated[float, BeforeValidator(partial(amount, "fraction"))]
 PoseText = str | list[float | str]
 
@@ -110,26 +113,27 @@ class _Charger(_Strict):
 
 
 class _Battery(_Strict):
-    """A preset or a pack of units, with whatever differs from it."""
+    """A preset or words, or a pack of units, with whatever differs from it."""
 
     preset: str | None = None
     chemistry: str | None = None
     series: int | None = None
     parallel: int | None = None
     unit_capacity: Amps | None = None
-    unit_resistance: float | None = None
+    unit_resistance: Ohms | None = None
     capacity: OpenCharge | None = None
-    resistance: float | None = None
-    pair_resistance: float | None = None
+    resistance: Ohms | None = None
+    pair_resistance: Ohms | None = None
     pair_time: Time | None = None
     peukert: float | None = None
-    rated_current: float | None = None
+    rated_current: Current | None = None
     charge_efficiency: Fraction | None = None
-    cutoff_voltage: float | None = None
+    cutoff_voltage: Volts | None = None
     cutoff_soc: Fraction | None = None
-    max_voltage: float | None = None
-    max_discharge_current: float | None = None
-    max_charge_current: float | None = None
+    usable: Fraction | None = None
+    max_voltage: Volts | None = None
+    max_discharge_current: Current | None = None
+    max_charge_current: Current | None = None
     temperature: OpenTemperature | None = None
     health: OpenFraction | None = None
 
@@ -179,7 +183,7 @@ class _Mission(_Strict):
 
 
 @checked(MissionError)
-def read_mission(path: str | Path) -> Mission:
+def read_mission(path: str | Path, *, inside: bool = False) -> Mission:
     """Read a mission from YAML.
 
     Numbers are in SI units, or carry one: ``5 min``, ``60 W``, ``36 Ah``, ``20 %``. A pose is
@@ -190,6 +194,8 @@ def read_mission(path: str | Path) -> Mission:
     ----------
     path : str or Path
         The file.
+    inside : bool
+        Accept only files in the mission's folder and below, as a service does.
 
     Returns
     -------
@@ -208,7 +214,7 @@ def read_mission(path: str | Path) -> Mission:
     >>> read_mission(bundled("mission_warehouse.yaml")).name
     'warehouse cleaning'
     """
-    return MissionReader(load(path, MissionError), Path(path).parent).mission()
+    return MissionReader(load(path, MissionError), Path(path).parent, not inside).mission()
 
 
 def mission_from(values: Mapping[str, Any] | str, folder: str | Path | None = None) -> Mission:
@@ -302,7 +308,7 @@ class MissionReader:
 
     def _file(self, name: str) -> Path:
         if self._anywhere:
-            file = Path(name)
+            file = self._folder / name
         else:
             file = beside(self._folder / self._document.source, "name of a file", name)
         if is_file(file):
@@ -402,30 +408,65 @@ class MissionReader:
     def _battery(self) -> Battery:
         spec = self._spec.battery
         if isinstance(spec, str):
-            return self._placed(("battery",), Battery.preset, spec)
-        given = {
-            key: value.value if isinstance(value, Uncertain) else value
-            for key, value in spec
-            if value is not None
-        }
-        units = {
-            key: given.pop(key)
-            for key in ("chemistry", "series", "parallel", "unit_capacity", "unit_resistance")
-            if key in given
-        }
-        if ("preset" in given) == bool(units):
-            raise self._document.fail(
-                ("battery",),
-                "give a preset, or chemistry, series, parallel, unit_capacity and unit_resistance",
-            )
-        if units:
-            if len(units) < 5:
-                raise self._document.fail(
-                    ("battery",),
-                    "a pack needs chemistry, series, parallel, unit_capacity and unit_resistance",
-                )
-            base = self._placed(("battery",), partial(Battery.from_units, self._spec.name), **units)
-        else:
-            base = self._placed(("battery", "preset"), Battery.preset, given.pop("preset"))
-        changed: Battery = self._placed(("battery",), replace, base, **given)
-        return changed
+            source = self._file(spec) if _is_yaml(spec) else spec
+            return self._placed(("battery",), read_battery, source)
+        return _built(spec, self._spec.name, self._document, ("battery",))
+
+
+def _built(spec: _Battery, name: str, document: Document, at: Loc) -> Battery:
+    """Return the battery that a mapping describes."""
+    given: dict[str, Any] = {
+        key: value.value if isinstance(value, Uncertain) else value
+        for key, value in spec
+        if value is not None
+    }
+    if "usable" in given:
+        given["cutoff_soc"] = 1.0 - given.pop("usable")
+    units: dict[str, Any] = {
+        key: given.pop(key)
+        for key in ("chemistry", "series", "parallel", "unit_capacity", "unit_resistance")
+        if key in given
+    }
+    if ("preset" in given) == bool(units):
+        raise document.fail(
+            at, f"give a preset or words, as in {EXAMPLE!r}, or chemistry, series, parallel and "
+            "unit_capacity"
+        )  # fmt: skip
+    missing = [k for k in ("chemistry", "series", "parallel", "unit_capacity") if k not in units]
+    if units and missing:
+        raise document.fail(
+            at, f"the pack lacks {', '.join(missing)}; or say it in words, as in {EXAMPLE!r}"
+        )
+    try:
+        base = Battery.from_units(name, **units) if units else Battery.of(given.pop("preset"))
+        notes = base.notes if not {"resistance", "unit_resistance"} & given.keys() else ()
+        return replace(base, **given, notes=notes)
+    except EnergyPlanError as problem:
+        raise document.fail(at, str(problem)) from None
+
+
+def read_battery(source: str | Path) -> Battery:
+    """Return a battery from words, the name of a preset, or a YAML file.
+
+    Parameters
+    ----------
+    source : str or Path
+        Words such as ``"24 V 20 Ah lead-acid"``, a preset such as ``"husky_a200"``, or a YAML file
+        with the keys of a mission's `battery`.
+
+    Returns
+    -------
+    Battery
+        The battery.
+
+    Raises
+    ------
+    BatteryError
+        If the words are not understood.
+    MissionError
+        If the file is malformed.
+    """
+    if not _is_yaml(str(source)):
+        return Battery.of(str(source))
+    document = load(source, MissionError)
+    return _built(document.check(_Battery), Path(source).stem, document, ())

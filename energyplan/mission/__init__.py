@@ -262,8 +262,10 @@ class _Evaluation:
 
     def _warnings(self) -> tuple[str, ...]:
         battery = self.mission.battery
-        note = battery.temperature_note if isinstance(battery, Battery) else ""
-        return (*self.mission.notes, *([note] if note else []))
+        notes: tuple[str, ...] = ()
+        if isinstance(battery, Battery):
+            notes = tuple(filter(None, (battery.temperature_note, *battery.notes)))
+        return (*self.mission.notes, *notes)
 
     # -- verdicts ---------------------------------------------------------------------------------
 

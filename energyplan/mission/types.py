@@ -279,18 +279,25 @@ class Mission(ReadOnly, html.Readable):
             for k, c in enumerate(self.chargers)
         ]
         free = self.free_map.footprint_free([pose for _, pose, _ in places], self.vehicle)
+        faults: list[tuple[str, tuple[str | int, ...]]] = []
         for (label, pose, place), good in zip(places, free, strict=True):
-            if good:
-                continue
             where = f"({pose.x:g}, {pose.y:g}, {np.degrees(pose.yaw):.0f} deg)"
             if not self.map.inside(pose[:2]):
-                raise MissionError(f"{label}: {where} lies outside the map", place)
-            near = nearest_free(self.free_map, self.vehicle, pose)
-            hint = "" if near is None else (
-                f"; the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
-                f"{np.degrees(near.yaw):.0f} deg)"
-            )  # fmt: skip
-            raise MissionError(f"{label}: the robot at {where} touches an obstacle{hint}", place)
+                faults.append((f"{label}: {where} lies outside the map", place))
+            elif not good and not self._may_fail(place):
+                near = nearest_free(self.free_map, self.vehicle, pose)
+                hint = "" if near is None else (
+                    f"; the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
+                    f"{np.degrees(near.yaw):.0f} deg)"
+                )  # fmt: skip
+                told = f"{label}: the robot at {where} touches an obstacle{hint}"
+                faults.append((told, place))
+        if faults:
+            raise MissionError("; ".join(told for told, _ in faults), faults[0][1])
+
+    def _may_fail(self, place: tuple[str | int, ...]) -> bool:
+        """Tell whether a pose is that of an optional task, which is then unreachable."""
+        return place[0] == "tasks" and not self.tasks[int(place[1])].required
 
     def _summaries(self) -> list[html.Summary]:
         rows = [

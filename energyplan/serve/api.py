@@ -333,7 +333,7 @@ def _diagnosing(job: Job, fraction: float, note: str = "") -> None:
 
 def _read_mission(store: Store, asked: MissionRequest) -> Mission:
     if asked.mission is not None:
-        return read_mission(store.path(asked.mission))
+        return read_mission(store.path(asked.mission), inside=True)
     assert asked.document is not None
     return mission_from(asked.document, store.folder)
 

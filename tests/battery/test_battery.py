@@ -290,3 +290,48 @@ def test_rest_of_any_length_loses_what_the_pair_holds(samples: int) -> None:
     expected = 0.5 * battery.pair_time * held**2 / battery.circuit().pair_resistance
     assert run.lost[-1] == pytest.approx(expected, rel=1e-9)
     assert run.soc_end == 0.5
+
+
+@pytest.mark.parametrize(
+    ("words", "volts", "amp_hours", "ohms"),
+    [
+        ("24 V 20 Ah lead-acid", 2 * 12.65, 20.0, 2 * 0.28 / 20.0),
+        ("24V 480Wh AGM", 2 * 12.65, 20.0, 2 * 0.28 / 20.0),
+        ("LiFePO4 25.6 V, 100 Ah", 8 * 3.5981, 100.0, 8 * 0.06 / 100.0),
+        ("7S4P 3 Ah li-ion", 7 * 4.1932, 12.0, 7 * 0.10 / 3.0 / 4),
+        ("36 V 10000 mAh Li-Ion 80 mohm", 10 * 4.1932, 10.0, 0.080),
+        ("7s4p 3Ah NMC 20 mohm", 7 * 4.1932, 12.0, 0.020 * 7 / 4),
+    ],
+)
+def test_a_battery_in_words(words: str, volts: float, amp_hours: float, ohms: float) -> None:
+    battery = Battery.of(words)
+    assert battery.ocv_points[-1] == pytest.approx(volts)
+    assert battery.capacity == pytest.approx(3600 * amp_hours)
+    assert battery.resistance == pytest.approx(ohms)
+    assert any("typical" in note for note in battery.notes) == ("mohm" not in words)
+
+
+def test_words_say_what_is_usable_how_healthy_and_how_cold() -> None:
+    battery = Battery.of("24 V 20 Ah lead-acid usable 80 %, health 90 % at -5 degC")
+    assert battery.cutoff_soc == pytest.approx(0.2)
+    assert (battery.health, battery.temperature) == (0.9, -5.0)
+    assert Battery.of("husky_a200") == Battery.preset("husky_a200")
+    assert "7 units in series" in Battery.of("24 V 20 Ah li-ion 30 mohm").notes[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("20 Ah", ["voltage", "chemistry", "24 V 20 Ah lead-acid"]),
+        ("24 V li-ion", ["its capacity"]),
+        ("24 V 20 Ah unobtainium", ["'unobtainium' is no chemistry", "li-ion"]),
+        ("30 V 20 Ah lead-acid", ["30 V is no multiple of the 12 V"]),
+        ("24 V 0 Ah li-ion", ["0 Ah is not positive"]),
+        ("480 Wh li-ion", ["voltage", "capacity"]),
+        ("nuclear", ["unknown battery 'nuclear'", "husky_a200"]),
+    ],
+)
+def test_all_that_is_missing_is_told_at_once(words: str, told: list[str]) -> None:
+    with pytest.raises(BatteryError) as caught:
+        Battery.of(words)
+    assert [part for part in told if part not in str(caught.value)] == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError
-from energyplan.io.config import read_model, read_vehicle
+from energyplan.io.bundled import bundled
+from energyplan.io.config import read_model, read_vehicle, write_model
 from energyplan.io.logs import describe_log, read_log
+from energyplan.io.maps import read_map
 from energyplan.io.mission import read_mission
 from energyplan.mission import Spreads
 from energyplan.power import PowerModel
@@ -167,7 +170,8 @@ def test_examples_are_read(name):
         ("reserve: 20 %", "reserve: '20'", 26, "reserve is 20"),
         ("temperature: 10", "helth: 80 %", 5, "battery.helth: there is no such key"),
         ("temperature: 10", "temperature: cold", 5, "battery.temperature: give a number"),
-        ("preset: quadriga", "preset: nuclear", 5, "unknown battery preset"),
+        ("preset: quadriga", "chemistry: agm, series: 2", 5, "the pack lacks parallel, unit_cap"),
+        ("preset: quadriga", "preset: nuclear", 5, "unknown battery 'nuclear'"),
         ("soc: 90 %", "soc: 190 %", 6, "soc is 1.9"),
         ("reserve: 20 %", "reserve: 5 kWh", 26, "above the battery's capacity"),
         ("reserve: 20 %", "reserve: 95 %", 26, "not below the state of charge"),
@@ -220,13 +224,27 @@ def test_payload_models_of_a_model_that_is_not_there(tmp_path):
 
 @pytest.mark.parametrize("key", ["map", "surfaces", "heights", "model", "vehicle"])
 @pytest.mark.parametrize("name", ["../other.yaml", "/etc/other.yaml", "a/../../other.yml"])
-def test_files_outside_the_mission_s_folder_are_refused(tmp_path, key, name):
+def test_files_outside_the_mission_s_folder_are_refused_for_a_service(tmp_path, key, name):
     text = (EXAMPLES / "mission_warehouse.yaml").read_text()
     changed = re.sub(rf"^{key}: .*\n", "", text, flags=re.MULTILINE) + f"\n{key}: {name}\n"
     file = tmp_path / "mission.yaml"
     file.write_text(changed)
     with pytest.raises(MissionError, match=rf"mission\.yaml, line \d+, {key}: .*leaves the file's"):
-        read_mission(file)
+        read_mission(file, inside=True)
+
+
+def test_a_person_names_files_in_sibling_folders_and_by_their_whole_path(tmp_path):
+    for folder in ("maps", "models", "missions"):
+        (tmp_path / folder).mkdir()
+    for name in ("warehouse.yaml", "warehouse.png"):
+        shutil.copy(bundled("warehouse.yaml").parent / name, tmp_path / "maps" / name)
+    write_model(PowerModel.preset("quadriga:empty:concrete"), tmp_path / "models" / "mine.yaml")
+    text = GOOD.replace("map: warehouse.yaml", "map: ../maps/warehouse.yaml")
+    text = text.replace("surfaces: warehouse_surfaces.geojson\n", "")
+    text = text.replace("model: quadriga:empty:concrete", f"model: {tmp_path}/models/mine.yaml")
+    file = tmp_path / "missions" / "round.yaml"
+    file.write_text(text)
+    assert read_mission(file).map.shape == read_map(bundled("warehouse.yaml")).shape
 
 
 def test_a_model_without_a_suffix_is_a_preset_not_a_file(tmp_path, monkeypatch):

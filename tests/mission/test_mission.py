@@ -581,3 +581,26 @@ def test_the_way_back_of_a_known_route_is_not_guessed() -> None:
     assert legs.leg(last, first, 0.0).path.length > 12.0
     assert (hurried, legs.wanted) == (False, [])
     assert legs.planned(last, first)
+
+
+def test_all_bad_poses_are_told_at_once_and_an_optional_task_in_an_obstacle_is_left_out() -> None:
+    cells = np.zeros((60, 100), bool)
+    cells[20:30, 40:60] = True
+    inside, far = Pose(5.0, 2.5, 0.0), Pose(50.0, 2.5, 0.0)
+
+    def asked(*tasks: Task) -> Mission:
+        return Mission(
+            PowerModel.preset("quadriga:empty:marble"), OccupancyGrid(cells, 0.1),
+            Battery.preset("quadriga"), Pose(1.0, 1.0, 0.0), tasks, confidence=0.5,
+            planning_effort=150,
+        )  # fmt: skip
+
+    with pytest.raises(MissionError) as caught:
+        asked(Task("in", inside), Task("out", far), Task("too", inside))
+    assert caught.value.place == ("tasks", 0, "pose")
+    assert [str(caught.value).count(f"task {name!r}") for name in ("in", "out", "too")] == [1] * 3
+    report = evaluate(asked(Task("in", inside, required=False), Task("b", Pose(8.0, 4.0, 0.0))))
+    left_out, done = report.tasks
+    assert (left_out.reason, done.verdict) == ("no_path", "reachable")
+    assert "touches an obstacle; the nearest free pose" in left_out.detail
+    assert report.feasible
