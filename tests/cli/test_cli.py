@@ -96,13 +96,7 @@ def test_identify_prints_what_the_library_finds(run: Run, spiral: Path, tmp_path
     result = run("identify", spiral, "--vehicle", "quadriga:full", "--out", out, "--json")
     assert result.code == 0
     found = ep.identify(ep.DriveLog.read(spiral), ep.Vehicle.preset("quadriga:full"))
-    assert set(result.json) == {
-        "terms", "icr", "residual", "adequacy", "foretold", "set_aside", "warnings"
-    }  # fmt: skip
-    assert set(result.json["icr"]) == {"left", "right", "longitudinal", "std_error"}
-    assert set(result.json["residual"]) == {"rmse", "mae", "bias", "energy_error"}
     for row in result.json["terms"]:
-        assert set(row) == {"name", "symbol", "value", "unit", "std_error"}
         assert row["value"] == pytest.approx(found.model.coefficient(row["name"]))
         assert row["std_error"] == pytest.approx(found.std_error[row["name"]])
     again = ep.read_model(out)
@@ -116,10 +110,6 @@ def test_check_answers_no_and_strict_says_so(run: Run, tmp_path: Path) -> None:
     assert result.code == 0
     assert result.json["feasible"] is False
     assert {v["kind"] for v in result.json["violations"]} >= {"speed"}
-    assert all(
-        set(v) == {"kind", "side", "start", "end", "peak", "limit"}
-        for v in result.json["violations"]
-    )
     scale = result.json["max_speed_scale"]
     assert 0 < scale < 1
     assert run("check", file, "--model", "quadriga:full:marble", "--strict").code == 3
@@ -133,9 +123,6 @@ def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
     out, plot = tmp_path / "path.csv", tmp_path / "path.png"
     result = run("plan", *options, "--out", out, "--plot", plot, "--json")
     assert result.code == 0
-    keys = {"energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner",
-            "breakdown", "path"}  # fmt: skip
-    assert keys <= set(result.json)
     assert result.json["energy"] == pytest.approx(sum(result.json["breakdown"].values()))
     assert result.json["lower_bound"] <= result.json["energy"]
     assert result.json["path"][-1] == pytest.approx([3.9, 2, math.pi / 2], abs=1e-6)
@@ -146,7 +133,6 @@ def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
     fields = bag_fields(recorded).fields.values()
     assert {field.topic for field in fields} >= {"/map"}
     assert recorded.read_bytes().startswith(b"\x89MCAP0")
-    assert set(both) == {"energy_optimal", "shortest", "saving", "saving_of", "preset"}
     assert both["saving"] == pytest.approx(
         1 - both["energy_optimal"]["energy"] / both["shortest"]["energy"]
     )
