@@ -76,7 +76,7 @@ def test_from_the_log_of_a_warthog(shared_data: Path, tmp_path: Path, run: Run) 
     chain(run, "drive.csv", measures, ("4.6,7.7,0", "10.5,7.8,90deg"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # by day the pages' commands are run, from a bag as well
 def test_from_a_bag_of_a_robot_that_no_preset_knows(tmp_path: Path, run: Run) -> None:
     from energyplan.io.bundled import bundled
     from energyplan.io.files import files_behind
