@@ -50,7 +50,7 @@ def serve(folder: str, waiting: int) -> tuple[subprocess.Popen[bytes], int]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    options = ["--port", str(port), "--waiting", str(waiting)]
+    options = ["--no-token", "--port", str(port), "--waiting", str(waiting)]
     server = subprocess.Popen([sys.executable, "-m", "energyplan", "serve", folder, *options])
     while server.poll() is None:
         try:

@@ -71,9 +71,13 @@ def serve(
         str | None,
         typer.Option(
             envvar="ENERGYPLAN_TOKEN",
-            help="Secret that each request must carry; required for any other host.",
+            help="Secret that each request must carry. Default: a random one, printed with the "
+            "address.",
         ),
     ] = None,
+    no_token: Annotated[
+        bool, typer.Option("--no-token", help="Let all users of this machine ask without one.")
+    ] = False,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Requests worked on at once. Default: one a core.")
     ] = None,
@@ -85,9 +89,9 @@ def serve(
 
     Also serves checks and diagnoses, and a page to try them on.
     """
-    from energyplan.serve.server import run
+    from energyplan.serve import run
 
-    run(folder, host, port, token, workers, waiting)
+    run(folder, host, port, token, workers, waiting, no_token)
 
 
 @app.command(epilog="Example: energyplan warmup --json")

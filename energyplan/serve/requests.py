@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
-from collections.abc import Awaitable, Callable
 from typing import Annotated, Any, Literal
 
 from fastapi.responses import JSONResponse
@@ -78,11 +78,30 @@ class MissionRequest(_Asked):
     document: dict[str, Any] | None = None
 
 
+class Robot(_Asked):
+    """A robot whose logs nobody mapped yet, as its owner knows it; the rest is guessed."""
+
+    track: Annotated[float, Field(gt=0, le=50)] | None = None
+    wheelbase: Annotated[float, Field(gt=0, le=50)] | None = None
+    mass: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    wheel_radius: Annotated[float, Field(gt=0, le=5)] | None = None
+    like: Name | None = Field(None, description="a vehicle to take the rest from")
+    columns: Annotated[str, Field(max_length=4000)] | None = None  # those that are known
+
+
+class StartRequest(_Asked):
+    """A drive log of the data folder, and what is known of its robot."""
+
+    log: Name
+    robot: Robot
+
+
 class IdentifyRequest(_Asked):
-    """Drive logs of the data folder."""
+    """Drive logs of the data folder, and whose they are: a vehicle's, or a robot's."""
 
     logs: list[Name] = Field(min_length=1, max_length=100)
-    vehicle: Name
+    vehicle: Name | None = None
+    robot: Robot | None = None
 
 
 class DiagnoseRequest(IdentifyRequest):
@@ -91,8 +110,18 @@ class DiagnoseRequest(IdentifyRequest):
     holdout: list[Name] = Field(min_length=1, max_length=100)
 
 
-LARGEST_BODY = 64 * 2**20
+LARGEST = {"POST": 8 * 2**20, "PUT": 64 * 2**20}
 """Largest body of a request [byte]."""
+DEADLINE = 30.0
+"""Time in which the body of a request must come [s]."""
+_HEADERS = [
+    (b"content-security-policy", b"default-src 'none'; script-src 'self'; style-src 'self'; "
+     b"img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+     b"frame-ancestors 'none'"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cache-control", b"no-store"),
+]  # fmt: skip
 
 
 def problem(status: int, title: str, detail: str, **more: Any) -> JSONResponse:
@@ -102,51 +131,66 @@ def problem(status: int, title: str, detail: str, **more: Any) -> JSONResponse:
 
 
 class Guard:
-    """Refuses requests by another host name, without the token, or with too large a body."""
+    """Refuses requests by another host name, without the token, too large or too slow."""
 
-    def __init__(self, app: ASGIApp, token: str | None, hosts: tuple[str, ...]) -> None:
-        self.app, self.token, self.hosts = app, token, hosts
+    def __init__(
+        self, app: ASGIApp, token: str | None, hosts: tuple[str, ...], deadline: float = DEADLINE
+    ) -> None:
+        self.app, self.token, self.hosts, self.deadline = app, token, hosts, deadline
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        headers = {
-            key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]
-        }
-        refused = self._refusal(scope, headers)
+
+        async def sealed(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message = {**message, "headers": [*message["headers"], *_HEADERS]}
+            await send(message)
+
+        refused = self._refusal(scope)
         if refused is not None:
-            await refused(scope, receive, send)
+            await refused(scope, receive, sealed)
             return
-        held = 0
+        most = LARGEST.get(scope["method"], 0)
+        until = asyncio.get_running_loop().time() + self.deadline
+        held, whole = 0, False
 
         async def bounded() -> Message:
-            nonlocal held
-            message = await receive()
+            nonlocal held, whole
+            if whole:  # what comes next is that the client goes away
+                return await receive()
+            try:
+                async with asyncio.timeout_at(until):
+                    message = await receive()
+            except TimeoutError:
+                text = f"the body did not come within {self.deadline:g} s"
+                raise HTTPException(408, text, {"Connection": "close"}) from None
             held += len(message.get("body", b""))
-            if held > LARGEST_BODY:
-                raise HTTPException(413, f"the body is larger than {LARGEST_BODY} bytes")
+            whole = not message.get("more_body", False)
+            if held > most:
+                raise HTTPException(413, f"the body is larger than {most} bytes")
             return message
 
-        await self.app(scope, bounded, send)
+        await self.app(scope, bounded, sealed)
 
-    def _refusal(
-        self, scope: Scope, headers: dict[str, str]
-    ) -> Callable[[Scope, Receive, Send], Awaitable[None]] | None:
+    def _refusal(self, scope: Scope) -> JSONResponse | None:
+        headers = {key.decode("latin-1"): one.decode("latin-1") for key, one in scope["headers"]}
         host = headers.get("host", "")
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         if "*" not in self.hosts and name not in self.hosts:
             return problem(421, "WrongHost", f"the service is not called {name!r}")
-        if self.token is not None and scope["path"].startswith("/api/"):
-            given = headers.get("authorization", "").removeprefix("Bearer ")
-            if not hmac.compare_digest(given.encode(), self.token.encode()):
+        if self.token is not None and scope["path"].startswith(("/api/", "/openapi.json")):
+            scheme, _, given = headers.get("authorization", "").partition(" ")
+            right = hmac.compare_digest(given.strip().encode(), self.token.encode())
+            if scheme.lower() != "bearer" or not right:
                 return problem(401, "Unauthorized", "send the token as 'Authorization: Bearer'")
         if scope["method"] == "POST" and not headers.get("content-type", "").startswith(
             "application/json"
         ):
             return problem(415, "WrongType", "send JSON, as Content-Type: application/json")
-        size = headers.get("content-length", "0")
-        if size.isdigit() and int(size) > LARGEST_BODY:
-            return problem(413, "TooLarge", f"the body is larger than {LARGEST_BODY} bytes")
+        size, most = headers.get("content-length", "0"), LARGEST.get(scope["method"], 0)
+        if size.isdigit() and int(size) > most:
+            return problem(413, "TooLarge", f"the body is larger than {most} bytes")
         return None

@@ -1,19 +1,24 @@
-"""The data folder of a service: maps, models, missions and logs by name, nothing outside it."""
+"""The data folder of a service, read once for each state of its files; who works on requests."""
 
 from __future__ import annotations
 
+import asyncio
+import errno
+import os
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Hashable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
-from energyplan.errors import InvalidInputError
+from energyplan.errors import CancelledError, EnergyPlanError, InvalidInputError
 from energyplan.io.config import read_model, read_vehicle
-from energyplan.io.files import atomic_write
+from energyplan.io.files import atomic_write, files_behind
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights
 from energyplan.io.maps import read_map
+from energyplan.planning.budget import cancellable
 
 T = TypeVar("T")
 
@@ -28,35 +33,43 @@ KINDS = {
 """What a data folder holds, and how the names end."""
 
 _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
-_KEPT = 32
+_LONGEST = 200  # letters of a name
+_KEPT = 32  # files whose content is kept
+_Stamp = tuple[tuple[Path, int, int, int, int], ...]
 
 
 class UnknownFileError(InvalidInputError):
     """The data folder has no such file."""
 
 
+class FullError(EnergyPlanError):
+    """There is no room left for a file."""
+
+
 class Store:
-    """Files of a folder by name; what was read is kept until the file changes."""
+    """Files of a folder by name; what was read is kept until one of the files behind it changes."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
         if not self.folder.is_dir():
             raise InvalidInputError(f"the data folder {folder} is no folder; create it first")
-        self._kept: dict[tuple[str, Path], tuple[tuple[int, int], Any]] = {}
+        self._kept: dict[Hashable, tuple[_Stamp, Any]] = {}
         self._lock = threading.Lock()
 
-    def names(self, kind: str) -> list[str]:
-        """Return the names of all files of a kind.
+    def names(self) -> dict[str, list[str]]:
+        """Return the names of all files by kind.
 
         Maps, models, vehicles and missions are all YAML: one is told from the other by its keys.
         """
-        found = []
+        found: dict[str, list[str]] = {kind: [] for kind in KINDS}
         for file in sorted(self.folder.rglob("*")):
             name = file.relative_to(self.folder).as_posix()
-            if file.is_file() and name.endswith(KINDS[kind]) and _NAME.fullmatch(name):
-                if file.suffix in (".yaml", ".yml") and _kind_of(file) != kind:
-                    continue
-                found.append(name)
+            if not file.is_file() or not _NAME.fullmatch(name):
+                continue
+            yaml = file.suffix.lower() in (".yaml", ".yml")
+            for kind, ends in KINDS.items():
+                if name.lower().endswith(ends) and (not yaml or _kind_of(file) == kind):
+                    found[kind].append(name)
         return found
 
     def path(self, name: str) -> Path:
@@ -67,69 +80,91 @@ class Store:
         return file
 
     def _inside(self, name: str) -> Path:
-        if not _NAME.fullmatch(name):
-            raise UnknownFileError(f"{name!r} is no name of a file in the data folder")
+        if len(name) > _LONGEST or not _NAME.fullmatch(name):
+            raise UnknownFileError(f"{name[:80]!r} is no name of a file in the data folder")
         file = (self.folder / name).resolve()
         if not file.is_relative_to(self.folder):
             raise UnknownFileError(f"{name!r} lies outside the data folder")
         return file
 
     def map(self, name: str) -> Any:
-        """Return a map; the same object, with its tables, as long as the file is the same."""
-        return self._read("maps", name, read_map)
+        """Return a map; the same object, with its tables, as long as its files are the same."""
+        return self.read(name, read_map)
 
-    def surfaces(self, name: str) -> Any:
-        """Return surfaces."""
-        return self._read("surfaces", name, read_surfaces)
+    def surfaces(self, name: str | None) -> Any:
+        """Return surfaces, if any are named."""
+        return self.read(name, read_surfaces) if name else None
 
-    def heights(self, name: str) -> Any:
-        """Return heights."""
-        return self._read("heights", name, read_heights)
+    def heights(self, name: str | None) -> Any:
+        """Return heights, if any are named."""
+        return self.read(name, read_heights) if name else None
 
     def model(self, name: str) -> Any:
         """Return a power model: a file of the folder, or a preset."""
-        return self._or_preset("models", name, read_model)
+        return self._or_preset(name, read_model)
 
     def vehicle(self, name: str) -> Any:
         """Return a vehicle: a file of the folder, or a preset."""
-        return self._or_preset("vehicles", name, read_vehicle)
+        return self._or_preset(name, read_vehicle)
 
-    def _or_preset(self, kind: str, name: str, read: Callable[[Path | str], T]) -> T:
-        """Return what a file of the folder holds, or a preset."""
+    def _or_preset(self, name: str, read: Callable[[Path | str], T]) -> T:
         if name.endswith(KINDS["models"]):
-            return self._read(kind, name, read)
-        return read(_preset(name))
+            return self.read(name, read)
+        if not re.fullmatch(r"[\w:-]+", name):  # a path could lie outside the folder
+            raise UnknownFileError(f"{name!r} is neither a preset nor a file of the data folder")
+        return read(name)
 
     def save(self, name: str, content: bytes) -> Path:
-        """Write a new file, whole or not at all."""
+        """Write a new file, whole or not at all; one that is there is never replaced."""
+        if not name.lower().endswith((*sum(KINDS.values(), ()), ".png", ".pgm")):
+            raise InvalidInputError(f"{name!r} does not end like a file that the service reads")
         file = self._inside(name)
-        if file.exists():
-            raise InvalidInputError(f"the data folder has a file {name!r}; choose another name")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        return atomic_write(file, content)
+        part = file.with_name(f".{threading.get_ident()}.{file.name}"[:200])
+        try:
+            atomic_write(part, content)
+            try:
+                os.link(part, file)
+            finally:
+                part.unlink()
+        except FileExistsError:
+            raise InvalidInputError(
+                f"the data folder has a file {name!r}; choose another name"
+            ) from None
+        except OSError as problem:
+            kind = FullError if problem.errno in (errno.ENOSPC, errno.EDQUOT) else InvalidInputError
+            raise kind(f"{name!r} cannot be written: {problem.strerror}") from None
+        return file
 
-    def _read(self, kind: str, name: str, read: Callable[[Path], T]) -> T:
+    def read(self, name: str, read: Callable[[Path], T], *more: Hashable) -> T:
+        """Return what a file holds, read anew where it, or a file that it names, has changed."""
         file = self.path(name)
-        stat = file.stat()
-        stamp = stat.st_mtime_ns, stat.st_size
+        key = (more or read, file)
         with self._lock:
-            known = self._kept.get((kind, file))
-            if known is not None and known[0] == stamp:
-                found: T = known[1]
-                return found
+            known = self._kept.get(key)
+        if known is not None and _stamp([part[0] for part in known[0]]) == known[0]:
+            found: T = known[1]
+            return found
+        stamp = _stamp([file, *files_behind(file)])  # before it is read: what changes then is seen
         made = read(file)
         with self._lock:
+            self._kept.pop(key, None)
             while len(self._kept) >= _KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            self._kept[kind, file] = stamp, made
+            self._kept[key] = stamp, made
         return made
 
 
-def _preset(name: str) -> str:
-    """Return a preset's name; a path is none, for it could lie outside the folder."""
-    if not re.fullmatch(r"[\w:-]+", name):
-        raise UnknownFileError(f"{name!r} is neither a preset nor a file of the data folder")
-    return name
+def _stamp(files: list[Path]) -> _Stamp:
+    """Return what changes when one of some files does."""
+    found = []
+    for file in dict.fromkeys(files):
+        try:
+            stat = file.stat()
+            told = stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
+        except OSError:
+            told = 0, 0, 0, 0
+        found.append((file, *told))
+    return tuple(found)
 
 
 def _kind_of(file: Path) -> str:
@@ -139,6 +174,73 @@ def _kind_of(file: Path) -> str:
     keys = set(re.findall(r"^(\w+)\s*:", text, re.MULTILINE))
     if {"image", "resolution"} <= keys:
         return "maps"
-    if "tasks" in keys:
-        return "missions"
-    return "models"
+    return "missions" if "tasks" in keys else "models"
+
+
+# -- work ---------------------------------------------------------------------------------------
+
+
+class BusyError(EnergyPlanError):
+    """As much work waits as may wait; try again later."""
+
+
+class Job:
+    """A piece of work: its answer, what it says on its way, and whether it is still wanted."""
+
+    def __init__(self) -> None:
+        self.cancelled = threading.Event()
+        self.future: Future[Any] = Future()
+        self._said: list[dict[str, Any]] = []
+
+    def say(self, event: str, **values: Any) -> None:
+        """Tell who waits how far the work is; ends the work where nobody waits."""
+        if self.cancelled.is_set():
+            raise CancelledError("the request was cancelled")
+        self._said.append({"event": event, **values})
+
+    async def events(self) -> AsyncIterator[dict[str, Any]]:
+        """Yield what the work says until it is done."""
+        told = 0
+        while not self.future.done() or told < len(self._said):
+            for event in self._said[told:]:
+                told += 1
+                yield event
+            await asyncio.sleep(0.05)
+
+
+class Pool:
+    """Threads for work that releases the GIL, with a bounded queue."""
+
+    def __init__(self, workers: int | None = None, waiting: int = 32) -> None:
+        self.workers = workers or os.cpu_count() or 1
+        self.waiting = waiting
+        self.load = 0  # pieces of work that are done or wait
+        self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="energyplan")
+        self._lock = threading.Lock()
+
+    def submit(self, work: Callable[[Job], Any]) -> Job:
+        """Have a piece of work done."""
+        with self._lock:
+            if self.load >= self.workers + self.waiting:
+                raise BusyError(f"{self.waiting} requests wait already; try again in a while")
+            self.load += 1
+        job = Job()
+
+        def run() -> None:
+            try:
+                job.say("started")
+                with cancellable(job.cancelled.is_set):
+                    job.future.set_result(work(job))
+            except BaseException as error:  # noqa: BLE001  whoever waits is told
+                job.future.set_exception(error)
+            finally:
+                with self._lock:
+                    self.load -= 1
+
+        job.say("queued")
+        self._threads.submit(run)
+        return job
+
+    def close(self) -> None:
+        """End it; work that has not begun is dropped."""
+        self._threads.shutdown(wait=False, cancel_futures=True)

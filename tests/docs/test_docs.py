@@ -164,7 +164,7 @@ def command(
     hurried: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
     """Run a command line, less the program; return what it prints."""
-    monkeypatch.setattr("energyplan.serve.server.run", lambda *arguments: None)  # it would not end
+    monkeypatch.setattr("energyplan.serve.run", lambda *arguments: None)  # it would not end
 
     def run(words: list[str]) -> str:
         monkeypatch.setattr(sys, "argv", ["energyplan", *words])

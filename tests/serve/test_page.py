@@ -12,7 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
+
+import energyplan as ep
+from energyplan import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
@@ -27,7 +31,16 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     server = subprocess.Popen(
-        [sys.executable, "-m", "energyplan", "serve", str(folder), "--port", str(port)]
+        [
+            sys.executable,
+            "-m",
+            "energyplan",
+            "serve",
+            str(folder),
+            "--port",
+            str(port),
+            "--no-token",
+        ]
     )
     try:
         for _ in range(600):
@@ -131,6 +144,43 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     assert "tasks can be done" in opened.page.inner_text("#status")
     assert opened.page.locator("#verdicts tr").count() == 3
     assert opened.page.locator("#charge canvas").count() == 1
+    drawn = opened.page.locator(".leaflet-overlay-pane path[stroke='#0072b2']")
+    assert drawn.count() >= 3  # out, between and back
+    opened.page.locator("[title='1'].leaflet-marker-icon").focus()
+    opened.page.keyboard.press("ArrowLeft")
+    assert opened.page.locator("#verdicts.stale").count() == 1
+    assert "ask again" in opened.page.inner_text("#status")
+    assert drawn.count() == 0
+    assert opened.errors == []
+
+
+def test_it_begins_without_a_mouse(browser: Any, address: str) -> None:
+    opened = Opened(browser, address, 1300)
+    opened.page.locator("#map").focus()
+    opened.page.keyboard.press("Enter")
+    assert opened.page.locator("[title=S].leaflet-marker-icon").count() == 1
+    assert opened.page.locator(".leaflet-control-scale-line").count() == 1
+    assert opened.page.locator("#legend .tint").count() > 2
+
+
+def test_a_log_is_read_for_the_robot_that_is_named(
+    browser: Any, address: str, tmp_path: Path
+) -> None:
+    log = simulate.identification_drive(ep.PowerModel.preset("quadriga:full:concrete"), seed=1)
+    made = {"stamp": log.t, "left_speed": log.channel("v_left"), "power_W": log.power,
+            "right_speed": log.channel("v_right"), "gyro_z": log.channel("yaw_rate")}  # fmt: skip
+    pd.DataFrame(made).to_csv(tmp_path / "own.csv", index=False)
+    opened = Opened(browser, address, 1300)
+    opened.page.click("#tab-logs")
+    choose = opened.page.locator("#drop input")
+    choose.set_input_files(tmp_path / "own.csv")
+    opened.page.wait_for_selector("text=Which robot is this?")
+    for key, value in (("track", "0.5"), ("wheelbase", "0.475"), ("mass", "147")):
+        opened.page.fill(f"#drives input[name={key}]", value)
+    choose.set_input_files([])
+    choose.set_input_files(tmp_path / "own.csv")
+    opened.page.wait_for_selector("#found h2:has-text('Identified')", timeout=120_000)
+    assert "left_speed [m/s]" in opened.page.inner_text("#found")
     assert opened.errors == []
 
 
@@ -144,6 +194,7 @@ def test_places_in_reach_are_drawn(browser: Any, address: str) -> None:
     opened.page.click("#tab-route")
     opened.page.click("text=How far on this charge?")
     opened.page.wait_for_selector("#answer table, #status.bad", timeout=120_000)
+    assert opened.page.locator(".energy").count() >= 5
     assert "are in reach, and back, with 95 % confidence" in opened.page.inner_text("#status")
     assert opened.page.locator(".leaflet-overlay-pane path").count() > before
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= 390

@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
+import asyncio
+import base64
+import io
 import json
+import os
 import shutil
 import threading
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
+from PIL import Image
 
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import InvalidInputError
+from energyplan.io.config import write_model
 from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log
 from energyplan.output import documents
 from energyplan.power import HOTEL
-from energyplan.serve.server import is_loopback, run
 
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
+import uvicorn
 from fastapi.testclient import TestClient
+from starlette.exceptions import HTTPException
 
-from energyplan.serve import create_app
-from energyplan.serve.work import BusyError, Job, Pool
+from energyplan.serve import _protocol, create_app, is_loopback, run
+from energyplan.serve.requests import Guard, problem
+from energyplan.serve.store import BusyError, Job, Pool
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "quadriga:full:concrete"
@@ -146,13 +156,131 @@ def test_a_mask_keeps_out_and_a_clearance_keeps_away(client: TestClient, folder:
     assert "clearance of 50 m" in wide["reason"]
 
 
-def test_a_map_is_told_by_its_runs(client: TestClient) -> None:
+def test_a_map_is_a_picture_of_its_cells(client: TestClient) -> None:
     told = client.get("/api/maps/warehouse.yaml").json()
     grid = ep.read_map(ROOT / "maps" / "warehouse.yaml")
-    cells = {(row, col) for row, first, last in told["runs"] for col in range(first, last)}
-    rows, columns = grid.occupied.nonzero()
-    assert cells == set(zip(rows.tolist(), columns.tolist(), strict=True))
+    kind, _, content = told["image"].partition(",")
+    assert kind == "data:image/png;base64"
+    picture = Image.open(io.BytesIO(base64.b64decode(content))).convert("RGBA")
+    assert np.array_equal(np.asarray(picture)[..., 3] > 0, grid.occupied)
     assert (told["rows"], told["columns"]) == grid.occupied.shape
+
+
+def test_an_edited_file_is_read_anew(tmp_path: Path) -> None:
+    """The image of a map and the model that surfaces name, whatever their times say."""
+    room = np.zeros((40, 100), bool)
+    write_map(ep.OccupancyGrid(room, 0.1), tmp_path / "room.yaml")
+    area = [[[0, 0], [10, 0], [10, 4], [0, 4], [0, 0]]]
+    ground = {"type": "Feature", "properties": {"model": "soft.yaml"},
+              "geometry": {"type": "Polygon", "coordinates": area}}  # fmt: skip
+    (tmp_path / "ground.geojson").write_text(
+        json.dumps({"type": "FeatureCollection", "features": [ground]})
+    )
+    model = ep.PowerModel.preset(MODEL)
+    write_model(model, tmp_path / "soft.yaml")
+    asked = {**QUERY, "map": "room.yaml", "goal": [7, 2, 0], "effort": 2000}
+    with TestClient(create_app(tmp_path)) as client:
+
+        def energy(**more: Any) -> float:
+            told = client.post("/api/plan", json={**asked, **more}).json()
+            return float(told["energy"]) if told["path"] else np.inf
+
+        before = energy(), energy(surfaces="ground.geojson")
+        write_model(model.with_coefficients(3.0 * model.coefficients), tmp_path / "soft.yaml")
+        assert energy(surfaces="ground.geojson") == pytest.approx(3.0 * before[1], rel=1e-6)
+        room[:, 50] = True
+        write_map(ep.OccupancyGrid(room, 0.1), tmp_path / "wall.yaml")
+        image = next(file for file in tmp_path.glob("room.p*"))
+        times = image.stat()
+        shutil.copy(tmp_path / f"wall{image.suffix}", image)
+        os.utime(image, ns=(times.st_atime_ns, times.st_mtime_ns))
+        assert before[0] < energy() == np.inf
+
+
+def test_a_log_that_is_replaced_is_read_anew(tmp_path: Path) -> None:
+    found = []
+    with TestClient(create_app(tmp_path)) as client:
+        for ground in ("marble", "concrete"):
+            truth = ep.PowerModel.preset(f"quadriga:full:{ground}")
+            write_log(simulate.validation_drive(truth, seed=1, power_noise=5.0), tmp_path / "a.csv")
+            asked = {"logs": ["a.csv"], "vehicle": "quadriga:full"}
+            found.append(client.post("/api/identify", json=asked).json()["terms"][0]["value"])
+    assert abs(found[0] - found[1]) > 0.05
+
+
+def test_a_log_of_a_robot_of_ones_own_is_read_as_start_reads_it(tmp_path: Path) -> None:
+    """It is never fitted to another robot in silence."""
+    log = simulate.identification_drive(ep.PowerModel.preset(MODEL), seed=1, power_noise=5.0)
+    made = {"stamp": log.t, "left_speed": log.channel("v_left"), "power_W": log.power,
+            "right_speed": log.channel("v_right"), "gyro_z": log.channel("yaw_rate")}  # fmt: skip
+    pd.DataFrame(made).to_csv(tmp_path / "own.csv", index=False)
+    robot = {"track": 0.5, "wheelbase": 0.475, "mass": 147.1}
+    with TestClient(create_app(tmp_path)) as client:
+        told = client.post("/api/start", json={"log": "own.csv", "robot": robot}).json()
+        assert told["columns"]["v_left"] == "left_speed" and told["sound"]
+        found = client.post("/api/identify", json={"logs": ["own.csv"], "robot": robot})
+        assert {term["name"] for term in found.json()["terms"]} >= {"slip_friction"}, found.text
+        both: dict[str, Any] = {"robot": robot, "vehicle": "quadriga:full"}
+        for wrong in ({}, both):
+            answer = client.post("/api/identify", json={"logs": ["own.csv"], **wrong})
+            assert answer.status_code == 422 and "give either vehicle" in answer.json()["detail"]
+        heavy = {**robot, "mass": 147100.0}
+        answer = client.post("/api/identify", json={"logs": ["own.csv"], "robot": heavy})
+        assert answer.status_code == 422 and "the mass is in g" in answer.json()["detail"]
+
+
+def test_no_page_of_another_site_frames_or_scripts_the_page(client: TestClient) -> None:
+    for path in ("/", "/api/health", "/api/none"):
+        policy = client.get(path).headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
+
+
+def test_a_body_that_does_not_come_is_not_waited_for() -> None:
+    """Nor is one without the token, which is refused before any of it."""
+    sent: list[Any] = []
+
+    async def ask(token: str) -> int:
+        async def receive() -> Any:
+            await asyncio.sleep(60.0)
+
+        async def send(message: Any) -> None:
+            sent.append(message)
+
+        async def app(scope: Any, receive: Any, send: Any) -> None:
+            try:
+                await receive()
+            except HTTPException as error:
+                await problem(error.status_code, "", "")(scope, receive, send)
+
+        headers = [(b"host", b"localhost"), (b"content-type", b"application/json"),
+                   (b"authorization", b"bearer right")]  # fmt: skip
+        scope = {"type": "http", "method": "POST", "path": "/api/plan", "headers": headers}
+        await Guard(app, token, ("localhost",), deadline=0.05)(scope, receive, send)
+        return int(sent[-2]["status"])
+
+    assert asyncio.run(ask("right")) == 408
+    assert asyncio.run(ask("other")) == 401
+
+
+def test_half_open_connections_are_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those beyond the most at once; and those that send no whole head, at the second look."""
+    monkeypatch.setattr("energyplan.serve._MOST", 1)
+    Protocol = _protocol()
+    timers: list[Any] = []
+    loop = Mock(call_later=lambda delay, look: timers.append(look), time=lambda: len(timers))
+    state = Mock(connections=set())
+    config = uvicorn.Config(app=Mock(), http=Protocol)
+    config.load()
+    first, second = (Protocol(config, state, {}, loop) for _ in range(2))
+    wires = [Mock(is_closing=lambda: False, get_extra_info=lambda name: None) for _ in range(2)]
+    first.connection_made(wires[0])
+    first.data_received(b"GET / HTTP/1.1\r\nHost: x\r\nX-a: ")
+    second.connection_made(wires[1])
+    assert [wire.abort.called for wire in wires] == [True, False]
+    for _ in range(2):
+        assert not wires[1].abort.called
+        timers[-1]()
+    assert wires[1].abort.called
 
 
 @pytest.mark.parametrize(
@@ -215,8 +343,12 @@ def test_a_token_is_asked_for(folder: Path) -> None:
         assert client.get("/api/health").status_code == 401
         wrong = {"Authorization": "Bearer secreT"}
         assert client.get("/api/health", headers=wrong).status_code == 401
-        right = {"Authorization": "Bearer secret"}
-        assert client.get("/api/health", headers=right).status_code == 200
+        for right in ("Bearer secret", "bearer secret"):
+            known = {"Authorization": right}
+            assert client.get("/api/health", headers=known).status_code == 200
+        for wrong_form in ("secret", "Basic secret"):
+            known = {"Authorization": wrong_form}
+            assert client.get("/openapi.json", headers=known).status_code == 401
 
 
 def test_uploads_replace_nothing(client: TestClient, folder: Path) -> None:
@@ -226,6 +358,10 @@ def test_uploads_replace_nothing(client: TestClient, folder: Path) -> None:
     assert client.put("/api/files/new/c.csv", content=b"t,v\n").status_code == 201
     assert (folder / "new" / "c.csv").read_bytes() == b"t,v\n"
     assert client.put("/api/files/evil.py", content=b"x").status_code == 422
+    assert client.put("/api/files/a.csv/b.csv", content=b"x").status_code == 422
+    assert client.put(f"/api/files/{'n' * 300}.csv", content=b"x").status_code == 404
+    assert client.put("/api/files/OWN.CSV", content=b"x").status_code == 201
+    assert not list(folder.glob(".*"))
     assert client.put("/api/files/..%2Fout.csv", content=b"x").status_code == 404
     assert not (folder.parent / "out.csv").exists()
 
@@ -282,8 +418,8 @@ def test_a_plan_that_nobody_waits_for_ends() -> None:
 
 
 def test_others_are_served_only_with_a_token(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError, match="give --token"):
-        run(folder, host="0.0.0.0")
+    with pytest.raises(InvalidInputError, match="leave --no-token out"):
+        run(folder, host="0.0.0.0", open_to_all=True)
     with pytest.raises(InvalidInputError, match="no folder"):
         create_app(tmp_path / "none")
     assert [is_loopback(h) for h in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "robot")] == [

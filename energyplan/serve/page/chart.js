@@ -14,13 +14,22 @@ export class Chart {
     this.ground = L.layerGroup().addTo(this.map);
     this.reach = L.layerGroup().addTo(this.map);
     this.routes = L.layerGroup().addTo(this.map);
+    L.control.scale({ imperial: false }).addTo(this.map);
     this.map.on("click", (event) => onClick(event.latlng.lng, event.latlng.lat));
+    this.map.getContainer().addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" || event.target !== this.map.getContainer()) return;
+      const { lat, lng } = this.map.getCenter();
+      onClick(lng, lat);
+    });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.repaint());
   }
 
   // Draw a map: its frame may be turned, so cells are drawn into a canvas of the world's axes.
-  show(grid, surfaces) {
-    this.shown = [grid, surfaces];
+  async show(grid, surfaces) {
+    const cells = new Image();
+    cells.src = grid.image;
+    await cells.decode();
+    this.shown = [{ ...grid, cells }, surfaces];
     this.repaint();
     this.map.fitBounds(this.bounds);
   }
@@ -43,10 +52,15 @@ export class Chart {
     // pixel = scale * (x - low, high - y), of x, y = world(col, row)
     pen.setTransform(scale * r * c, -scale * r * s, -scale * r * s, -scale * r * c,
       scale * (x0 - low[0]), scale * (high[1] - y0));
+    pen.imageSmoothingEnabled = false;
+    pen.drawImage(grid.cells, 0, 0);
+    pen.resetTransform();
+    pen.globalCompositeOperation = "source-in";
     pen.fillStyle = color("--wall");
-    for (const [row, first, last] of grid.runs) pen.fillRect(first, row, last - first, 1);
+    pen.fillRect(0, 0, canvas.width, canvas.height);
     this.bounds = L.latLngBounds(at(...low), at(...high));
     this.ground.clearLayers();
+    this.legend = [];
     if (surfaces) {
       const tints = ["#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442"];
       const names = [];
@@ -56,6 +70,7 @@ export class Chart {
           const name = feature.properties.surface ?? feature.properties.model;
           if (!names.includes(name)) names.push(name);
           const tint = /keep.?out/.test(name) ? "#d55e00" : tints[names.indexOf(name) % tints.length];
+          if (!this.legend.some(([known]) => known === name)) this.legend.push([name, tint]);
           return { color: tint, weight: 1, fillOpacity: 0.22 };
         },
       }).addTo(this.ground);
@@ -114,11 +129,16 @@ export class Chart {
   }
 
   // Areas in reach, one in the other: what little leads to is darkest.
-  areas(document_) {
+  areas(document_, label) {
     this.reach.clearLayers();
     L.geoJSON(document_, {
       coordsToLatLng: ([x, y]) => at(x, y), interactive: false,
       style: () => ({ color: color("--least"), weight: 1, fillOpacity: 0.09 }),
+      onEachFeature: (feature, layer) => {
+        const north = layer.getLatLngs().flat(Infinity).reduce((a, b) => (b.lat > a.lat ? b : a));
+        L.tooltip(north, { permanent: true, direction: "bottom", className: "energy",
+          content: label(feature.properties.energy) }).addTo(this.reach);
+      },
     }).addTo(this.reach);
   }
 

@@ -38,10 +38,11 @@ function table(header, rows) {
   return made;
 }
 
-const hours = (value) => `${(value / 3600).toPrecision(3)} Wh`;
 const raised = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴" };
 const unit = (text) => text === "1" ? "" : ` ${text.replace(/\^([-\d]+)/g, (_, n) => [...n].map((c) => raised[c] ?? c).join(""))}`;
-const joules = (value) => value == null ? "–" : `${Math.round(value).toLocaleString("en")} J`;
+// Energies are in J up to that of a long drive, in Wh beyond.
+const energy = (value) => value == null ? "–" : Math.abs(value) < 36000
+  ? `${Math.round(value).toLocaleString("en")} J` : `${(value / 3600).toPrecision(4)} Wh`;
 const percent = (value) => `${(100 * value).toFixed(1)} %`;
 
 // -- the scene ----------------------------------------------------------------------------------
@@ -67,7 +68,9 @@ async function load() {
     get(`maps/${scene.map.value}`), surfaces ? get(`surfaces/${surfaces}`) : null,
   ]);
   reset();
-  chart.show(grid, areas);
+  await chart.show(grid, areas);
+  $("legend").replaceChildren(...[["least energy", "var(--least)"], ["shortest", "var(--short)"], ...chart.legend]
+    .map(([name, tint]) => { const made = element("span", name, "tint"); made.style.borderColor = tint; return made; }));
 }
 
 function reset() {
@@ -76,15 +79,25 @@ function reset() {
   clearRoutes();
   $("verdicts").replaceChildren();
   $("charge").replaceChildren();
-  say("Click on the map to place the start.");
+  say("Click on the map to place the start, or press Enter on it to place it in the middle.");
+}
+
+// What was said of the mission no longer holds where a task or the start was moved.
+function stale() {
+  if (!$("verdicts").childElementCount) return;
+  for (const id of ["verdicts", "charge"]) $(id).classList.add("stale");
+  for (const task of tasks) task.mark("");
+  chart.routes.clearLayers();
+  say("Poses have changed: ask again whether the battery lasts.");
 }
 
 function place(x, y) {
   if (!start) {
-    start = chart.pose("S", [x, y, 0], replan);
+    start = chart.pose("S", [x, y, 0], () => { stale(); replan(); });
     say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
   } else if (mode === "mission") {
-    tasks.push(chart.pose(String(tasks.length + 1), [x, y, 0], () => {}, "task"));
+    tasks.push(chart.pose(String(tasks.length + 1), [x, y, 0], stale, "task"));
+    stale();
     say(`${tasks.length} task${tasks.length > 1 ? "s" : ""}. Ask whether the battery lasts.`);
   } else if (!goal) {
     goal = chart.pose("G", [x, y, 0], replan);
@@ -125,16 +138,16 @@ function show(told) {
   chart.route(best.path, "--least");
   say("Drag a marker to plan again.");
   const lead = element("p");
-  lead.append(element("span", joules(best.energy), "big least"), ` least energy, ${percent(told.saving)} less than the shortest route.`);
+  lead.append(element("span", energy(best.energy), "big least"), ` least energy, ${percent(told.saving)} less than the shortest route.`);
   const terms = [...new Set([...Object.keys(best.breakdown), ...Object.keys(shortest.breakdown)])];
   $("answer").replaceChildren(lead, table(
     ["", ["least energy", "least"], ["shortest", "short"]],
     [
-      ...terms.map((name) => [name.replaceAll("_", " "), joules(best.breakdown[name] ?? 0), joules(shortest.breakdown[name] ?? 0)]),
-      ["energy", joules(best.energy), joules(shortest.energy)],
+      ...terms.map((name) => [name.replaceAll("_", " "), energy(best.breakdown[name] ?? 0), energy(shortest.breakdown[name] ?? 0)]),
+      ["energy", energy(best.energy), energy(shortest.energy)],
       ["length", `${best.length.toFixed(1)} m`, `${shortest.length.toFixed(1)} m`],
       ["turning", `${(best.turning * 180 / Math.PI).toFixed(0)}°`, `${(shortest.turning * 180 / Math.PI).toFixed(0)}°`],
-      ["no route takes less than", joules(best.lower_bound), ""],
+      ["no route takes less than", energy(best.lower_bound), ""],
     ],
   ));
 }
@@ -154,11 +167,11 @@ async function range() {
       coefficient_spread: spread, confidence: spread > 0 ? 0.95 : null,
     });
     clearRoutes();
-    chart.areas(told.areas);
+    chart.areas(told.areas, energy);
     const all = told.contours.at(-1);
     say(`${Math.round(all.area).toLocaleString("en")} m² are in reach${$("back").checked ? ", and back" : ""}${spread > 0 ? ", with 95 % confidence" : ""}.`);
     $("answer").replaceChildren(table(["with", "area in reach"],
-      told.contours.map((line) => [hours(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
+      told.contours.map((line) => [energy(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
   } catch (error) { say(error.message, true); }
 }
 
@@ -168,6 +181,7 @@ async function evaluate(event) {
   event.preventDefault();
   if (!start || !tasks.length) return say("Place the start and some tasks on the map first.", true);
   const form = $("battery");
+  if (!form.reportValidity()) return null;
   const document_ = {
     model: scene.model.value, map: scene.map.value, battery: form.preset.value,
     soc: form.soc.value / 100, reserve: form.reserve.value / 100, order: "free",
@@ -185,13 +199,18 @@ async function evaluate(event) {
   } catch (error) { say(error.message, true); }
 }
 
+const clock = (t) => t == null ? "–" : `${Math.floor(t / 3600)}:${String(Math.floor(t / 60) % 60).padStart(2, "0")}`;
+
 function verdicts(told) {
+  for (const id of ["verdicts", "charge"]) $(id).classList.remove("stale");
+  clearRoutes();
+  for (const { trajectory } of told.legs) chart.route(trajectory.x.map((x, k) => [x, trajectory.y[k]]), "--least");
   say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
-  $("verdicts").replaceChildren(table(["task", "verdict", "energy", "charge after"], told.tasks.map((task) => [
+  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], told.tasks.map((task) => [
     task.name,
     [task.verdict === "reachable" ? "reachable" : `out of reach: ${task.reason}${task.remedy ? `; ${task.remedy}` : ""}`, task.verdict === "reachable" ? "text good" : "text bad"],
-    task.energy == null ? "–" : `${(task.energy / 3600).toFixed(1)} Wh`,
+    clock(task.arrival), energy(task.energy),
     task.soc_after == null ? "–" : `${(100 * task.soc_after).toFixed(0)} %`,
   ])));
   const line = told.timeline;
@@ -209,6 +228,7 @@ function verdicts(told) {
 // -- logs ---------------------------------------------------------------------------------------
 
 async function drives(files) {
+  if (!files.length) return;
   try {
     const names = [];
     for (const file of files) {
@@ -217,15 +237,29 @@ async function drives(files) {
       await upload(name, file);
       names.push(name);
     }
-    const vehicle = $("drives").vehicle.value;
+    const form = $("drives");
+    const whose = { vehicle: form.vehicle.value || null };
+    const parts = [];
+    if (!whose.vehicle) {
+      const number = (key) => form[key].value ? Number(form[key].value) : null;
+      whose.robot = { track: number("track"), wheelbase: number("wheelbase"), mass: number("mass"),
+        wheel_radius: number("radius"), columns: form.columns.value || null };
+      if (!whose.robot.track || !whose.robot.mass) return say("Which robot is this? Give a vehicle, or track and mass of your own.", true);
+      const read = await post("start", { log: names[0], robot: whose.robot });
+      parts.push(element("h2", "Read as"), table(["channel", "column"],
+        Object.entries(read.columns).map(([channel, column]) => [channel, `${column} [${read.units[channel]}]`])),
+        ...read.checks.filter((check) => !check.ok).map((check) => element("p", `${check.what}. ${check.remedy}`, "bad")));
+      $("found").replaceChildren(...parts);
+      if (!read.sound) return say("The log contradicts itself or the robot: see below.", true);
+    }
     say("Looking for the robot's parameters…");
-    const found = await post("identify", { logs: names, vehicle });
+    const found = await post("identify", { logs: names, ...whose });
     const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`}${unit(t.unit)}`]);
-    const parts = [element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
-      ...found.warnings.map((text) => element("p", text, "hint"))];
+    parts.push(element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
+      ...found.warnings.map((text) => element("p", text, "hint")));
     if (names.length > 1) {
       say("Tracing what the model does not explain…");
-      const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), vehicle });
+      const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
       parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
         table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
         element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
@@ -241,6 +275,9 @@ async function drives(files) {
 for (const tab of document.querySelectorAll("[role=tab]")) {
   tab.addEventListener("click", () => {
     mode = tab.id.slice(4);
+    say("");
+    clearRoutes();
+    if (mode === "route") replan();
     for (const other of document.querySelectorAll("[role=tab]")) {
       other.setAttribute("aria-selected", String(other === tab));
       $(other.id.slice(4)).hidden = other !== tab;
@@ -254,7 +291,7 @@ scene.addEventListener("submit", (event) => event.preventDefault());
 $("again").addEventListener("click", reset);
 $("far").addEventListener("click", range);
 $("battery").addEventListener("submit", evaluate);
-$("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; });
+$("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; stale(); });
 const drop = $("drop");
 drop.querySelector("input").addEventListener("change", (event) => drives([...event.target.files]));
 for (const kind of ["dragover", "dragleave", "drop"]) {
