@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import networkx as nx
 import numpy as np
 import pandas as pd
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 from small_bags import TOPICS, record
 
 import energyplan as ep
@@ -237,6 +237,13 @@ def folder() -> Path:
         "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1.0\nNODATA_value -9999\n"
         "0 0.1 0.2\n0 0.1 0.3\n"
     )
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, value in {33550: (1.0, 1.0, 0.0), 33922: (0.0, 0.0, 0.0, 0.0, 2.0, 0.0)}.items():
+        tags.tagtype[tag] = 12
+        tags[tag] = value
+    Image.fromarray(np.float32([[0.0, 0.1, 0.2], [0.0, 0.1, 0.3]])).save(
+        place / "heights.tif", tiffinfo=tags, compression="tiff_lzw"
+    )
     (place / "topics.yaml").write_text(
         "kind: topics\nname: mine\nchannels:\n  v_left: {topic: joint_states, field: 'velocity[0]',"
         " scale: 0.2}\n  v_right:\n    - {topic: joint_states, field: 'velocity[*right*]'}\n"
@@ -289,6 +296,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], bool]] = {
     "surfaces.geojson": (read_surfaces, True),
     "graph.geojson": (read_route_graph, True),
     "heights.asc": (read_heights, True),
+    "heights.tif": (read_heights, False),
     "plain.bag": (read_bag_file, False),
     "bz2.bag": (read_bag_file, False),
     "lz4.bag": (read_bag_file, False),

@@ -80,7 +80,10 @@ def drive(
     truth: Truth = None,
     surfaces: Surfaces = None,
     heights: Annotated[
-        Path | None, typer.Option(help="Heights of the ground: an ESRI ASCII grid.")
+        Path | None,
+        typer.Option(
+            help="Heights of the ground: .asc, GeoTIFF, a YAML file with a PNG, or a bag."
+        ),
     ] = None,
     out: Annotated[
         Path | None,

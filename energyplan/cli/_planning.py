@@ -33,7 +33,10 @@ Start = Annotated[
 Surfaces = Annotated[
     Path | None, typer.Option(help="Areas of other ground: GeoJSON polygons, each with a model.")
 ]
-Heights = Annotated[Path | None, typer.Option(help="Heights of the ground: an ESRI ASCII grid.")]
+Heights = Annotated[
+    Path | None,
+    typer.Option(help="Heights of the ground: .asc, GeoTIFF, a YAML file with a PNG, or a bag."),
+]
 AtBattery = Annotated[
     bool,
     typer.Option(

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -219,13 +220,16 @@ def _collect(
 
 
 @contextmanager
-def opened_bag(file: Path) -> Iterator[Any]:
-    """Open a bag; what goes wrong inside it becomes a named error."""
+def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})) -> Iterator[Any]:
+    """Open a bag; what goes wrong inside it becomes a named error.
+
+    The definitions are of messages, by type, that rosbags does not know and old bags do not carry.
+    """
     try:
         from rosbags import rosbag1, rosbag2
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.serde import SerdeError
-        from rosbags.typesys import Stores, TypesysError, get_typestore
+        from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
     except ImportError:
         raise MissingDependencyError(
             f"reading {file} needs rosbags; install it with pip install 'energyplan[bags]'"
@@ -238,7 +242,10 @@ def opened_bag(file: Path) -> Iterator[Any]:
     try:
         _check_beginning(file)
         # Bags of ROS 2 before Iron do not carry their message definitions.
-        with AnyReader([file], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        for kind, text in definitions.items():
+            store.register(get_types_from_msg(text, kind))
+        with AnyReader([file], default_typestore=store) as reader:
             yield reader
     except EnergyPlanError:
         raise

@@ -94,7 +94,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
             known[name] = _model(file, k, name)
         label = properties.get("surface", properties.get("name", name))
         surfaces.append(Surface(area, known[name], str(label)))
-    _check_metres(file, [*(surface.area for surface in surfaces), *keep_out])
+    check_metres(file, [*(surface.area for surface in surfaces), *keep_out])
     return SurfaceMap(tuple(surfaces), tuple(keep_out))
 
 
@@ -124,7 +124,7 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
             f"{file}: every shape names a power model, so these are surfaces and no obstacles; "
             "give them beside a map"
         )
-    _check_metres(file, [*obstacles, *inside])
+    check_metres(file, [*obstacles, *inside])
     bounds = shapely.total_bounds(np.array([*obstacles, *inside], object))
     left, low, right, high = (float(v) for v in bounds)
     try:
@@ -136,13 +136,14 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
         raise MapError(f"{file}: {error}") from None
 
 
-def _check_metres(file: Path, shapes: Sequence[BaseGeometry]) -> None:
+def check_metres(file: Path, shapes: Sequence[BaseGeometry]) -> None:
+    """Refuse shapes that reach over so little that they count in degrees."""
     left, low, right, high = shapely.total_bounds(np.array(shapes, object))
     extent = max(right - left, high - low)
     if extent < SMALLEST:
         raise MapError(
-            f"{file}: all shapes together reach over {extent:.2g} m only; if "
-            "they are in longitude and latitude, give metres in the map's frame"
+            f"{file}: all shapes together reach over {extent:.2g}, as degrees of longitude and "
+            "latitude do; give metres in the map's frame"
         )
 
 

@@ -119,6 +119,11 @@ def read_lattice(path: str | Path) -> ControlSet:
         place = ".".join(str(part) for part in first["loc"])
         raise MapError(f"{file}: {place or 'the file'}: {first['msg']}") from None
     meta = found.lattice_metadata
+    if meta.motion_model == "omni":
+        raise MapError(
+            f"{file}: lattice_metadata.motion_model: primitives of an omnidirectional robot, which "
+            "drives sideways; give those of the model diff or ackermann"
+        )
     if len(meta.heading_angles) != meta.num_of_headings:
         raise MapError(
             f"{file}: lattice_metadata.heading_angles: {len(meta.heading_angles)} angles where "

@@ -10,10 +10,12 @@ from typing import Any
 
 import networkx as nx
 import numpy as np
+import shapely
 
 from energyplan.errors import MapError
 from energyplan.io.documents import read_features
 from energyplan.io.files import atomic_write
+from energyplan.io.geojson import check_metres
 
 RouteGraph = Any
 """A `networkx.MultiDiGraph` whose edges are keyed by their id."""
@@ -56,6 +58,7 @@ def read_route_graph(path: str | Path) -> RouteGraph:
             graph.add_edge(*ends, key=edge, feature=k, **known)
     if graph.number_of_nodes() == 0 or graph.number_of_edges() == 0:
         raise MapError(f"{file}: no nodes or no edges; is it a route graph?")
+    check_metres(file, [shapely.Point(at) for at in nx.get_node_attributes(graph, "pos").values()])
     return graph
 
 

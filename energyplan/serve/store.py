@@ -28,7 +28,7 @@ KINDS = {
     "missions": (".yaml", ".yml"),
     "logs": (".csv", ".csv.gz", ".parquet", ".mcap", ".bag", ".db3"),
     "surfaces": (".geojson", ".json"),
-    "heights": (".asc",),
+    "heights": (".asc", ".tif", ".tiff"),
 }
 """What a data folder holds, and how the names end."""
 

@@ -176,3 +176,12 @@ def test_any_values_end_in_a_graph_or_a_named_error(tmp_path, first, second, thi
     except EnergyPlanError:
         return
     assert graph.number_of_edges() > 0
+
+
+def test_a_graph_in_degrees_is_refused_by_what_it_is(tmp_path):
+    graph = nx.MultiDiGraph()
+    graph.add_nodes_from([(0, {"pos": (8.5, 47.1)}), (1, {"pos": (8.501, 47.102)})])
+    graph.add_edge(0, 1, key=2)
+    write_route_graph(graph, tmp_path / "g.geojson")
+    with pytest.raises(MapError, match="degrees of longitude and latitude"):
+        read_route_graph(tmp_path / "g.geojson")

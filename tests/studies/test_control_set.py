@@ -151,6 +151,7 @@ def test_files_of_others_are_read(tmp_path):
         ({"arc_length": -1.0}, "primitives.0.arc_length"),
         ({"poses": []}, "primitives.0.poses"),
         ({"grid_resolution": float("nan")}, "grid_resolution"),
+        ({"motion_model": "omni"}, "motion_model: primitives of an omnidirectional robot"),
     ],
 )
 def test_malformed_files_are_told(changes, told, tmp_path):

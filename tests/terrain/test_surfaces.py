@@ -15,7 +15,6 @@ from energyplan import (
     PowerModel,
     SurfaceMap,
     TreadICR,
-    read_heights,
 )
 from energyplan.errors import MapError
 from energyplan.power import effects
@@ -256,40 +255,3 @@ def test_energy_over_hills_is_the_potential():
     )
     assert work == pytest.approx(83.1 * 9.81 * hills.rise(path), rel=1e-9, abs=1e-9)
     assert 1.0 < path_price(path, without, None, hills).energy / without.energy(path) < 1.02
-
-
-ASC = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 5 6\n"
-
-
-def test_esri_grids(tmp_path):
-    file = tmp_path / "h.asc"
-    file.write_text(ASC)
-    ground = read_heights(file)
-    # the lower left value stands one metre from the corner either way
-    assert ground.height((11, 21)) == 4.0
-    assert ground.height((15, 23)) == 3.0
-    file.write_text(ASC.replace("corner", "center"))
-    assert read_heights(file).height((10, 20)) == 4.0
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "place"),
-    [
-        ("cellsize 2", "cellsize", "line 5: cellsize"),
-        ("cellsize 2", "cellsize 0", "resolution"),
-        ("cellsize 2\n", "", "no cellsize"),
-        ("nrows 2", "nrows 1e9", "rows of 3"),
-        ("nrows 2", "nrows 2.5", "whole"),
-        ("nrows 2", "nrows nan", "finite"),
-        ("nrows 2", "nrows 3", "2 rows"),
-        ("4 5 6", "4 5", "line 8: 2 heights"),
-        ("4 5 6", "4 x 6", "line 8"),
-        ("4 5 6", "4 nan 6", "finite"),
-        ("4 5 6", "4 -9999 6", "line 8: cells without data"),
-    ],
-)
-def test_malformed_grids_name_the_place(tmp_path, old, new, place):
-    file = tmp_path / "h.asc"
-    file.write_text(ASC.replace(old, new))
-    with pytest.raises(MapError, match=place):
-        read_heights(file)

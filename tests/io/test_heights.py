@@ -1,0 +1,201 @@
+"""Heights of the ground from the files that geographic tools and elevation mappers write."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image, TiffImagePlugin
+from small_bags import writer
+
+from energyplan.errors import MapError
+from energyplan.io.heights import read_heights
+
+DEFINITIONS = {
+    "grid_map_msgs/msg/GridMapInfo": """
+float64 resolution
+float64 length_x
+float64 length_y
+geometry_msgs/Pose pose
+""",
+    "grid_map_msgs/msg/GridMap": """
+std_msgs/Header header
+grid_map_msgs/GridMapInfo info
+string[] layers
+string[] basic_layers
+std_msgs/Float32MultiArray[] data
+uint16 outer_start_index
+uint16 inner_start_index
+""",
+}
+
+ASC = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 5 6\n"
+
+
+def test_esri_grids(tmp_path):
+    file = tmp_path / "h.asc"
+    file.write_text(ASC)
+    ground = read_heights(file)
+    # the lower left value stands one metre from the corner either way
+    assert ground.height((11, 21)) == 4.0
+    assert ground.height((15, 23)) == 3.0
+    file.write_text(ASC.replace("corner", "center"))
+    assert read_heights(file).height((10, 20)) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("cellsize 2", "cellsize", "line 5: cellsize"),
+        ("cellsize 2", "cellsize 0", "resolution"),
+        ("cellsize 2\n", "", "no cellsize"),
+        ("cellsize 2", "cellsize 0.00028", "degrees of longitude and latitude"),
+        ("nrows 2", "nrows 1e9", "rows of 3"),
+        ("nrows 2", "nrows 2.5", "whole"),
+        ("nrows 2", "nrows nan", "finite"),
+        ("nrows 2", "nrows 3", "2 rows"),
+        ("4 5 6", "4 5", "line 8: 2 heights"),
+        ("4 5 6", "4 x 6", "line 8"),
+        ("4 5 6", "4 nan 6", "1 cells without data, the first in row 2, column 2"),
+        ("4 5 6", "4 -9999 6", "1 cells without data, the first in row 2, column 2"),
+    ],
+)
+def test_malformed_grids_name_the_place(tmp_path, old, new, place):
+    file = tmp_path / "h.asc"
+    file.write_text(ASC.replace(old, new))
+    with pytest.raises(MapError, match=place):
+        read_heights(file)
+
+
+HILL = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 7.0]])
+SCALE, TIE_POINT, TRANSFORM, GEO_KEYS, NO_DATA = 33550, 33922, 34264, 34735, 42113
+
+
+def geotiff(file, values, tags, **options):
+    info = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, value in tags.items():
+        info.tagtype[tag] = {GEO_KEYS: 3, NO_DATA: 2}.get(tag, 12)
+        info[tag] = value
+    Image.fromarray(values).save(file, tiffinfo=info, **options)
+
+
+def keys(**values):
+    names = {"model": 1024, "raster": 1025, "linear": 3076, "vertical": 4099}
+    rows = [(names[name], 0, 1, value) for name, value in values.items()]
+    return tuple(np.array([(1, 1, 0, len(rows)), *rows]).ravel().tolist())
+
+
+@pytest.mark.parametrize("compression", [None, "tiff_lzw", "tiff_adobe_deflate"])
+@pytest.mark.parametrize("kind", [np.float32, np.uint16, np.int32])
+def test_geotiff(tmp_path, compression, kind):
+    file = tmp_path / "h.tif"
+    tags = {SCALE: (2.0, 2.0, 0.0), TIE_POINT: (0.0, 0.0, 0.0, 10.0, 24.0, 0.0)}
+    area = {**tags, GEO_KEYS: keys(model=1, raster=1, linear=9001)}
+    geotiff(file, HILL.astype(kind), area, compression=compression)
+    ground = read_heights(file)
+    # as the ASCII grid of the same corner: the first value is at the upper left
+    np.testing.assert_allclose(ground.heights, HILL[::-1])
+    assert (ground.height((11, 21)), ground.height((15, 23))) == (4.0, 3.0)
+    geotiff(file, HILL.astype(kind), {**tags, GEO_KEYS: keys(model=1, raster=2)})
+    assert read_heights(file).height((10, 24)) == 1.0  # the points themselves
+
+
+def test_a_turned_geotiff(tmp_path):
+    c, s = 2 * np.cos(0.3), 2 * np.sin(0.3)
+    turned = (c, s, 0, 5.0, s, -c, 0, 6.0, 0, 0, 0, 0, 0, 0, 0, 1)
+    geotiff(tmp_path / "h.tif", HILL.astype(np.float32), {TRANSFORM: turned})
+    ground = read_heights(tmp_path / "h.tif")
+    for row, column in np.ndindex(HILL.shape):
+        x = 5.0 + (column + 0.5) * c + (row + 0.5) * s
+        y = 6.0 + (column + 0.5) * s - (row + 0.5) * c
+        assert ground.height((x, y)) == pytest.approx(HILL[row, column], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("tags", "told"),
+    [
+        ({GEO_KEYS: keys(model=2)}, "degrees of longitude"),
+        ({SCALE: (0.0003, 0.0003, 0.0)}, "degrees of longitude"),
+        ({SCALE: (2.0, 3.0, 0.0)}, "cells of 2 by 3"),
+        ({GEO_KEYS: keys(model=1, linear=9002)}, "the unit 9002 of EPSG"),
+        ({GEO_KEYS: keys(model=1, vertical=9003)}, "the unit 9003 of EPSG"),
+        ({NO_DATA: "5"}, "1 cells without data, the first in row 2, column 2"),
+        ({TIE_POINT: None}, "does not say where it lies"),
+    ],
+)
+def test_geotiffs_that_are_no_heights_in_metres(tmp_path, tags, told):
+    usual = {SCALE: (2.0, 2.0, 0.0), TIE_POINT: (0.0, 0.0, 0.0, 10.0, 24.0, 0.0)}
+    given = {tag: value for tag, value in {**usual, **tags}.items() if value is not None}
+    geotiff(tmp_path / "h.tif", HILL.astype(np.float32), given)
+    with pytest.raises(MapError, match=told):
+        read_heights(tmp_path / "h.tif")
+
+
+def test_a_png_of_16_bits_by_its_yaml(tmp_path):
+    values = np.array([[0, 65535, 13107], [26214, 39321, 52428]], np.uint16)
+    Image.fromarray(values).save(tmp_path / "hill.png")
+    file = tmp_path / "hill.yaml"
+    file.write_text(
+        "image: hill.png\nresolution: 0.5\norigin: [1, 2, 0]\nmin_height: -1\nmax_height: 4\n"
+    )
+    ground = read_heights(file)
+    np.testing.assert_allclose(ground.heights, [[1, 2, 3], [-1, 4, 0]], atol=1e-9)
+    assert ground.height((1.25, 2.25)) == pytest.approx(1.0)
+    with pytest.raises(MapError, match="give a YAML file with image, resolution"):
+        read_heights(tmp_path / "hill.png")
+    Image.fromarray(np.uint8(values >> 8)).save(tmp_path / "hill.png")
+    with pytest.raises(MapError, match=r"steps of 0\.02 m"):
+        read_heights(file)
+
+
+@pytest.mark.parametrize("form", ["sqlite", "mcap"])
+def test_a_grid_map_in_a_bag(tmp_path, form):
+    """Each cell stands where grid_map puts it: rows against x, columns against y, in a ring."""
+    pytest.importorskip("rosbags", reason="bags need the extra bags")
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    make = lambda name, **fields: store.types[name](**fields)  # noqa: E731
+    rows, columns, size, yaw, start = 4, 3, 0.5, 0.4, (1, 2)
+    cells = np.arange(12.0).reshape(rows, columns)
+    ring = np.roll(cells, start, (0, 1)).astype(np.float32)
+    holes = ring.copy()
+    holes[0, 0] = np.nan
+
+    def layer(values):
+        dims = [
+            make("std_msgs/msg/MultiArrayDimension", label=label, size=count, stride=stride)
+            for label, count, stride in (("column_index", 3, 12), ("row_index", 4, 4))
+        ]
+        layout = make("std_msgs/msg/MultiArrayLayout", dim=dims, data_offset=0)
+        return make("std_msgs/msg/Float32MultiArray", layout=layout, data=values.T.ravel())
+
+    stamp = make("builtin_interfaces/msg/Time", sec=1, nanosec=0)
+    turn = {"x": 0.0, "y": 0.0, "z": np.sin(yaw / 2), "w": np.cos(yaw / 2)}
+    message = make(
+        "grid_map_msgs/msg/GridMap",
+        header=make("std_msgs/msg/Header", stamp=stamp, frame_id="map"),
+        info=make(
+            "grid_map_msgs/msg/GridMapInfo", resolution=size, length_x=rows * size,
+            length_y=columns * size,
+            pose=make(
+                "geometry_msgs/msg/Pose",
+                position=make("geometry_msgs/msg/Point", x=3.0, y=4.0, z=0.0),
+                orientation=make("geometry_msgs/msg/Quaternion", **turn),
+            ),
+        ),
+        layers=["elevation", "elevation_smooth"], basic_layers=["elevation"],
+        data=[layer(ring), layer(holes)], outer_start_index=start[0], inner_start_index=start[1],
+    )  # fmt: skip
+    kind = "grid_map_msgs/msg/GridMap"
+    with writer(tmp_path / "bag", form) as bag:
+        topic = bag.add_connection("/elevation_map", kind, typestore=store)
+        bag.write(topic, 10**9, store.serialize_cdr(message, kind))
+    ground = read_heights(tmp_path / "bag")
+    for row, column in np.ndindex(rows, columns):
+        ahead = 0.5 * rows * size - (row + 0.5) * size
+        left = 0.5 * columns * size - (column + 0.5) * size
+        x = 3.0 + np.cos(yaw) * ahead - np.sin(yaw) * left
+        y = 4.0 + np.sin(yaw) * ahead + np.cos(yaw) * left
+        assert ground.height((x, y)) == pytest.approx(cells[row, column], abs=1e-6)
