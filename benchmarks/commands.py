@@ -73,7 +73,7 @@ def examples(folder: Path) -> dict[str, list[str]]:
     vehicle = ["--vehicle", "quadriga:full"]
     return {
         "--help": ["--help"],
-        "log info (an hour)": ["log", "info", str(hour)],
+        "start, the list (an hour)": ["start", str(hour)],
         "identify (an hour)": ["identify", str(hour), *vehicle],
         "diagnose (two drives)": ["diagnose", str(drive), "--holdout", str(other), *vehicle],
         "plan (warehouse, 1 s)": ["plan", *route_of],

@@ -37,9 +37,8 @@ _COMMANDS = (
 """Modules that register commands when they are imported."""
 
 _FIRST = (
-    "start", "identify", "diagnose", "icr", "plan", "compare", "replan", "range", "check",
-    "mission", "fleet", "watch", "drive", "close-the-loop", "design", "plan-edges",
-    "nav2-lattice", "cost-table", "serve", "warmup", "demo",
+    "start", "identify", "diagnose", "plan", "compare", "check", "range", "mission", "watch",
+    "drive", "close-the-loop", "design", "serve", "warmup", "demo",
 )  # fmt: skip
 """Commands in the order of the help: what a newcomer needs first stands first."""
 

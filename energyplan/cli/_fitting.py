@@ -1,10 +1,11 @@
-"""The commands that read drive logs: start, identify, diagnose, log."""
+"""The commands that read drive logs: start, identify, diagnose."""
 
 from __future__ import annotations
 
 import math
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from energyplan.cli.answers import answer, progress, verdict, warn, write_report
-from energyplan.cli.app import App, app
-from energyplan.cli.inputs import contradictions, notes, read_logs
+from energyplan.cli.app import app
+from energyplan.cli.inputs import contradictions, notes, number, read_logs
 from energyplan.cli.options import (
     YAML,
     Columns,
@@ -26,9 +27,10 @@ from energyplan.cli.options import (
     VehicleName,
     writes,
 )
-from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.errors import InvalidInputError, NotIdentifiableError, UnknownNameError
 
 if TYPE_CHECKING:
+    from energyplan.fit import ICREstimate
     from energyplan.fit.hoisted import InternalFriction
     from energyplan.logs import DriveLog
     from energyplan.power import Term
@@ -41,8 +43,12 @@ if TYPE_CHECKING:
 def start(
     log: Annotated[Path, typer.Argument(help="A drive log: a table or a bag.")],
     out: Annotated[
-        Path, typer.Option(callback=writes(*YAML), help="Write the project to this YAML file.")
-    ],
+        Path | None,
+        typer.Option(
+            callback=writes(*YAML),
+            help="Write the project to this YAML file. Without it: list what the log holds.",
+        ),
+    ] = None,
     wheel_radius: Annotated[float | None, typer.Option(help="Radius of the wheels [m].")] = None,
     track: Annotated[
         float | None,
@@ -67,7 +73,7 @@ def start(
         str | None,
         typer.Option(
             metavar="VEHICLE",
-            help="Take what is not given from this vehicle: a preset or a YAML file.",
+            help="Start from this vehicle, a preset or a YAML file; other options override it.",
         ),
     ] = None,
     columns: Annotated[
@@ -88,11 +94,17 @@ def start(
     project with --project.
     """
     from energyplan.io.config import read_vehicle
+    from energyplan.io.logs import describe_log
     from energyplan.io.project import write_project
     from energyplan.io.robot import Given
     from energyplan.io.start import start as run
     from energyplan.output import documents, text
 
+    if out is None:
+        held = describe_log(log)
+        lines = [*text.log(held), "give --out PROJECT.yaml to check it and write a project"]
+        answer(documents.plain(held), lines, json=json)
+        return
     told = {
         "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
         "length": length, "width": width, "counts_per_revolution": counts_per_revolution,
@@ -175,6 +187,23 @@ def identify(
             metavar="K", help="With --hoisted: force per ampere of each side's motor [N/A]."
         ),
     ] = None,
+    spin: Annotated[
+        bool,
+        typer.Option(
+            "--spin",
+            help="The log holds one spin on the spot: find the tread ICRs alone (Morales et al. "
+            "2010, Eq. 5). --out then writes the vehicle with them.",
+        ),
+    ] = False,
+    angle: Annotated[
+        str | None,
+        typer.Option(
+            help="With --spin: angle turned through, such as 3600deg. Default: from the log's yaw."
+        ),
+    ] = None,
+    angle_error: Annotated[
+        str, typer.Option(help="With --angle: its standard error, such as 5deg.")
+    ] = "0deg",
     out: OutModel = None,
     columns: Columns = None,
     topics: Topics = None,
@@ -188,13 +217,25 @@ def identify(
     from energyplan.fit import identify as run
     from energyplan.fit.hoisted import doubts_off_the_ground
     from energyplan.fit.hoisted import hoisted as inside
-    from energyplan.io.config import read_vehicle, write_model
+    from energyplan.io.config import read_vehicle, write_model, write_vehicle
     from energyplan.output import documents, text
 
     robot = read_vehicle(vehicle)
     if motor_constant is not None and not hoisted:
         raise InvalidInputError("--motor-constant goes with --hoisted; give both or neither")
+    if angle is not None and not spin:
+        raise InvalidInputError("--angle goes with --spin; give both or neither")
+    if spin and (hoisted or terms or without):
+        raise InvalidInputError("--spin finds the tread ICRs alone; leave other options out")
+    if spin and len(logs) > 1:
+        raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
     drives = read_logs(logs, columns, topics, vehicle)
+    if spin:
+        icr = _icr_of_spin(drives[0], angle, angle_error)
+        if out:
+            write_vehicle(robot.with_icr(icr.icr), out)
+        answer(documents.icr(icr), text.icr(icr), json=json)
+        return
     if hoisted:
         if out or terms or without:
             raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
@@ -210,6 +251,22 @@ def identify(
     if out:
         write_model(found.model, out)
     answer(documents.identification(found), text.identification(found), json=json)
+
+
+def _icr_of_spin(drive: DriveLog, angle: str | None, angle_error: str) -> ICREstimate:
+    """Return the tread ICRs from one spin; doubt an angle that the log contradicts."""
+    from energyplan.fit import icr_from_spin
+
+    turned = None if angle is None else number("--angle", "angle", angle)
+    found = icr_from_spin(drive, turned, number("--angle-error", "angle", angle_error))
+    with suppress(NotIdentifiableError):  # the log need not show the angle
+        shown = icr_from_spin(drive).turning
+        if abs(shown - found.turning) > 0.1 * found.turning:
+            warn(
+                f"--angle {angle} is {found.turning:.4g} rad, but by its yaw the log turns "
+                f"through {shown:.4g} rad in all, to either side; which is right?"
+            )
+    return found
 
 
 def _doubts_inside(sides: Sequence[InternalFriction], motor_constant: float | None) -> list[str]:
@@ -255,8 +312,8 @@ def diagnose(
         list[Path] | None,
         typer.Option(
             metavar="LOG...",
-            help="Drives to judge by, not to learn from: all names up to the next option. "
-            "Default: the last two fifths of each drive; of drives under 40 s some as a whole.",
+            help="Drives kept for validation. Default: the last 40 % of each drive; of drives "
+            "under 40 s some as a whole.",
         ),
     ] = None,
     out: OutModel = None,
@@ -315,19 +372,3 @@ def _apart(logs: list[Path], holdout: list[Path]) -> None:
 
 def _names(drives: list[DriveLog]) -> list[str]:
     return [drive.name for drive in drives]
-
-
-log = App(rich_markup_mode=None, help="Look into drive logs.")
-app.add_typer(log, name="log")
-
-
-@log.command(epilog="Example: energyplan log info drive.csv")
-def info(
-    file: Annotated[Path, typer.Argument(help="A table or a bag.")], json: Json = False
-) -> None:
-    """List what a log holds, and what it could serve for."""
-    from energyplan.io.logs import describe_log
-    from energyplan.output import documents, text
-
-    told = describe_log(file)
-    answer(documents.plain(told), text.log(told), json=json)

@@ -1,11 +1,7 @@
-"""The commands for other programs: replan, plan-edges, nav2-lattice, cost-table.
-
-They read routes that others keep, and write what planners calculate with.
-"""
+"""The commands that write for other planners: export graph, export lattice, export table."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,105 +9,29 @@ import typer
 
 from energyplan.cli._planning import (
     AtBattery,
-    Clearance,
-    Effort,
-    Heights,
-    Keepout,
-    MapFile,
-    Objective,
-    OutPath,
-    OutTrajectory,
+    Drive,
+    Site,
     Speed,
-    Surfaces,
-    TimeLimit,
-    driven,
     model_without_map,
-    planning,
     problem_of,
-    write_plans,
 )
 from energyplan.cli.answers import answer, progress
-from energyplan.cli.app import app
-from energyplan.cli.inputs import parse_pose
-from energyplan.cli.options import Json, ModelName, Strict, writes
+from energyplan.cli.app import App, app
+from energyplan.cli.options import Json, ModelName, writes
 from energyplan.errors import InvalidInputError
 
-
-@app.command(
-    epilog="Example: energyplan replan route.csv --map warehouse.yaml "
-    "--model quadriga:empty:concrete --from 5,2,0 --out rest.csv"
-)
-def replan(
-    path: Annotated[Path, typer.Argument(help="The path being driven, as plan --out writes it.")],
-    map_file: MapFile,
-    model: ModelName,
-    start: Annotated[
-        str,
-        typer.Option("--from", metavar="X,Y,YAW", help="Where the robot is; 90deg is in degrees."),
-    ],
-    former_map: Annotated[
-        Path | None,
-        typer.Option(help="The map that the path was planned on. Default: no obstacle is gone."),
-    ] = None,
-    surfaces: Surfaces = None,
-    heights: Heights = None,
-    battery: AtBattery = False,
-    clearance: Clearance = 0.0,
-    keepout: Keepout = None,
-    objective: Objective = "energy",
-    time_limit: TimeLimit = 1.0,
-    effort: Effort = None,
-    speed: Speed = None,
-    out: OutPath = None,
-    trajectory: OutTrajectory = None,
-    json: Json = False,
-    strict: Strict = False,
-) -> None:
-    """Plan again from where the robot is.
-
-    Keeps the rest of the path if it is free and no obstacle is gone. Otherwise plans around what is
-    closed.
-    """
-    from energyplan.io.trajectory import read_path
-    from energyplan.output import documents, text
-    from energyplan.planning.replanning import replan as run
-
-    here = parse_pose(start)
-    now = problem_of(
-        map_file, model, here, here, surfaces, heights, battery, objective, speed, None,
-        clearance, keepout,
-    )  # fmt: skip
-    former = read_path(path, now.cost.icr.longitudinal)
-    problem = replace(now, start=former.start, goal=former.end)
-    if former_map:
-        before = problem_of(
-            former_map, model, former.start, former.end, surfaces, heights, battery, objective,
-            speed, None, clearance, keepout,
-        )  # fmt: skip
-        problem = replace(problem, map=before.map)
-    with planning(problem, json, strict):
-        made = run(problem, former, start=here, map=now.map, time_limit=time_limit, effort=effort)
-    told = driven(made, trajectory)
-    if out:
-        write_plans(out, replace(now, goal=former.end), plan=made)
-    document = {**documents.plan(made), **documents.driven_path(told)}
-    answer(document, [*text.plan(made, objective), *text.driven_path(made, told)], json=json)
+export = App(rich_markup_mode=None, help="Write energies for other planners.")
+app.add_typer(export, name="export")
 
 
-@app.command(
-    epilog="Example: energyplan plan-edges graph.geojson --map warehouse.yaml "
+@export.command(
+    epilog="Example: energyplan export graph graph.geojson --map warehouse.yaml "
     "--model quadriga:empty:concrete --out priced.geojson"
 )
-def plan_edges(
-    graph: Annotated[Path, typer.Argument(help="A route graph of Nav2's route server (GeoJSON).")],
-    map_file: MapFile,
-    model: ModelName,
-    surfaces: Surfaces = None,
-    heights: Heights = None,
-    battery: AtBattery = False,
-    clearance: Clearance = 0.0,
-    keepout: Keepout = None,
-    speed: Speed = None,
+def graph(
+    file: Annotated[Path, typer.Argument(help="A route graph of Nav2's route server (GeoJSON).")],
+    site: Site,
+    drive: Drive,
     effort: Annotated[
         int | None, typer.Option(min=1, help="Work to spend on each edge. 50000 is about 1 s.")
     ] = None,
@@ -133,15 +53,12 @@ def plan_edges(
     from energyplan.planning.roadmap.planned import EFFORT
     from energyplan.planning.roadmap.planned import plan_edges as run
 
-    places = read_route_graph(graph)
+    places = read_route_graph(file)
     if len(places) == 0:
-        raise InvalidInputError(f"{graph} holds no nodes; give points with an id")
+        raise InvalidInputError(f"{file} holds no nodes; give points with an id")
     # where a plan would start and end does not matter to its edges
     somewhere = as_pose((*next(iter(places.nodes(data="pos")))[1], 0.0), "a node")
-    problem = problem_of(
-        map_file, model, somewhere, somewhere, surfaces, heights, battery, "energy", speed,
-        None, clearance, keepout,
-    )  # fmt: skip
+    problem = problem_of(site, drive, somewhere, somewhere)
     with progress("planning"):
         made = run(places, problem, effort=EFFORT if effort is None else effort)
     if out:
@@ -155,12 +72,11 @@ def plan_edges(
     answer({"edges": edges, "closed": [one._asdict() for one in made.closed]}, lines, json=json)
 
 
-@app.command(
-    name="nav2-lattice",
-    epilog="Example: energyplan nav2-lattice --model quadriga:empty:concrete --resolution 0.05 "
+@export.command(
+    epilog="Example: energyplan export lattice --model quadriga:empty:concrete --resolution 0.05 "
     "--out lattice.json --penalties planner.yaml",
 )
-def nav2_lattice(
+def lattice(
     model: ModelName,
     out: Annotated[
         Path, typer.Option(callback=writes(".json"), help="Write the primitives to this file.")
@@ -179,7 +95,7 @@ def nav2_lattice(
             help="Write the planner's parameters to this file.",
         ),
     ] = None,
-    battery: AtBattery = False,
+    at_battery: AtBattery = False,
     speed: Speed = None,
     json: Json = False,
 ) -> None:
@@ -193,7 +109,7 @@ def nav2_lattice(
     from energyplan.studies.control_set import control_set, penalties
 
     power = model_without_map(model)
-    cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
+    cost = EnergyCost(power, battery=at_battery, speed=asked_speed(speed, power.vehicle))
     controls = control_set(cost, resolution, headings=headings, radius=radius)
     found = penalties(controls, cost)
     write_lattice(controls, out)
@@ -205,8 +121,10 @@ def nav2_lattice(
     answer({"primitives": len(controls.primitives), "penalties": told}, lines, json=json)
 
 
-@app.command(epilog="Example: energyplan cost-table --model quadriga:empty:concrete --out cost.csv")
-def cost_table(
+@export.command(
+    epilog="Example: energyplan export table --model quadriga:empty:concrete --out cost.csv"
+)
+def table(
     model: ModelName,
     out: Annotated[
         Path, typer.Option("--out", callback=writes(".csv"), help="Write the table to this file.")
@@ -215,14 +133,8 @@ def cost_table(
         str | None,
         typer.Option(help="Tread speeds [m/s], such as 0.2,0.5,1. Default: the cheapest one."),
     ] = None,
-    battery: Annotated[
-        bool,
-        typer.Option(
-            "--battery",
-            help="Count the energy that the battery gives, losses of the drives included.",
-        ),
-    ] = False,
-    tolerance: Annotated[
+    at_battery: AtBattery = False,
+    error: Annotated[
         float, typer.Option(help="Largest relative error of interpolating between entries.")
     ] = 1e-3,
     json: Json = False,
@@ -241,7 +153,7 @@ def cost_table(
         raise InvalidInputError(
             f"--speeds is {speeds!r}; write metres per second with commas between, like 0.2,0.5"
         ) from None
-    made = tabulate(EnergyCost(model_without_map(model), battery=battery), asked, tolerance)
+    made = tabulate(EnergyCost(model_without_map(model), battery=at_battery), asked, error)
     write_cost_table(made, out)
     size = {"directions": len(made.angle), "speeds": len(made.speed)}
     lines = [

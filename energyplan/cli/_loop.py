@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from energyplan.cli._planning import Effort, Heights, MapFile, Start, Surfaces, ground_of
+from energyplan.cli._planning import Drive, Heights, MapFile, Start, Surfaces, Work, ground_of
 from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
 from energyplan.cli.inputs import parse_pose, read_logs
@@ -64,7 +64,7 @@ def _believed(model: str, surfaces: Path | None, heights: Path | None) -> tuple[
     """Return the model and the ground that options name; on heights every model has a weight."""
     from energyplan.physics import Ground
 
-    cost, regions, hills = ground_of(model, surfaces, heights, battery=True)
+    cost, regions, hills = ground_of(Drive(model, surfaces, heights, at_battery=True))
     return cost.model, Ground(regions, hills)
 
 
@@ -147,7 +147,7 @@ def close_the_loop(
     hidden: Hidden = None,
     truth: Truth = None,
     rounds: Annotated[int, typer.Option(help="Largest number of rounds.")] = 3,
-    tolerance: Annotated[
+    error: Annotated[
         float,
         typer.Option(help="Stop when the predicted energy is off by less than this fraction."),
     ] = 0.01,
@@ -165,7 +165,7 @@ def close_the_loop(
         ),
     ] = 60.0,
     time_limit: Annotated[float, typer.Option(help="Time for each plan [s].")] = 5.0,
-    effort: Effort = None,
+    effort: Work = None,
     out: OutModel = None,
     report: Report = None,
     json: Json = False,
@@ -211,7 +211,7 @@ def close_the_loop(
         source = EngineDrives(switch_on(robot, effects), ground)
     with progress("closing the loop") as update:
         made = close_loop(
-            problem, source, rounds=rounds, tolerance=tolerance, speed=speed, survey=survey,
+            problem, source, rounds=rounds, tolerance=error, speed=speed, survey=survey,
             time_limit=time_limit, effort=effort, progress=update,
         )  # fmt: skip
     if out:
@@ -227,7 +227,7 @@ def close_the_loop(
 )
 def design(
     model: ModelName,
-    report: Annotated[
+    diagnosis: Annotated[
         Path | None,
         typer.Option(help="Output of diagnose --json: which explanations to separate."),
     ] = None,
@@ -246,7 +246,7 @@ def design(
     ] = 5.0,
     screen: Annotated[
         bool,
-        typer.Option("--screen", help="Without --report: look for every effect of the catalogue."),
+        typer.Option("--screen", help="Without --diagnosis: look for every effect."),
     ] = False,
     out: Annotated[
         Path | None,
@@ -268,7 +268,7 @@ def design(
     from energyplan.physics.design import explanations_of
 
     law = read_model(model)
-    explanations = explanations_of(_document(report)) if report else ()
+    explanations = explanations_of(_document(diagnosis)) if diagnosis else ()
     made = run(
         law, explanations, grid=read_map(map_file) if map_file else None, square=square,
         start=parse_pose(start) if start else None, duration=duration, speed=speed, noise=noise,

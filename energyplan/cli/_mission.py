@@ -1,4 +1,4 @@
-"""The commands about what a charge lasts for: range, mission, fleet."""
+"""The commands about what a charge lasts for: range and mission."""
 
 from __future__ import annotations
 
@@ -9,19 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
-from energyplan.cli._planning import (
-    AtBattery,
-    Heights,
-    MapFile,
-    Speed,
-    Surfaces,
-    ground_of,
-    warn_of_surfaces,
-)
+from energyplan.cli._planning import Drive, Site, Start, problem_of, warn_of_surfaces
 from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
-from energyplan.cli.inputs import parse_pose
-from energyplan.cli.options import IMAGES, Json, ModelName, Report, Strict, writes, writes_folder
+from energyplan.cli.inputs import number, parse_pose
+from energyplan.cli.options import IMAGES, Json, Report, Strict, writes, writes_folder
 from energyplan.errors import InvalidInputError
 
 EachEffort = Annotated[
@@ -35,36 +27,29 @@ EachEffort = Annotated[
 @app.command(
     name="range",
     epilog="Example: energyplan range --map warehouse.yaml --model quadriga:empty:concrete "
-    "--from 2,2,0 --energy 5000 --return --confidence 0.95 --coefficient-spread 0.05",
+    "--start 2,2,0 --energy 5000 --return --confidence 0.95 --coefficient-spread 0.05",
 )
 def reach(
-    map_file: MapFile,
-    model: ModelName,
-    start: Annotated[
-        str,
-        typer.Option(
-            "--from", metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees."
-        ),
-    ],
+    site: Site,
+    drive: Drive,
+    start: Start,
     energy: Annotated[float | None, typer.Option(help="Energy at hand [J].")] = None,
     reserve: Annotated[
         float, typer.Option(min=0.0, max=0.99, help="Fraction of it to keep.")
     ] = 0.0,
-    pack: Annotated[
+    battery: Annotated[
         str | None,
         typer.Option(
             metavar="BATTERY", help="Take the energy from this battery: the name of a preset."
         ),
     ] = None,
     soc: Annotated[
-        float | None,
-        typer.Option(min=0.0, max=1.0, help="State of charge of that battery. Default: full."),
+        str | None,
+        typer.Option(help="State of charge of that battery, such as 50%. Default: full."),
     ] = None,
     confidence: Annotated[
         float | None,
-        typer.Option(
-            help="Call a place within reach only if it is with this probability, such as 0.95."
-        ),
+        typer.Option(help="Probability that a place shown as reachable really is, such as 0.95."),
     ] = None,
     spread: Annotated[
         float,
@@ -74,18 +59,12 @@ def reach(
         ),
     ] = 0.0,
     back: Annotated[
-        bool, typer.Option("--return", help="Count the way back to the start as well.")
+        bool, typer.Option("--return", help="The robot must still get back to the start.")
     ] = False,
     charger: Annotated[
         str | None,
-        typer.Option(
-            metavar="X,Y,YAW", help="Count the way on to this pose instead of the way back."
-        ),
+        typer.Option(metavar="X,Y,YAW", help="The robot must still reach this charger afterwards."),
     ] = None,
-    surfaces: Surfaces = None,
-    heights: Heights = None,
-    battery: AtBattery = False,
-    speed: Speed = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -112,30 +91,28 @@ def reach(
 
     Computes the energy that it takes to reach each place of a map, and to come back if asked.
     """
-    from energyplan.errors import InvalidInputError
     from energyplan.io.energy_map import write_contours, write_energies
     from energyplan.io.files import atomic_write
-    from energyplan.io.maps import read_map
     from energyplan.io.mission import read_battery
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
-    from energyplan.planning import PlanningProblem
     from energyplan.studies.doubt import energy_of_charge
     from energyplan.studies.energy_map import energy_map
 
-    if pack and energy is not None:
-        raise InvalidInputError("--pack and --energy both set the energy at hand; give one")
-    if soc is not None and pack is None:
-        raise InvalidInputError("--soc is the charge of a battery; give --pack, or leave it out")
+    if battery and energy is not None:
+        raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
+    if soc is not None and battery is None:
+        raise InvalidInputError("--soc is the charge of a battery; give --battery, or leave it out")
     if spread != 0 and confidence is None:
         raise InvalidInputError("--coefficient-spread needs --confidence; give both")
     pose = parse_pose(start)
-    # what a battery delivers is counted at the battery
-    cost, ground, hills = ground_of(model, surfaces, heights, battery or pack is not None, speed)
-    problem = PlanningProblem(read_map(map_file), cost, pose, pose, surfaces=ground, heights=hills)
+    if battery:  # what a battery delivers is counted at the battery
+        drive = replace(drive, at_battery=True)
+    problem = problem_of(site, drive, pose, pose)
     home = parse_pose(charger) if charger else pose
-    if pack:
-        energy = energy_of_charge(cost, read_battery(pack), 1.0 if soc is None else soc)
+    if battery:
+        charge = 1.0 if soc is None else number("--soc", "fraction", soc)
+        energy = energy_of_charge(problem.cost, read_battery(battery), charge)
     usable = None if energy is None else (1.0 - reserve) * energy
     with progress("searching"):
         found = energy_map(
@@ -189,8 +166,7 @@ def mission(
         list[str] | None,
         typer.Option(
             metavar="TASK...",
-            help="NAME=X,Y,YAW[,DWELL[,POWER]], as meter=3.9,2,90deg,5 min,30 W: all up to the "
-            "next option.",
+            help="Task NAME=X,Y,YAW[,DWELL[,POWER]], as meter=3.9,2,90deg,5 min,30 W; repeatable.",
         ),
     ] = None,
     soc: Annotated[
@@ -200,6 +176,23 @@ def mission(
         str | None, typer.Option(help="What must be left at the end. Default: 20 %.")
     ] = None,
     back: Annotated[bool, typer.Option("--return", help="Return to the start.")] = False,
+    confidence: Annotated[
+        float | None,
+        typer.Option(help="Probability that a verdict holds. Default: the file's, or 0.95."),
+    ] = None,
+    spread: Annotated[
+        float | None,
+        typer.Option(
+            help="Relative standard deviation of the model's coefficients from day to day, as 0.05."
+        ),
+    ] = None,
+    fail: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME@TIME",
+            help="Suppose that this robot of several fails at this time [s]: who takes over?",
+        ),
+    ] = None,
     effort: EachEffort = None,
     report: Report = None,
     trajectories: Annotated[
@@ -214,8 +207,10 @@ def mission(
 ) -> None:
     """Find out whether the battery lasts for a mission.
 
-    Names the tasks that cannot be done, why, and what would change that.
+    Names the tasks that cannot be done, why, and what would change that. A file with robots is
+    shared between them: which robot does which task, and when it charges.
     """
+    from energyplan.io.fleet import names_robots
     from energyplan.io.mission import mission_from, read_mission
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
@@ -232,7 +227,18 @@ def mission(
         told_by |= {"soc": soc, "reserve": reserve, "return": back}
         clash = [f"--{name}" for name, value in told_by.items() if value]
         if clash:
-            raise InvalidInputError(f"{', '.join(clash)} and a mission's file: give one of them")
+            raise InvalidInputError(
+                f"the mission's file already sets what {', '.join(clash)} would; drop "
+                f"{'it' if len(clash) == 1 else 'them'}, or the file"
+            )
+        if names_robots(file):
+            if report or trajectories or confidence is not None or spread is not None:
+                raise InvalidInputError(
+                    f"{file} is a mission of several robots, for which --report, --trajectories, "
+                    "--confidence and --spread do not work yet; leave them out"
+                )
+            _robots(file, fail, effort, json, strict)
+            return
         asked = read_mission(file)
     else:
         missing = [f"--{name}" for name, value in told_by.items() if not value]
@@ -249,8 +255,14 @@ def mission(
                 "tasks": [_task(text) for text in task or []],
             }
         )  # fmt: skip
-    if effort is not None:
-        asked = replace(asked, planning_effort=effort)
+    if fail is not None:
+        raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
+    stated: dict[str, Any] = {
+        "planning_effort": effort,
+        "confidence": confidence,
+        "coefficient_spread": spread,
+    }
+    asked = replace(asked, **{name: value for name, value in stated.items() if value is not None})
     if asked.surfaces is not None:
         warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"):
@@ -267,24 +279,8 @@ def mission(
     verdict(told.feasible, strict)
 
 
-@app.command(epilog="Example: energyplan fleet examples/fleet_warehouse.yaml --fail alpha@100")
-def fleet(
-    file: Annotated[Path, typer.Argument(help="Fleet YAML file.")],
-    fail: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME@TIME",
-            help="Suppose that this robot fails at this time [s]: who takes over?",
-        ),
-    ] = None,
-    effort: EachEffort = None,
-    json: Json = False,
-    strict: Strict = False,
-) -> None:
-    """Share tasks between robots.
-
-    Says which robot does which task, when it charges, and what is left in its battery.
-    """
+def _robots(file: Path, fail: str | None, effort: int | None, json: bool, strict: bool) -> None:
+    """Share the tasks of a mission between its robots."""
     from energyplan.fleet import Fleet, evaluate_fleet
     from energyplan.io.fleet import read_fleet
     from energyplan.output import documents, text

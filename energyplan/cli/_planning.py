@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -40,7 +40,7 @@ Heights = Annotated[
 AtBattery = Annotated[
     bool,
     typer.Option(
-        "--battery", help="Count the energy that the battery gives, losses of the drives included."
+        "--at-battery", help="Report the energy at the battery, with the losses of the drives."
     ),
 ]
 Planner = Annotated[str, typer.Option(help="lattice, roadmap, or the name of another planner.")]
@@ -48,7 +48,7 @@ Objective = Annotated[str, typer.Option(help="What to make least: energy, length
 TimeLimit = Annotated[
     float, typer.Option(help="Time for planning [s]; the best plan found by then counts.")
 ]
-Effort = Annotated[
+Work = Annotated[
     int | None,
     typer.Option(
         help="Work to spend instead of time: the same plan on any machine. 50000 is about 1 s."
@@ -108,19 +108,41 @@ Plot = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class Site:
+    """The place: its map, and what closes parts of it."""
+
+    map_file: MapFile
+    keepout: Keepout = None
+    clearance: Clearance = 0.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What drives, on which ground, and how fast."""
+
+    model: ModelName
+    surfaces: Surfaces = None
+    heights: Heights = None
+    at_battery: AtBattery = False
+    speed: Speed = None
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to plan."""
+
+    time_limit: TimeLimit = 1.0
+    effort: Work = None
+
+
 def problem_of(
-    map_file: Path,
-    model: str,
+    site: Site,
+    drive: Drive,
     start: Pose,
     goal: Pose,
-    surfaces: Path | None,
-    heights: Path | None,
-    battery: bool,
-    objective: str,
-    speed: str | None,
-    tolerance: float | None,
-    clearance: float,
-    keepout: Path | None,
+    objective: str = "energy",
+    tolerance: float | None = None,
     costmap: Path | None = None,
     costmap_weight: float = 0.0,
 ) -> PlanningProblem:
@@ -130,16 +152,16 @@ def problem_of(
 
     if (costmap is None) != (costmap_weight == 0.0):
         raise InvalidInputError("--costmap and --costmap-weight go together; give both or neither")
-    ground = ground_of(model, surfaces, heights, battery, speed, tolerance)
-    grid = read_map(map_file)
-    if keepout:
-        mask = read_map(keepout)
+    ground = ground_of(drive, tolerance)
+    grid = read_map(site.map_file)
+    if site.keepout:
+        mask = read_map(site.keepout)
         note, grid = grid.note_of_mask(mask), grid.with_mask(mask)
         if note is not None:
             warn(note)
     return PlanningProblem(
         grid, ground.cost, start, goal, surfaces=ground.surfaces, objective=objective,
-        heights=ground.heights, clearance=clearance,
+        heights=ground.heights, clearance=site.clearance,
         costmap=read_costmap(costmap) if costmap else None, costmap_weight=costmap_weight,
     )  # fmt: skip
 
@@ -152,15 +174,8 @@ class PricedGround(NamedTuple):
     heights: HeightMap | None
 
 
-def ground_of(
-    model: str,
-    surfaces: Path | None,
-    heights: Path | None,
-    battery: bool,
-    speed: str | None = None,
-    tolerance: float | None = None,
-) -> PricedGround:
-    """Return the ground that options name, and what motions cost on it at the speed asked for."""
+def ground_of(drive: Drive, tolerance: float | None = None) -> PricedGround:
+    """Return the ground that options name, and what motions cost on it at the wanted speed."""
     from energyplan.cost import EnergyCost
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_model
@@ -169,13 +184,13 @@ def ground_of(
     from energyplan.power.effects import reads_slope, with_weight
     from energyplan.terrain import knows_ground, with_weights
 
-    power = read_model(model)
+    power = read_model(drive.model)
     if tolerance is not None:
         power = replace(power, vehicle=replace(power.vehicle, tracking_tolerance=tolerance))
-    ground = read_surfaces(surfaces) if surfaces else None
+    ground = read_surfaces(drive.surfaces) if drive.surfaces else None
     if ground is not None:
         warn_of_surfaces(power.vehicle, ground)
-    hills = read_heights(heights) if heights else None
+    hills = read_heights(drive.heights) if drive.heights else None
     if knows_ground(power):
         warn(
             f"{power.name} contains ground: it counts unless a file of surfaces or heights is given"
@@ -187,8 +202,8 @@ def ground_of(
                 f"{power.vehicle.mass:.4g} kg is added"
             )
         power, ground = with_weight(power), with_weights(ground) if ground else None
-    cost = EnergyCost(power, battery=battery, speed=asked_speed(speed, power.vehicle))
-    return PricedGround(cost, ground, hills)
+    speed = asked_speed(drive.speed, power.vehicle)
+    return PricedGround(EnergyCost(power, battery=drive.at_battery, speed=speed), ground, hills)
 
 
 def warn_of_surfaces(vehicle: Vehicle, ground: SurfaceMap) -> None:
@@ -235,23 +250,30 @@ def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
     "--start 2,2,0 --goal 20,12,90deg --plot route.png"
 )
 def plan(
-    map_file: MapFile,
-    model: ModelName,
+    site: Site,
+    drive: Drive,
     start: Start,
-    goal: Start,
-    surfaces: Surfaces = None,
-    heights: Heights = None,
-    battery: AtBattery = False,
-    clearance: Clearance = 0.0,
-    keepout: Keepout = None,
+    goal: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,YAW", help="Where to go. With --former: the end of that path."),
+    ] = None,
+    former: Annotated[
+        Path | None,
+        typer.Option(
+            help="A path that is being driven, as plan --out writes it. What is left of it is kept "
+            "if it is still free and no obstacle is gone."
+        ),
+    ] = None,
+    former_map: Annotated[
+        Path | None,
+        typer.Option(help="The map of that path. Default: no obstacle is gone since then."),
+    ] = None,
+    tolerance: Tolerance = None,
     costmap: Costmap = None,
     costmap_weight: CostmapWeight = 0.0,
     planner: Planner = "lattice",
     objective: Objective = "energy",
-    time_limit: TimeLimit = 1.0,
-    effort: Effort = None,
-    speed: Speed = None,
-    tolerance: Tolerance = None,
+    limits: Effort = Effort(),
     out: OutPath = None,
     trajectory: OutTrajectory = None,
     plot: Plot = None,
@@ -262,16 +284,29 @@ def plan(
 
     Prints its energy, and how far from optimal it can be at most.
     """
+    from energyplan.io.trajectory import read_path
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
+    from energyplan.planning.replanning import replan
 
     _writable(out)
-    problem = problem_of(
-        map_file, model, parse_pose(start), parse_pose(goal), surfaces, heights, battery, objective,
-        speed, tolerance, clearance, keepout, costmap, costmap_weight,
-    )  # fmt: skip
-    with planning(problem, json, strict):
-        made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
+    here = parse_pose(start)
+    options = (objective, tolerance, costmap, costmap_weight)
+    _goes_with_former(former, former_map, goal, planner)
+    problem = problem_of(site, drive, here, parse_pose(goal) if goal else here, *options)
+    effort: dict[str, Any] = asdict(limits)
+    if former is None:
+        with planning(problem, json, strict):
+            made = run(problem, planner=planner, **effort)
+    else:
+        path = read_path(former, problem.cost.icr.longitudinal)
+        grid, problem = problem.map, replace(problem, goal=path.end)
+        before = replace(problem, start=path.start)
+        if former_map:
+            known = problem_of(replace(site, map_file=former_map), drive, here, here, *options)
+            before = replace(before, map=known.map)
+        with planning(before, json, strict):
+            made = replan(before, path, start=here, map=grid, **effort)
     told = driven(made, trajectory)
     if out:
         write_plans(out, problem, plan=made)
@@ -281,26 +316,34 @@ def plan(
     answer(document, [*text.plan(made, objective), *text.driven_path(made, told)], json=json)
 
 
+def _goes_with_former(
+    former: Path | None, former_map: Path | None, goal: str | None, planner: str
+) -> None:
+    """Refuse options that do not go together with a former path, or without one."""
+    if former is None:
+        if goal is None:
+            raise InvalidInputError("--goal is missing; give X,Y,YAW, or a path by --former")
+        if former_map is not None:
+            raise InvalidInputError("--former-map goes with --former; give both or neither")
+    elif goal is not None:
+        raise InvalidInputError("--former has its own goal, the end of the path; leave --goal out")
+    elif planner != "lattice":
+        raise InvalidInputError(f"--former needs the planner lattice, not {planner}")
+
+
 @app.command(
     epilog="Example: energyplan compare --map warehouse.yaml --model quadriga:empty:concrete "
     "--start 2,2,0 --goal 20,12,90deg --report routes.html"
 )
 def compare(
-    map_file: MapFile,
-    model: ModelName,
+    site: Site,
+    drive: Drive,
     start: Start,
     goal: Start,
-    surfaces: Surfaces = None,
-    heights: Heights = None,
-    battery: AtBattery = False,
-    clearance: Clearance = 0.0,
-    keepout: Keepout = None,
+    tolerance: Tolerance = None,
     planner: Planner = "lattice",
     objective: Objective = "energy",
-    time_limit: TimeLimit = 1.0,
-    effort: Effort = None,
-    speed: Speed = None,
-    tolerance: Tolerance = None,
+    limits: Effort = Effort(),
     out: OutPath = None,
     trajectory: OutTrajectory = None,
     plot: Plot = None,
@@ -317,12 +360,9 @@ def compare(
     from energyplan.studies.comparison import compare as run
 
     _writable(out)
-    problem = problem_of(
-        map_file, model, parse_pose(start), parse_pose(goal), surfaces, heights, battery, objective,
-        speed, tolerance, clearance, keepout,
-    )  # fmt: skip
+    problem = problem_of(site, drive, parse_pose(start), parse_pose(goal), objective, tolerance)
     with planning(problem, json, strict):
-        made = run(problem, planner=planner, time_limit=time_limit, effort=effort)
+        made = run(problem, planner=planner, time_limit=limits.time_limit, effort=limits.effort)
     best = driven(made.energy_optimal, trajectory)
     one = made.shortest.path == made.energy_optimal.path
     shortest = best if one else driven(made.shortest, None)
@@ -394,15 +434,11 @@ def check(
             help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."
         ),
     ],
-    model: ModelName,
+    drive: Drive,
     vehicle: Annotated[
         str | None,
         typer.Option(help="Vehicle whose motor limits count; else the model's."),
     ] = None,
-    surfaces: Surfaces = None,
-    heights: Heights = None,
-    battery: AtBattery = False,
-    speed: Speed = None,
     tolerance: Tolerance = None,
     json: Json = False,
     strict: Strict = False,
@@ -419,16 +455,16 @@ def check(
     from energyplan.path import Trajectory
     from energyplan.planning.driven import counted, drive_path
 
-    cost, ground, hills = ground_of(model, surfaces, heights, battery, speed, tolerance)
+    cost, ground, hills = ground_of(drive, tolerance)
     limits = read_vehicle(vehicle) if vehicle else None
     if limits is not None:
         warn_of_another_robot("the motor limits are", cost.vehicle, [limits])
     found = read_drive(trajectory, cost.icr.longitudinal)
     if not isinstance(found, Trajectory):
         if limits is not None:
-            cost = replace(cost, speed=asked_speed(speed, limits))
+            cost = replace(cost, speed=asked_speed(drive.speed, limits))
         found = drive_path(found, cost, ground, hills, vehicle=limits).trajectory
-    elif speed is not None or tolerance is not None:
+    elif drive.speed is not None or tolerance is not None:
         raise InvalidInputError(
             f"{trajectory} is a trajectory, whose speeds are given; leave --speed and --tolerance "
             "out, or give a path of x,y,yaw"

@@ -1,4 +1,4 @@
-"""The commands that learn while driving: watch, icr."""
+"""The command that learns while driving: watch."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from energyplan.cli.answers import answer, give_up_stdout, progress, say, warn, warn_of_presets
+from energyplan.cli.answers import give_up_stdout, say, warn_of_presets
 from energyplan.cli.app import app
-from energyplan.cli.inputs import read_logs
-from energyplan.cli.options import YAML, Columns, Json, Logs, OutModel, Topics, VehicleName, writes
-from energyplan.errors import InvalidInputError, NotIdentifiableError
+from energyplan.cli.inputs import number
+from energyplan.cli.options import YAML, Columns, Json, OutModel
+from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from energyplan.live import Event, Line, Restart
@@ -91,7 +91,7 @@ def watch(
             raise InvalidInputError(f"{name} goes with --mission; give both or neither")
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
     settings = Settings(
-        every, mission_every, near, None if soc is None else _number("--soc", "fraction", soc),
+        every, mission_every, near, None if soc is None else number("--soc", "fraction", soc),
         tuple(done or ()),
     )  # fmt: skip
     asked = read_mission(mission) if mission else None
@@ -114,19 +114,6 @@ def watch(
         give_up_stdout()  # whoever read has seen enough
         if out and learned is not None:
             write_model(learned, out)
-
-
-def _number(option: str, kind: str, text: str) -> float:
-    """Return the amount that an option gives."""
-    from energyplan.io.documents import UNITS, amount
-
-    try:
-        return float(amount(kind, text))
-    except ValueError:
-        units = ", ".join(UNITS[kind])
-        raise InvalidInputError(
-            f"{option} {text!r} is no number; write one, with its unit if it is not SI: {units}"
-        ) from None
 
 
 def _mapping(columns: str | None) -> Any:
@@ -186,63 +173,3 @@ def _until_interrupted(
         yield wanted()
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@app.command(epilog="Example: energyplan icr spin.csv --vehicle husky_a200 --spin --angle 3600deg")
-def icr(
-    logs: Logs,
-    vehicle: VehicleName,
-    spin: Annotated[
-        bool,
-        typer.Option(
-            "--spin", help="The log holds one spin on the spot (Morales et al. 2010, Eq. 5)."
-        ),
-    ] = False,
-    angle: Annotated[
-        str | None,
-        typer.Option(
-            help="With --spin: angle turned through, such as 3600deg. Default: from the log's yaw."
-        ),
-    ] = None,
-    angle_error: Annotated[
-        str, typer.Option(help="With --angle: its standard error, such as 5deg.")
-    ] = "0deg",
-    out: Annotated[
-        Path | None,
-        typer.Option(callback=writes(*YAML), help="Write the vehicle with them to this YAML file."),
-    ] = None,
-    columns: Columns = None,
-    topics: Topics = None,
-    json: Json = False,
-) -> None:
-    """Find a robot's tread ICRs.
-
-    They are the points about which the two sides turn on the ground; found from one spin on the
-    spot, or from any drives with yaw or pose.
-    """
-    from energyplan.fit import fit_icr, icr_from_spin
-    from energyplan.io.config import read_vehicle, write_vehicle
-    from energyplan.output import documents, text
-
-    robot = read_vehicle(vehicle)
-    if angle is not None and not spin:
-        raise InvalidInputError("--angle goes with --spin; give both or neither")
-    if spin and len(logs) > 1:
-        raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
-    drives = read_logs(logs, columns, topics, vehicle)
-    with progress("identifying"):
-        if spin:
-            turned = None if angle is None else _number("--angle", "angle", angle)
-            found = icr_from_spin(drives[0], turned, _number("--angle-error", "angle", angle_error))
-            with suppress(NotIdentifiableError):  # the log need not show the angle
-                shown = icr_from_spin(drives[0]).turning
-                if abs(shown - found.turning) > 0.1 * found.turning:
-                    warn(
-                        f"--angle {angle} is {found.turning:.4g} rad, but by its yaw the log turns "
-                        f"through {shown:.4g} rad in all, to either side; which is right?"
-                    )
-        else:
-            found = fit_icr(drives, robot.icr)
-    if out:
-        write_vehicle(robot.with_icr(found.icr), out)
-    answer(documents.icr(found), text.icr(found), json=json)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 import re
 import select
 import sys
 from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -134,6 +136,18 @@ Will the battery last?   energyplan mission MISSION.yaml
 
 All commands: energyplan --help. One command: energyplan plan --help."""
 
+RENAMED = {
+    "cost-table": "export table",
+    "fleet": "mission",
+    "icr": "identify --spin",
+    "log": "start LOG, without --out",
+    "nav2-lattice": "export lattice",
+    "plan-edges": "export graph",
+    "replan": "plan --former PATH",
+    "rmf": "examples/openrmf_config.py",
+}
+"""Commands of the last release, and what does their work now."""
+
 
 class _Group(TyperGroup):
     """A group of commands; without one it says what to do first, or lists those of a subgroup."""
@@ -142,7 +156,41 @@ class _Group(TyperGroup):
         if not args and not ctx.resilient_parsing:
             say(ctx.get_help() if ctx.parent else _FIRST_STEPS)
             raise typer.Exit(0)
+        if args and ctx.parent is None and (successor := RENAMED.get(args[0])):
+            raise InvalidInputError(f"{args[0]} is now {successor}; see energyplan --help")
         return super().parse_args(ctx, args)
+
+
+def grouped(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of its groups: parameters whose type is a dataclass of options."""
+    hints = get_type_hints(function, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    options: dict[str, inspect.Parameter] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if name not in groups:
+            annotation = hints[name]
+            options[name] = parameter.replace(
+                annotation=annotation, kind=inspect.Parameter.KEYWORD_ONLY
+            )
+            continue
+        annotations = get_type_hints(groups[name], include_extras=True)
+        for option in fields(groups[name]):
+            options[option.name] = inspect.Parameter(
+                option.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if option.default is MISSING else option.default,
+                annotation=annotations[option.name],
+            )
+
+    def command(**values: Any) -> Any:
+        for name, kind in groups.items():
+            values[name] = kind(**{option.name: values.pop(option.name) for option in fields(kind)})
+        return function(**values)
+
+    command.__name__, command.__doc__ = function.__name__, function.__doc__
+    command.__annotations__ = {name: option.annotation for name, option in options.items()}
+    command.__signature__ = inspect.Signature(list(options.values()))  # type: ignore[attr-defined]
+    return command
 
 
 CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
@@ -159,7 +207,13 @@ class App(typer.Typer):
         self, name: str | None = None, **options: Any
     ) -> Callable[[CommandFunction], CommandFunction]:
         """Register a command."""
-        return super().command(name, **{"cls": Command, **options})
+        register = super().command(name, **{"cls": Command, **options})
+
+        def decorate(function: CommandFunction) -> CommandFunction:
+            register(grouped(function))
+            return function
+
+        return decorate
 
 
 def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:

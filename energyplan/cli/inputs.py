@@ -104,3 +104,16 @@ def parse_pose(text: str) -> Pose:
             f"{parts[2].strip().removesuffix('deg')}deg, up to 360"
         )
     return pose
+
+
+def number(option: str, kind: str, text: str) -> float:
+    """Return the amount that an option gives."""
+    from energyplan.io.documents import UNITS, amount
+
+    try:
+        return float(amount(kind, text))
+    except ValueError:
+        units = ", ".join(UNITS[kind])
+        raise InvalidInputError(
+            f"{option} {text!r} is no number; write one, with its unit if it is not SI: {units}"
+        ) from None

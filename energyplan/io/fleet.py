@@ -44,6 +44,11 @@ class _Fleet(Checked, BaseModel):
     chargers: Annotated[list[_Charger], Field(max_length=100)] = []
 
 
+def names_robots(path: str | Path) -> bool:
+    """Return whether a mission's file is for several robots."""
+    return "robots" in load(path, MissionError).data
+
+
 @checked(MissionError)
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet from YAML.

@@ -100,7 +100,7 @@ def _check_kind(table: Table, needed: Sequence[str]) -> None:
     more = ", ".join(name for name in _TRAJECTORY if name in names and name not in _PATH)
     timed = f"; leave {more} out to have the poses timed" if set(_PATH) <= set(names) else ""
     if timed and not more:
-        timed = "; energyplan check and energyplan replan read a path, plan --trajectory times one"
+        timed = "; energyplan check and plan --former read a path, plan --trajectory times one"
     raise PathError(f"{what}; the columns are {', '.join(names[:20])}{timed}")
 
 

@@ -90,7 +90,7 @@ def adequacy(left: Adequacy) -> Document:
 
 
 def icr(found: ICREstimate) -> Document:
-    """Return what ``energyplan icr --json`` prints."""
+    """Return what ``energyplan identify --spin --json`` prints."""
     values = {key: getattr(found.icr, key) for key in ("left", "right", "longitudinal")}
     return {
         "icr": {**values, "std_error": plain(found.std_error)},
@@ -241,7 +241,7 @@ def mission(report: MissionReport, trajectories: bool = False) -> Document:
 
 
 def fleet(report: FleetReport) -> Document:
-    """Return what ``energyplan fleet --json`` prints."""
+    """Return what ``energyplan mission --json`` prints of several robots."""
     keys = (
         "name", "tasks", "route", "energy", "energy_upper", "soc_end", "soc_end_lower", "duration",
         "waiting",

@@ -172,7 +172,7 @@ def start(made: Start) -> list[str]:
 
 
 def icr(found: ICREstimate) -> list[str]:
-    """Return what ``energyplan icr`` prints."""
+    """Return what ``energyplan identify --spin`` prints."""
     lines = [
         f"{name}: {number(getattr(found.icr, name), 4)} m +- {number(error, 2)}"
         for name, error in found.std_error.items()
@@ -307,7 +307,7 @@ def mission(told: MissionReport) -> list[str]:
 
 
 def fleet(told: FleetReport) -> list[str]:
-    """Return what ``energyplan fleet`` prints."""
+    """Return what ``energyplan mission`` prints of several robots."""
     count = len(told.fleet.tasks)
     done = count - len(told.left_out)
     if told.proven:
@@ -337,7 +337,7 @@ def fleet(told: FleetReport) -> list[str]:
 
 
 def log(told: LogInfo) -> list[str]:
-    """Return what ``energyplan log info`` prints: a line for each column or topic, then notes."""
+    """Return what ``energyplan start`` prints without ``--out``: columns or topics, then notes."""
     wide = max((len(entry.name) for entry in told.entries), default=0)
     length = f"{told.duration:.1f} s" if told.duration > 0 else "of unknown length"
     lines = [f"{told.name}: {told.kind}, {length}"]

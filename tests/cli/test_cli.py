@@ -176,7 +176,7 @@ def test_wrong_usage_is_one_line(run: Run) -> None:
     assert_refused(run("plan"), "--map", "see energyplan plan --help")
     assert_refused(run("plna"), "Did you mean 'plan'", "see energyplan --help")
     assert_refused(
-        run("range", "--from", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid number in J"
+        run("range", "--start", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid number in J"
     )
     assert_refused(run("serve", ".", "--port=99999"), "'99999' should be less than")
 
@@ -193,7 +193,7 @@ def test_a_file_of_another_kind_or_a_folder_is_named(run: Run, tmp_path: Path) -
     grid, mission = bundled("office.yaml"), bundled("mission_warehouse.yaml")
     assert_refused(run("plan", "--map", grid, *asked, grid), "line 1", "seems to be a map")
     assert_refused(run("plan", "--map", mission, *asked, "warthog:grass"), "seems to be a mission")
-    assert_refused(run("fleet", mission), "robots", "seems to be a mission")
+    assert_refused(run("mission", mission, "--fail", "a@1"), "has robots")
     assert_refused(run("identify", "a.csv", "--vehicle", grid), "seems to be a map")
     assert_refused(run("plan", "--map", tmp_path, *asked, "warthog:grass"), "is a folder")
     assert_refused(run("identify", tmp_path, "--vehicle", "quadriga"), "is a folder")
@@ -224,7 +224,7 @@ def test_interrupting_is_clean(
 def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     asc, areas, picture = (tmp_path / f"range.{end}" for end in ("asc", "geojson", "svg"))
     options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--from", "1.2,2,90deg", "--json")  # fmt: skip
+               "--start", "1.2,2,90deg", "--json")  # fmt: skip
     result = run(*options, "--energy", 2000, "--reserve", 0.25, "--out", asc,
                  "--contours", areas, "--plot", picture)  # fmt: skip
     assert result.code == 0
@@ -245,20 +245,20 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
 
 def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Path) -> None:
     options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--from", "1.2,2,90deg", "--json")  # fmt: skip
+               "--start", "1.2,2,90deg", "--json")  # fmt: skip
     expected = run(*options, "--energy", 1500)
     sure = run(*options, "--energy", 1500, "--confidence", 0.95, "--coefficient-spread", 0.1)
     assert (expected.json["confidence"], sure.json["confidence"]) == (None, 0.95)
     assert sure.json["area"] < expected.json["area"]
-    charged = run(*options, "--pack", "quadriga", "--soc", 0.0015, "--reserve", 0.5)
+    charged = run(*options, "--battery", "quadriga", "--soc", 0.0015, "--reserve", 0.5)
     power = ep.EnergyCost(PowerModel.preset("quadriga:empty:concrete"), battery=True)
     usable = 0.5 * ep.Battery.preset("quadriga").usable_energy(most_power(power), 0.0015)
     told = charged.json["contours"]
     assert (told[-1]["energy"] if told else 0.0) == pytest.approx(float(usable))
     assert_refused(run(*options, "--confidence", 0.95), "coefficient spread")
-    assert_refused(run(*options, "--soc", 0.5), "--pack")
+    assert_refused(run(*options, "--soc", 0.5), "--battery")
     assert_refused(run(*options, "--coefficient-spread", 0.1), "--confidence")
-    assert_refused(run(*options, "--pack", "quadriga", "--energy", 5), "give one")
+    assert_refused(run(*options, "--battery", "quadriga", "--energy", 5), "give one")
 
 
 def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def test_one_step_from_map_to_trajectory_and_one_energy(
     run: Run, hall: list[object], tmp_path: Path
 ) -> None:
     model = tmp_path / "own.yaml"
-    for battery in ([], ["--battery"]):
+    for battery in ([], ["--at-battery"]):
         told = run("plan", *hall, "--speed", 0.7, "--trajectory", tmp_path / "t.csv",
                    "--out", tmp_path / "p.csv", *battery)  # fmt: skip
         made = read_trajectory(tmp_path / "t.csv")
@@ -97,7 +97,7 @@ def test_a_mission_leg_takes_what_the_plan_says(
     for leg in sorted(legs.iterdir()):
         made = read_trajectory(leg)
         alone = fine_energy(made, LAW.vehicle, SIZE, battery=True)
-        checked = run("check", leg, "--model", tmp_path / "own.yaml", "--battery")
+        checked = run("check", leg, "--model", tmp_path / "own.yaml", "--at-battery")
         assert checked["feasible"]
         assert checked["energy"] == pytest.approx(alone, rel=1e-5)
         total += alone
@@ -122,7 +122,7 @@ def test_the_usual_speed_is_the_default_and_the_cheapest_a_choice(
 def test_a_range_is_priced_at_the_speed_that_plans_are(
     run: Run, hall: list[object], tmp_path: Path
 ) -> None:
-    base = [*hall[:4], "--from", "1.5,2,0"]
+    base = [*hall[:4], "--start", "1.5,2,0"]
     farthest = {}
     for speed in (None, "1.2", "cheapest", "0.4"):
         asked = [] if speed is None else ["--speed", speed]

@@ -1,4 +1,4 @@
-"""What a log holds: `describe_log` and ``energyplan log info``."""
+"""What a log holds: `describe_log` and ``energyplan start``."""
 
 from __future__ import annotations
 

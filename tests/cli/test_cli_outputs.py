@@ -296,7 +296,7 @@ def test_an_angle_that_the_yaw_contradicts_is_told(
     spin = simulate.drive(MODEL, "spin")
     write_log(spin, Path("spin.csv"))
     angle = turns * float(np.abs(np.diff(spin.channel("yaw"))).sum())
-    icr = ("icr", "spin.csv", "--vehicle", "robot.yaml", "--spin")
+    icr = ("identify", "spin.csv", "--vehicle", "robot.yaml", "--spin")
     code, _, error = run(capsys, *icr, "--angle", f"{angle}")
     assert code == 0
     assert ("which is right?" in error) == told
@@ -329,7 +329,7 @@ def test_what_belongs_to_another_robot_is_told(
                 bundled("office_surfaces.geojson"),
                 "--model",
                 "model.yaml",
-                "--from",
+                "--start",
                 "1.2,2,0",
             ),
             "these are surfaces and no obstacles",
@@ -372,12 +372,12 @@ def test_a_drive_by_another_name_is_not_held_out(
     "arguments",
     [
         ("start", "a.csv", "--track", "nan", "--out", "new.yaml"),
-        ("range", "--map", "office.yaml", "--model", "model.yaml", "--from", "1.2,2,90deg",
+        ("range", "--map", "office.yaml", "--model", "model.yaml", "--start", "1.2,2,90deg",
          "--energy", "5000", "--coefficient-spread", "-1"),
         ("watch", "a.csv", "--once", "--mission", "round.yaml", "--vehicle", "robot.yaml", "--done",
          "zz"),
         ("design", "--model", "model.yaml", "--duration", "1e9"),
-        ("nav2-lattice", "--model", "model.yaml", "--out", "l.json", "--resolution", "1e-9"),
+        ("export", "lattice", "--model", "model.yaml", "--out", "l.json", "--resolution", "1e-9"),
         ("mission", "round.yaml", "--soc", "5 %"),
         ("mission", "round.yaml", "--reserve", "50 %"),
     ],
@@ -399,9 +399,19 @@ def test_without_a_command_it_says_what_to_do_first(capsys: pytest.CaptureFixtur
     assert len(out.splitlines()) <= 20
     named = set(re.findall(r"energyplan (\w+)", out))
     assert {"demo", "start", "diagnose", "plan", "mission"} == named
-    code, out, error = run(capsys, "log")
+    code, out, error = run(capsys, "export")
     assert (code, error) == (0, "")
-    assert "info" in out
+    assert "lattice" in out
+
+
+def test_a_command_of_the_last_release_names_its_successor(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for former, now in (("icr", "identify --spin"), ("fleet", "mission"), ("log", "start")):
+        code, out, error = run(capsys, former, "a.csv", "--vehicle", "quadriga")
+        assert (code, out) == (2, "")
+        assert f"{former} is now {now}" in error
+        assert len(error.splitlines()) == 1
 
 
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Commands about routes that others keep: replan, plan-edges, nav2-lattice."""
+"""Commands about routes that others keep: plan --former, export graph, export lattice."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def test_a_path_is_kept_while_it_is_free_and_bypassed_where_it_is_not(
                        "--effort", 3000, "--out", path)  # fmt: skip
     assert code == 0
     whole = json.loads(out)["energy"]
-    code, out, _ = run("replan", path, "--map", hall, *asked, "--from", "3,4,0", "--effort", 3000)
+    code, out, _ = run(
+        "plan", "--former", path, "--map", hall, *asked, "--start", "3,4,0", "--effort", 3000
+    )
     assert code == 0
     rest = json.loads(out)
     # eight of ten metres are left
@@ -51,17 +53,20 @@ def test_a_path_is_kept_while_it_is_free_and_bypassed_where_it_is_not(
     cells[36:44, 60:64] = True
     write_map(OccupancyGrid(cells, 0.1), tmp_path / "now.yaml")
     after = tmp_path / "after.csv"
-    code, out, err = run("replan", path, "--map", tmp_path / "now.yaml", "--former-map", hall,
-                         *asked, "--from", "3,4,0", "--effort", 3000, "--out", after)  # fmt: skip
+    code, out, err = run("plan", "--former", path, "--map", tmp_path / "now.yaml",
+                         "--former-map", hall, *asked, "--start", "3,4,0",
+                         "--effort", 3000, "--out", after)  # fmt: skip
     assert code == 0, err
     assert json.loads(out)["energy"] > rest["energy"] + 1
     assert np.ptp(np.genfromtxt(after, delimiter=",", names=True)["y"]) > 0.4
     cells[:, 60:64] = True
     write_map(OccupancyGrid(cells, 0.1), tmp_path / "shut.yaml")
-    code, out, _ = run("replan", path, "--map", tmp_path / "shut.yaml", *asked, "--from", "3,4,0",
-                       "--effort", 3000, "--strict")  # fmt: skip
+    code, out, _ = run("plan", "--former", path, "--map", tmp_path / "shut.yaml", *asked,
+                       "--start", "3,4,0", "--effort", 3000, "--strict")  # fmt: skip
     assert code == 3
-    code, _, err = run("replan", tmp_path / "none.csv", "--map", hall, *asked, "--from", "3,4,0")
+    code, _, err = run(
+        "plan", "--former", tmp_path / "none.csv", "--map", hall, *asked, "--start", "3,4,0"
+    )
     assert code == 2
     assert "none.csv" in err.splitlines()[-1]
 
@@ -85,8 +90,8 @@ def test_the_edges_of_a_route_graph_are_priced_and_the_closed_ones_named(
     ]  # fmt: skip
     graph, out = tmp_path / "graph.geojson", tmp_path / "priced.geojson"
     graph.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-    code, told, err = run("plan-edges", graph, "--map", tmp_path / "hall.yaml", "--model", MODEL,
-                          "--effort", 1000, "--out", out, "--json")  # fmt: skip
+    code, told, err = run("export", "graph", graph, "--map", tmp_path / "hall.yaml",
+                          "--model", MODEL, "--effort", 1000, "--out", out, "--json")  # fmt: skip
     assert code == 0, err
     told = json.loads(told)
     (edge,) = told["edges"]
@@ -97,14 +102,14 @@ def test_the_edges_of_a_route_graph_are_priced_and_the_closed_ones_named(
     (priced,) = read_route_graph(out).edges(data=True)
     assert priced[2]["cost"] == pytest.approx(edge["energy"])
     graph.write_text(json.dumps({"type": "FeatureCollection", "features": []}))
-    code, _, err = run("plan-edges", graph, "--map", tmp_path / "hall.yaml", "--model", MODEL)
+    code, _, err = run("export", "graph", graph, "--map", tmp_path / "hall.yaml", "--model", MODEL)
     assert code == 2
     assert "graph.geojson" in err
 
 
 def test_primitives_and_penalties_are_written_for_nav2(run: Run, tmp_path: Path) -> None:
     out, parameters = tmp_path / "lattice.json", tmp_path / "planner.yaml"
-    code, told, err = run("nav2-lattice", "--model", MODEL, "--resolution", 0.1, "--out", out,
+    code, told, err = run("export", "lattice", "--model", MODEL, "--resolution", 0.1, "--out", out,
                           "--penalties", parameters, "--json")  # fmt: skip
     assert code == 0, err
     told = json.loads(told)
@@ -112,14 +117,14 @@ def test_primitives_and_penalties_are_written_for_nav2(run: Run, tmp_path: Path)
     kept = yaml.safe_load(parameters.read_text())["GridBased"]
     assert kept["lattice_filepath"] == str(out)
     assert kept["rotation_penalty"] == pytest.approx(told["penalties"]["rotation"], abs=1e-4)
-    code, _, err = run("nav2-lattice", "--model", MODEL, "--resolution", 0, "--out", out)
+    code, _, err = run("export", "lattice", "--model", MODEL, "--resolution", 0, "--out", out)
     assert code == 2
     assert "resolution" in err
 
 
 @pytest.mark.parametrize(
     "command",
-    [("nav2-lattice", "--resolution", 0.1, "--out"), ("cost-table", "--out")],
+    [("export", "lattice", "--resolution", 0.1, "--out"), ("export", "table", "--out")],
     ids=lambda c: c[0],
 )
 def test_what_knows_no_map_says_that_it_leaves_a_slope_out(
@@ -128,7 +133,7 @@ def test_what_knows_no_map_says_that_it_leaves_a_slope_out(
     level = PowerModel.preset(MODEL)
     tilted = write_model(level.with_term(term("tilt_x"), 20.0), tmp_path / "tilted.yaml")
     plain = write_model(level, tmp_path / "level.yaml")
-    out = {"nav2-lattice": "out.json", "cost-table": "out.csv"}[str(command[0])]
+    out = {"lattice": "out.json", "table": "out.csv"}[str(command[1])]
     code, _, err = run(*command, tmp_path / out, "--model", tilted)
     assert code == 0, err
     assert "left out" in err

@@ -210,7 +210,7 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     write_map(OccupancyGrid(np.zeros((65, 115), bool), 0.2), tmp_path / "hall.yaml")
     file = tmp_path / "fleet.yaml"
     file.write_text(text)
-    words = ["energyplan", "fleet", str(file), "--json", "--fail", "alpha@100"]
+    words = ["energyplan", "mission", str(file), "--json", "--fail", "alpha@100"]
     monkeypatch.setattr("sys.argv", words)
     with pytest.raises(SystemExit) as left:
         cli.main()

@@ -74,24 +74,25 @@ ENDS = "--start 1.2,2,90deg --goal 3.9,2,90deg --effort 5000"
 
 ANSWERS = {
     "start": Answer("start drive.csv --track 0.5 --wheelbase 0.475 --mass 147 --out robot.yaml"),
-    "log-info": Answer("log info drive.csv"),
+    "log-info": Answer("start drive.csv"),
     "identify": Answer("identify drive.csv --vehicle quadriga:full"),
     "identify-windows": Answer("identify drive.csv --vehicle quadriga:full --method windows"),
-    "icr": Answer("icr drive.csv --vehicle quadriga:full"),
-    "icr-spin": Answer("icr spin.csv --vehicle quadriga:full --spin"),
+    "icr-spin": Answer("identify --spin spin.csv --vehicle quadriga:full"),
     "diagnose": Answer("diagnose hidden.csv --holdout unseen.csv --vehicle quadriga:full"),
     "plan": Answer(f"plan {OFFICE} {ENDS}", ROUTE),
     "plan-surfaces": Answer(
-        f"plan {WAREHOUSE} --battery --start 2,2,0 --goal 20,12,90deg --effort 20000", ROUTE
+        f"plan {WAREHOUSE} --at-battery --start 2,2,0 --goal 20,12,90deg --effort 20000", ROUTE
     ),
     "compare": Answer(f"compare {OFFICE} {ENDS}", ROUTE),
-    "replan-kept": Answer(f"replan free.csv {OFFICE} --from 1.2,3,90deg --effort 3000", ROUTE),
-    "replan": Answer(f"replan closed.csv {OFFICE} --from 1.2,2,0 --effort 5000", ROUTE),
+    "replan-kept": Answer(
+        f"plan --former free.csv {OFFICE} --start 1.2,3,90deg --effort 3000", ROUTE
+    ),
+    "replan": Answer(f"plan --former closed.csv {OFFICE} --start 1.2,2,0 --effort 5000", ROUTE),
     "check": Answer(f"check trajectory.csv {MODEL}"),
     "check-fast": Answer(f"check fast.csv {MODEL}"),
     "check-path": Answer(f"check free.csv {MODEL}"),
     "range": Answer(
-        f"range {OFFICE} --from 1.23,2.02,90deg --energy 3000 --return --confidence 0.95 "
+        f"range {OFFICE} --start 1.23,2.02,90deg --energy 3000 --return --confidence 0.95 "
         "--coefficient-spread 0.05",
         (*ROUTE, Tolerance(0.05, "whole cells are counted, and rounding decides ties", "*area")),
     ),
@@ -101,7 +102,7 @@ ANSWERS = {
         "--task 'look=3.9,2,90deg,5 min,30 W' --effort 2000",
         ROUTE,
     ),
-    "mission-robots": Answer("fleet fleet_warehouse.yaml --effort 1000", ROUTE),
+    "mission-robots": Answer("mission fleet_warehouse.yaml --effort 1000", ROUTE),
     "watch": Answer("watch drive.csv --vehicle quadriga:full --once"),
     "drive": Answer(
         f"drive trajectory.csv {MODEL} --effect viscous_loss=60 --seed 1 --out log.csv"
@@ -110,9 +111,9 @@ ANSWERS = {
         f"close-the-loop {OFFICE} {ENDS} --effect viscous_loss=60 --rounds 2 --survey 20", ROUTE
     ),
     "design": Answer("design --model found.yaml --screen --duration 20"),
-    "export-graph": Answer(f"plan-edges graph.geojson {OFFICE} --effort 1000", ROUTE),
-    "export-lattice": Answer(f"nav2-lattice {MODEL} --resolution 0.1 --out lattice.json"),
-    "export-table": Answer(f"cost-table {MODEL} --out cost.csv"),
+    "export-graph": Answer(f"export graph graph.geojson {OFFICE} --effort 1000", ROUTE),
+    "export-lattice": Answer(f"export lattice {MODEL} --resolution 0.1 --out lattice.json"),
+    "export-table": Answer(f"export table {MODEL} --out cost.csv"),
     "demo": Answer("demo"),
 }
 

@@ -419,7 +419,7 @@ def test_the_command_ends_well_with_ctrl_c_and_with_a_closed_pipe(tmp_path: Path
         (["watch", "-", "--model", "a", "--vehicle", "b"], "give one of them"),
         (["watch", "-", "--vehicle", "quadriga", "--soc", "80 %"], "--soc goes with --mission"),
         (["watch", "none.csv", "--vehicle", "quadriga", "--once"], "none.csv cannot be read"),
-        (["icr", "none.csv", "--vehicle", "quadriga", "--angle", "9rad"], "goes with --spin"),
+        (["identify", "none.csv", "--vehicle", "quadriga", "--angle", "9rad"], "goes with --spin"),
     ],
 )
 def test_what_cannot_be_is_one_line(
@@ -448,7 +448,7 @@ def test_the_icr_of_a_spin_by_its_angle(
     log = DriveLog({"t": t, "v_left": -speed, "v_right": speed, "power": 0 * t})
     file = write_log(log, tmp_path / "spin.csv")
     out = tmp_path / "vehicle.yaml"
-    words = ["icr", str(file), "--vehicle", "quadriga", "--spin", "--angle", "720deg"]
+    words = ["identify", str(file), "--vehicle", "quadriga", "--spin", "--angle", "720deg"]
     monkeypatch.setattr("sys.argv", ["energyplan", *words, "--out", str(out), "--json"])
     with pytest.raises(SystemExit) as left:
         cli.main()

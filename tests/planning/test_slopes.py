@@ -534,7 +534,7 @@ def test_the_command_line_plans_on_slopes(folder, capsys, monkeypatch):
     assert told["breakdown"]["grade"] == pytest.approx(WEIGHT * 0.55, rel=1e-3)
     assert (folder / "route.png").stat().st_size > 10_000
     code, out, _ = run(
-        capsys, monkeypatch, "compare", *asked, "--battery", "--report", folder / "told.html"
+        capsys, monkeypatch, "compare", *asked, "--at-battery", "--report", folder / "told.html"
     )
     assert code == 0
     assert "J of it for the height" in out
