@@ -81,7 +81,7 @@ def start(
         typer.Option(help="Columns that you know, such as v_left=velL; the others are guessed."),
     ] = None,
     accept: Annotated[
-        bool, typer.Option("--accept", help="Write the project although a check is WRONG.")
+        bool, typer.Option("--accept", help="Accept a log that contradicts itself or the robot.")
     ] = False,
     json: Json = False,
     strict: Strict = False,

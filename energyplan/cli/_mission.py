@@ -229,7 +229,7 @@ def mission(
         if clash:
             raise InvalidInputError(
                 f"the mission's file already sets what {', '.join(clash)} would; drop "
-                f"{'it' if len(clash) == 1 else 'them'}, or the file"
+                f"{'it' if len(clash) == 1 else 'them'}, or give no file"
             )
         if names_robots(file):
             if report or trajectories or confidence is not None or spread is not None:
