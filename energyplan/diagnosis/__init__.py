@@ -14,7 +14,7 @@ import numpy as np
 
 from energyplan.diagnosis import advice as _advice
 from energyplan.diagnosis.adequacy import energies, explains, holds, with_contacts
-from energyplan.diagnosis.averaging import FEWEST_RUNS, averaged, note_of
+from energyplan.diagnosis.averaging import averaged, note_of
 from energyplan.diagnosis.change_points import change_time
 from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
@@ -49,7 +49,7 @@ from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
 from energyplan.logs.clean import set_aside_by_drive
 from energyplan.path import FloatArray
-from energyplan.power import PowerModel, Residual
+from energyplan.power import PowerModel, Residual, Term
 from energyplan.power.effects import Effect, catalogue
 from energyplan.vehicle import Vehicle
 
@@ -271,8 +271,7 @@ class _Case:
         before, best, parts = self.before, searched.best, searched.best.parts
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
-        alone = not choose or len(self.logs[0]) < FEWEST_RUNS
-        keep = alone and self.identified and self.mass_centre is None
+        keep = self.identified and self.mass_centre is None
         plain = self.paper if keep else None
         fighting = next((one for one in self.entries if one.acts == "hold"), None)
 
@@ -298,7 +297,10 @@ class _Case:
             outcome = test(tuple(part for part in outcome.effects if part is not least))
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality, present = outcome.fitted, outcome.quality, outcome.present
-        weighed = averaged(best.problem, fitted, parts, len(self.entries)) if choose else None
+        weighed = (
+            averaged(best.problem, fitted, parts, len(self.entries), self._common(parts))
+            if choose else None
+        )  # fmt: skip
         told = fitted if weighed is None else weighed.fitted
         average = None if weighed is None else weighed.average
         after = [predict(told.model, parts, drive) for drive in self.held]
@@ -384,6 +386,12 @@ class _Case:
             after_undated=undated,
             average=average,
         )
+
+    def _common(self, parts: Sequence[Part]) -> list[Term]:
+        """Terms that many robots have; of one that was found, with what was found."""
+        found = {term.name: term for part in parts for term in part.terms}
+        terms = (term for entry in self.entries if entry.common for term in entry.terms)
+        return [found.get(term.name, term) for term in terms]
 
     def _carry(self, part: Part) -> bool:
         """Tell whether all drives that are to be predicted have the channels of a part."""

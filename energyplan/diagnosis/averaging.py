@@ -1,19 +1,22 @@
-"""Predictions of runs to come: the explanation, averaged with the paper's two terms (private).
+"""Predictions of runs to come: two terms, small extensions and the explanation, averaged.
 
 Runs of one robot on one ground differ as a whole, and few runs, or short ones, say little about
 which effects the next one will show. An average of models that err differently is then better than
 the best of them, and better than a choice among them (Timmermann 2006, "Forecast combinations").
-Each model counts by how it predicts what it was not fitted to: whole runs, and where there are few
+Each model counts by the energies of what it was not fitted to: whole runs, and where there are few
 of them, kinds of motion too. Blocks of time would not do there: neighbouring ones are alike, and an
 explanation that fits them may be wrong about the first motion that they do not have.
+
+The two terms, and one or two further terms that many robots have, are fitted by least absolute
+errors of means over half a second, as `identify` fits samples, and fitted again without each run.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, compress
+from itertools import combinations, compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +26,10 @@ from energyplan.diagnosis.joint_fit import FinalFit
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.result import Average
 from energyplan.fit.drives.design import Design
-from energyplan.fit.drives.windows import SCALES
 from energyplan.fit.least_squares import left_out, weighted
 from energyplan.fit.problem import FLOOR, PAPER, Problem
 from energyplan.fit.run_spread import RunSpread
+from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
 from energyplan.power.effect_terms import WHEEL_FIGHT
@@ -35,10 +38,14 @@ FEWEST_RUNS = 4
 """Runs from which on leaving one out alone tells how runs to come are predicted."""
 
 _ROUNDS = 40
+_AGAIN = 12  # rounds of a fit that begins at that to all runs
 _CORE = 0.005  # relative error below which squares count, so that the fit is smooth
 _LEAST = 0.1  # of the usual power, that a run counts as drawing at least
 _PART = 1.0  # of the usual power, that a kind of motion counts as: it is but a part of a run
 _NEGLIGIBLE = 0.02  # weight that is not worth a further term
+_TOGETHER = 2  # most terms of an extension
+_RATHER = 0.5  # weight from which on an explanation is more than a suspicion
+_SHOWN = 0.05  # weight from which on an extension is named
 _SLOW = 1  # scale at which an explanation is told to leave nothing: two seconds
 _NOTHING = (USUAL_RUN_SPREAD / FLOOR) ** 2  # of the floor, less than which runs differ by anyway
 _MOTIONS = 8  # most kinds of motion
@@ -53,7 +60,7 @@ class Averaged:
     """A model for runs to come."""
 
     fitted: FinalFit  # the average
-    average: Average | None  # weight of the explanation, and why
+    average: Average | None  # weights, and why
 
 
 @dataclass(frozen=True)
@@ -82,74 +89,225 @@ class _Windows:
         )
         return np.asarray(np.maximum(energy, least * energy.sum() / seconds.sum() * seconds))
 
+    def misses(
+        self, fold: NDArray[np.intp], columns: FloatArray, power: FloatArray, values: FloatArray
+    ) -> FloatArray:
+        """Relative error of each fold's energy, by the coefficients without it, (folds, k)."""
+        lost = np.bincount(fold, self.time * (np.sum(columns * values[fold], axis=1) - power))
+        return np.asarray(lost / self.energies(fold, _LEAST if fold is self.run else _PART))
+
 
 @dataclass(frozen=True)
-class _Rows:
-    """Means of the paper's columns, and of the power that inertia leaves them."""
+class _Member:
+    """A model of the average: terms, and their coefficients with all runs and without each."""
 
-    columns: FloatArray  # (w, 2): columns of the paper's terms
-    power: FloatArray  # (w,): power that they are to explain [W]
-    block: NDArray[np.intp]  # (w,): block of each
-    given: FloatArray  # coefficients are the given ones and any combination of the free ones
-    free: FloatArray  # coefficients are the given ones and any combination of the free ones
+    names: tuple[str, ...]  # of what it has beside the two terms
+    terms: tuple[Term, ...]
+    values: FloatArray  # (k,): coefficients
+    covariance: FloatArray
+    errors: FloatArray  # (folds,): relative errors of energies
+    handicap: float  # taken from the logarithm of its odds
+    explains: bool = False  # whether it is the explanation
+
+
+@dataclass(frozen=True)
+class _Explanation:
+    """The explanation, and how it is fitted again without some of the blocks."""
+
+    fitted: FinalFit
+    names: tuple[str, ...]
+    handicap: float
+    whole: Design  # as it predicts runs to come
+    grams: FloatArray  # of what it is fitted to, by block
+    own: NDArray[np.bool_]  # which of its terms are fitted
+    leaves_nothing: bool
 
     @classmethod
-    def of(cls, design: Design, usual: FloatArray, scale: int, fitted: FinalFit) -> _Rows:
-        """Take the windows of a scale; the columns after the paper's have given coefficients.
+    def of(
+        cls, problem: Problem, plain: Problem, fitted: FinalFit, parts: Sequence[Part],
+        handicap: float,
+    ) -> _Explanation:  # fmt: skip
+        """Prepare an explanation."""
+        # What contacts hold on straights was found beside the fit, and stays as it is.
+        own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.terms])
+        start = dict(zip([t.name for t in fitted.terms], fitted.model.coefficients.tolist(),
+                         strict=True))  # fmt: skip
+        whole = plain.design(fitted.terms, None, start, rounds=1)
+        design = problem.design(list(compress(fitted.terms, own)), None, start, rounds=1)
+        errors = problem.reference(design)
+        nothing = bool(errors[_SLOW] <= _NOTHING * problem.floor[_SLOW])
+        names = tuple(part.effect.name for part in parts)
+        return cls(fitted, names, handicap, whole, weighted(design, errors), own, nothing)
 
-        A friction that the drives leave open is the explanation's; where they leave both open, the
-        explanation's are both in one proportion.
+    @property
+    def lossy(self) -> bool:
+        """Whether coefficients multiply each other."""
+        return any(term.kind == "loss" for term in self.fitted.terms)
+
+    def member(self, windows: _Windows, fold: NDArray[np.intp]) -> _Member:
+        """Fit it without each fold."""
+        last = np.searchsorted(windows.block, np.arange(len(self.grams)), side="right") - 1
+        refits = left_out(self.grams.sum(axis=0), self.grams, fold[np.maximum(last, 0)])
+        refits = refits[np.minimum(np.arange(int(fold.max()) + 1), len(refits) - 1)]
+        model, columns = self.fitted.model, self.whole.longest[0][:, :-1]
+        values = np.array(model.coefficients)
+        power = self.whole.longest[0][:, -1] - columns[:, ~self.own] @ values[~self.own]
+        errors = windows.misses(fold, columns[:, self.own], power, refits)
+        covariance = np.zeros((len(values),) * 2) if model.covariance is None else model.covariance
+        return _Member(
+            self.names, model.terms, values, covariance, errors, self.handicap, explains=True
+        )
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Window means of the two terms and their extensions."""
+
+    problem: Problem
+    windows: _Windows
+    terms: tuple[Term, ...]
+    design: Design
+    fitted: FinalFit
+    given: dict[str, float]  # terms that every member has, and their coefficients
+    ratio: FloatArray | None  # of the two terms, where drives leave both open
+
+    @classmethod
+    def of(
+        cls, plain: Problem, explanation: _Explanation, parts: Sequence[Part],
+        common: Sequence[Term],
+    ) -> _Table:  # fmt: skip
+        """Average the columns of drives over windows.
+
+        Inertia, which comes to nothing over a run, is in the two terms of few runs, too. A friction
+        that the drives leave open is the explanation's; where they leave both open, both are in its
+        proportion.
         """
-        scale %= len(SCALES)
-        table, first = design.rows[scale], len(PAPER)
-        values = np.array([fitted.model.coefficient(term.name) for term in PAPER])
-        open_ = np.array([term.name in fitted.assumed for term in PAPER])
-        given = np.where(open_ & ~open_.all(), values, 0.0)
-        free = values[:, None] if open_.all() else np.eye(first)[:, ~open_]
-        power = table[:, -1] - table[:, first:-1] @ usual
-        return cls(table[:, :first], power, design.blocks[scale], given, free)
+        fitted = explanation.fitted
+        values = {term.name: fitted.model.coefficient(term.name) for term in fitted.terms}
+        usual = () if common else tuple(
+            term for part in parts for term in part.terms
+            if part.effect.usual and not part.effect.grid and not part.effect.channels
+            and term.kind != "loss"
+        )  # fmt: skip
+        open_ = [term.name for term in PAPER if term.name in fitted.assumed]
+        both = len(open_) == len(PAPER)
+        given = {term.name: values[term.name] for term in usual}
+        given |= {} if both else {name: values[name] for name in open_}
+        terms = (*PAPER, *usual, *common)
+        return cls(
+            plain, _Windows.of(plain, explanation.whole), terms, plain.design(terms), fitted, given,
+            np.array([values[term.name] for term in PAPER]) if both else None,
+        )  # fmt: skip
 
-    def fit(self, kept: NDArray[np.bool_]) -> FloatArray:
-        """Fit by least absolute errors some of the rows (iteratively reweighted)."""
-        X, y = self.columns[kept] @ self.free, (self.power - self.columns @ self.given)[kept]
+    def member(self, extension: Sequence[Term], fold: NDArray[np.intp]) -> _Member:
+        """Fit the two terms and some more with all runs, and without each fold."""
+        beside = [term for term in self.terms if term.name in self.given and term not in PAPER]
+        terms = (*PAPER, *beside, *extension)
+        at = [self.terms.index(term) for term in terms]
+        short, long = (table[:, [*at, -1]] for table in (self.design.rows[0], self.design.rows[-1]))
+        fixed = np.array([self.given.get(term.name, np.nan) for term in terms])
+        values = self._fit(short, fixed, terms, None)
+        block = self.design.blocks[0]
+        last = np.searchsorted(self.windows.block, np.arange(int(block.max()) + 1), "right") - 1
+        of_row = fold[np.maximum(last, 0)][block]
+        count = int(fold.max()) + 1
+        refits = np.array(
+            [self._fit(short[of_row != k], fixed, terms, values) for k in range(count)]
+        )
+        errors = self.windows.misses(fold, long[:, :-1], long[:, -1], refits)
+        moved = refits - values
+        covariance = (count - 1) / count * moved.T @ moved
+        if self.fitted.model.covariance is not None:  # what no drive tells, leaving one out doesn't
+            names = [term.name for term in self.fitted.terms]
+            open_ = [k for k, term in enumerate(terms) if term.name in self.fitted.assumed]
+            theirs = [names.index(terms[k].name) for k in open_]
+            covariance[np.ix_(open_, open_)] += self.fitted.model.covariance[np.ix_(theirs, theirs)]
+        names = [term.name for term in extension]
+        return _Member(tuple(names), terms, values, covariance, errors, float(len(extension)))
+
+    def _fit(
+        self, table: FloatArray, fixed: FloatArray, terms: Sequence[Term], start: FloatArray | None
+    ) -> FloatArray:
+        ends = np.array([term.bounds for term in terms])
+        if self.ratio is None:
+            return least_absolute(table, fixed, ends, start)
+        first = len(PAPER)
+        joined = np.column_stack([table[:, :first] @ self.ratio, table[:, first:]])
+        share = None if start is None else np.append(start[0] / self.ratio[0], start[first:])
+        found = least_absolute(
+            joined, fixed[first - 1 :], np.vstack([[0.0, np.inf], ends[first:]]), share
+        )
+        return np.append(found[0] * self.ratio, found[1:])
+
+    def extensions(self, fold: NDArray[np.intp]) -> list[_Member]:
+        """Fit all sets of one or two further terms that resist whatever the robot does."""
+        common = [term for term in self.terms if term not in PAPER and term.name not in self.given]
+        made = (
+            self.member(some, fold)
+            for size in range(1, _TOGETHER + 1) for some in combinations(common, size)
+        )  # fmt: skip
+        return [one for one in made if self._resists(one)]
+
+    def _resists(self, one: _Member) -> bool:
+        """Tell whether steady motion on level ground always draws power."""
+        motions = [drive.motion for drive in self.problem.drives]
+        v = max(float(np.max(np.abs(motion.v))) for motion in motions)
+        w = max(float(np.max(np.abs(motion.omega))) for motion in motions)
+        ahead, turn = np.meshgrid(np.linspace(0.0, 2.0 * v, 9), np.linspace(0.0, 2.0 * w, 9))
+        still = {name: 0.0 for term in one.terms for name in term.channels}
+        vehicle = self.problem.vehicle
+        motion = Motion.from_twist(ahead.ravel(), turn.ravel(), vehicle.icr, **still)
+        return bool(np.all(PowerModel(vehicle, one.terms, one.values).power(motion) >= 0.0))
+
+
+def least_absolute(
+    table: FloatArray, fixed: FloatArray, ends: FloatArray, start: FloatArray | None = None
+) -> FloatArray:
+    """Fit by least absolute errors, within ends (iteratively reweighted least squares)."""
+    values = np.array(fixed)
+    while True:
+        free = np.isnan(values)
+        found = np.where(free, 0.0, values)
+        if not free.any():
+            return found
+        X, y = table[:, :-1][:, free], table[:, -1] - table[:, :-1] @ found
         level = float(np.mean(np.abs(y))) or 1.0
         size = np.sqrt(np.mean(X**2, axis=0))
         scale = np.divide(level, size, out=np.zeros_like(size), where=size > 0)
-        Z, pull = X * scale, np.full(len(y), 1.0 / len(y))
-        found = np.zeros(Z.shape[1])
-        for _ in range(_ROUNDS):
-            normal = Z.T @ (Z * pull[:, None]) + 1e-8 * level**2 * np.eye(Z.shape[1])
-            found = np.linalg.solve(normal, Z.T @ (pull * y))
-            pull = 1.0 / len(y) / np.maximum(np.abs(y - Z @ found) / level, _CORE)
-        return np.asarray(self.given + self.free @ (found * scale))
+        Z, here = X * scale, np.zeros(X.shape[1])
+        pull = np.ones(len(y))
+        if start is not None:
+            pull = 1.0 / np.maximum(np.abs(y - X @ start[free]) / level, _CORE)
+        for _ in range(_ROUNDS if start is None else _AGAIN):
+            share = pull / len(y)
+            normal = Z.T @ (Z * share[:, None]) + 1e-8 * level**2 * np.eye(Z.shape[1])
+            here = np.linalg.solve(normal, Z.T @ (share * y))
+            pull = 1.0 / np.maximum(np.abs(y - Z @ here) / level, _CORE)
+        found[free] = here * scale
+        within = np.clip(found, *ends.T)
+        beyond = free & (np.abs(within - found) > 0.0)
+        if not beyond.any():
+            return found
+        values[beyond] = within[beyond]
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """Two models on what was left out, fold by fold, neither of them fitted to it."""
+def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArray:
+    """Return the weights of models: pseudo Bayesian model averaging, bootstrapped.
 
-    what: str  # what a fold is
-    explanation: FloatArray  # (folds,): relative errors of the energies
-    paper: FloatArray  # (folds,): relative errors of the energies
-    refits: FloatArray  # (folds, 2): coefficients of the paper's terms without each fold
-
-    def mixed(self, weight: float) -> FloatArray:
-        """Relative errors of the average, by the weight of the explanation."""
-        return weight * self.explanation + (1.0 - weight) * self.paper
-
-    def weight(self, handicap: float) -> float:
-        """Weight of the explanation: pseudo Bayesian model averaging, bootstrapped.
-
-        Errors of folds have Laplace's distribution, so that one run like no other does not decide,
-        and a size that is not known; few folds tell it roughly, which the Bayesian bootstrap allows
-        for (Yao et al. 2018, "Using stacking to average Bayesian predictive distributions"). The
-        handicap is taken from the logarithm of the odds.
-        """
-        count = len(self.explanation)
-        share = np.random.default_rng(0).dirichlet(np.ones(count), _DRAWS)
-        one, other = (share @ np.abs(errors) for errors in (self.explanation, self.paper))
-        odds = count * np.log(np.maximum(other, _EXACT) / np.maximum(one, _EXACT)) - handicap
-        return float(np.mean(1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))))
+    Two terms, the first of them, are as probable before as all extensions together. Errors of folds
+    have Laplace's distribution, so that one run like no other does not decide, and a size that is
+    not known; few folds tell it roughly, which the Bayesian bootstrap allows for (Yao et al. 2018,
+    "Using stacking to average Bayesian predictive distributions").
+    """
+    errors = np.abs([one.errors[telling] for one in members])
+    count = errors.shape[1]
+    prior = np.exp([-one.handicap for one in members])
+    further = np.array([not one.explains for one in members]) & (np.arange(len(members)) > 0)
+    prior[further] /= max(float(prior[further].sum()), 1e-300)
+    share = np.random.default_rng(0).dirichlet(np.ones(count), _DRAWS)
+    odds = np.log(np.maximum(prior, 1e-300)) - count * np.log(np.maximum(share @ errors.T, _EXACT))
+    chance = np.exp(odds - odds.max(axis=1, keepdims=True))
+    return np.asarray(np.mean(chance / chance.sum(axis=1, keepdims=True), axis=0))
 
 
 def averaged(
@@ -157,76 +315,103 @@ def averaged(
     fitted: FinalFit,
     parts: Sequence[Part] = (),
     tried: int = 1,
+    common: Sequence[Term] = (),
 ) -> Averaged | None:
-    """Average an explanation with the paper's terms, by how well each predicts what it has not met.
+    """Average two terms, extensions and an explanation, by how each predicts what it has not met.
 
-    The paper's terms are fitted by least absolute errors of means over half a second, as `identify`
-    fits samples. Inertia, which nearly every robot has and which comes to nothing over a run, is in
-    both. An effect that was picked out of many is worth less than it seems: each takes the
-    logarithm of their number from the odds (Foster and George 1994, "The risk inflation criterion
-    for multiple regression"). So an explanation has to be clearly better than two terms before it
-    leaves them behind, and what is predicted is seldom worse than by two terms alone.
+    A coefficient beside the two takes one from the logarithm of the odds (Akaike's weight of a
+    parameter), and an effect that was picked out of many the logarithm of their number (Foster and
+    George 1994, "The risk inflation criterion for multiple regression"): the runs that are left
+    out have picked it, too. With losses, coefficients multiply each other and have no mean: such an
+    explanation is handed on alone, or not.
     """
     count = len(problem.drives)
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
-    if count < FEWEST_RUNS and not picked and (count == 1 or not parts):
+    telling = _telling(problem)
+    few = int(telling.sum()) < FEWEST_RUNS
+    if few and not picked and (count == 1 or not parts):
         return None
     plain = problem.as_predicted.with_factors([1.0] * count)
-    values = np.array(fitted.model.coefficients)
-    start = {t.name: float(v) for t, v in zip(fitted.terms, values, strict=True)}
-    whole = plain.design(fitted.terms, None, start, rounds=1)
-    windows = _Windows.of(plain, whole)
+    handicap = picked * float(np.log(max(tried, 1)))
+    explanation = _Explanation.of(problem, plain, fitted, parts, handicap)
+    if few and explanation.leaves_nothing:
+        return None
+    table = _Table.of(plain, explanation, parts, () if few else common)
+    windows = table.windows
     if not np.all(windows.energies(windows.run) > 0.0):
         return None
-    usual = [
-        term for part in parts for term in part.terms
-        if part.effect.usual and not part.effect.grid and not part.effect.channels
-        and term.kind != "loss"
-    ]  # fmt: skip
-    inert = np.array([start[term.name] for term in usual])
-    inertial = plain.design([*PAPER, *usual])
-    short, long = (_Rows.of(inertial, inert, scale, fitted) for scale in (0, -1))
-    paper = short.fit(np.ones(len(short.block), bool))
-
-    # What contacts hold on straights was found beside the fit, and stays as it is.
-    own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.terms])
-    columns, power = whole.longest[0][:, :-1], whole.longest[0][:, -1]
-    table = np.column_stack([columns[:, own], power - columns[:, ~own] @ values[~own]])
-
-    design = problem.design(list(compress(fitted.terms, own)), None, start, rounds=1)
-    errors = problem.reference(design)
-    foretold = errors[_SLOW] <= _NOTHING * problem.floor[_SLOW]
-    if count < FEWEST_RUNS and foretold:
-        return None
-    grams = weighted(design, errors)
     folds = {"run": windows.run} if count > 1 else {}
-    if count < FEWEST_RUNS and picked:
-        folds["kind of motion"] = _motions(plain, paper)
+    if few and picked:
+        halves = np.arange(len(windows.run)) * 2 // len(windows.run)
+        folds["kind of motion"] = _motions(plain, table.member((), halves).values)
         if any(part.effect.acts == "place" for part in parts):
             folds["part of the ground"] = _places(plain)
-    compared = [
-        _compared(what, fold, windows, table, (short, long), grams) for what, fold in folds.items()
-    ]
-    # All must be foretold: runs that are to come, and motions and ground that are in them.
-    handicap = picked * float(np.log(max(tried, 1)))
-    weight, worst = min(((one.weight(handicap), one) for one in compared), key=lambda pair: pair[0])
+    compared = []
+    for what, fold in folds.items():
+        members = [table.member((), fold), *table.extensions(fold)]
+        if parts or few:
+            members.append(explanation.member(windows, fold))
+        told = telling if fold is windows.run else np.ones(len(members[0].errors), bool)
+        compared.append((what, members, _weights(members, told)))
+    # All must be predicted: runs that are to come, and motions and ground that are in them.
+    what, members, weights = min(compared, key=lambda one: float(one[2][-1]))
+    own = float(weights[-1]) if members[-1].explains else 0.0
+    if explanation.lossy:
+        weights = weights * (np.array([one.explains for one in members]) == (own > _RATHER))
+        weights, own = weights / weights.sum(), float(own > _RATHER)
+    shown = telling if what == "run" else np.ones(len(members[0].errors), bool)
+    errors = np.array([one.errors[shown] for one in members])
     missed = None
-    if count >= FEWEST_RUNS:
-        (runs,) = compared
-        missed = float(np.sqrt(np.mean(runs.mixed(weight) ** 2)))
-    if 1.0 - weight < _NEGLIGIBLE:
+    if not few:
+        missed = float(np.sqrt(np.mean((weights @ errors) ** 2)))
+    if 1.0 - own < _NEGLIGIBLE:
         return None if missed is None else Averaged(replace(fitted, run_error=missed), None)
-    model = _mixed(fitted, [*PAPER, *usual], np.append(paper, inert), worst, weight)
+    model = _mixed(fitted, members, weights)
     about = {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
     between = RunSpread.of(
         plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
     )
-    told = replace(
+    mixed = replace(
         fitted, model=model, run_spread=None if between is None else between.deviation,
         run_error=missed,
     )  # fmt: skip
-    sizes = (float(np.mean(np.abs(errors))) for errors in (worst.explanation, worst.paper))
-    return Averaged(told, Average(weight, worst.what, *sizes))
+    theirs = errors[-1] if members[-1].explains else weights @ errors
+    sizes = [float(np.mean(np.abs(some))) for some in (theirs, errors[0])]
+    shares = {
+        name: sum(float(w) for w, one in zip(weights, members, strict=True)
+                  if name in one.names and not one.explains)
+        for name in (term.name for term in common)
+    }  # fmt: skip
+    return Averaged(mixed, Average(own, what, sizes[0], sizes[1], shares))
+
+
+def _telling(problem: Problem) -> NDArray[np.bool_]:
+    """Tell which runs took energy enough that a relative error of it says something."""
+    energy = np.array([float(drive.weights @ drive.power) for drive in problem.drives])
+    seconds = np.array([float(drive.weights.sum()) for drive in problem.drives])
+    return np.asarray(energy > _LEAST * energy.sum() / seconds.sum() * seconds)
+
+
+def _mixed(fitted: FinalFit, members: Sequence[_Member], weights: FloatArray) -> PowerModel:
+    """Average coefficients; their covariance includes by how much the models differ."""
+    kept = [k for k, weight in enumerate(weights) if weight > 0.0]
+    every = {term.name: term for k in kept for term in members[k].terms}
+    places = list(every)
+    values = np.zeros((len(kept), len(places)))
+    covariance = np.zeros((len(places), len(places)))
+    for row, k in zip(values, kept, strict=True):
+        one = members[k]
+        at = [places.index(term.name) for term in one.terms]
+        row[at] = one.values
+        covariance[np.ix_(at, at)] += weights[k] * one.covariance
+    mean = weights[kept] @ values
+    centred = values - mean
+    covariance += centred.T @ (weights[kept][:, None] * centred)
+    model = fitted.model
+    return PowerModel(
+        model.vehicle, tuple(every.values()), mean,
+        0.5 * (covariance + covariance.T), None, model.name,
+    )  # fmt: skip
 
 
 def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
@@ -282,78 +467,21 @@ def _grouped(points: FloatArray) -> NDArray[np.intp]:
     return np.asarray(np.unique(label, return_inverse=True)[1])
 
 
-def _compared(
-    what: str,
-    fold: NDArray[np.intp],
-    windows: _Windows,
-    table: FloatArray,
-    paper: tuple[_Rows, _Rows],
-    grams: FloatArray,
-) -> _Comparison:
-    """Leave out one fold after the other, and predict its energy by both models."""
-    last = np.searchsorted(windows.block, np.arange(len(grams)), side="right") - 1
-    of_block = fold[np.maximum(last, 0)]
-    held = left_out(grams.sum(axis=0), grams, of_block)
-    number = range(int(fold.max()) + 1)
-    short, long = paper
-    refits = np.array([short.fit(of_block[short.block] != k) for k in number])
-    energies = windows.energies(fold, _LEAST if fold is windows.run else _PART)
-
-    def misses(columns: FloatArray, values: Callable[[int], FloatArray]) -> FloatArray:
-        gaps = [columns[fold == k, :-1] @ values(k) - columns[fold == k, -1] for k in number]
-        lost = [windows.time[fold == k] @ gap for k, gap in zip(number, gaps, strict=True)]
-        return np.asarray(np.array(lost) / energies)
-
-    first = misses(table, lambda k: held[min(k, len(held) - 1)])
-    other = np.column_stack([long.columns, long.power])
-    return _Comparison(what, first, misses(other, lambda k: refits[k]), refits)
-
-
-def _mixed(
-    fitted: FinalFit,
-    terms: Sequence[Term],
-    paper: FloatArray,
-    compared: _Comparison,
-    weight: float,
-) -> PowerModel:
-    """Average coefficients; their covariance counts by how much the models differ too."""
-    model = fitted.model
-    every = {term.name: term for term in chain(model.terms, terms)}
-    names, first = list(every), len(model.terms)
-    one, other = np.zeros(len(names)), np.zeros(len(names))
-    one[:first] = model.coefficients
-    at = [names.index(term.name) for term in terms]
-    other[at] = paper
-    mean = weight * one + (1.0 - weight) * other
-    covariance = np.zeros((len(names), len(names)))
-    if model.covariance is not None:
-        covariance[:first, :first] += weight * model.covariance
-    number, width = compared.refits.shape
-    centred = compared.refits - paper[:width]
-    covariance[np.ix_(at[:width], at[:width])] += (
-        (1.0 - weight) * (number - 1) / number * centred.T @ centred
-    )
-    if model.covariance is not None:  # what no drive tells, leaving one out does not
-        open_ = [names.index(name) for name in fitted.assumed]
-        covariance[np.ix_(open_, open_)] += (1.0 - weight) * model.covariance[np.ix_(open_, open_)]
-    for values, share in ((one, weight), (other, 1.0 - weight)):
-        covariance += share * np.outer(values - mean, values - mean)
-    return PowerModel(
-        model.vehicle, tuple(every.values()), mean, 0.5 * (covariance + covariance.T), None,
-        model.name,
-    )  # fmt: skip
-
-
 def note_of(told: Average, names: Sequence[str]) -> str:
     """Say what the model for runs to come is made of."""
-    what = f"the explanation ({', '.join(names)})" if names else "the paper's terms and inertia"
     why = (
         "runs differ as a whole" if told.left_out == "run"
         else "these drives do not show how the effects act on other motions, or elsewhere"
     )  # fmt: skip
-    return (
-        f"{why}: the model averages {what}, weight {told.weight:.2f}, with the paper's two terms "
-        "by least absolute errors; leaving out one "
-        f"{told.left_out} after the other, they miss its energy by "
-        f"{100 * told.explanation_error:.1f} % and {100 * told.cautious_error:.1f} %"
+    own = f"the explanation ({', '.join(names)}), weight {told.weight:.2f}, with " if names else ""
+    further = [f"{name} {share:.2f}" for name, share in told.extensions.items() if share >= _SHOWN]
+    with_more = f", alone and with further terms ({', '.join(further)})" if further else ""
+    text = (
+        f"{why}: the model averages {own}the paper's two terms by least absolute errors{with_more};"
+        f" leaving out one {told.left_out} after the other, {'the explanation' if own else 'it'} "
+        f"misses its energy by {100 * told.explanation_error:.1f} % and the two terms by "
+        f"{100 * told.cautious_error:.1f} %"
     )
+    if own and told.weight < _RATHER:
+        text += ". The explanation is a suspicion only: it predicts them no better"
+    return text

@@ -69,15 +69,16 @@ class EnergyPrediction:
 
 @dataclass(frozen=True)
 class Average:
-    """What the model for runs to come is made of: an explanation and the paper's two terms.
+    """What the model for runs to come is made of: an explanation, two terms, and extensions.
 
     Each counts by how it predicts energies of what it was not fitted to.
     """
 
     weight: float  # weight of the explanation, in [0, 1]
     left_out: str  # what was left out, one after the other
-    explanation_error: float  # mean size of the relative error of its energy, by each alone
-    cautious_error: float  # mean size of the relative error of its energy, by each alone
+    explanation_error: float  # mean relative error of its energy by the explanation, or the average
+    cautious_error: float  # that by two terms alone
+    extensions: Mapping[str, float] = field(default_factory=dict)  # weights of two terms with more
 
 
 @dataclass(frozen=True)

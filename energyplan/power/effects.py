@@ -98,6 +98,8 @@ class Effect:
         the ground, on how the robot moves, while contacts hold, or on the log alone.
     usual : bool
         Whether nearly every robot has it, so that it needs no more evidence than any coefficient.
+    common : bool
+        Whether robots have it often enough that predictions of runs to come average over it.
     of_mass : tuple of float, optional
         Range in which a size in kilograms is believed, in masses of the vehicle.
 
@@ -126,6 +128,7 @@ class Effect:
     size: Callable[[PowerModel], float] | None = None
     acts: Acts = "motion"
     usual: bool = False
+    common: bool = False
     of_mass: tuple[float, float] | None = None
 
     def limits(self, vehicle: Vehicle) -> tuple[float, float]:
@@ -245,9 +248,10 @@ _TURNS = "drive arcs of several radii, from a spin to nearly straight, at one co
 _REPEAT = "repeat the same route at the end of the drive as at its start"
 
 _ENTRIES = (
-    Effect.of(HOTEL, plausible=(0.0, 2000.0), manoeuvre=_STAND, planner="with the duration"),
+    Effect.of(HOTEL, plausible=(0.0, 2000.0), manoeuvre=_STAND, planner="with the duration",
+              common=True),
     Effect.of(GRADE, plausible=(1.0, 1e5), manoeuvre=_BOTH_WAYS, planner="with the map's slope",
-              of_mass=(0.3, 3.0)),
+              of_mass=(0.5, 2.0)),
     Effect(
         "tilted_plane", (TILT_X, TILT_Y), "angle", "rad",
         "ground that is one tilted plane, seen from the heading", _BOTH_WAYS,
@@ -256,13 +260,13 @@ _ENTRIES = (
     ),
     Effect.of(
         SPECIFIC_FORCE, plausible=(1.0, 1e5), channels=("accel_x",), manoeuvre=_RAMPS,
-        of_mass=(0.2, 3.0), usual=True,
+        of_mass=(0.5, 2.0), usual=True,
         planner="with the map's slope",
     ),
     Effect.of(LINEAR_INERTIA, plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=(), usual=True,
-              of_mass=(0.2, 3.0)),
+              common=True, of_mass=(0.5, 2.0)),
     Effect.of(ANGULAR_INERTIA, plausible=(0.01, 1e5), manoeuvre=_SPIN, channels=(), usual=True),
-    Effect.of(VISCOUS_LOSS, plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS),
+    Effect.of(VISCOUS_LOSS, plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS, common=True),
     Effect.of(AIR_DRAG, plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS),
     Effect.of(
         COPPER_LOSS, plausible=(0.0, 1.0), manoeuvre=_SPIN + "; hold the robot on a slope",
@@ -270,7 +274,7 @@ _ENTRIES = (
     # Powers tell these two apart only by the size of all forces: the first one is what such a log
     # is told by, and forces and mass are then those over the drive's efficiency.
     Effect.of(REGENERATION_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS),
-    Effect.of(DRIVE_LOSS, plausible=(0.0, 5.0), manoeuvre=_TURNS),
+    Effect.of(DRIVE_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS),
     Effect.of(WARM_UP, plausible=(0.0, 1e4), manoeuvre=_REPEAT, planner="with the time, else warm",
               grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)}),
     Effect(
@@ -300,9 +304,9 @@ _ENTRIES = (
     Effect.of(TRACTION_ASYMMETRY, plausible=(-1e4, 1e4), manoeuvre=_BOTH_WAYS),
     Effect.of(TURN_ASYMMETRY, plausible=(-1.0, 1.0), manoeuvre=_SPIN),
     Effect.of(SLIP_SPEED, plausible=(-2.0, 2.0), manoeuvre=_SPIN),
-    Effect.of(STRIBECK, plausible=(0.0, 2.0), manoeuvre=_SPIN,
+    Effect.of(STRIBECK, plausible=(0.0, 2.0), manoeuvre=_SPIN, common=True,
               grid={"slip_speed": (0.03, 0.08, 0.2)}),
-    Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True,
+    Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True, common=True,
               grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)}),
     Effect.of(WHEEL_FIGHT, plausible=(0.0, 2.0), acts="hold",
               manoeuvre="drive a straight line with the steering control off"),
