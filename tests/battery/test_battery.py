@@ -171,6 +171,12 @@ def test_cold_takes_capacity_down_to_20_below(chemistry, below_zero, least):
     assert "at -25 degC that of -20 degC is used" in note
 
 
+def test_at_freezing_point_lead_acid_keeps_what_its_table_says():
+    pack = Battery.preset("quadriga")
+    cold = replace(pack, temperature=0.0)
+    assert cold.available_capacity / pack.available_capacity == pytest.approx(0.84)
+
+
 def test_a_battery_without_data_on_temperature_says_so():
     assert not plain().temperature_note
     assert "known at 25 degC only" in replace(plain(), temperature=5.0).temperature_note
