@@ -72,7 +72,7 @@ NONE, LOOP = "loop.py none 12", "loop.py hidden 12 200"
 SERVICE, COLD = "serve.py DATA/maps/depot.yaml", "cold.py --repeat 1"
 ALONE = (SERVICE, COLD)
 """Commands that run when all others have ended."""
-EXCESS = r"excess over the best .* mean ([\d.]+)", r"excess over the best .* / ([\d.]+) %; gap"
+EXCESS = r"excess over the best .*\(mean ([\d.]+)\)", r"excess over the best .* / ([\d.]+) %; gap"
 
 
 def _tests(name: str, files: str) -> Gate:
