@@ -428,28 +428,6 @@ def flattened_messages(at: At, folder: Path) -> Path:
     }, folder / "flat.csv")  # fmt: skip
 
 
-def italian(at: At, folder: Path) -> Path:
-    return csv({
-        "tempo [s]": at.t, "velocit\u00e0 ruota sinistra [m/s]": at.left,
-        "velocit\u00e0 ruota destra [m/s]": at.right, "tensione [V]": at.volts,
-        "corrente [A]": at.amps, "imbardata [deg]": DEG * at.yaw % 360,
-    }, folder / "guida.csv", sep=";", decimal=",")  # fmt: skip
-
-
-def portuguese(at: At, folder: Path) -> Path:
-    return csv({
-        "tempo": at.t, "velocidade_esquerda": at.left, "velocidade_direita": at.right,
-        "tens\u00e3o (V)": at.volts, "corrente (A)": at.amps, "guinada": at.yaw,
-    }, folder / "percurso.csv")  # fmt: skip
-
-
-def dutch(at: At, folder: Path) -> Path:
-    return csv({
-        "tijd": at.t, "snelheid_links": at.left, "snelheid_rechts": at.right,
-        "vermogen [kW]": 1e-3 * at.power, "koers": at.yaw,
-    }, folder / "rit.csv")  # fmt: skip
-
-
 def days(at: At, folder: Path) -> Path:
     """As spreadsheets count time."""
     house = at.house().assign(t=46_000.0 + at.t / 86400.0)
@@ -675,7 +653,7 @@ READ: tuple[Writer, ...] = (
     a_row_for_each_message, stamps_in_two_columns, date_and_time_of_day, american_dates,
     aligned_by_spaces, newest_first, units_in_names, rostopic_echo, encoders_of_four_wheels,
     encoders_and_a_satellite_receiver, encoders_from_row_to_row, encoders_that_tell_a_rate,
-    status_topic, flight_controller, flattened_messages, italian, portuguese, dutch, days,
+    status_topic, flight_controller, flattened_messages, days,
     motors_in_the_mirror, rows_in_bursts, a_counter_that_overflows, rates_beside_a_blank_gyroscope,
     energy_counter, energy_counter_beside_the_current, speed_and_yaw_rate,
 )  # fmt: skip

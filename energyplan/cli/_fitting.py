@@ -94,9 +94,9 @@ def start(
     project with --project.
     """
     from energyplan.io.config import read_vehicle
+    from energyplan.io.given import Given
     from energyplan.io.logs import describe_log
     from energyplan.io.project import write_project
-    from energyplan.io.robot import Given
     from energyplan.io.start import start as run
     from energyplan.output import documents, text
 

@@ -12,17 +12,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.io.bag_fields import bag_fields
-from energyplan.io.bags import is_bag, read_bag
-from energyplan.io.encoders import counted_columns, position_columns, total_power
+from energyplan.io.bags import bag_fields, is_bag, read_bag
+from energyplan.io.given import (
+    Given,
+    build_vehicle,
+    counted_columns,
+    counts_rows,
+    known_measures,
+    position_columns,
+    refuse,
+    refuse_halves,
+    refuse_unlike,
+    total_power,
+)
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
-from energyplan.io.missing import counts_rows, refuse, refuse_halves, refuse_unlike
 from energyplan.io.project import Project
-from energyplan.io.robot import Given, build_vehicle, known_measures
-from energyplan.io.signs import read_signed
 from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
-from energyplan.logs import DriveLog
+from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
 from energyplan.logs.checks import FAR, find_checks, grows, mirrored_side
 from energyplan.logs.clean import RECORDING, join_rows, possible, spread_bursts
@@ -553,3 +560,33 @@ def _finish(
     told = {str(check) for check in found}
     notes = (*map(str, log.set_aside), *(w for w in log.warnings if w not in told))
     return Start(project, tuple(checks), notes)
+
+
+class Signed(NamedTuple):
+    """A log, the columns it was read by, and what was turned to read it."""
+
+    log: DriveLog
+    columns: dict[str, Column]
+    notes: tuple[str, ...]
+
+
+def read_signed(file: Path, columns: Mapping[str, Column]) -> Signed:
+    """Read a table, and turn round what counts the other way."""
+    notes: list[str] = []
+    made = dict(columns)
+    done: set[str] = set()
+    while True:
+        try:
+            log = DriveLog.read(file, made, others=False)
+        except UnfitLogError as problem:
+            turned = tuple(name for name in problem.check.turned if name in made)
+            if not turned or done & set(turned):
+                raise
+        else:
+            side = mirrored_side(log.channels, log.runs)
+            if not side or side in done:
+                return Signed(log, made, tuple(notes))
+            turned = (side,)
+        made |= {name: made[name].negative() for name in turned}
+        done |= set(turned)
+        notes.append(f"{' and '.join(turned)} had the opposite sign, which was corrected")

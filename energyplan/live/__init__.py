@@ -1,7 +1,18 @@
 """A drive as it happens: a growing log or a stream of lines, learned from sample by sample."""
 
-from energyplan.live.events import Changed, Done, Ended, Event, Learned, Reassessed, Trouble
-from energyplan.live.samples import Line, Restart, follow, lines_of
+from energyplan.live.samples import (
+    Changed,
+    Done,
+    Ended,
+    Event,
+    Learned,
+    Line,
+    Reassessed,
+    Restart,
+    Trouble,
+    follow,
+    lines_of,
+)
 from energyplan.live.watcher import watch
 
 __all__ = [

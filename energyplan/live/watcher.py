@@ -13,8 +13,20 @@ import numpy as np
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.kinds import checked
-from energyplan.live.events import Changed, Done, Ended, Event, Learned, Reassessed, Trouble
-from energyplan.live.samples import Header, Line, Restart, Sample, read_samples
+from energyplan.live.samples import (
+    Changed,
+    Done,
+    Ended,
+    Event,
+    Header,
+    Learned,
+    Line,
+    Reassessed,
+    Restart,
+    Sample,
+    Trouble,
+    read_samples,
+)
 from energyplan.logs.mapping import Column
 from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion

@@ -36,10 +36,10 @@ from energyplan.errors import (
 )
 from energyplan.fit import identify
 from energyplan.io.energy_map import contours_document
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
 from energyplan.io.mission import mission_from, read_mission
 from energyplan.io.project import Project
-from energyplan.io.robot import Given
 from energyplan.io.start import Start
 from energyplan.io.start import start as start_of
 from energyplan.io.topics import topic_map_of

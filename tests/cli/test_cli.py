@@ -16,7 +16,7 @@ from PIL import Image
 import energyplan as ep
 from energyplan import PowerModel, Trajectory, simulate
 from energyplan.html import number
-from energyplan.io.bag_fields import bag_fields
+from energyplan.io.bags import bag_fields
 from energyplan.io.bundled import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log, write_trajectory

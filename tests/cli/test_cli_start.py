@@ -13,8 +13,8 @@ from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 
 import energyplan as ep
 from energyplan import simulate
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.robot import Given
 from energyplan.io.start import start
 from energyplan.io.trajectory import write_log
 from energyplan.power.presets import MODEL_PRESETS

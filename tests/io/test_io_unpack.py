@@ -8,13 +8,12 @@ import pytest
 from small_bags import COUNT, POWER, TOPICS, record
 
 from energyplan.errors import DriveLogError
-from energyplan.io import _unpack
-from energyplan.io._unpack import unpacked
-from energyplan.io.bags import bag_info, read_bag
+from energyplan.io import bags
+from energyplan.io.bags import bag_info, read_bag, unpacked
 
 pytest.importorskip("rosbags")
 lz4 = pytest.importorskip("lz4.frame")
-zstd = _unpack._zstd()
+zstd = bags._zstd()
 
 KINDS = ("mcap-zstd", "mcap-lz4", "sqlite-message", "sqlite-file", "ros1-bz2", "ros1-lz4")
 
@@ -35,8 +34,8 @@ def test_a_part_that_unpacks_to_too_much_is_refused(tmp_path, kind, monkeypatch)
     files = [path] if path.is_file() else [f for f in path.iterdir() if f.name != "metadata.yaml"]
     assert sum(f.stat().st_size for f in files) < 1 << 17
     assert len(read_bag(path, TOPICS).t) == COUNT
-    monkeypatch.setattr(_unpack, "LARGEST", 1 << 22)
-    monkeypatch.setattr(_unpack, "LARGEST_RATIO", 10)
+    monkeypatch.setattr(bags, "LARGEST", 1 << 22)
+    monkeypatch.setattr(bags, "LARGEST_RATIO", 10)
     with pytest.raises(DriveLogError, match=r"no sound bag: a compressed .* (more|too large)"):
         read_bag(path, TOPICS)
 

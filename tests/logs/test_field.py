@@ -13,9 +13,9 @@ from pydantic import ValidationError
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
-from energyplan.io.bag_fields import BagFields, Field
+from energyplan.io.bags import BagFields, Field
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.robot import Given
 from energyplan.io.start import start
 from energyplan.io.topics import TopicSource
 

@@ -40,7 +40,7 @@ from foreign_logs import (
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
-from energyplan.io.robot import Given
+from energyplan.io.given import Given
 from energyplan.io.start import start
 from energyplan.output import documents
 

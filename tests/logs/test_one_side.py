@@ -10,7 +10,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.io.robot import Given
+from energyplan.io.given import Given
 from energyplan.io.start import start
 from energyplan.logs.checks import find_lost_sign
 
