@@ -154,11 +154,14 @@ def problem_of(
         raise InvalidInputError("--costmap and --costmap-weight go together; give both or neither")
     ground = ground_of(drive, tolerance)
     grid = read_map(site.map_file)
+    for note in () if ground.surfaces is None else ground.surfaces.notes_on(grid):
+        warn(note)
     if site.keepout:
         mask = read_map(site.keepout)
-        note, grid = grid.note_of_mask(mask), grid.with_mask(mask)
-        if note is not None:
-            warn(note)
+        closing = grid.note_of_mask(mask)
+        grid = grid.with_mask(mask)
+        if closing is not None:
+            warn(closing)
     return PlanningProblem(
         grid, ground.cost, start, goal, surfaces=ground.surfaces, objective=objective,
         heights=ground.heights, clearance=site.clearance,

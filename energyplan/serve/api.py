@@ -299,9 +299,11 @@ def _routes(service: _Service) -> APIRouter:
             found = document(run(query, **options))
         except NoPathError as error:  # an answer, as on the command line
             return documents.no_path(error)
-        if asked.keepout:
-            note = store.map(asked.map).note_of_mask(store.map(asked.keepout))
-            found["notes"] = [*found.get("notes", ()), *([note] if note else [])]
+        grid = store.map(asked.map)
+        told = () if query.surfaces is None else query.surfaces.notes_on(grid)
+        closing = grid.note_of_mask(store.map(asked.keepout)) if asked.keepout else None
+        if told or closing:
+            found["notes"] = [*found.get("notes", ()), *told, *([closing] if closing else [])]
         return found
 
     def reach(job: Job, asked: RangeRequest) -> Document:

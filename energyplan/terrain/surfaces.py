@@ -103,6 +103,17 @@ class SurfaceMap:
             *(("keep-out", area) for area in self.keep_out),
         )
 
+    def notes_on(self, grid: OccupancyGrid) -> tuple[str, ...]:
+        """Say of which kind of area, surfaces or those to keep out of, none lies on a map."""
+        extent = shapely.Polygon(grid.corners)
+        kinds = {"surfaces": [s.area for s in self.surfaces], "keep-out areas": [*self.keep_out]}
+        return tuple(
+            f"none of the {kind} lies on the map, which covers {grid.describe_extent()}; give them "
+            "in the map's frame"
+            for kind, areas in kinds.items()
+            if areas and not any(area.intersects(extent) for area in areas)
+        )
+
     def costs(self, cost: EnergyCost) -> tuple[EnergyCost, ...]:
         """Return the cost of every region, by its number.
 

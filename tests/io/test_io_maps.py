@@ -238,6 +238,27 @@ def test_nav2_maps(shared_data, name):
         assert np.mean(grid.unknown) > 0.5
 
 
+@pytest.mark.shared
+def test_maps_and_masks_as_people_have_them(shared_data):
+    field = shared_data / "field"
+    with pytest.raises(MapError, match="occupied_thresh: this key is missing"):
+        read_map(field / "thresholds_missing" / "map.yaml")
+    with pytest.raises(MapError, match="seems to be a building of Open-RMF"):
+        read_map(field / "openrmf_building_as_map" / "site.building.yaml")
+    file = field / "rgba_opaque_png"
+    grey = np.asarray(Image.open(file / "map.png").convert("L"))
+    assert np.array_equal(read_map(file / "map.yaml").unknown, grey[::-1] == 205)
+    off, full = field / "keepout_off_the_map", field / "keepout_scale_full_range"
+    note = read_map(off / "room.yaml").note_of_mask(read_map(off / "keepout.yaml"))
+    assert "it covers x from -150 to -130 m" in note
+    room = read_map(full / "room.yaml")
+    shut = room.with_mask(read_map(full / "keepout.yaml")).blocked & ~room.blocked
+    rows, columns = np.nonzero(shut)
+    corners = room.to_world([(columns.min(), rows.min()), (columns.max() + 1, rows.max() + 1)])
+    assert corners[:, 0] == pytest.approx([9.0, 11.0])
+    assert corners[1, 1] == pytest.approx(6.0)
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_maps_come_back_as_they_were_written(tmp_path_factory, rows, columns, seed):
@@ -464,6 +485,17 @@ def test_surfaces(tmp_path):
     assert ground.surfaces[1].model is own
     assert ground.keep_out[0].bounds == (5, 5, 6, 6)
     assert [name for name, _ in ground.polygons] == ["hall", "mine", "keep-out"]
+
+
+def test_surfaces_that_lie_beside_the_map_are_told():
+    marble = PowerModel.preset("quadriga:full:marble")
+    hall = OccupancyGrid(np.zeros((40, 40), bool), 0.1, Pose(10.0, 0.0, 0.0))
+    inside = shapely.box(11, 1, 12, 2)
+    assert SurfaceMap([Surface(inside, marble, "m")], [inside]).notes_on(hall) == ()
+    (note,) = SurfaceMap([Surface(inside, marble, "m")], [BOX]).notes_on(hall)
+    assert "none of the keep-out areas lies on the map" in note
+    (note,) = SurfaceMap([Surface(BOX, marble, "m")]).notes_on(hall)
+    assert "none of the surfaces lies on the map, which covers x from 10" in note
 
 
 def test_surfaces_come_back_as_they_were_written(tmp_path):

@@ -90,12 +90,12 @@ def test_a_goal_is_answered_only_while_the_node_is_active() -> None:
     result = ask(node, handle)
     assert (handle.ended, result.error_code) == (["succeeded"], 0)
     assert result.path.poses[-1].pose.position.x == pytest.approx(6.0)
-    beats = node.sent("/bond")
+    beats = node.sent("bond")
     node.bond.beat()
-    assert len(node.sent("/bond")) == len(beats) + 1
-    assert node.sent("/bond")[-1].id == "planner_server"
+    assert len(node.sent("bond")) == len(beats) + 1
+    assert node.sent("bond")[-1].id == "planner_server"
     node.on_deactivate(None)
-    assert not node.sent("/bond")[-1].active
+    assert not node.sent("bond")[-1].active
     assert server.goal_callback(handle.request) is REJECT
 
 

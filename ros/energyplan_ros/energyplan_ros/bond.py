@@ -12,7 +12,7 @@ try:
 except ImportError:  # without the package there is no bond: lifecycle_manager's bond_timeout is 0
     Status = None
 
-TOPIC, PERIOD, TIMEOUT = "/bond", 0.1, 4.0
+TOPIC, PERIOD, TIMEOUT = "bond", 0.1, 4.0
 """As nav2_util::LifecycleNode has them: topic, heartbeat and its timeout [s]."""
 
 

@@ -309,6 +309,8 @@ class PlannerNode(LifecycleNode):
             if unwanted():
                 return self.ended(kind, handle)
         try:
+            if unwanted():
+                return self.ended(kind, handle)
             frame = self.frame
             found = ros.answer(
                 handle.request,
