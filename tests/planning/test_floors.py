@@ -71,7 +71,7 @@ def problem_along(path: Path, size: tuple[float, float], resolution: float, room
 def first_path(problem: PlanningProblem) -> tuple[CompiledProblem, Search]:
     """Return the search for a first path, on finer lattices where the first one has none."""
     asked = CompiledProblem(problem)
-    to_go = distance_to_go(asked.setting, 8.0)
+    to_go = distance_to_go(asked.setting)
     for scale in (1.0, 0.5, 0.25, 0.125, 0.0625):
         search = Search(asked.setting, to_go, lattice_for(asked.setting, scale), 2.0)
         search.run(Budget(), stop_at_first=True, expansions=EXPANSIONS)

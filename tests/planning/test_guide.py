@@ -145,17 +145,16 @@ def test_regions_join_what_is_joined(made):
         assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs)
 
 
-@pytest.mark.parametrize("penalty", by_day([1.0, 8.0], [8.0]))
 @pytest.mark.parametrize("kind", ["rooms", "clutter", "maze", "aslant"])
-def test_few_regions_tell_what_all_places_tell(kind, penalty, monkeypatch):
+def test_few_regions_tell_what_all_places_tell(kind, monkeypatch):
     """Looked at are the places near the shortest ways between regions; against all of them."""
     asked = [p for made in ("long", "ahead") for p in problems(kind, made, 2, 0.05, 4)]
-    few = [distance_to_go(CompiledProblem(p).setting, penalty) for p in asked]
+    few = [distance_to_go(CompiledProblem(p).setting) for p in asked]
     monkeypatch.setattr(guide, "REACH", 1e9)
     ratios = []
     for problem, found in zip(asked, few, strict=True):
         kernel = CompiledProblem(problem).setting
-        every = distance_to_go(kernel, penalty)
+        every = distance_to_go(kernel)
         assert reached(found, kernel) == reached(every, kernel)
         # what leads to the goal is told to
         assert np.isfinite(found.distance[np.isfinite(every.distance)]).all()
@@ -179,7 +178,7 @@ def test_a_plan_of_little_effort_is_found_where_free_configurations_are_joined(
     for problem in problems(kind, made, 0, resolution, 4):
         query = CompiledProblem(problem)
         kernel = query.setting
-        to_go = guide._guide(kernel, 8.0, enlarged=False)
+        to_go = guide._guide(kernel, enlarged=False)
         if not reached(to_go, kernel):
             try:  # poses between those that were tested may join them
                 plan(problem, effort=2_500, gap=10.0)
@@ -207,7 +206,7 @@ def test_a_way_follows_the_guide_through_a_gap_that_a_lattice_misses():
     problem = PlanningProblem(grid, cost, (2, 2, 0.3), (8, 6, 1.0), vehicle=vehicle)
     query = CompiledProblem(problem)
     budget = Budget(effort=1000)
-    way = way_along(query.setting, distance_to_go(query.setting, 8.0), budget)
+    way = way_along(query.setting, distance_to_go(query.setting), budget)
     assert way is not None
     assert budget.spent < 300
     path: Path = query.path(way)
@@ -216,12 +215,11 @@ def test_a_way_follows_the_guide_through_a_gap_that_a_lattice_misses():
     # one that may spend nothing is not there
     spent = Budget(effort=1)
     spent.spend(1)
-    assert way_along(query.setting, distance_to_go(query.setting, 8.0), spent) is None
+    assert way_along(query.setting, distance_to_go(query.setting), spent) is None
 
 
-@pytest.mark.parametrize("penalty", [1.0, 8.0])
 @pytest.mark.parametrize("seed", by_day(range(4), range(2)))
-def test_with_little_work_the_way_is_looked_at_all_the_same(seed, penalty):
+def test_with_little_work_the_way_is_looked_at_all_the_same(seed):
     """On a map far larger than what may be looked at."""
     rng = np.random.default_rng(seed)
     occupied = np.zeros((600, 800), bool)
@@ -232,10 +230,10 @@ def test_with_little_work_the_way_is_looked_at_all_the_same(seed, penalty):
     grid = OccupancyGrid(occupied, 0.05)
     asked = PlanningProblem(grid, cost, (1, 1, 0), (39, 29, 0), vehicle=robot("small"))
     setting = CompiledProblem(asked).setting
-    whole = distance_to_go(setting, penalty)
+    whole = distance_to_go(setting)
     assert reached(whole, setting)
     for most in (1.0, 0.7 * whole.work / guide.TURNS):
-        part = distance_to_go(setting, penalty, most)
+        part = distance_to_go(setting, most)
         assert reached(part, setting)
         lengths = [guide.distance_at_start(one, setting) for one in (whole, part)]
         # the region's middles lead, not their nodes
@@ -243,5 +241,5 @@ def test_with_little_work_the_way_is_looked_at_all_the_same(seed, penalty):
         assert part.work < whole.work
     assert way_along(setting, part, Budget(effort=100_000)) is not None
     # more than it takes changes nothing
-    same = distance_to_go(setting, penalty, 10.0 * whole.work)
+    same = distance_to_go(setting, 10.0 * whole.work)
     assert np.array_equal(same.distance, whole.distance)

@@ -32,9 +32,7 @@ def query(grid, start=(1.2, 3.1, 0.1), goal=(8.6, 2.0, -0.7)):
 
 def searched(asked, aligned, weight=1.5):
     setting = asked.setting
-    search = Search(
-        setting, distance_to_go(setting, 2.0), lattice_for(setting), weight, aligned=aligned
-    )
+    search = Search(setting, distance_to_go(setting), lattice_for(setting), weight, aligned=aligned)
     search.run(Budget(), stop_at_first=True, expansions=40_000)
     return search
 

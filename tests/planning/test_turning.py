@@ -46,10 +46,10 @@ def refined(problem: PlanningProblem, way) -> float:
 def test_where_turning_is_dear_the_way_with_few_turns_is_found():
     problem = slalom(15.0)
     setting = CompiledProblem(problem).setting
-    to_go = distance_to_go(setting, 1.0)
+    to_go = distance_to_go(setting)
     short = way_along(setting, to_go, Budget())
     found = ways_with_turns(setting, to_go, Budget(effort=6000))
-    best = min(refined(problem, way) for way in found.ways)
+    best = min(refined(problem, way) for way in found)
     assert best < 0.9 * refined(problem, short)
     # and planning finds it with little effort
     assert plan(problem, effort=10_000).energy < best
@@ -58,7 +58,7 @@ def test_where_turning_is_dear_the_way_with_few_turns_is_found():
 def test_where_turning_costs_little_the_short_way_is_found():
     problem = slalom(0.02)
     setting = CompiledProblem(problem).setting
-    to_go = distance_to_go(setting, 1.0)
+    to_go = distance_to_go(setting)
     chain = cheapest_chain(to_go, setting, np.zeros(1, bool), 100_000)
     places = to_go.places
     rows = places.home[chain.chain] // (places.columns + 4)
@@ -67,20 +67,20 @@ def test_where_turning_costs_little_the_short_way_is_found():
 
 def test_a_search_that_may_look_at_nothing_finds_nothing():
     setting = CompiledProblem(slalom()).setting
-    to_go = distance_to_go(setting, 1.0)
+    to_go = distance_to_go(setting)
     none = cheapest_chain(to_go, setting, np.zeros(1, bool), 0)
     assert len(none.chain) == 0 and none.cost == np.inf
     spent = Budget(effort=1)
     spent.spend(1)
-    assert ways_with_turns(setting, to_go, spent).ways == []
+    assert ways_with_turns(setting, to_go, spent) == []
 
 
 def test_a_way_that_was_passed_is_left_for_another_one():
     setting = CompiledProblem(slalom()).setting
-    to_go = distance_to_go(setting, 1.0)
-    ways = ways_with_turns(setting, to_go, Budget(effort=200_000)).ways
+    to_go = distance_to_go(setting)
+    ways = ways_with_turns(setting, to_go, Budget(effort=200_000))
     lengths = [np.abs(way.ds).sum() for way in ways]
-    assert len(ways) == 2 and lengths[0] != pytest.approx(lengths[1], rel=0.02)
+    assert len(ways) > 1 and lengths[0] != pytest.approx(lengths[1], rel=0.02)
 
 
 def test_a_closed_room_has_no_way():
@@ -89,5 +89,5 @@ def test_a_closed_room_has_no_way():
     occupied[:, 30:34] = True
     closed = replace(problem, map=OccupancyGrid(occupied, 0.05))
     setting = CompiledProblem(closed).setting
-    to_go = distance_to_go(setting, 1.0)
+    to_go = distance_to_go(setting)
     assert len(cheapest_chain(to_go, setting, np.zeros(1, bool), 100_000).chain) == 0

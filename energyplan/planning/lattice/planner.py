@@ -1,11 +1,11 @@
 """The lattice planner: a first plan at once, better ones until the budget is over.
 
-1. A weighted search over position and heading, whose motions and whose last leg to the goal are
-   exact minimum-energy motions, finds a first path; shortcuts make it a first plan.
-2. A lower bound on every path's cost is computed.
-3. Rounds of searches, each with a guidance of its own, find further paths, and the paths compete
-   for the budget to be refined. Planning ends when the budget is over, the gap to the bound is
-   closed, or nothing is gained any more.
+1. The shortest route through the free configurations is followed by exact minimum-energy motions:
+   a first path, and with shortcuts a first plan.
+2. Up to four routes, each cheapest by its length and turns and the later ones away from the former,
+   are followed as well. A lower bound on every path's cost is computed.
+3. The paths compete for the budget to be refined. Planning ends when the budget is over, the gap to
+   the bound is closed, or nothing is gained any more.
 4. The shortest of all that was found is made shorter in a part of what is left. It is the answer
    where length is asked for, and a plan of least energy takes no more: the work is the same. Where
    stops count, that is so of what driving both takes.
@@ -29,7 +29,7 @@ from energyplan.path import FloatArray, Path
 from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
-from energyplan.planning.lattice.improvement import Improvement
+from energyplan.planning.lattice.paths import Paths
 from energyplan.planning.lattice.portfolio import SAME, Bounding
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
@@ -65,7 +65,7 @@ def plan(
     # a path between tight ends may prove not to be free: then planning is done anew
     whole, stops = budget, stops_count(led.problem)
     budget = _without_stops(led, whole)
-    work = Improvement(led, _searching(led, budget), gap, seed)
+    work = Paths(led, _searching(led, budget), gap, seed)
     if bound is not None and led is query:
         work.bounding.know(bound - query.potential(problem.goal))
     for path in known:
@@ -125,7 +125,7 @@ def plan(
             path = _finished(query, [path, query.path(work.portfolio.best)])
             found = stops_of(query, path, whole)
         path = least_driven(
-            query, path, found, work.portfolio.others, work.field(1.0), whole, [*shortest, *known]
+            query, path, found, work.portfolio.others, work.to_go, whole, [*shortest, *known]
         )
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
 

@@ -16,15 +16,6 @@ from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.motions import KernelProblem
 
-BOUND_FIRST = 250
-"""Units of work for the bound in the first round; four times as many in every other one since."""
-
-BOUND_WORTH = 1e-3
-"""Part by which a step must raise the bound for another one in the next rounds to be worth it."""
-
-BOUND_FAIR = 1000
-"""Units of work below which a step is not judged by that."""
-
 BOUND_STEPS = 12_000
 """Steps of the search that count as a unit of work."""
 
@@ -37,7 +28,6 @@ class Bounding:
         free = query.least_in_free_space - query.potential(query.problem.goal)
         self._bound = Bound(free, False)
         self._spent: Spent = {}
-        self._hopeful = True
 
     @property
     def value(self) -> float:
@@ -47,11 +37,6 @@ class Bounding:
     def know(self, value: float) -> None:
         """Take a lower bound that somebody else found; none is sought then."""
         self._bound = Bound(value, True)
-
-    def in_round(self, number: int, cost: float, most: float) -> list[Work]:
-        """Return the step of a round of searches, if it has one; see `work`."""
-        wanted = self._hopeful and number % 2 == 0
-        return self.work(cost, min(BOUND_FIRST << number, most)) if wanted else []
 
     def work(self, cost: float, units: float) -> list[Work]:
         """Return the search for a better bound, where there can be one."""
@@ -64,9 +49,7 @@ class Bounding:
             return found
 
         def take(found: Bound) -> None:
-            before = self.value
-            self._bound = Bound(max(found.value, before), found.final)
-            self._hopeful = units < BOUND_FAIR or self.value > before * (1.0 + BOUND_WORTH)
+            self._bound = Bound(max(found.value, self.value), found.final)
 
         return [] if self._bound.final else [Work(run, units, take)]
 

@@ -8,7 +8,7 @@ Where they cannot the slot is closed, and the next way is sought.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -24,7 +24,6 @@ from energyplan.planning.scene.guide import (
     TURNS,
     distance_at_start,
     distance_through_slots,
-    distance_to_go,
     regions_for,
 )
 from energyplan.planning.scene.guide_kernels import HEADINGS, DistanceToGo
@@ -43,9 +42,6 @@ LEAST, GUIDES = 800.0, 6.0
 
 LEAST_LEFT = 0.5
 """What is left of half the body's smaller side, at least."""
-
-PENALTY = 2.0
-"""How much longer a tight place counts for the search for a slim body's way."""
 
 WEIGHT = 2.0
 """Weight of the search for a slim body's way."""
@@ -89,22 +85,18 @@ WAYS = 6
 
 def slot_work(
     setting: KernelProblem,
-    fields: Mapping[float, DistanceToGo],
+    known: DistanceToGo,
     cost: float,
     budget: Budget,
     enter: Callable[[Segments | None], None],
 ) -> list[Work]:
     """Return the search for a way through slots shorter than those known, where it may pay."""
     units = SHARE * budget.left
-    guide = max((found.work for found in fields.values()), default=0) / TURNS
-    if units < max(LEAST, GUIDES * guide):
+    if units < max(LEAST, GUIDES * known.work / TURNS):
         return []
-    plain = fields.get(1.0)
 
     def run(own: Budget) -> Segments | None:
         own.beside(lambda: regions_for(setting, enlarged=True))
-        known = distance_to_go(setting, 1.0) if plain is None else plain
-        own.spend(known.work / TURNS if plain is None else 0.0)
         return way_through_slots(setting, known, cost, own)
 
     return [Work(run, units, enter)]
@@ -123,8 +115,6 @@ def way_through_slots(
         budget.spend(to_go.work / TURNS)
         if budget.over or not distance_at_start(to_go, setting) < limit:
             return None
-        to_go = distance_through_slots(setting, limit, closed, PENALTY)
-        budget.spend(to_go.work / TURNS)
         way = way_along(slim, to_go, budget)
         if way is None:
             search = Search(slim, to_go, lattice_for(setting), WEIGHT)

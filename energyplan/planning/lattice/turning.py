@@ -26,7 +26,6 @@ from energyplan.planning.scene.field import (
     push,
     slot_of,
 )
-from energyplan.planning.scene.guide import TURNS, distance_to_go
 from energyplan.planning.scene.guide_kernels import (
     HEADINGS,
     RIM,
@@ -37,16 +36,19 @@ from energyplan.planning.scene.guide_kernels import (
     node_at,
     to_and_fro,
 )
-from energyplan.planning.scene.motions import KernelProblem, motion_cost, price
+from energyplan.planning.scene.motions import (
+    KernelProblem,
+    motion_cost,
+    price,
+    surface_at,
+    turn_prices,
+)
 
 FACINGS = 16
 """Sectors of headings that the search tells apart."""
 
 EXPANDED = 0.05
 """Units of work that looking at one of its states counts as."""
-
-TREADS = 0.5
-"""Part of the way of the treads in a turn that it is priced with: pivots also lead on."""
 
 NEAR = 12.0
 """Distance from the goal within which the distance to go leads on, in distances between places."""
@@ -57,10 +59,10 @@ LEADING = 1.1
 AGAIN = 1.4
 """Factor on the price of a step where a way found before passes."""
 
-WAYS = 2
+WAYS = 4
 """Ways that are sought, at most."""
 
-OTHERS = 0.05
+OTHERS = 0.2
 """Part of what is left up to which another search is worth its work."""
 
 SHARE = 0.8
@@ -95,20 +97,8 @@ def passed_by(places: Places, chain: Ints, within: float) -> NDArray[np.bool_]:
     return passed
 
 
-class Turned(NamedTuple):
-    """Ways whose turns are counted, and the distance to go that led to them."""
-
-    to_go: DistanceToGo
-    ways: list[Segments]
-
-
-def ways_with_turns(setting: KernelProblem, known: DistanceToGo | None, budget: Budget) -> Turned:
-    """Return motions along the ways that are cheapest by their length and turns.
-
-    Where the distance to go was not known, those along it follow.
-    """
-    to_go = distance_to_go(setting) if known is None else known
-    budget.spend(to_go.work / TURNS if known is None else 0.0)
+def ways_with_turns(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> list[Segments]:
+    """Return motions along the ways that are cheapest by their length and turns."""
     ways: list[Segments] = []
     passed = np.zeros(1, bool)
     for _ in range(WAYS):
@@ -123,9 +113,8 @@ def ways_with_turns(setting: KernelProblem, known: DistanceToGo | None, budget: 
         ways.append(way)
         if EXPANDED * found.looked > OTHERS * budget.left:
             break
-        passed = passed_by(to_go.places, found.chain, setting.reach)
-    short = None if known is not None or budget.over else way_along(setting, to_go, budget)
-    return Turned(to_go, ways if short is None else [*ways, short])
+        passed = passed | passed_by(to_go.places, found.chain, setting.reach)
+    return ways
 
 
 @njit
@@ -144,7 +133,9 @@ def cheapest_chain(
     sector = HEADINGS // FACINGS
     turn = 2.0 * pi / FACINGS
     per_metre = setting.least_metre
-    per_turn = setting.least_radian + TREADS * setting.half_track * per_metre
+    turning = turn_prices(setting)
+    per_turn = turning.min()
+    here_turn = turning[0]
     even = setting.surface.size == 1
     forwards = price(setting.prices, 0, setting.half_track, 1.0, 0.0)
     backwards = price(setting.prices, 0, setting.half_track, -1.0, 0.0)
@@ -199,7 +190,11 @@ def cheapest_chain(
             facing[count] = b
             parent[count] = -1
             off = max(angle_between(b * turn, yaw) - 0.5 * turn, 0.0)
-            g[count] = per_turn * off
+            if not even:
+                here_turn = turning[
+                    surface_at(setting, setting.start_x, setting.start_y, setting.start_yaw)
+                ]
+            g[count] = here_turn * off
             h[count] = _rest(to_go, start, b * turn, goal_yaw, per_metre, per_turn)
             key[count] = _key(places, setting, start, b)
             table[slot_of(table, key, key[count])] = count
@@ -221,10 +216,16 @@ def cheapest_chain(
         arc = places.arcs[node]
         row = place // across
         column = place % across
+        along_x = (column - RIM + 0.5) * spacing
+        along_y = (row - RIM + 0.5) * spacing
+        x = space.x + space.cos * along_x - space.sin * along_y
+        y = space.y + space.sin * along_x + space.cos * along_y
+        if not even:
+            here_turn = turning[surface_at(setting, x, y, space.yaw + b * turn)]
         if to_go.distance[node] <= NEAR * spacing:
             through = (
                 g[state] + per_metre * float(to_go.distance[node])
-                + per_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
+                + here_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
             )  # fmt: skip
             if through < least:
                 least = through
@@ -238,7 +239,7 @@ def cheapest_chain(
             common = arc
             if n < 2:
                 bb = (b + 1) % FACINGS if n == 0 else (b + FACINGS - 1) % FACINGS
-                gg += per_turn * turn
+                gg += here_turn * turn
                 common &= bits[bb]
                 if common == 0:
                     continue
@@ -273,13 +274,11 @@ def cheapest_chain(
                 if even:
                     paid = length * (forwards if ahead else backwards)
                 else:
-                    x = (column - RIM + 0.5) * spacing
-                    y = (row - RIM + 0.5) * spacing
                     toward = atan2(STEP_ROWS[k], STEP_COLUMNS[k]) + space.yaw
                     paid = motion_cost(
                         setting,
-                        space.x + space.cos * x - space.sin * y,
-                        space.y + space.sin * x + space.cos * y,
+                        x,
+                        y,
                         toward if ahead else toward + pi,
                         length if ahead else -length,
                         0.0,

@@ -29,7 +29,7 @@ from energyplan.planning.scene.guide_kernels import (
     node_at,
     to_and_fro,
 )
-from energyplan.planning.scene.motions import KernelProblem, join
+from energyplan.planning.scene.motions import KernelProblem, join, surface_at, turn_prices
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 from energyplan.terrain.collision import Body, pose_free
 
@@ -201,13 +201,18 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
         return np.empty((0, 3))
     across = places.columns + 2 * RIM
     turn = 2.0 * pi / HEADINGS
-    per_turn = setting.least_radian * turn
+    turning = turn_prices(setting)
+    even = setting.surface.size == 1
+    per_turn = turning[0] * turn
     aside = to_and_fro()
     # cost of being at a place with a heading, before and after the turn there
     cost = np.empty(HEADINGS)
     came = np.empty((count, HEADINGS), np.int64)
     first = heading_of(space, setting.start_yaw)
     last = heading_of(space, setting.goal_yaw)
+    if not even:
+        kind = surface_at(setting, setting.start_x, setting.start_y, setting.start_yaw)
+        per_turn = turning[kind] * turn
     for h in range(HEADINGS):
         off = abs(h - first)
         cost[h] = per_turn * min(off, HEADINGS - off)
@@ -215,6 +220,13 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     for k in range(count):
         free_before = free
         free = either_way(places, int(chain[k]))
+        if not even:
+            place = int(places.home[chain[k]])
+            along = (place % across - RIM + 0.5) * places.spacing
+            up = (place // across - RIM + 0.5) * places.spacing
+            x = space.x + space.cos * along - space.sin * up
+            y = space.y + space.sin * along + space.cos * up
+            per_turn = turning[surface_at(setting, x, y, setting.start_yaw)] * turn
         if k > 0:
             row = places.home[chain[k]] // across - places.home[chain[k - 1]] // across
             column = places.home[chain[k]] % across - places.home[chain[k - 1]] % across

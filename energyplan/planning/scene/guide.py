@@ -34,9 +34,6 @@ from energyplan.terrain.updates import Window, tables_of
 AHEAD = 1.5
 """How far ahead the guide looks for the direction of the way [m]."""
 
-TIGHT = 0.5
-"""Clearance below which a place is tight: 0 the inscribed disc's, 1 the circumscribed one's."""
-
 REACH = 1.05
 """How much further than the start the guide reaches."""
 
@@ -95,18 +92,12 @@ def inscribed(kernel: KernelProblem) -> float:
     return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
 
 
-def distance_to_go(
-    kernel: KernelProblem, penalty: float = 1.0, most: float = np.inf
-) -> DistanceToGo:
-    """Return the distance to go to the goal, as far as it is needed.
-
-    With a `penalty` above 1 it counts as longer where the disc barely passes: the body turns
-    less easily there, and the search had better look elsewhere first.
-    """
-    found = _guide(kernel, penalty, enlarged=False, most=most)
+def distance_to_go(kernel: KernelProblem, most: float = np.inf) -> DistanceToGo:
+    """Return the distance to go to the goal, as far as it is needed."""
+    found = _guide(kernel, enlarged=False, most=most)
     if reached(found, kernel):
         return found
-    return _guide(kernel, penalty, enlarged=True, most=most)
+    return _guide(kernel, enlarged=True, most=most)
 
 
 def no_distance() -> DistanceToGo:
@@ -136,7 +127,7 @@ def distance_at_start(to_go: DistanceToGo, kernel: KernelProblem) -> float:
 
 
 def distance_through_slots(
-    kernel: KernelProblem, known: float, closed: Sequence[Pose] = (), penalty: float = 1.0
+    kernel: KernelProblem, known: float, closed: Sequence[Pose] = ()
 ) -> DistanceToGo:
     """Return the distance to go where the body may be free, between the poses tested as well."""
     places = places_for(kernel, enlarged=True)
@@ -144,7 +135,7 @@ def distance_through_slots(
         places = _without(places, places_for(kernel), kernel, closed)
     if not closed and not np.isfinite(known):
         known = 0.0
-    return _guide(kernel, penalty, enlarged=True, places=places, known=known)
+    return _guide(kernel, enlarged=True, places=places, known=known)
 
 
 def _without(
@@ -165,7 +156,6 @@ def _without(
 
 def _guide(
     kernel: KernelProblem,
-    penalty: float,
     enlarged: bool,
     places: Places | None = None,
     known: float = 0.0,
@@ -188,8 +178,6 @@ def _guide(
     straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
     # what is uphill forwards is downhill for one who faces the other way
     cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
-    disc = inscribed(kernel)
-    tight = disc + TIGHT * (kernel.reach - disc)
     surface = _surface(places, kernel)
     dearness = cheapest / kernel.least_metre
     height = heights_of_places(places, hills, space)
@@ -201,7 +189,7 @@ def _guide(
         slack = SLACK * 2.0 * kernel.reach
         back, out = (np.empty(len(near), np.float32) for _ in range(2))
         between = partial(
-            ways_between, regions, margin=REACH, slack=slack, tight=tight, penalty=penalty,
+            ways_between, regions, margin=REACH, slack=slack,
             surface=surface, dearness=dearness, height=height, steepest=hills.steepest,
         )  # fmt: skip
         work += between(start=ends[0], stop=ends[1], leaving=False, distance=back)
@@ -219,8 +207,6 @@ def _guide(
         regions.of_node,
         near,
         AHEAD,
-        tight,
-        penalty,
         surface,
         dearness,
         height,
@@ -231,7 +217,7 @@ def _guide(
     )
     if narrowed and not reached(to_go, kernel):
         # a way may lead beside what was looked at
-        whole = _guide(kernel, penalty, enlarged, places, known)
+        whole = _guide(kernel, enlarged, places, known)
         return whole._replace(work=whole.work + work)
     if not near.all():
         fill_beside(regions, near, back, to_go.distance)

@@ -247,8 +247,6 @@ def way_to_go(
     region: ShortInts,
     near: Flags,
     ahead: float,
-    tight: float,
-    penalty: float,
     surface: Bytes,
     dearness: FloatTable,
     height: Floats,
@@ -285,7 +283,7 @@ def way_to_go(
             cheapest = min(cheapest, dearness[r, c])
             dearest = max(dearest, dearness[r, c])
     width = places.spacing * cheapest
-    most = lengths[STEPS - 1] * dearest * max(penalty, 1.0) * factors[-1]
+    most = lengths[STEPS - 1] * dearest * factors[-1]
     ring = int(most / width) + 2
     bucket = np.empty(ring, np.int32)
     for k in range(ring):
@@ -358,7 +356,7 @@ def way_to_go(
                 factor = dearness[here, at]
                 if varied:
                     factor = 0.5 * (factor + dearness[surface[there], at])
-            step = factor * lengths[k] * (penalty if places.room[there] < tight else 1.0)
+            step = factor * lengths[k]
             for other in range(places.first[there], places.first[there + 1]):
                 if d + step >= distance[other] - rounding or not near[region[other]]:
                     continue

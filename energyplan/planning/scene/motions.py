@@ -102,6 +102,26 @@ def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: f
 
 
 @njit
+def turn_prices(setting: KernelProblem) -> Floats:
+    """Price of a radian of turning on each class of surface, on the level.
+
+    Half of it is turned on the spot, half by pivots, whose way ahead is not lost.
+    """
+    bins = setting.hills.bins
+    half = setting.half_track
+    found = np.empty(len(setting.prices) // bins)
+    for k in range(len(found)):
+        row = bins * k + bins // 2
+        spin = pivot = 0.0
+        for side in (-1.0, 1.0):
+            spin += 0.5 * price(setting.prices, row, half, 0.0, side)
+            pivot += 0.5 * price(setting.prices, row, half, half, side)
+        pivot -= price(setting.prices, row, half, half, 0.0)
+        found[k] = max(0.5 * (spin + pivot), setting.least_radian)
+    return found
+
+
+@njit
 def surface_at(setting: KernelProblem, x: float, y: float, yaw: float) -> int:
     """Class of the surface that the robot is on, that of the nearest cell outside the map."""
     rows, columns = setting.surface.shape

@@ -36,7 +36,6 @@ class Regions(NamedTuple):
     of_node: ShortInts  # (nodes,): the region of each node of the places
     x: Floats  # (regions,): middle of each region in the frame of the grid [m]
     y: Floats  # (regions,): middle of each region in the frame of the grid [m]
-    room: Floats  # (regions,): clearance of its roomiest place [m]
     home: ShortInts  # (regions,): that place
     head: ShortInts  # (regions,): first of its links, -1 where it has none
     to: ShortInts  # region that a link leads to, and the next link of the same region, or -1
@@ -156,7 +155,7 @@ def join_regions(places: Places) -> Regions:
         aside[link] = factors[steps[link]]
     to = to[:links].copy()
     after = after[:links].copy()
-    return Regions(of_node, x, y, room, roomiest, head, to, after, aside)
+    return Regions(of_node, x, y, roomiest, head, to, after, aside)
 
 
 @njit
@@ -167,8 +166,6 @@ def ways_between(
     margin: float,
     slack: float,
     leaving: bool,
-    tight: float,
-    penalty: float,
     surface: Bytes,
     dearness: FloatTable,
     height: Floats,
@@ -198,7 +195,6 @@ def ways_between(
         if region == stop:
             limit = margin * d + slack
         home = int(regions.home[region])
-        factor = penalty if regions.room[region] < tight else 1.0
         link = int(regions.head[region])
         while link >= 0:
             other = int(regions.to[link])
@@ -220,8 +216,7 @@ def ways_between(
             dear = dearness[kind, at]
             if varied:
                 dear = 0.5 * (dear + dearness[surface[there], at])
-            step = 0.5 * length * (factor + (penalty if regions.room[other] < tight else 1.0))
-            step *= dear * aside
+            step = length * dear * aside
             if d + step < distance[other]:
                 distance[other] = d + step
                 heap_f, heap_node = with_room(heap_f, heap_node, size)

@@ -1,4 +1,4 @@
-"""What rounds of searches find, and with how much effort."""
+"""What routes and searches find, and with how much effort."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from energyplan.cost import EnergyCost
 from energyplan.io.maps import read_map
 from energyplan.path import Path
 from energyplan.planning import Budget, PlanningProblem, plan
-from energyplan.planning.lattice.improvement import ROUNDS
 from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.search import EXPANSION, Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
@@ -34,11 +33,6 @@ def test_a_way_of_another_kind_is_found_before_fine_searches_have_taken_the_effo
     found = plan(PlanningProblem(grid, cost, *ends), effort=20_000)
     # on the way of the other kind it is 6.5 % dearer
     assert found.gap < 0.005
-
-
-def test_no_round_begins_a_search_twice():
-    every = [sought for begun in ROUNDS for sought in begun]
-    assert len(set(every)) == len(every)
 
 
 @pytest.fixture(scope="module")

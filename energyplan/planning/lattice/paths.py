@@ -1,4 +1,10 @@
-"""The first path: along a guide, through slots, or by searches on lattices ever finer."""
+"""The paths from start to goal: how the first is found, further ones, and how all get better.
+
+1. The shortest route through the free configurations is followed by exact motions. Where that fails
+   other routes are, then ways through slots, and last of all lattices are searched, ever finer.
+2. Routes that are cheapest by their length and turns follow, up to four, and the bound beside them.
+3. All paths compete for the budget to be refined.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +15,14 @@ import numpy as np
 
 from energyplan.compilation import compile_kernels
 from energyplan.path import Path
-from energyplan.planning.budget import Budget, side_by_side
+from energyplan.planning.budget import PACE, Budget, Work, do_together, side_by_side
 from energyplan.planning.lattice import search_kernels as kernels
 from energyplan.planning.lattice.portfolio import Bounding, Portfolio
+from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
-from energyplan.planning.lattice.slots import way_through_slots
+from energyplan.planning.lattice.slots import slot_work, way_through_slots
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
+from energyplan.planning.lattice.turning import ways_with_turns
 from energyplan.planning.lattice.way_along import led_along
 from energyplan.planning.scene import closure_kernels
 from energyplan.planning.scene.closure import (
@@ -33,12 +41,6 @@ from energyplan.planning.scene.motions import KernelProblem
 FIRST_WEIGHT = 2.0
 """Weight of the search for the first path."""
 
-PENALTY = 8.0
-"""How much longer a tight place counts for that search."""
-
-WAYS = (PENALTY, 2.0, 1.0)
-"""And for the ways along guides."""
-
 FIELD_SHARE = 0.4
 """Part of what is left that a distance to go may take before a first path is known, about."""
 
@@ -50,6 +52,34 @@ ESCAPE_SHARE = 0.25
 
 CLOSURE_SHARE = 0.5
 """Part of the budget that may be taken to find out that there is no way."""
+
+SEARCH_SHARE = 0.6
+"""Part of what is left after the first path that finding others may take."""
+
+ROUTES_SHARE = 0.5
+"""Part of that for routes."""
+
+COARSE = 2.0
+"""Scale of the lattice on which all ways that are not tight are compared."""
+
+COARSE_SHARE = 0.3
+"""Part of what searches have left that this may take."""
+
+HOPE = 1.08
+"""Estimate, in units of the best cost, at which that search turns away: refinement gains less."""
+
+BOUND_SHARE = 0.15
+"""Part of what is left that the bound may take at a time: twice."""
+
+MOST_LEFT = 60.0
+"""Time of which that part is taken at most [s]."""
+
+SHORT_SHARE = 0.33
+"""Part of what is left after the searches that making the shortest plan may take; and no more than
+was spent before."""
+
+SHORT_ONES = 4
+"""Of the paths found as many of the shortest are made shorter."""
 
 FIRST_TURN = 4000
 """Expansions of the search for a first path before a finer one joins it; then twice as many."""
@@ -63,8 +93,8 @@ class Attempt(NamedTuple):
     search: Search
 
 
-class FirstPath:
-    """The best motions so far, and how the first ones are found."""
+class Paths:
+    """The best motions so far, and how they are found and get better."""
 
     def __init__(self, query: CompiledProblem, budget: Budget, gap: float, seed: int) -> None:
         self.query = query
@@ -74,9 +104,10 @@ class FirstPath:
         self.portfolio = Portfolio(self.setting, seed)
         self.found: list[Segments] = []
         self.ends = Ends(query)
-        self.fields: dict[float, DistanceToGo] = {}
+        self._to_go: DistanceToGo | None = None
         self.bounding = Bounding(query)
         self._through_slots = False
+        self.kept = 0.0
         self._led: list[tuple[float, float]] = []
 
     @property
@@ -113,21 +144,20 @@ class FirstPath:
         plain = Ends(self.query)
         for ends in ways_out(self.query, self.budget.part(ESCAPE_SHARE)):
             self._move_ends(ends)
-            if not ends.eased or reached(self.field(PENALTY), ends.between(self.setting)):
+            if not ends.eased or reached(self.to_go, ends.between(self.setting)):
                 break
         else:
             self._move_ends(plain)
         if np.isfinite(self.cost):
             return
         if not self.ends.eased:
-            check_configurations(self.query, self.field(PENALTY))
+            check_configurations(self.query, self.to_go)
         # where the poses tested do not join start and goal, a search among them is in vain
         setting = self.ends.between(self.setting)
-        tested = self.field(PENALTY).places is places_for(setting)
+        tested = self.to_go.places is places_for(setting)
         closed = None if tested else self._closed(setting)
-        for penalty in WAYS:
-            if self._enter_way(penalty):
-                return
+        if self._enter_way() or self._enter_routes():
+            return
         if not tested and self._enter_slots():
             return
         # between ends without room there may be a way where no pose beside them is free
@@ -149,7 +179,7 @@ class FirstPath:
                 ends, scale = waiting.pop(0)
                 setting = ends.between(self.setting)
                 own = ends is self.ends
-                to_go = self.field(PENALTY) if own else distance_to_go(setting, PENALTY)
+                to_go = self.to_go if own else distance_to_go(setting)
                 lattice = lattice_for(self.setting, scale)
                 every.append(Attempt(ends, scale, Search(setting, to_go, lattice, FIRST_WEIGHT)))
                 open_ones.append(every[-1])
@@ -193,12 +223,20 @@ class FirstPath:
         if way is not None:
             self.enter(self.ends.whole(way))
 
-    def _enter_way(self, penalty: float) -> bool:
-        """Enter the way that a guide knows, if it is one; tell whether it is."""
-        led = led_along(self.ends.between(self.setting), self.field(penalty), self.budget)
+    def _enter_way(self) -> bool:
+        """Enter the path along the shortest route, if it can be followed; tell whether it can."""
+        led = led_along(self.ends.between(self.setting), self.to_go, self.budget)
         self._led.append((led.x, led.y))
         self._enter(led.motions)
         return led.motions is not None
+
+    def _enter_routes(self) -> bool:
+        """Enter the paths along other routes; tell whether one can be followed."""
+        setting = self.ends.between(self.setting)
+        ways = ways_with_turns(setting, self.to_go, self.budget.part(FIELD_SHARE))
+        for way in ways:
+            self._enter(way)
+        return bool(ways)
 
     def _enter_slots(self) -> bool:
         """Enter a way through slots that no pose tested shows; tell whether one is found."""
@@ -220,13 +258,96 @@ class FirstPath:
     def _move_ends(self, ends: Ends) -> None:
         """Have searches begin and end elsewhere."""
         self.ends = ends
-        self.fields.clear()
+        self._to_go = None
 
-    def field(self, penalty: float) -> DistanceToGo:
-        """Return the distance to go, with tight places counted longer."""
-        if penalty not in self.fields:
+    @property
+    def to_go(self) -> DistanceToGo:
+        """The distance to go."""
+        if self._to_go is None:
             most = FIELD_SHARE * self.budget.left
-            found = distance_to_go(self.ends.between(self.setting), penalty, most)
-            self.budget.spend(found.work / TURNS)
-            self.fields[penalty] = found
-        return self.fields[penalty]
+            self._to_go = distance_to_go(self.ends.between(self.setting), most)
+            self.budget.spend(self._to_go.work / TURNS)
+        return self._to_go
+
+    # -- further paths --------------------------------------------------------------------------
+
+    def search(self) -> None:
+        """Find further paths until the searches' part of the budget is over, or the gap closed."""
+        searching = self.budget.part(SEARCH_SHARE)
+        self.kept = BOUND_SHARE * min(self.budget.left, MOST_LEFT * PACE)
+        setting, to_go = self.ends.between(self.setting), self.to_go
+
+        def routes(own: Budget) -> list[Segments]:
+            return ways_with_turns(setting, to_go, own)
+
+        def take(found: list[Segments]) -> None:
+            for way in found:
+                self._enter(way)
+
+        routing = Work(routes, ROUTES_SHARE * searching.left, take)
+        works = [routing, self._compared(searching)]
+        do_together(searching, [*self.portfolio.turns(self.enough), *works])
+        if searching.over or self.done:
+            return
+        works = self.bounding.work(self.cost, self.kept)
+        if not self._through_slots:
+            works += slot_work(setting, self.to_go, self.cost, searching, self._enter)
+        self._together(searching, works)
+        self.portfolio.run(searching, self.enough)
+
+    def _compared(self, budget: Budget) -> Work:
+        """Return a search of a coarse lattice: it compares all ways that are not tight."""
+        setting = self.ends.between(self.setting)
+        lattice = lattice_for(setting, COARSE)
+        search = Search(setting, self.to_go, lattice, 1.0, aligned=True)
+        limit = HOPE * self.cost
+
+        def run(own: Budget) -> None:
+            search.run(own, stop_at_first=False, limit=limit)
+
+        def take(_: None) -> None:
+            self._enter(search.segments() if search.found else None)
+
+        return Work(run, COARSE_SHARE * budget.left, take)
+
+    def finish(self) -> None:
+        """Refine the paths until the budget is over, the gap closed, or nothing is gained."""
+        self.portfolio.finish(self.budget, self.enough)
+        self.portfolio.improve(self.budget, self.enough)
+
+    def go_on(self, budget: Budget) -> bool:
+        """Refine the best path with what another budget gives; tell whether that gained."""
+        before, self.budget = self.cost, budget
+        self.portfolio.improve(self.budget, self.enough)
+        return self.cost < before
+
+    def _together(self, budget: Budget, works: list[Work]) -> None:
+        """Do some work beside the next turns of the paths known.
+
+        None may spend more than half of what those before it leave: where little is left the first
+        ones get it, and where one is hopeless the others still have their part.
+        """
+        every = [*self.portfolio.turns(self.enough), *works]
+        left = budget.left
+        for k, work in enumerate(every):
+            every[k] = work._replace(units=min(work.units, 0.5 * left))
+            left -= every[k].units
+        do_together(budget, every)
+
+    def shortest(self, query: CompiledProblem, *beside: Work) -> Segments:
+        """Return the shortest of the paths found, made shorter in a part of what is left."""
+        setting, enough = query.setting, Bounding(query).value * (1.0 + self.gap)
+        short = Portfolio(setting, self.portfolio.seed)
+        known = (query.motions_of(self.query, one) for one in [*self.found, self.portfolio.best])
+        every = [Refiner(setting, motions) for motions in known]
+        for one in sorted(every, key=lambda one: one.cost)[:SHORT_ONES]:
+            short.enter(one.segments)
+
+        def run(own: Budget) -> None:
+            short.run(own.part(SEARCH_SHARE), enough)
+            short.finish(own, enough)
+            short.improve(own, enough)
+
+        units = min(SHORT_SHARE * self.budget.left, self.budget.spent)
+        do_together(self.budget, [Work(run, units, lambda _: None), *beside])
+        return short.best
