@@ -23,7 +23,7 @@ from energyplan.fleet.types import Fleet, Robot
 from energyplan.io.project import Project
 from energyplan.logs.mapping import Column
 from energyplan.physics.effects import Effect
-from energyplan.terrain.costs import CostMap
+from energyplan.terrain.grid import CostMap
 
 VEHICLE = ep.Vehicle.preset("quadriga:full")
 MODEL = ep.PowerModel.preset("quadriga:full:concrete")

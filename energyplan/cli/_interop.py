@@ -144,8 +144,7 @@ def table(
     A planner in any language can read it.
     """
     from energyplan.cost import EnergyCost
-    from energyplan.cost.table import tabulate
-    from energyplan.io.cost_table import write_cost_table
+    from energyplan.io.cost_table import tabulate, write_cost_table
 
     try:
         asked = None if speeds is None else [float(text) for text in speeds.split(",")]

@@ -96,8 +96,7 @@ def reach(
     from energyplan.io.mission import read_battery
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
-    from energyplan.studies.doubt import energy_of_charge
-    from energyplan.studies.energy_map import energy_map
+    from energyplan.studies.energy_map import energy_map, energy_of_charge
 
     if battery and energy is not None:
         raise InvalidInputError("--battery and --energy both set the energy at hand; give one")

@@ -17,7 +17,7 @@ from energyplan.io.files import atomic_write
 from energyplan.kinds import checked
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
-from energyplan.terrain.frame import FARTHEST
+from energyplan.terrain.grid import FARTHEST
 
 KEEP_OUT = ("keep_out", "keep-out", "keepout")
 """Names of a surface that the robot must not enter."""

@@ -20,8 +20,7 @@ from energyplan.io.bags import is_bag, opened_bag
 from energyplan.io.documents import Checked, beside, load, read_bytes
 from energyplan.kinds import checked
 from energyplan.path import Pose
-from energyplan.terrain.frame import from_raster
-from energyplan.terrain.grid import MAX_CELLS
+from energyplan.terrain.grid import MAX_CELLS, from_raster
 from energyplan.terrain.heights import HeightMap
 
 MAX_FILE = 2**28

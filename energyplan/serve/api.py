@@ -64,8 +64,7 @@ from energyplan.serve.requests import (
 )
 from energyplan.serve.store import BusyError, FullError, Job, Pool, Store, UnknownFileError
 from energyplan.studies.comparison import compare
-from energyplan.studies.doubt import energy_of_charge
-from energyplan.studies.energy_map import energy_map
+from energyplan.studies.energy_map import energy_map, energy_of_charge
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
     (UnknownFileError, 404),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from energyplan.terrain.costs import CostMap
 from energyplan.terrain.found import LaidGround, knows_ground, laid_out, on_laid_ground
-from energyplan.terrain.grid import OccupancyGrid, footprint
+from energyplan.terrain.grid import CostMap, OccupancyGrid, footprint
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import Surface, SurfaceMap, with_weights
 from energyplan.terrain.terrain import PathPrice, Piece, Terrain, path_pieces, path_price

@@ -17,7 +17,6 @@ from energyplan.kinds import check_fields, checked, instance, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
 from energyplan.records import ReadOnly
 from energyplan.terrain import collision as _collision
-from energyplan.terrain.frame import FARTHEST, ORIGIN, extent_in_words, from_raster, to_raster
 from energyplan.terrain.updates import (
     distance_to_blocked,
     new_space,
@@ -26,6 +25,37 @@ from energyplan.terrain.updates import (
     window_of,
 )
 from energyplan.vehicle import Vehicle
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+"""Where a raster starts unless it says otherwise: the world's origin, unturned."""
+
+FARTHEST = 1e7
+"""Largest coordinate of maps and surfaces [m]; beyond it rounding would blur collisions."""
+
+
+def to_raster(points: ArrayLike, origin: Pose, resolution: float) -> FloatArray:
+    """Return world points (..., 2) [m] as (column, row)."""
+    at = numbers(points, "points", MapError, last=2, words="x, y [m]")
+    c, s = np.cos(origin.yaw), np.sin(origin.yaw)
+    turned = (at - np.array(origin[:2])) @ np.array([[c, -s], [s, c]])
+    return np.asarray(turned / resolution)
+
+
+def from_raster(cells: ArrayLike, origin: Pose, resolution: float) -> FloatArray:
+    """Return (column, row) coordinates (..., 2) as world points [m]: undoes `to_raster`."""
+    at = numbers(cells, "cells", MapError, last=2, words="column, row") * resolution
+    c, s = np.cos(origin.yaw), np.sin(origin.yaw)
+    return np.asarray(at @ np.array([[c, s], [-s, c]]) + np.array(origin[:2]))
+
+
+def extent_in_words(width: float, height: float, origin: Pose) -> str:
+    """Return where a raster of this size [m] lies."""
+    x, y, yaw = origin
+    if yaw == 0.0:
+        return f"x from {x:g} to {x + width:g} m and y from {y:g} to {y + height:g} m"
+    corner = f"{width:g} m by {height:g} m from its corner ({x:g}, {y:g})"
+    return f"{corner}, turned by {np.degrees(yaw):.1f} deg"
+
 
 BoolArray = NDArray[np.bool_]
 
@@ -482,3 +512,49 @@ def footprint(vehicle: Vehicle) -> _collision.Body:
     instance(vehicle, Vehicle, "vehicle")
     (x_min, y_min), (x_max, y_max) = vehicle.footprint.tolist()
     return _collision.Body(x_min, y_min, x_max, y_max)
+
+
+PIECE = 0.25
+"""Length of the pieces of a path that pay for the cell under their middle [cells]."""
+
+
+@dataclass(frozen=True, eq=False)
+class CostMap(ReadOnly):
+    """Costs of cells from 0 (none) to 1 (the highest)."""
+
+    costs: FloatArray  # (rows, columns): costs
+    resolution: float  # size of a cell [m]
+    origin: Pose = ORIGIN  # (3,): pose of the outer corner of cell (0, 0) in the world
+
+    def __post_init__(self) -> None:
+        costs = np.array(self.costs, float)
+        if costs.ndim != 2 or costs.size == 0 or not np.all((costs >= 0) & (costs <= 1)):
+            raise MapError(
+                f"costs have shape {costs.shape}; give rows and columns of numbers from 0 to 1"
+            )
+        costs.setflags(write=False)
+        object.__setattr__(self, "costs", costs)
+        # it lies where a map of the same frame would
+        frame = OccupancyGrid(np.zeros(costs.shape, bool), self.resolution, self.origin)
+        object.__setattr__(self, "origin", frame.origin)
+        object.__setattr__(self, "_frame", frame)
+
+    def at(self, points: ArrayLike) -> FloatArray:
+        """Return the cost at world points (..., 2) [m]; 0 outside."""
+        frame: OccupancyGrid = self.__dict__["_frame"]
+        return frame.values_at(self.costs, points)
+
+    def along(self, path: Path) -> float:
+        """Return the costs along a path, times the metres of its reference point [m].
+
+        Pieces of a quarter of a cell pay for the cell under their middle; turns on the spot pay
+        nothing.
+        """
+        fine = path.subdivide(PIECE * self.resolution)
+        points = fine.points
+        middle = 0.5 * (points[:-1] + points[1:])
+        return float(np.sum(np.abs(fine.ds) * self.at(middle)))
+
+    def over(self, grid: OccupancyGrid) -> FloatArray:
+        """Return the costs at the centres of a map's cells, shape (rows, columns)."""
+        return np.stack([self.at(grid.centres(row)) for row in range(grid.shape[0])])

@@ -12,7 +12,7 @@ from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
 from energyplan.records import ReadOnly
-from energyplan.terrain.frame import ORIGIN, extent_in_words, from_raster, to_raster
+from energyplan.terrain.grid import ORIGIN, extent_in_words, from_raster, to_raster
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,8 +19,7 @@ from energyplan.kinds import check_fields, described
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
-from energyplan.terrain.frame import FARTHEST
-from energyplan.terrain.grid import OccupancyGrid
+from energyplan.terrain.grid import FARTHEST, OccupancyGrid
 
 _STRAIGHT = 1e-6
 """Turns below this are clipped as straight lines [rad]."""

@@ -20,7 +20,7 @@ from energyplan.io.bags import bag_fields
 from energyplan.io.bundled import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.trajectory import write_log, write_trajectory
-from energyplan.studies.doubt import most_power
+from energyplan.studies.energy_map import most_power
 
 Run = Callable[..., "Result"]
 MODEL = PowerModel.preset("quadriga:full:marble")

@@ -12,9 +12,8 @@ import pytest
 from random_models import random_model
 
 from energyplan import EnergyCost, PowerModel
-from energyplan.cost.table import tabulate
 from energyplan.errors import InvalidInputError
-from energyplan.io.cost_table import write_cost_table
+from energyplan.io.cost_table import tabulate, write_cost_table
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 

@@ -4,7 +4,7 @@ import pytest
 from energyplan.cost import EnergyCost
 from energyplan.path import Path, wrap_angle
 from energyplan.planning import Budget, PlanningProblem, plan
-from energyplan.planning.lattice import search_kernels as kernels
+from energyplan.planning.lattice import search as kernels
 from energyplan.planning.lattice.portfolio import Portfolio
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem, Segments

@@ -28,7 +28,7 @@ from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.scene import motions as kernels
-from energyplan.planning.scene import slopes as _slopes
+from energyplan.planning.scene import prices as _prices
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
@@ -223,7 +223,7 @@ def test_the_price_of_height_is_the_best_one():
         travel = rng.uniform(0.1, 1.0, 40)
         rise = rng.normal(size=40)
         prices = 3.0 * rise + travel * rng.uniform(1.0, 4.0, 40)
-        found = _slopes.potential(prices, travel, rise)
+        found = _prices.potential(prices, travel, rise)
         scan = np.linspace(-10, 10, 4001)
         least = ((prices - scan[:, None] * rise) / travel).min(axis=1)
         assert ((prices - found * rise) / travel).min() >= least.max() - 1e-9
@@ -586,5 +586,5 @@ def test_the_energy_along_a_path_ends_with_its_own():
 
 
 def test_level_ground_is_one_of_the_slopes():
-    assert _slopes.BINS % 2 == 1
-    assert_allclose(np.linspace(-1, 1, _slopes.BINS)[_slopes.BINS // 2], 0.0, atol=1e-15)
+    assert _prices.BINS % 2 == 1
+    assert_allclose(np.linspace(-1, 1, _prices.BINS)[_prices.BINS // 2], 0.0, atol=1e-15)

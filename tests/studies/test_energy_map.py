@@ -31,7 +31,7 @@ from energyplan.errors import (
 )
 from energyplan.io.energy_map import write_contours, write_energies
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.studies.doubt import most_power, upper_prices
+from energyplan.studies.energy_map import most_power, upper_prices
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 

@@ -19,7 +19,7 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose, point_ahead
 from energyplan.planning.problem import PlanningProblem, is_length
-from energyplan.planning.scene import slopes as _slopes
+from energyplan.planning.scene import prices as _prices
 from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
 from energyplan.planning.scene.prices import LeastPrices, Minorant, Prices, least_prices
 from energyplan.terrain import OccupancyGrid, Terrain
@@ -93,11 +93,11 @@ class CompiledProblem:
         problem = self.problem
         if problem.heights is None:
             return 0.0
-        _slopes.check_models(self.costs, problem.surfaces)
+        _prices.check_models(self.costs, problem.surfaces)
         (x_min, y_min), (x_max, y_max) = problem.robot.footprint.tolist()
         ahead = problem.cost.icr.longitudinal
         radius = max(min(ahead - x_min, x_max - ahead, -y_min, y_max), 0.0)
-        return _slopes.steepest(self.grid, problem.heights, radius)
+        return _prices.steepest(self.grid, problem.heights, radius)
 
     @property
     def terrain(self) -> Terrain:
@@ -110,15 +110,15 @@ class CompiledProblem:
         return self.terrain.obstacles
 
     @cached_property
-    def _priced(self) -> _slopes.Priced:
+    def _priced(self) -> _prices.Priced:
         """Prices of the rays for all classes of surface and all slopes."""
         half = self.problem.cost.half_track
         ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
-        if self.steepest > _slopes.FLAT:
+        if self.steepest > _prices.FLAT:
             travel = np.abs(self.rays[:, 0])
-            return _slopes.priced(self.objective, ds, dtheta, travel, self.steepest)
+            return _prices.priced(self.objective, ds, dtheta, travel, self.steepest)
         prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
-        return _slopes.Priced(np.array(prices), 0.0)
+        return _prices.Priced(np.array(prices), 0.0)
 
     @cached_property
     def prices(self) -> FloatArray:
@@ -149,7 +149,7 @@ class CompiledProblem:
     @cached_property
     def least_prices(self) -> LeastPrices:
         """What motions cost at least on any ground and slope."""
-        sloping = self.steepest > _slopes.FLAT
+        sloping = self.steepest > _prices.FLAT
         steepest = self.steepest if sloping else 0.0
         return least_prices(self.objective, steepest, self._priced.worth, self.middle[1])
 
@@ -176,7 +176,7 @@ class CompiledProblem:
     def hills(self) -> Hills:
         """The heights as the kernels see them."""
         heights = self.problem.heights
-        if heights is None or not self.steepest > _slopes.FLAT:
+        if heights is None or not self.steepest > _prices.FLAT:
             return LEVEL
         cells, several = 0.5 * self.grid.resolution, len(self.costs) > 1 or self._levels > 1
         return Hills(
@@ -187,7 +187,7 @@ class CompiledProblem:
             sin=float(np.sin(heights.origin.yaw)),
             resolution=float(heights.resolution),
             steepest=self.steepest,
-            bins=_slopes.BINS,
+            bins=_prices.BINS,
             piece=cells if several else max(cells, 0.5 * heights.resolution),
         )
 
