@@ -11,6 +11,7 @@ from energyplan.limits.drive import Drive, Pieces
 from energyplan.limits.motor import ROUNDING, Limit, Limits
 from energyplan.limits.motor_kernels import intervals, shortest_window, window_mean
 from energyplan.path import FloatArray
+from energyplan.vehicle import MotorLimits
 
 
 class Excess(NamedTuple):
@@ -37,6 +38,16 @@ class Thermal(NamedTuple):
     t: FloatArray
     drawn: FloatArray
 
+    def scale(self, motor: MotorLimits) -> float:
+        """Largest factor on the speed within the continuous power, if forces do not change."""
+        if not np.isfinite(motor.continuous_power) or not self.drawn.any():
+            return np.inf
+        budget = motor.continuous_power * motor.thermal_time
+        if budget <= 0:
+            return motor.continuous_power / float(self.drawn.max())
+        shortest = min(shortest_window(self.t, power, budget) for power in self.drawn)
+        return shortest / motor.thermal_time
+
 
 class PieceLoads(NamedTuple):
     """Shaft power of each side, power under the model [W], and what each bound limits."""
@@ -54,6 +65,17 @@ class Survey(NamedTuple):
     excesses: list[Excess]
     energy: float
     thermal: Thermal
+
+    @property
+    def hot(self) -> bool:
+        """Whether a thermal window exceeds the continuous power."""
+        return any(excess.bound.kind == "continuous_power" for excess in self.excesses)
+
+    @property
+    def warmth(self) -> float:
+        """Power in the warmest thermal window, over the continuous power."""
+        kind = "continuous_power"
+        return max((peak.use for peak in self.peaks if peak.bound.kind == kind), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -204,7 +226,9 @@ def largest_scale(drive: LimitedDrive) -> SpeedScale:
     if not survey.peaks:
         return SpeedScale(np.inf, "nothing limits the speed")
     if _is_static(drive):
-        factor = min(_closed_form(survey, KINEMATIC | STATIC), _thermal(drive, survey))
+        factor = min(
+            _closed_form(survey, KINEMATIC | STATIC), survey.thermal.scale(drive.limits.motor)
+        )
         slowest = survey
     else:
         factor = _search(drive, _closed_form(survey, KINEMATIC))
@@ -243,20 +267,6 @@ def _closed_form(survey: Survey, exponents: dict[str, int]) -> float:
         elif ratio < 1 - ROUNDING:
             factor = 0.0
     return float(factor)
-
-
-def _thermal(drive: LimitedDrive, survey: Survey) -> float:
-    motor = drive.limits.motor
-    if not np.isfinite(motor.continuous_power):
-        return np.inf
-    window, (t, drawn) = motor.thermal_time, survey.thermal
-    top = float(drawn.max())
-    if top <= 0:
-        return np.inf
-    budget = motor.continuous_power * window
-    if budget <= 0:
-        return motor.continuous_power / top
-    return min(shortest_window(t, power, budget) for power in drawn) / window
 
 
 def _search(drive: LimitedDrive, ceiling: float) -> float:

@@ -9,60 +9,27 @@ Inertia counts only if the model has inertia terms; the limit of acceleration ho
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d
+from scipy.optimize import brentq
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.kinds import checked
-from energyplan.limits._accept import accepted
-from energyplan.limits._check import LimitedDrive, Survey
-from energyplan.limits._timing import (
-    Course,
-    Grid,
-    Phases,
-    Sampled,
-    joined,
-    rounding,
-    worth_rounding,
-)
-from energyplan.limits.acceleration_table import UNLIMITED, Ladder, Runs, drift_about
-from energyplan.limits.curve import Curve, Points
+from energyplan.limits._check import LimitedDrive, Survey, Thermal
+from energyplan.limits.course import SETTINGS, Course, Points, Sampled, times
 from energyplan.limits.drive import Drive, Ground
-from energyplan.limits.economy import Choice, Economy
 from energyplan.limits.motor import ROUNDING, Limits
+from energyplan.limits.reach import UNLIMITED, Reach
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import Vehicle
-
-RUNGS = 96
-"""Rungs of the speed ladders; matters only where power or force limit the acceleration."""
-
-SAME = 1e-9
-"""Difference of the treads' shares in the speed below which two curvatures are one."""
-
-SLOPED = 0.5
-"""Length of the pieces in which the slope counts as constant while timing [m]."""
-
-SLOWEST = 0.05
-"""Slowest cruising speed that the least energy may ask for, over the motors' speed limit."""
-
-FITTED = 0.5
-"""Largest jump of a tread's share at which arcs that join poses count as one curve."""
-
-CELLS, FINEST = 400, 0.002
-"""Cells that the straights and arcs of a smooth curve are cut into, and their least length [m]."""
-
-WARM, MOST, FEWEST = 24, 2000, 8
-"""Cells per thermal window, cells at most, and cells of a section where the motors warm up."""
-
-DEAREST = 1e6
-"""Highest price of time that the search for a duration tries [W]."""
 
 
 class Rounding(NamedTuple):
@@ -89,7 +56,7 @@ def corner_rounding(tolerance: float) -> Rounding:
     >>> corner_rounding(0.05).tolerance
     0.05
     """
-    return Rounding(1.0, tolerance) if tolerance > 0 else Rounding(FITTED, 0.005)
+    return Rounding(1.0, tolerance) if tolerance > 0 else Rounding(SETTINGS.fitted, 0.005)
 
 
 @checked()
@@ -171,12 +138,10 @@ def profile(
 
     Notes
     -----
-    On a stretch of constant curvature the least time is a closed form: full acceleration, top
-    speed, full deceleration. Where inertia meets a power or force limit the acceleration follows
-    that limit in 96 steps, always from the safe side. The least energy follows from the maximum
-    principle at the same steps (docs/limits). The continuous power limit is kept in the least time
-    by linear programs (`energyplan.limits.thermal`); else by lowering the peak power until the mean
-    over every thermal window is within it, which is safe but not always the cheapest way.
+    The path is cut into cells; the least time follows from one pass backwards and one forwards over
+    them. The least energy is that of the cheapest steady speeds, reached with full acceleration; a
+    given duration is met by a price on time (docs/limits). Where the continuous power limit does
+    not hold, the robot drives slower in the thermal windows that are too warm.
 
     Examples
     --------
@@ -218,7 +183,7 @@ def profile(
     model, surfaces, heights = laid_out(model, _about(path), surfaces, heights)
     known, ground = dict(channels or {}), Ground(model, surfaces, heights)
     if heights is not None:
-        most = max(SLOPED, 0.5 * heights.resolution), 0.2
+        most = max(SETTINGS.sloped, 0.5 * heights.resolution), 0.2
         if rounded.ndim:
             each = zip(path.ds, path.dtheta, strict=True)
             parts = [len(Path(path.start, ds, turn).subdivide(*most)) for ds, turn in each]
@@ -227,23 +192,25 @@ def profile(
             rounded[last] = np.asarray(smooth, float)
         path = path.subdivide(*most)
         known["slope"] = heights.slopes(path)
-    task = _Task.build(
-        path, ground.leading(path), limits, known, rounded, tolerance, (start_speed, end_speed)
+    speeds = start_speed, end_speed
+    gain = min(limits.motor.acceleration, UNLIMITED)
+    course = Course.of(
+        path, model.vehicle.icr, known, rounded, tolerance, speeds, gain, limits.motor.speed
     )
-
-    def solve(within: Limits) -> Sampled:
-        return task.sampled(within, objective, duration, period)
+    top = limits.motor.speed if np.isfinite(limits.motor.speed) else 1.0
+    points = course.points(top**2 / (2.0 * gain))
+    task = _Task(course, points, ground.leading(path), speeds)
 
     def survey(sampled: Sampled) -> Survey:
-        along = {name: value[task.kinds[sampled.run]] for name, value in task.runs.channels.items()}
+        along = {name: value[sampled.run] for name, value in course.channels.items()}
         if heights is not None:
             del along["slope"]
-        drive = Drive(sampled.trajectory, ground, along)
-        return LimitedDrive(drive, limits).survey()
+        return LimitedDrive(Drive(sampled.trajectory, ground, along), limits).survey()
 
-    hasty = objective == "time" and duration is None
-    cool = partial(task.cool, duration) if limits.motor.thermal_time > 0 else None
-    return accepted(solve, survey, limits, cool, hasty)
+    found = _within(partial(task.solved, objective, duration, period), survey, limits)
+    if found.hot:
+        found = _within(partial(task.cooled, duration, period, survey), survey, found.limits)
+    return found.sampled.trajectory
 
 
 def _about(path: Path) -> FloatArray:
@@ -253,184 +220,97 @@ def _about(path: Path) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Task:
-    """A path cut into runs, the kinds of runs, and the limits."""
+    """Points along a path, and what counts as energy there."""
 
     course: Course
-    runs: Runs
-    kinds: NDArray[np.int_]
+    points: Points
+    model: PowerModel
+    ends: tuple[float, float]
 
-    @classmethod
-    def build(
-        cls,
-        path: Path,
-        model: PowerModel,
-        limits: Limits,
-        channels: Mapping[str, ArrayLike],
-        smooth: ArrayLike,
-        tolerance: float,
-        ends: tuple[float, float],
-    ) -> _Task:
-        icr, count = model.vehicle.icr, len(path)
-        columns = {}
-        for name, value in channels.items():
-            if np.shape(value) not in ((), (count,)):
-                raise InvalidInputError(
-                    f"channel {name!r} has shape {np.shape(value)}; give one value, or one for "
-                    f"each of the path's {count} segments"
-                )
-            columns[name] = np.broadcast_to(np.asarray(value, float), (count,))
-        # What rounding leaves of a turn on a straight, or of the slower tread in a pivot, is none.
-        dtheta = np.where(
-            np.abs(path.dtheta) * icr.slip_track < SAME * np.abs(path.ds), 0.0, path.dtheta
-        )
-        left, right = path.ds - icr.left * dtheta, path.ds + icr.right * dtheta
-        length = np.maximum(np.abs(left), np.abs(right))
-        moves = length > 1e-12 * length.max()
-        share = np.column_stack([left[moves], right[moves]]) / length[moves, None]
-        given = np.column_stack([np.zeros(count), *columns.values()])[moves]
-        # Neighbours of one curvature and one set of channels are one run.
-        fresh = np.any(np.abs(np.diff(share, axis=0)) > SAME, axis=1)
-        fresh |= np.any(np.diff(given, axis=0) != 0, axis=1)
-        begin = np.flatnonzero(np.append(True, fresh))
-        whole = Path(
-            path.start,
-            np.add.reduceat(path.ds[moves], begin),
-            np.add.reduceat(dtheta[moves], begin),
-            path.longitudinal,
-        )
-        length = np.add.reduceat(length[moves], begin)
-        share, given = share[begin], given[begin]
-        jump = np.max(np.abs(np.diff(share, axis=0)), axis=1, initial=0.0)
-        # The faster tread cannot turn round at a jump of 1 or less.
-        largest = np.minimum(smooth, 1.0) if tolerance > 0 else np.zeros(())
-        if largest.ndim:
-            largest = largest[np.flatnonzero(moves)[begin[1:]] - 1]
-        through = (jump > SAME) & (jump <= largest + SAME)
-        shape = np.column_stack([whole.ds / length, whole.dtheta / length])
-        reach = rounding(length, shape, tolerance)
-        most = min(limits.motor.acceleration, UNLIMITED)
-        through &= worth_rounding(length, reach, jump, most, SLOWEST * limits.motor.speed)
-        corner = np.concatenate([ends[:1], np.where((jump <= SAME) | through, np.inf, 0), ends[1:]])
-        drift = drift_about(reach, shape, jump * through)
-        features = np.column_stack([shape, given, drift])
-        _, first, kinds = np.unique(
-            features.round(9), axis=0, return_index=True, return_inverse=True
-        )
-        kind = features[first]
-        names = dict(zip(columns, kind.T[3:-4], strict=True))
-        runs = Runs(kind[:, 0], kind[:, 1], kind[:, -4:].T, model, names)
-        course = Course(whole, length, corner, through, tolerance)
-        return cls(course, runs, kinds.reshape(-1))
+    def reach(self, limits: Limits) -> Reach:
+        """Return the points within limits, at rest where the robot stops."""
+        corner = np.full(len(self.points.at), np.inf)
+        stops = np.flatnonzero(self.points.cell == 0)
+        corner[stops] = corner[stops + 1] = 0.0
+        corner[[0, -1]] = self.ends
+        return Reach(self.points, self.model, limits, corner)
 
-    def sampled(
-        self, limits: Limits, objective: str, duration: float | None, period: float
+    def duration(self, rate: FloatArray) -> float:
+        """Time that the path takes at given rates [s]."""
+        return float(times(self.points.cell, rate).sum())
+
+    def solved(
+        self, objective: str, duration: float | None, period: float, limits: Limits
     ) -> Sampled:
         """Return the trajectory that meets the objective, or takes the duration."""
-        course = self.course
-        if objective != "time" or duration is not None or not course.through.any():
-            return course.sample(self.phases(limits, objective, duration), period)
-        parts, first = [], [0]
-        for section in course.sections():
-            runs = slice(first[-1], first[-1] + len(section.length))
-            if section.through.any():
-                grid = section.grid(max(float(section.length.sum()) / CELLS, FINEST))
-                curve = self._curve(section, grid, runs, limits)
-                parts.append(section.at_points(grid, curve.fastest(curve.cap)))
-            else:
-                # Where nothing is rounded there is no change of curvature to pay for.
-                straight = replace(self.runs, drift=np.zeros_like(self.runs.drift))
-                task = replace(self, course=section, kinds=self.kinds[runs], runs=straight)
-                parts.append(section.sample(task.phases(limits, objective, None), period))
-            first.append(runs.stop)
-        made = joined(parts, first[:-1])
-        self._check_ends(*(self._rates(made)[[0, -1]]))
-        return made
-
-    def _rates(self, sampled: Sampled) -> FloatArray:
-        made, icr = sampled.trajectory, self.runs.model.vehicle.icr
-        left, right = made.v - icr.left * made.omega, made.v + icr.right * made.omega
-        return np.maximum(np.abs(left), np.abs(right))
-
-    def _curve(self, section: Course, grid: Grid, part: slice, limits: Limits) -> Curve:
-        """Return the points of a section with their largest steady rates."""
-        kinds = self.kinds[part][grid.run]
-        known = {name: value[kinds] for name, value in self.runs.channels.items()}
-        forward, turn = grid.shape.T
-        runs = Runs(forward, turn, np.zeros((4, len(turn))), self.runs.model, known)
-        cap = runs.top_rate(limits)
-        cap[[0, -1]] = np.minimum(cap[[0, -1]], section.corner[[0, -1]])
-        points = Points(forward, turn, grid.cell, known)
-        return Curve(points, self.runs.model, limits, cap)
-
-    def cool(self, duration: float | None, limits: Limits) -> Sampled:
-        """Return a trajectory of least time within the continuous power too, or so slowed down."""
-        from energyplan.limits.thermal import Thermal  # slow to import, and rarely needed
-
-        whole, parts, first = float(self.course.length.sum()), [], [0]
-        cells = float(np.clip(WARM * self._windows(limits), CELLS, MOST))
-        for section in self.course.sections():
-            runs = slice(first[-1], first[-1] + len(section.length))
-            length = float(section.length.sum())
-            grid = section.grid(length / max(cells * length / whole, FEWEST))
-            parts.append((section, grid, self._curve(section, grid, runs, limits)))
-            first.append(runs.stop)
-        rates = Thermal([curve for *_, curve in parts]).rates()
-
-        def driven(share: float) -> Sampled:
-            pieces = zip(parts, rates, strict=True)
-            sampled = [section.at_points(grid, share * rate) for (section, grid, _), rate in pieces]
-            return joined(sampled, first[:-1])
-
-        made = driven(1.0)
+        reach = self.reach(limits)
+        rate = reach.fastest(reach.top)
+        self._check_ends(rate)
         if duration is not None:
-            share = made.trajectory.duration / duration
-            if share > 1 + ROUNDING:
-                raise InfeasibleMotionError(
-                    f"within the motors' continuous power of {limits.motor.continuous_power:g} W "
-                    f"the path takes {made.trajectory.duration:.6g} s; {duration:g} s is too short"
-                )
-            made = driven(share)
-        self._check_ends(*(self._rates(made)[[0, -1]]))
-        return made
+            rate = self._lasting(reach, rate, duration)
+        elif objective == "energy":
+            rate = self._slowed(reach, rate, self._cheapest(reach, 0.0))
+        return self.course.timed(self.points, rate, period)
 
-    def _windows(self, limits: Limits) -> float:
-        """Energy that a side draws along the path, over what one thermal window may hold."""
-        motor, slow = limits.motor, 1e-3 * np.ones(len(self.runs.turn))
-        motion = self.runs.motion(slow)
-        forces = self.runs.model.forces(motion)
-        sides = np.stack([forces.left * motion.v_left, forces.right * motion.v_right]) / slow
-        drawn = np.maximum(sides, 0.0)[:, self.kinds] @ self.course.length
-        return float(drawn.max() / (motor.continuous_power * motor.thermal_time))
+    def _cheapest(self, reach: Reach, price: float) -> FloatArray:
+        top = reach.limits.motor.speed
+        top = top if np.isfinite(top) else float(reach.top.max())
+        return reach.cheapest(price, SETTINGS.slowest * top)
 
-    def phases(self, limits: Limits, objective: str, duration: float | None) -> Phases:
-        """Return the phases that meet the objective, or take the duration."""
-        fastest = Ladder.fastest(self.runs, limits, RUNGS)
-        quick = Choice(fastest.take(self.kinds), fastest.rate[-1, self.kinds])
-        best = self._drive(quick)
-        self._check_ends(best.rate[0], best.rate[-1] + best.gain[-1] * best.time[-1])
-        if objective == "time" and duration is None:
-            return best
-        if duration is not None and duration < best.duration * (1 - ROUNDING):
+    def _slowed(self, reach: Reach, fast: FloatArray, cap: FloatArray) -> FloatArray:
+        """Return the greatest rates within caps that leave the speeds at both ends as given."""
+        if any(self.ends):
+            way = np.append(0.0, np.cumsum(self.points.cell))
+            most = 0.9 * min(reach.limits.motor.acceleration, UNLIMITED)
+            for end, along in zip(self.ends, (way, way[-1] - way), strict=True):
+                slowing = np.sqrt(np.maximum(end**2 - 2 * most * along, 0.0))
+                cap = np.maximum(cap, np.minimum(slowing, fast))
+            rate = reach.fastest(cap)
+            if np.allclose(rate[[0, -1]], fast[[0, -1]], rtol=ROUNDING):
+                return rate
+            cap = reach.top  # braking to the cheapest rate is beyond some limit
+        return reach.fastest(cap)
+
+    def _lasting(self, reach: Reach, fast: FloatArray, duration: float) -> FloatArray:
+        """Search the price of time, then slow all down, until the duration fits."""
+        least = self.duration(fast)
+        if duration < least * (1 - ROUNDING):
             raise InfeasibleMotionError(
-                f"the path takes {best.duration:.6g} s at least; {duration:g} s is too short"
+                f"the path takes {least:.6g} s at least; {duration:g} s is too short"
             )
-        top = limits.motor.speed if np.isfinite(limits.motor.speed) else float(fastest.rate.max())
-        economy = Economy(self.runs, fastest, SLOWEST * top)
-        if duration is None:
-            return self._drive(self._choice(economy, 0.0))
-        return self._lasting(economy, quick, duration)
+        best, longest = reach.top, least
 
-    def _choice(self, economy: Economy, price: float) -> Choice:
-        still = (self.course.corner[:-1] == 0) & (self.course.corner[1:] == 0)
-        return economy.choose(price, self.kinds, np.where(still, self.course.length, np.inf))
+        def excess(price: float) -> float:
+            nonlocal best, longest
+            tried = self._cheapest(reach, float(np.sinh(price)))
+            taken = self.duration(self._slowed(reach, fast, tried))
+            if longest < taken <= duration:
+                best, longest = tried, taken
+            return float(np.log(taken / duration))
 
-    def _drive(self, choice: Choice, cap: float = np.inf) -> Phases:
-        return self.course.phases(choice.ladder, np.minimum(choice.cruise, cap))
+        top = float(np.arcsinh(SETTINGS.dearest))
+        if excess(top) < 0 < excess(-top):
+            brentq(excess, -top, top, xtol=1e-2)
 
-    def _check_ends(self, first: float, last: float) -> None:
-        for name, wanted, found in (
-            ("start_speed", self.course.corner[0], first),
-            ("end_speed", self.course.corner[-1], last),
+        # What remains is a jump between two choices: slow the faster one down evenly.
+        if not any(self.ends):
+            return self._slowed(reach, fast, best) * longest / duration
+
+        def capped(most: float) -> FloatArray:
+            return self._slowed(reach, fast, np.minimum(best, most))
+
+        def late(most: float) -> float:
+            return float(np.log(self.duration(capped(most)) / duration))
+
+        high = float(best[np.isfinite(best)].max())
+        low = 0.5 * high
+        while late(low) < 0:
+            low *= 0.5
+        return capped(high if late(high) >= 0 else brentq(late, low, high, xtol=1e-12, rtol=1e-10))
+
+    def _check_ends(self, rate: FloatArray) -> None:
+        for name, wanted, found in zip(
+            ("start_speed", "end_speed"), self.ends, rate[[0, -1]], strict=True
         ):
             if found < wanted * (1 - 1e-6) - 1e-9:
                 raise InfeasibleMotionError(
@@ -438,32 +318,138 @@ class _Task:
                     f"{found:.4g} m/s is the most"
                 )
 
-    def _lasting(self, economy: Economy, quick: Choice, duration: float) -> Phases:
-        """Search the price of time, then a cap on the speed, until the duration fits."""
-        from scipy.optimize import brentq  # slow to import, and rarely needed
+    def cooled(
+        self,
+        duration: float | None,
+        period: float,
+        survey: Callable[[Sampled], Survey],
+        limits: Limits,
+    ) -> Sampled:
+        """Return a trajectory within the continuous power too: slower where windows are warm.
 
-        best, longest = quick, 0.0
+        Each point is slowed by the warmest window over it, and quickened where that is cold,
+        until the former are as warm as they may be.
+        """
+        reach = self.reach(limits)
+        fast = reach.fastest(reach.top)
+        section = np.append(0, np.cumsum(self.points.cell == 0))
+        quickest = np.zeros(section[-1] + 1)
+        np.maximum.at(quickest, section, fast)
+        most = np.minimum(reach.top, quickest[section])
+        level, best, least = most, fast, np.inf
+        for _ in range(SETTINGS.rounds):
+            rate = self._slowed(reach, fast, np.minimum(most, level))
+            clock = np.append(0.0, np.cumsum(times(self.points.cell, rate)))
+            found = survey(self.course.timed(self.points, rate, period))
+            share = min(1.0, found.thermal.scale(limits.motor))
+            if found.hot and clock[-1] < least * share:  # all a little slower may do
+                even = rate * share * (1 - SETTINGS.margin)
+                if not survey(self.course.timed(self.points, even, period)).hot:
+                    best, least = even, self.duration(even)
+            if not found.hot and clock[-1] < least:
+                best, least = rate, float(clock[-1])
+            warmth = _warmth(found.thermal, limits, clock)
+            warmth *= found.warmth / warmth.max()
+            level = np.minimum(level * warmth**-SETTINGS.damping, most)
+        if not np.isfinite(least):
+            raise InfeasibleMotionError(
+                f"the motors' continuous power of {limits.motor.continuous_power:g} W does not "
+                "suffice in any profile that was tried; allow more time or take a longer way round"
+            )
+        self._check_ends(best)
+        if duration is not None:
+            if least > duration * (1 + ROUNDING):
+                raise InfeasibleMotionError(
+                    f"within the motors' continuous power of {limits.motor.continuous_power:g} W "
+                    f"the path takes {least:.6g} s; {duration:g} s is too short"
+                )
+            best = best * least / duration
+        return self.course.timed(self.points, best, period)
 
-        def excess(logprice: float) -> float:
-            nonlocal best, longest
-            tried = self._choice(economy, float(np.sinh(logprice)))
-            taken = self._drive(tried).duration
-            if longest < taken <= duration:
-                best, longest = tried, taken
-            return float(np.log(taken / duration))
 
-        top = float(np.arcsinh(DEAREST))
-        if excess(top) < 0 < excess(-top):
-            brentq(excess, -top, top, xtol=1e-3)
+def _warmth(thermal: Thermal, limits: Limits, clock: FloatArray) -> FloatArray:
+    """Warmest window over each instant of `clock`, over what the motors can keep up."""
+    window, motor = limits.motor.thermal_time, limits.motor
+    step = min(window / 50, float(clock[-1]) / 1000)
+    ends = np.arange(0.0, clock[-1] + window + step, step)
+    size = max(int(np.ceil(window / step)), 1)
+    warm = np.zeros(len(ends))
+    since = thermal.t - thermal.t[0]
+    for power in thermal.drawn:
+        pieces = 0.5 * (power[1:] + power[:-1]) * np.diff(since)
+        drawn = np.append(0.0, np.cumsum(pieces))
+        mean = np.interp(ends, since, drawn) - np.interp(ends - window, since, drawn)
+        warm = np.maximum(warm, mean / (window * motor.continuous_power))
+    after = maximum_filter1d(warm, size + 1, origin=-((size + 1) // 2), mode="nearest")
+    return np.interp(clock, ends, after)
 
-        # What remains is a jump between two choices: slow the faster one down evenly.
-        def late(cap: float) -> float:
-            return float(np.log(self._drive(best, cap).duration / duration))
 
-        fast = float(best.cruise.max())
-        slow = 0.5 * fast
-        while late(slow) < 0:
-            slow *= 0.5
-        if late(fast) >= 0:
-            return self._drive(best)
-        return self._drive(best, brentq(late, slow, fast, xtol=1e-15, rtol=1e-13))
+class _Found(NamedTuple):
+    """A profile with the limits that it was made for, and whether the motors get too warm."""
+
+    limits: Limits
+    sampled: Sampled
+    hot: bool
+
+
+def _within(
+    solve: Callable[[Limits], Sampled], survey: Callable[[Sampled], Survey], limits: Limits
+) -> _Found:
+    """Tighten limits until `check` finds none exceeded but the continuous power.
+
+    Across smooth corners, on other grounds and on slopes that change, a limit may be exceeded a
+    little; it is tightened by as much.
+    """
+    tight, gentle = limits, 1.0
+    for k in range(SETTINGS.tries):
+        try:
+            sampled = solve(tight)
+        except InfeasibleMotionError:
+            if tight is limits or gentle < 0.2:
+                raise
+            # Within the tightened limits nothing moves: go easy on all that speed brings about.
+            gentle *= 0.9
+            tight = _gentler(limits, gentle)
+            continue
+        found = survey(sampled)
+        worst: dict[str, float] = {}
+        for excess in found.excesses:
+            kind, limit = excess.bound.kind, excess.bound.limit
+            worst[kind] = max(worst.get(kind, 1.0), excess.peak / limit if limit > 0 else np.inf)
+        worst.pop("continuous_power", None)
+        if not worst:
+            return _Found(tight, sampled, found.hot)
+        if max(worst.values()) == np.inf or k >= SETTINGS.tries // 2:
+            # The limit itself, lowered, does not help: less of everything does.
+            gentle *= 0.9
+            tight = _gentler(limits, gentle)
+            continue
+        tight = _tightened(tight, worst)
+    first = found.excesses[0]
+    raise InfeasibleMotionError(
+        f"no profile that keeps every limit was found: {first.bound.describe(first.peak)} at "
+        f"{first.start:.3g} s; allow a little more of it"
+    )
+
+
+def _tightened(limits: Limits, excess: Mapping[str, float]) -> Limits:
+    """Return limits that are lower by the factors by which they were exceeded."""
+    motor = limits.motor
+    for kind, factor in excess.items():
+        of = motor if hasattr(motor, kind) else limits
+        lower = {kind: getattr(of, kind) / (factor * (1 + ROUNDING))}
+        if kind == "peak_power":
+            lower["continuous_power"] = min(motor.continuous_power, lower[kind])
+        if of is motor:
+            motor = replace(motor, **lower)
+        else:
+            limits = replace(limits, **lower)
+    return replace(limits, motor=motor)
+
+
+def _gentler(limits: Limits, factor: float) -> Limits:
+    """Return limits with lower accelerations and speeds."""
+    motor = limits.motor
+    motor = replace(motor, speed=motor.speed * factor, acceleration=motor.acceleration * factor**2)
+    lateral = limits.lateral_acceleration * factor**2
+    return replace(limits, motor=motor, lateral_acceleration=lateral)

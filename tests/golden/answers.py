@@ -105,7 +105,8 @@ ANSWERS = {
     "mission-robots": Answer("mission fleet_warehouse.yaml --effort 1000", ROUTE),
     "watch": Answer("watch drive.csv --vehicle quadriga:full --once"),
     "drive": Answer(
-        f"drive trajectory.csv {MODEL} --effect viscous_loss=60 --seed 1 --out log.csv"
+        f"drive trajectory.csv {MODEL} --effect viscous_loss=60 --seed 1 --out log.csv",
+        (Tolerance(1e-6, "the trajectory is timed cell by cell"),),
     ),
     "close-the-loop": Answer(
         f"close-the-loop {OFFICE} {ENDS} --effect viscous_loss=60 --rounds 2 --survey 20", ROUTE

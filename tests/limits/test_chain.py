@@ -210,7 +210,8 @@ def test_a_corner_is_rounded_within_the_tolerance_and_saves_the_stop():
         made = profile(path, model, smooth=1.0, tolerance=tolerance)
         assert check(made, model).feasible
         assert made.duration < 0.97 * stops.duration
-        moving = np.hypot(made.v, made.omega)[1:-1]
+        between = np.abs(made.t - 0.5 * made.duration) < 0.5 * made.duration - 0.1
+        moving = np.hypot(made.v, made.omega)[between]
         assert moving.min() > 0.05
         # Integrate what is commanded: it ends where the path does but for the tolerance's offsets.
         assert made.poses[-1] == pytest.approx(path.end, abs=1e-9)
