@@ -67,6 +67,12 @@ def test_tread_icrs_beyond_any_vehicle_are_an_error(value: float) -> None:
         TreadICR(value, 0.4)
 
 
+def test_asymmetric_icr() -> None:
+    icr = TreadICR(0.5, 0.4, 0.1)
+    assert icr.half_track == pytest.approx(0.45)
+    assert icr.centre == pytest.approx((0.1, 0.05))
+
+
 def test_slip_moment_with_general_contacts() -> None:
     vehicle = Vehicle(
         "three", np.array([(0.5, 0.0001), (-0.2, 0.3), (-0.2, -0.3)]), np.array([10.0, 20.0, 30.0]),
