@@ -14,6 +14,7 @@ import numpy as np
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.logs import DriveLog
 from energyplan.logs.align import find_runs
+from energyplan.logs.checks import grows
 from energyplan.logs.clean import join_rows
 from energyplan.logs.consistency import Evidence, Measures, correlation, distance_ratio, yaw_rates
 from energyplan.logs.guess import (
@@ -156,6 +157,13 @@ _ONE_SIDE = 0.7  # correlation through the origin of the speeds of one side's wh
 _HALF = 0.2  # of the larger, that powers or currents of two sides are at least
 
 
+_CONSUMED = {
+    "current": {"ah", "mah", "charge", "amphours"},
+    "power": {"wh", "kwh", "energy", "joule", "joules", "consumed", "used"},
+}
+"""Words of counters of charge and of energy."""
+
+
 def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
     """Say what is missing, and why what could be it is not."""
     text = guess(table.text)
@@ -189,11 +197,30 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
                 "where it counts on, [ticks/sample*0.0001] where it counts from row to row, "
                 "[ticks/s*0.0001] where it counts in a second"
             )
+        else:
+            hint += (
+                "; of the body's speed V and turn rate W they are made as in v_left=V-0.25*W,"
+                "v_right=V+0.25*W with half the track, though slip is then unseen"
+            )
     numbers = [name for name, values in table.columns.items() if counts_rows(values)]
     if "t" in needed and numbers:
         hint += (
             f"; {numbers[0]!r} counts rows: if they come at a steady rate, give the time from row "
             f"to row, as in t={numbers[0]}[*0.05] for 50 ms"
+        )
+    used = [
+        (name, channel, unit)
+        for name, values in table.columns.items() if grows(values)
+        for channel, unit in (("current", "mAh"), ("power", "Wh"))
+        if _CONSUMED[channel] & set(words(name))
+    ]  # fmt: skip
+    if "power" in needed and used:
+        name, channel, unit = used[0]
+        named = unit_in(channel, name)
+        unit = named.unit if named is not None else unit
+        hint += (
+            f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
+            f"{channel}={name}[{unit}]"
         )
     torques = [name for name in names if {"effort", "torque"} & set(words(name))]
     if "power" in needed and torques:

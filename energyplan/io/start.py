@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite, nan, pi
@@ -33,7 +33,7 @@ from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
 from energyplan.logs.checks import FAR, find_checks, grows, mirrored_side
 from energyplan.logs.clean import RECORDING, join_rows, possible, spread_bursts
-from energyplan.logs.consistency import Check, Measures, check_consistency, gather, strain
+from energyplan.logs.consistency import Check, Evidence, Measures, check_consistency, gather, strain
 from energyplan.logs.guess import Guess, guess, guess_ahead, guess_encoders, guess_turns, words
 from energyplan.logs.mapping import (
     Column,
@@ -339,7 +339,7 @@ def _with_units(
     measures = known_measures(known)
     first = {channel: choice.units[0] for choice in choices for channel in choice.channels}
     rolling = {channel for channel, unit in first.items() if unit.endswith("*")}
-    best: tuple[float, dict[str, str], float] | None = None
+    best: tuple[float, dict[str, str], Evidence] | None = None
     for each in product(*(choice.units for choice in choices)):
         chosen = {
             channel: unit
@@ -361,10 +361,11 @@ def _with_units(
         cost += 0.5 * bool(np.isnan(evidence.slip_track))
         cost += 0.5 * ({"yaw", "yaw_rate"} <= set(trial) and bool(np.isnan(evidence.rotation)))
         if best is None or cost < best[0] - 1e-9:
-            best = cost, chosen, evidence.force / (measures.mass * GRAVITY)
+            best = cost, chosen, evidence
     chosen = best[1] if best else first
     if best:
-        _sure_of_current(table, columns, chosen, best[2])
+        _sure_of_current(table, columns, chosen, best[2].force / (measures.mass * GRAVITY))
+        _sure_of_speeds(table, columns, choices, chosen, best[2], known)
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
         radius = _radius_from(raw, chosen)
         if not isfinite(radius):
@@ -402,6 +403,30 @@ def _unit_of_voltage(table: Table, column: Column) -> str:
     )
 
 
+_NEAR = 1.35  # ratio of two units up to which turning does not tell one from the other
+
+
+def _sure_of_speeds(
+    table: Table, columns: Mapping[str, Column], choices: Sequence[_Choice],
+    chosen: Mapping[str, str], evidence: Evidence, known: Given,
+) -> None:  # fmt: skip
+    """Refuse a unit of speeds that is nearly another one, where no pose tells which it is."""
+    units = next((one.units for one in choices if "v_left" in one.channels), ())
+    if len(units) < 2 or isfinite(evidence.distance):
+        return
+    size = _factor("v_left", chosen["v_left"], known)
+    near = [
+        unit for unit in units if abs(np.log(_factor("v_left", unit, known) / size)) < np.log(_NEAR)
+    ]
+    if len(near) > 1:
+        name = columns["v_left"].source
+        told = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u for u in near]
+        raise DriveLogError(
+            f"{table.source}: {name} could be in {' or '.join(told)}, which are nearly the same; "
+            f"give its unit with --columns, as in v_left={name}[{told[0]}]"
+        )
+
+
 def _sure_of_current(
     table: Table, columns: Mapping[str, Column], chosen: Mapping[str, str], force: float
 ) -> None:
@@ -418,10 +443,10 @@ def _sure_of_current(
                 if _USUAL_FORCE[0] <= raw * f <= _USUAL_FORCE[1]}  # fmt: skip
         if set(fits) - {unit}:
             name = columns[channel].source
-            told = " or ".join(f"{channel}={name}[{u}]" for u in fits)
+            told = " or ".join(f"{channel}={name}[{u}]" for u in ("*0.1", "*0.01", unit))
             raise DriveLogError(
                 f"{table.source}: {name} comes in whole numbers, whose unit their size does not "
-                f"tell for sure; give it with --columns, as in {told}"
+                f"tell for sure; give it with --columns, and that of the voltage, as in {told}"
             )
 
 

@@ -168,6 +168,7 @@ def _score(channel: str, name: str) -> float:
         named = has["yaw"] and said & {"rate", "vel", "velocity", "speed", "dot"}
         z = "z" in said and has["turn"]
         alone = said & {"yawrate", "wz", "gz", "drehrate", "gierrate"}
+        named = named or ("turn" in said and said & {"rate", "speed", "velocity"})
         return 3.0 * bool(named) + 2.0 * bool(z) + 2.0 * bool(alone)
     if channel == "accel_x":
         return 2.0 * (has["accel"] and bool(said & {"x", "ax"}))

@@ -150,3 +150,27 @@ def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
     assert mapped["v_right"][0].value(message) == pytest.approx(0.8)
     with pytest.raises(ValidationError, match="write a field"):
         TopicSource(topic="odom", field="a.b c.d")
+
+
+TENTHS = {"volts": np.round(10 * AT.volts), "amps": np.round(10 * AT.amps)}
+HUNDREDTHS = {"volts": AT.volts, "amps": np.round(100 * AT.amps)}
+USED = {"volts": AT.volts, "charge_used_Ah": np.cumsum(AT.amps) * 0.1 / 3600.0}
+SPEEDS = {"left_speed": np.round(100 * AT.left), "right_speed": np.round(100 * AT.right)}
+
+
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        (TENTHS, r"whole numbers, .* current=amps\[\*0.1\]"),
+        (HUNDREDTHS, r"whole numbers, .* current=amps\[\*0.01\]"),
+        (USED, r"map its rate of change .* current=charge_used_Ah\[Ah\]"),
+        ({**SPEEDS, "power": AT.power}, "left_speed could be in rpm.* or cm/s"),
+    ],
+)
+def test_what_could_be_one_unit_or_another_is_asked_for(
+    tmp_path: Path, columns: dict[str, np.ndarray], told: str
+) -> None:
+    made = {"time": AT.t, "left_speed": AT.left, "right_speed": AT.right, "gyro_z": AT.yaw_rate}
+    pd.DataFrame({**made, **columns}).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(DriveLogError, match=told):
+        start(tmp_path / "log.csv", MEASURES)
