@@ -139,6 +139,33 @@ def orchard() -> tuple[OccupancyGrid, SurfaceMap]:
     return grid, ground
 
 
+def yard(folder: Path) -> None:
+    """Write a yard of 250 m by 170 m: a paved road round a ploughed field with a hill, and vines.
+
+    From side to side the shortest way crosses the field; that of least energy stays on the road.
+    """
+    width, height, cell = 250.0, 170.0, 0.5
+    fence = box(0, 0, width, height).difference(box(1, 1, width - 1, height - 1))
+    rows = [box(60.0 + 4.0 * k, 124.0, 60.8 + 4.0 * k, 160.0) for k in range(12)]
+    sheds = [box(2, 44, 8, 66), box(242, 50, 248, 74)]
+    grid = OccupancyGrid.from_polygons([fence, *rows, *sheds], (0, 0, width, height), cell)
+    road = box(9, 9, 241, 112).difference(box(19, 19, 231, 102))
+    field = box(0, 0, width, height).difference(road)
+    paved, ploughed = (PowerModel.preset(f"husky_a200:{name}") for name in ("flooring", "ploughed"))
+    ground = SurfaceMap([Surface(road, paved, "paved"), Surface(field, ploughed, "field")])
+    write_map(grid, folder / "yard.yaml")
+    write_surfaces(ground, folder / "yard_surfaces.geojson")
+    step = 5.0  # of the heights [m]
+    x = np.arange(-step / 2, width + step, step)
+    y = np.arange(-step / 2, height + step, step)
+    hill = 8.0 * np.exp(-(((x[None] - 125) / 60) ** 2) - ((y[:, None] - 60) / 26) ** 2)
+    head = (
+        f"ncols {len(x)}", f"nrows {len(y)}", "xllcorner -5", "yllcorner -5", f"cellsize {step:g}"
+    )  # fmt: skip
+    lines = [" ".join(f"{value:.2f}" for value in row) for row in hill[::-1]]
+    (folder / "yard_heights.asc").write_text("\n".join((*head, *lines)) + "\n")
+
+
 MAPS = {"office": office, "warehouse": warehouse, "orchard": orchard}
 
 
@@ -148,6 +175,7 @@ def main(folder: Path) -> None:
         grid, ground = make()
         write_map(grid, folder / f"{name}.yaml")
         write_surfaces(ground, folder / f"{name}_surfaces.geojson")
+    yard(folder)
 
 
 if __name__ == "__main__":

@@ -177,6 +177,7 @@ class _Mission(_Strict):
     return_to: Literal["start", "charger", "any"] = "any"
     time: Time = 0.0
     speed: Speed | None = None
+    objective: Literal["energy", "length"] = "energy"
     planner: str = "lattice"
     planning_time: Time | None = None
     planning_effort: Annotated[int, Field(ge=1)] | None = None
@@ -289,7 +290,7 @@ class MissionReader:
             confidence=spec.confidence, coefficient_spread=spec.coefficient_spread,
             order=spec.order, return_to=spec.return_to,
             home=None if spec.home is None else self._pose(spec.home, ("home",)),
-            time=spec.time, speed=spec.speed, planner=spec.planner,
+            time=spec.time, speed=spec.speed, objective=spec.objective, planner=spec.planner,
             planning_time=spec.planning_time, planning_effort=spec.planning_effort,
             name=spec.name,
         )  # fmt: skip

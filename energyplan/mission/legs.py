@@ -259,7 +259,7 @@ class Legs:
         cost, surfaces = self.cost(mission.payload)
         return PlanningProblem(
             mission.map, cost, self.poses[start], self.poses[goal], surfaces=surfaces,
-            heights=mission.heights, objective="time" if hurried else "energy",
+            heights=mission.heights, objective="time" if hurried else mission.objective,
         )  # fmt: skip
 
     # -- legs -------------------------------------------------------------------------------------
@@ -299,7 +299,8 @@ class Legs:
             *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
             *(shapely.to_wkb(area) for area in areas),
             _shaped(mission.heights),
-            self._speed, mission.planner, self._planning_time, mission.planning_effort,
+            self._speed, mission.objective, mission.planner, self._planning_time,
+            mission.planning_effort,
         )  # fmt: skip
         return hashlib.sha256(repr(asked).encode()).digest()
 

@@ -82,6 +82,8 @@ class Mission(ReadOnly, html.Readable):
     speed : float or str, optional
         Tread speed to drive at [m/s], or ``"cheapest"``; where not given that at which the vehicle
         is usually driven, or else the fastest of its motors.
+    objective : {"energy", "length"}
+        Whether the routes are those of least energy, or the shortest ones to compare with.
     planner : str
         Planner of the routes.
     planning_time : float, optional
@@ -137,6 +139,7 @@ class Mission(ReadOnly, html.Readable):
     home: Pose | None = None
     time: float = 0.0
     speed: float | Literal["cheapest"] | None = None
+    objective: Literal["energy", "length"] = "energy"
     planner: str = "lattice"
     planning_time: float | None = None
     planning_effort: int | None = None
@@ -234,6 +237,11 @@ class Mission(ReadOnly, html.Readable):
             if key == "speed" and value == "cheapest":
                 continue
             require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
+        require(
+            self.objective in ("energy", "length"),
+            f"objective is {self.objective!r}: energy or length",
+            "objective",
+        )
         require(self.order in ("given", "free"), f"order is {self.order!r}: given or free", "order")
         require(
             self.return_to in ("start", "charger", "any"),

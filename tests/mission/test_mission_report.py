@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from test_corridor import METRE, charger, corridor
 
-from energyplan.mission import MissionReport, Task, evaluate
+from energyplan.io.bundled import bundled
+from energyplan.io.mission import read_mission
+from energyplan.mission import MissionReport, Routes, Task, evaluate
 from energyplan.output import documents, text
 from energyplan.output.pages import mission_page
 from energyplan.path import Pose
@@ -182,3 +184,20 @@ def test_sources_of_doubt_add_up_to_the_bound() -> None:
 def test_without_doubt_no_source_is_listed() -> None:
     report = evaluate(corridor(1e6, {"a": 11.0}, 5.0))
     assert documents.mission(report)["uncertainty"] == []
+
+
+@pytest.mark.nightly
+def test_in_the_yard_the_route_decides_and_a_remedy_saves_the_task_out_of_reach() -> None:
+    """The shortest routes take more than the battery holds above its reserve."""
+    mission, routes = read_mission(bundled("mission_yard.yaml")), Routes()
+    report = evaluate(mission, routes=routes)
+    assert report.feasible
+    (mast,) = [task for task in report.tasks if task.verdict == "unreachable"]
+    remedy = next(one for one in mast.remedies if one.kind == "charge")
+    saved = evaluate(mission.with_remedy(remedy), routes=routes)
+    assert [task.verdict for task in saved.tasks] == ["reachable"] * len(mission.tasks)
+    shortest = evaluate(replace(mission, objective="length", soc=1.0), routes=routes)
+    length = [sum(path.length for path in one.paths) for one in (saved, shortest)]
+    assert length[1] < 0.9 * length[0]
+    held = mission.battery.usable_energy(50.0, [mission.soc, mission.reserve])
+    assert saved.energy_upper < held[0] - held[1] < shortest.energy

@@ -36,14 +36,21 @@ def test_the_script_makes_these_files(tmp_path):
     script.main(tmp_path)
     made = sorted(file.name for file in tmp_path.iterdir())
     assert made == sorted(
-        f"{name}{end}" for name in CASES for end in (".yaml", ".png", "_surfaces.geojson")
+        [
+            *(
+                f"{n}{end}"
+                for n in (*CASES, "yard")
+                for end in (".yaml", ".png", "_surfaces.geojson")
+            ),
+            "yard_heights.asc",
+        ]
     )
     for name in made:
         if name.endswith(".png"):
             # another release of the image library may compress otherwise
             continue
         assert (tmp_path / name).read_bytes() == (FOLDER / name).read_bytes(), name
-    for name in CASES:
+    for name in (*CASES, "yard"):
         one, other = read_map(tmp_path / f"{name}.yaml"), read_map(FOLDER / f"{name}.yaml")
         assert np.array_equal(one.occupied, other.occupied)
         assert np.array_equal(one.unknown, other.unknown)
