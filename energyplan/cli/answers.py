@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
+former_options: ContextVar[tuple[str, ...]] = ContextVar("former", default=())
+"""What to say of options given by their names of the last release."""
 NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
-
-
 _ESCAPED = {
     code: f"\\u{code:04x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"
 }
@@ -58,15 +58,17 @@ def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
     ]
     if presets:
         document = {**document, "preset": presets}
-    warn_of_presets()  # with the answer: an error stays one line
+    warn_with_answer()
     if json:
         say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
         say("\n".join(lines))
 
 
-def warn_of_presets() -> None:
-    """Say which ready-made models the command in hand uses."""
+def warn_with_answer() -> None:
+    """Say what goes with the answer, so that an error stays one line: presets, former options."""
+    for line in former_options.get():
+        warn(line)
     for name, source in presets_used.get().items():
         warn(f"preset {name}: not measured on this robot, but taken from {source}")
 

@@ -9,6 +9,7 @@ import re
 import select
 import sys
 from collections.abc import Callable
+from copy import copy
 from dataclasses import MISSING, fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -17,12 +18,14 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from energyplan.cli.answers import presets_used, remember_command, say
+from energyplan.cli.answers import former_options, presets_used, remember_command, say
 from energyplan.cli.options import OUTPUTS
 from energyplan.errors import InvalidInputError
 
 _PROJECT, _ARGUMENTS = "energyplan.project", "energyplan.given"
 """Where the context of a command keeps the project's file, and the arguments as they were given."""
+_OF_PROJECT = {"vehicle", "columns", "topics"}
+"""Options that a project gives their value."""
 
 
 def misuse(error: typer.TyperException) -> str:
@@ -62,11 +65,14 @@ class Command(TyperCommand):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.params.append(_project_option())
+        project = copy(_project_option())
+        project.hidden = not _OF_PROJECT & {param.name for param in self.params}
+        self.params.append(project)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, each value of a list as if its option stood before it."""
         ctx.meta[_ARGUMENTS] = list(args)
+        args = self._renamed(args)
         lists = {
             name
             for param in self.params
@@ -95,6 +101,16 @@ class Command(TyperCommand):
                 raise InvalidInputError(f"{word} is given without a value")
         return super().parse_args(ctx, spread)
 
+    def _renamed(self, args: list[str]) -> list[str]:
+        """Return the arguments with options of the last release by their names of today."""
+        new = RENAMED_OPTIONS.get(self.name or "", {})
+        names = [word.partition("=")[0] for word in args]
+        former = dict.fromkeys(name for name in names if name in new)
+        former_options.set(tuple(f"{name} is now {new[name]}" for name in former))
+        return [
+            new.get(name, name) + word[len(name) :] for name, word in zip(names, args, strict=True)
+        ]
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command, unless it could not end well."""
         from energyplan.io.files import refuse_overwriting
@@ -103,6 +119,9 @@ class Command(TyperCommand):
         for param in self.params:
             if isinstance(value := ctx.params.get(param.name), float) and math.isnan(value):
                 raise InvalidInputError(f"{param.opts[0]} is nan; give a number")
+        source = ctx.get_parameter_source("vehicle")
+        if ctx.params.get("model") and source is not None and source.name == "DEFAULT_MAP":
+            ctx.params["vehicle"] = None  # a model has its vehicle, the project's is another word
         outputs = ctx.meta.get(OUTPUTS, {})
         given = [value for name, value in ctx.params.items() if name not in outputs]
         values = [v for value in given for v in (value if isinstance(value, list) else [value])]
@@ -147,6 +166,13 @@ RENAMED = {
     "rmf": "examples/openrmf_config.py",
 }
 """Commands of the last release, and what does their work now."""
+RENAMED_OPTIONS = {
+    "range": {"--from": "--start", "--pack": "--battery", "--coefficient-spread": "--spread"},
+    "design": {"--report": "--diagnosis", "--speed": "--max-speed"},
+    "close-the-loop": {"--tolerance": "--error"},
+    **{name: {"--battery": "--at-battery"} for name in ("plan", "compare", "check")},
+}
+"""Options of the last release by command, and their names now; they are taken for one release."""
 
 
 class _Group(TyperGroup):

@@ -1,53 +1,63 @@
-"""Options that several commands have."""
+"""Options that several commands have, alone and in groups, and how their values are read."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
+
+from energyplan.errors import InvalidInputError
 
 OUTPUTS = "energyplan.outputs"
 """Where the context of a command keeps the files that it will write."""
 IMAGES = (".png", ".svg", ".pdf")
 TABLES = (".csv", ".gz", ".parquet", ".pq")
+GEOJSON = (".geojson", ".json")
 YAML = (".yaml", ".yml")
 HTML = (".html", ".htm")
+RECORDING = ".mcap"
 
 
 def writes(*suffixes: str) -> Callable[..., Path | None]:
-    """Return the callback of an option that names a file to be written.
+    """Return the callback of an option that names a file, or a folder if it has no suffixes.
 
     Such an option is checked before the command begins: its suffix, its folder, and that it is none
     of the files that are read.
     """
 
     def callback(ctx: typer.Context, param: typer.CallbackParam, value: Path | None) -> Path | None:
-        from energyplan.io.files import check_output
+        from energyplan.io.files import check_output, check_output_folder
 
         if value is not None and not ctx.resilient_parsing:
-            check_output(value, suffixes)
+            if suffixes:
+                check_output(value, suffixes)
+            else:
+                check_output_folder(value)
             ctx.meta.setdefault(OUTPUTS, {})[param.name] = value
         return value
 
     return callback
 
 
-def writes_folder(
-    ctx: typer.Context, param: typer.CallbackParam, value: Path | None
-) -> Path | None:
-    """Check a folder of output before the command begins; the callback of such an option."""
-    from energyplan.io.files import check_output_folder
+def number(option: str, kind: str, text: str) -> float:
+    """Return the amount that an option gives, such as ``50%`` or ``90deg``."""
+    from energyplan.io.documents import UNITS, amount
 
-    if value is not None and not ctx.resilient_parsing:
-        check_output_folder(value)
-        ctx.meta.setdefault(OUTPUTS, {})[param.name] = value
-    return value
+    try:
+        return float(amount(kind, text))
+    except ValueError:
+        units = ", ".join(UNITS[kind])
+        raise InvalidInputError(
+            f"{option} {text!r} is no number; write one, with its unit if it is not SI: {units}"
+        ) from None
 
 
-def _complete(*kinds: str) -> Callable[[str], list[str]]:
-    """Return the completion of an option that names a preset."""
+def _complete(kind: str) -> Callable[[str], list[str]]:
+    """Return the completion of an option that names a preset or a file."""
 
     def complete(incomplete: str) -> list[str]:
         from energyplan.io.topics import TOPIC_MAPS
@@ -55,31 +65,24 @@ def _complete(*kinds: str) -> Callable[[str], list[str]]:
         from energyplan.vehicle.presets import VEHICLE_PRESETS
 
         known = {"vehicle": VEHICLE_PRESETS, "model": MODEL_PRESETS, "topics": TOPIC_MAPS}
-        names = [*(name for kind in kinds for name in known[kind]), *_yaml_files(incomplete)]
-        return [name for name in names if name.startswith(incomplete)]
+        try:
+            files = sorted(Path(incomplete or ".").parent.glob("*.y*ml"))
+        except OSError:
+            files = []
+        return [name for name in [*known[kind], *map(str, files)] if name.startswith(incomplete)]
 
     return complete
 
 
-def _yaml_files(incomplete: str) -> list[str]:
-    folder = Path(incomplete).parent if incomplete else Path()
-    try:
-        return [str(file) for file in sorted(folder.glob("*.y*ml"))]
-    except OSError:
-        return []
-
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
-Strict = Annotated[bool, typer.Option("--strict", help="End with exit code 3 if the answer is no.")]
+Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
+Strict = Annotated[bool, Option("--strict", help="End with exit code 3 if the answer is no.")]
 Logs = Annotated[
     list[Path],
-    typer.Argument(
-        metavar="LOG...", help="Drive logs: CSV, CSV.gz, Parquet, bags, Husky recordings."
-    ),
+    Argument(metavar="LOG...", help="Drive logs: CSV, CSV.gz, Parquet, bags, Husky recordings."),
 ]
 VehicleName = Annotated[
     str,
-    typer.Option(
+    Option(
         "--vehicle",
         metavar="VEHICLE",
         help="A preset such as husky_a200, or a YAML file.",
@@ -88,7 +91,7 @@ VehicleName = Annotated[
 ]
 ModelName = Annotated[
     str,
-    typer.Option(
+    Option(
         "--model",
         metavar="MODEL",
         help="A preset such as husky_a200:flooring, or a YAML file.",
@@ -97,24 +100,115 @@ ModelName = Annotated[
 ]
 Columns = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="NAME=COLUMN,...",
         help="Columns with other names or units: v_left=velL,yaw=heading[deg]; or a YAML file.",
     ),
 ]
-Topics = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TOPICS",
-        help="Which topics of a bag to read: husky, jackal, warthog, or a YAML file.",
-        autocompletion=_complete("topics"),
-    ),
-]
 OutModel = Annotated[
     Path | None,
-    typer.Option("--out", callback=writes(*YAML), help="Write the model to this YAML file."),
+    Option("--out", callback=writes(*YAML), help="Write the model to this YAML file."),
 ]
 Report = Annotated[
     Path | None,
-    typer.Option("--report", callback=writes(*HTML), help="Write a report to this HTML file."),
+    Option("--report", callback=writes(*HTML), help="Write a report to this HTML file."),
 ]
+Plot = Annotated[
+    Path | None,
+    Option(callback=writes(*IMAGES), help="Draw the answer: .png, .svg or .pdf."),
+]
+PoseText = Annotated[
+    str, Option(metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees.")
+]
+MaybePose = Annotated[
+    str | None, Option(metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees.")
+]
+Spread = Annotated[
+    float | None,
+    Option(help="Relative standard deviation of the model's coefficients, as 0.05."),
+]
+AtBattery = Annotated[
+    bool,
+    Option("--at-battery", help="Report energy at the battery, with the losses of the drives."),
+]
+Speed = Annotated[
+    str | None,
+    Option(
+        help="Tread speed [m/s], or 'cheapest'. Default: the vehicle's usual speed; without one, "
+        "as fast as its motors go."
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The model of what drives, and the ground that it drives on."""
+
+    model: ModelName
+    surfaces: Annotated[
+        Path | None, Option(help="Areas of other ground: GeoJSON polygons, each with a model.")
+    ] = None
+    heights: Annotated[
+        Path | None, Option(help="Heights of the ground: .asc, GeoTIFF, YAML with a PNG, or a bag.")
+    ] = None
+
+
+@dataclass(frozen=True)
+class Drive(Ground):
+    """How fast it is driven there, and where its energy is measured."""
+
+    at_battery: AtBattery = False
+    speed: Speed = None
+    tolerance: Annotated[
+        float | None,
+        Option(
+            help="How far the robot may leave its path in corners [m]. Default: the vehicle's "
+            "tracking tolerance."
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class Site:
+    """The place: its map, and what closes parts of it."""
+
+    map_file: Annotated[Path, Option("--map", help="The map: a YAML file of ROS map_server.")]
+    keepout: Annotated[
+        Path | None, Option(help="A second map; the robot stays out of its occupied cells.")
+    ] = None
+    clearance: Annotated[float, Option(help="Distance to keep from obstacles [m].")] = 0.0
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to plan a route."""
+
+    effort: Annotated[
+        int | None,
+        Option(
+            min=1,
+            help="Work for each route, the same on any machine, for time. 50000 is about 1 s.",
+        ),
+    ] = None
+    time_limit: Annotated[float | None, Option(help="Time for each route [s].")] = None
+
+    def within(self, usual: float) -> dict[str, Any]:
+        """Return the arguments of a planner; `usual` is its time where none is given [s]."""
+        limit = usual if self.time_limit is None else self.time_limit
+        return {"effort": self.effort, "time_limit": limit}
+
+
+@dataclass(frozen=True)
+class Robot:
+    """The robot whose logs are read, and how."""
+
+    vehicle: VehicleName
+    columns: Columns = None
+    topics: Annotated[
+        str | None,
+        Option(
+            metavar="TOPICS",
+            help="Which topics of a bag to read: husky, jackal, warthog, or a YAML file.",
+            autocompletion=_complete("topics"),
+        ),
+    ] = None

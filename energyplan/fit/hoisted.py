@@ -47,6 +47,12 @@ class InternalFriction:
     classes: tuple[SpeedClass, ...]  # the force by speed
     left_out: int  # moving samples in the sensor's dead band, which give only an upper limit
 
+    @property
+    def power_without_speed(self) -> bool:
+        """Whether the force falls with speed as if the power did not depend on it."""
+        steep = self.slope < -0.5 * self.force / self.speed
+        return steep and self.slope < -3 * self.slope_error
+
 
 def hoisted(
     logs: DriveLog | Sequence[DriveLog], motor_constant: float | None = None

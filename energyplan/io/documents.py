@@ -9,7 +9,7 @@ import json
 import re
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from math import radians
+from math import isfinite, radians
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, TypeVar, get_args
 
@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
+from energyplan.path import Pose
 
 MAX_JSON = 2**26
 """Largest JSON file that is read [bytes]."""
@@ -343,3 +344,26 @@ def _bare(kind: str, number: float) -> float:
         si = next(iter(UNITS[kind]))
         raise ValueError(f"{number:g} has no unit, and would be {si}; write {number:g} {unit}")
     return number
+
+
+def parse_pose(text: str) -> Pose:
+    """Return the pose that ``X,Y,YAW`` stands for."""
+    parts = text.split(",")
+    try:
+        if len(parts) != 3:
+            raise ValueError(text)
+        yaw = parts[2].strip()
+        turn = radians(float(yaw[:-3])) if yaw.endswith("deg") else float(yaw)
+        pose = Pose(float(parts[0]), float(parts[1]), turn)
+        if not all(isfinite(value) for value in pose):
+            raise ValueError(text)
+    except ValueError:
+        raise InvalidInputError(
+            f"pose {text!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
+        ) from None
+    if abs(pose.yaw) > 6.3:
+        raise InvalidInputError(
+            f"the yaw of pose {text!r} is more than a full turn in radians; for degrees write "
+            f"{parts[2].strip().removesuffix('deg')}deg, up to 360"
+        )
+    return pose

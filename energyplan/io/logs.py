@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from energyplan.errors import DriveLogError
+from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.io.bags import bag_info, channels_served, is_bag, read_bag
+from energyplan.io.files import same_file
 from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.io.project import read_columns
-from energyplan.io.topics import TOPIC_MAPS, TopicMap
+from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import LONGEST_STEP
 from energyplan.logs.guess import Guess, guess
@@ -62,6 +63,32 @@ def read_log(
             raise DriveLogError(f"{Path(path).name}: {NOT_TOLD}")
         return read_husky(path)
     return DriveLog.read(path, columns)
+
+
+def read_drives(
+    paths: Sequence[Path],
+    vehicle: str,
+    columns: str | None = None,
+    topics: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[DriveLog]:
+    """Read drives of one robot, each once; of bags the vehicle tells the topic map if none does."""
+    for k, path in enumerate(paths):
+        if any(same_file(path, other) for other in paths[:k]):
+            raise InvalidInputError(f"{path} is given twice; each drive counts once")
+    bags = [path for path in paths if is_bag(path)]
+    if topics and topics != vehicle and not bags:  # a project has both
+        raise InvalidInputError(
+            f"{paths[0]} is no bag, so it has no topics; leave --topics out, and name its columns "
+            "with --columns"
+        )
+    chosen = topics or topic_map_of(vehicle)
+    if bags and chosen is None:
+        raise InvalidInputError(
+            f"{bags[0]}: the topics and the wheel radius are not known: give --topics, or "
+            f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
+        )
+    return [read_log(path, columns, topics=chosen, progress=progress) for path in paths]
 
 
 def _of_husky(topics: TopicMap | str | Path | None) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, log, nan
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from energyplan.logs.align import derivative
 from energyplan.logs.mapping import RATES, UNITS, Column, known_unit
 from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
+
+if TYPE_CHECKING:
+    from energyplan.logs import DriveLog
 
 _WINDOW = 3.0  # length of the stretches over which distances are compared [s]
 _ENOUGH = 20  # samples or windows below which nothing is concluded
@@ -517,6 +520,12 @@ def check_consistency(
         )
         for span, value in ratios
     ]
+
+
+def contradictions(log: DriveLog, vehicle: Vehicle) -> list[Check]:
+    """Return what of a drive contradicts the vehicle, and what mistake would explain it."""
+    evidence = gather(log.channels, log.power, log.runs)
+    return [one for one in check_consistency(evidence, Measures.of(vehicle)) if not one.ok]
 
 
 def _seen(evidence: Evidence, known: Measures) -> dict[str, float]:

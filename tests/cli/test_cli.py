@@ -247,7 +247,7 @@ def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Pat
     options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
                "--start", "1.2,2,90deg", "--json")  # fmt: skip
     expected = run(*options, "--energy", 1500)
-    sure = run(*options, "--energy", 1500, "--confidence", 0.95, "--coefficient-spread", 0.1)
+    sure = run(*options, "--energy", 1500, "--confidence", 0.95, "--spread", 0.1)
     assert (expected.json["confidence"], sure.json["confidence"]) == (None, 0.95)
     assert sure.json["area"] < expected.json["area"]
     charged = run(*options, "--battery", "quadriga", "--soc", 0.0015, "--reserve", 0.5)
@@ -257,7 +257,7 @@ def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Pat
     assert (told[-1]["energy"] if told else 0.0) == pytest.approx(float(usable))
     assert_refused(run(*options, "--confidence", 0.95), "coefficient spread")
     assert_refused(run(*options, "--soc", 0.5), "--battery")
-    assert_refused(run(*options, "--coefficient-spread", 0.1), "--confidence")
+    assert_refused(run(*options, "--spread", 0.1), "--confidence")
     assert_refused(run(*options, "--battery", "quadriga", "--energy", 5), "give one")
 
 

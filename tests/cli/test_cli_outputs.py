@@ -373,7 +373,7 @@ def test_a_drive_by_another_name_is_not_held_out(
     [
         ("start", "a.csv", "--track", "nan", "--out", "new.yaml"),
         ("range", "--map", "office.yaml", "--model", "model.yaml", "--start", "1.2,2,90deg",
-         "--energy", "5000", "--coefficient-spread", "-1"),
+         "--energy", "5000", "--spread", "-1"),
         ("watch", "a.csv", "--once", "--mission", "round.yaml", "--vehicle", "robot.yaml", "--done",
          "zz"),
         ("design", "--model", "model.yaml", "--duration", "1e9"),
@@ -390,7 +390,8 @@ def test_a_number_that_cannot_be_meant_is_refused_in_one_line(
         "start: [1.2, 2, 90deg]\ncoefficient_spread: 5 %\n"
         "tasks: [{name: m, pose: [3.9, 2, 90deg]}]\n"
     )
-    assert "give" in (error := refused(folder, capsys, *arguments)) or "no task" in error
+    error = refused(folder, capsys, *arguments)
+    assert any(word in error for word in ("give", "no task", "drop it"))
 
 
 def test_without_a_command_it_says_what_to_do_first(capsys: pytest.CaptureFixture[str]) -> None:
@@ -412,6 +413,31 @@ def test_a_command_of_the_last_release_names_its_successor(
         assert (code, out) == (2, "")
         assert f"{former} is now {now}" in error
         assert len(error.splitlines()) == 1
+
+
+def test_an_option_of_the_last_release_is_taken_and_its_new_name_told(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = ep.Path(ep.Pose(1.2, 2.0, 0.0), ds=[1.0], dtheta=[0.0])
+    write_trajectory(ep.speed.profile(path, MODEL), Path("t.csv"))
+    new = run(capsys, "check", "t.csv", "--model", "model.yaml", "--at-battery", "--json")
+    code, out, error = run(capsys, "check", "t.csv", "--model", "model.yaml", "--battery", "--json")
+    assert (code, out, error) == (*new[:2], "--battery is now --at-battery\n" + new[2])
+    refused(
+        folder, capsys, "range", "--from=1.2,2", "--map", "office.yaml", "--model", "model.yaml"
+    )
+
+
+def test_a_project_is_no_second_vehicle_beside_a_model(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = ("start", "a.csv", "--like", "robot.yaml", "--out", "project.yaml")
+    assert run(capsys, *start)[0] == 0
+    words = ("watch", "a.csv", "--once", "--model", "model.yaml", "--project", "project.yaml")
+    code, out, error = run(capsys, *words)
+    assert code == 0, error
+    assert out
+    assert "--model and --vehicle" in refused(folder, capsys, *words, "--vehicle", "robot.yaml")
 
 
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,6 +51,7 @@ class Answer(NamedTuple):
 
     asked: str
     tolerances: tuple[Tolerance, ...] = ()
+    page: str = ""  # section of docs/reference/json.md, if it is not the one of the command
 
 
 EXACT = Tolerance(1e-9, "nothing changes")
@@ -74,26 +75,28 @@ ENDS = "--start 1.2,2,90deg --goal 3.9,2,90deg --effort 5000"
 
 ANSWERS = {
     "start": Answer("start drive.csv --track 0.5 --wheelbase 0.475 --mass 147 --out robot.yaml"),
-    "log-info": Answer("start drive.csv"),
+    "start-list": Answer("start drive.csv", page="start, without --out"),
     "identify": Answer("identify drive.csv --vehicle quadriga:full"),
     "identify-windows": Answer("identify drive.csv --vehicle quadriga:full --method windows"),
-    "icr-spin": Answer("identify --spin spin.csv --vehicle quadriga:full"),
+    "identify-spin": Answer("identify --spin spin.csv --vehicle quadriga:full"),
     "diagnose": Answer("diagnose hidden.csv --holdout unseen.csv --vehicle quadriga:full"),
     "plan": Answer(f"plan {OFFICE} {ENDS}", ROUTE),
     "plan-surfaces": Answer(
         f"plan {WAREHOUSE} --at-battery --start 2,2,0 --goal 20,12,90deg --effort 20000", ROUTE
     ),
     "compare": Answer(f"compare {OFFICE} {ENDS}", ROUTE),
-    "replan-kept": Answer(
+    "plan-former-kept": Answer(
         f"plan --former free.csv {OFFICE} --start 1.2,3,90deg --effort 3000", ROUTE
     ),
-    "replan": Answer(f"plan --former closed.csv {OFFICE} --start 1.2,2,0 --effort 5000", ROUTE),
+    "plan-former": Answer(
+        f"plan --former closed.csv {OFFICE} --start 1.2,2,0 --effort 5000", ROUTE
+    ),
     "check": Answer(f"check trajectory.csv {MODEL}"),
     "check-fast": Answer(f"check fast.csv {MODEL}"),
     "check-path": Answer(f"check free.csv {MODEL}"),
     "range": Answer(
         f"range {OFFICE} --start 1.23,2.02,90deg --energy 3000 --return --confidence 0.95 "
-        "--coefficient-spread 0.05",
+        "--spread 0.05",
         (*ROUTE, Tolerance(0.05, "whole cells are counted, and rounding decides ties", "*area")),
     ),
     "mission": Answer("mission mission_warehouse.yaml --effort 2000", ROUTE),
@@ -102,7 +105,9 @@ ANSWERS = {
         "--task 'look=3.9,2,90deg,5 min,30 W' --effort 2000",
         ROUTE,
     ),
-    "mission-robots": Answer("mission fleet_warehouse.yaml --effort 1000", ROUTE),
+    "mission-robots": Answer(
+        "mission fleet_warehouse.yaml --effort 1000", ROUTE, page="mission, with robots"
+    ),
     "watch": Answer("watch drive.csv --vehicle quadriga:full --once"),
     "drive": Answer(
         f"drive trajectory.csv {MODEL} --effect viscous_loss=60 --seed 1 --out log.csv",

@@ -34,7 +34,7 @@ DESCRIBED = {
     name: section
     for name, answer in answers.ANSWERS.items()
     for section in SECTIONS
-    if answer.asked.startswith(f"{section} ")
+    if (section == answer.page if answer.page else answer.asked.startswith(f"{section} "))
 }
 
 

@@ -38,8 +38,8 @@ from hypothesis import strategies as st
 
 import energyplan as ep
 from energyplan import cli
-from energyplan.cli.inputs import parse_pose
 from energyplan.errors import EnergyPlanError
+from energyplan.io.documents import parse_pose
 
 MANY = int(os.environ.get("ENERGYPLAN_FUZZ", "0"))
 SCRIPTS = st.integers(1, 4).flatmap(lambda n: st.binary(min_size=n * STEP, max_size=n * STEP))
@@ -177,12 +177,12 @@ def commands() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
             ("trajectory.csv", "model.yaml", "vehicle.yaml"),
         ),
         "mission": ((where("mission.yaml"), "--json"), ("mission.yaml", "map.yaml")),
-        "log": (("info", where("log.csv"), "--json"), ("log.csv",)),
+        "start": ((where("log.csv"), "--json"), ("log.csv",)),
     }  # fmt: skip
 
 
 COUNTS = {"identify": 15, "diagnose": 6, "plan": 12, "compare": 6, "check": 20, "mission": 12,
-          "log": 20}  # fmt: skip
+          "start": 20}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COUNTS)
@@ -225,7 +225,7 @@ WORDS = ("--json", "--strict", "--map", "--model", "--start", "--goal", "--vehic
          "--planner", "--objective", "--time-limit", "--method", "--holdout", "--surfaces", "",
          "nan", "-1", "1e999", "0,0,0", "nan,0,0", "1e308,1e308,1e308", "quadriga", "jackal",
          "quadriga:full:marble", "energy", "fmt", "huber", "v_left=", "=", "a=b[c", "power=x[W]",
-         ".", "/", "/dev/null", "\0", "é", "--", "info", "x" * 5000)  # fmt: skip
+         ".", "/", "/dev/null", "\0", "é", "--", "x" * 5000)  # fmt: skip
 
 
 @pytest.mark.usefixtures("at_once")

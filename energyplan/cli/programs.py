@@ -1,23 +1,26 @@
-"""The commands that write for other planners: export graph, export lattice, export table."""
+"""The commands for other programs, and the demo: export, serve, warmup, demo."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from energyplan.cli._planning import (
+from energyplan.cli.answers import answer, progress, warn
+from energyplan.cli.app import App, app
+from energyplan.cli.options import (
+    GEOJSON,
+    YAML,
     AtBattery,
     Drive,
+    Json,
+    ModelName,
     Site,
     Speed,
-    model_without_map,
-    problem_of,
+    writes,
 )
-from energyplan.cli.answers import answer, progress
-from energyplan.cli.app import App, app
-from energyplan.cli.options import Json, ModelName, writes
+from energyplan.cli.routes import level_model, problem_of
 from energyplan.errors import InvalidInputError
 
 export = App(rich_markup_mode=None, help="Write energies for other planners.")
@@ -29,16 +32,16 @@ app.add_typer(export, name="export")
     "--model quadriga:empty:concrete --out priced.geojson"
 )
 def graph(
-    file: Annotated[Path, typer.Argument(help="A route graph of Nav2's route server (GeoJSON).")],
+    file: Annotated[Path, Argument(help="A route graph of Nav2's route server (GeoJSON).")],
     site: Site,
     drive: Drive,
     effort: Annotated[
-        int | None, typer.Option(min=1, help="Work to spend on each edge. 50000 is about 1 s.")
+        int | None, Option(min=1, help="Work for each edge. 50000 is about 1 s.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            callback=writes(".geojson", ".json"),
+        Option(
+            callback=writes(*GEOJSON),
             help="Write the graph with the energies as costs, less the closed edges, to this file.",
         ),
     ] = None,
@@ -79,19 +82,19 @@ def graph(
 def lattice(
     model: ModelName,
     out: Annotated[
-        Path, typer.Option(callback=writes(".json"), help="Write the primitives to this file.")
+        Path, Option(callback=writes(".json"), help="Write the primitives to this file.")
     ],
-    resolution: Annotated[float, typer.Option(help="Size of a cell of the costmap [m].")] = 0.05,
-    headings: Annotated[int, typer.Option(help="Number of headings, a multiple of 8.")] = 16,
+    resolution: Annotated[float, Option(help="Size of a cell of the costmap [m].")] = 0.05,
+    headings: Annotated[int, Option(help="Number of headings, a multiple of 8.")] = 16,
     radius: Annotated[
         float | None,
-        typer.Option(help="Smallest radius of arcs [m]. Default: that of a pivot about a tread."),
+        Option(help="Smallest radius of arcs [m]. Default: that of a pivot about a tread."),
     ] = None,
     parameters: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--penalties",
-            callback=writes(".yaml", ".yml"),
+            callback=writes(*YAML),
             help="Write the planner's parameters to this file.",
         ),
     ] = None,
@@ -108,7 +111,7 @@ def lattice(
     from energyplan.io.nav2_lattice import write_lattice, write_penalties
     from energyplan.studies.control_set import control_set, penalties
 
-    power = model_without_map(model)
+    power = level_model(model)
     cost = EnergyCost(power, battery=at_battery, speed=asked_speed(speed, power.vehicle))
     controls = control_set(cost, resolution, headings=headings, radius=radius)
     found = penalties(controls, cost)
@@ -127,15 +130,15 @@ def lattice(
 def table(
     model: ModelName,
     out: Annotated[
-        Path, typer.Option("--out", callback=writes(".csv"), help="Write the table to this file.")
+        Path, Option("--out", callback=writes(".csv"), help="Write the table to this file.")
     ],
     speeds: Annotated[
         str | None,
-        typer.Option(help="Tread speeds [m/s], such as 0.2,0.5,1. Default: the cheapest one."),
+        Option(help="Tread speeds [m/s], such as 0.2,0.5,1. Default: the cheapest one."),
     ] = None,
     at_battery: AtBattery = False,
     error: Annotated[
-        float, typer.Option(help="Largest relative error of interpolating between entries.")
+        float, Option(help="Largest relative error of interpolating between entries.")
     ] = 1e-3,
     json: Json = False,
 ) -> None:
@@ -152,7 +155,7 @@ def table(
         raise InvalidInputError(
             f"--speeds is {speeds!r}; write metres per second with commas between, like 0.2,0.5"
         ) from None
-    made = tabulate(EnergyCost(model_without_map(model), battery=at_battery), asked, error)
+    made = tabulate(EnergyCost(level_model(model), battery=at_battery), asked, error)
     write_cost_table(made, out)
     size = {"directions": len(made.angle), "speeds": len(made.speed)}
     lines = [
@@ -161,3 +164,85 @@ def table(
     ]
     document = {**size, "half_track": made.half_track, "error": made.error}
     answer(document, lines, json=json)
+
+
+@app.command(epilog="Example: energyplan serve maps --port 8321")
+def serve(
+    folder: Annotated[Path, Argument(help="Folder with maps, models, missions and logs.")],
+    host: Annotated[str, Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, Option(min=0, max=65535, help="Port.")] = 8321,
+    token: Annotated[
+        str | None,
+        Option(
+            envvar="ENERGYPLAN_TOKEN",
+            help="Secret that each request must carry. Default: a random one, printed with the "
+            "address.",
+        ),
+    ] = None,
+    no_token: Annotated[
+        bool, Option("--no-token", help="Let all users of this machine ask without one.")
+    ] = False,
+    workers: Annotated[
+        int | None, Option(min=1, help="Requests worked on at once. Default: one a core.")
+    ] = None,
+    waiting: Annotated[
+        int, Option(min=0, help="Requests that may wait; further ones are refused.")
+    ] = 32,
+) -> None:
+    """Serve plans and missions over HTTP.
+
+    Also serves checks and diagnoses, and a page to try them on.
+    """
+    from energyplan.serve import run
+
+    run(folder, host, port, token, workers, waiting, no_token)
+
+
+@app.command(epilog="Example: energyplan warmup --json")
+def warmup(
+    processes: Annotated[int, Option(min=1, max=2, help="Processes that share the work.")] = 2,
+    json: Json = False,
+) -> None:
+    """Compile all kernels ahead.
+
+    In a container image or on a test machine, later commands then start at once.
+    """
+    from importlib import import_module
+
+    from energyplan.compilation import cache_folder, compile_kernels, kernel_modules
+
+    modules = kernel_modules()
+    with progress("compiling"):
+        for module in modules:
+            import_module(module)
+        made = compile_kernels(*modules, processes=processes)
+    document = {
+        "folder": str(cache_folder()),
+        "compiled": list(made.compiled),
+        "found": made.found,
+        "kept": made.kept,
+        "processes": made.processes,
+        "seconds": made.seconds,
+    }
+    text = (
+        f"{len(made.compiled)} kernels compiled in {made.seconds:.1f} s by {made.processes} "
+        f"process{'es' if made.processes > 1 else ''}, {made.found} found; "
+    )
+    where = f"kept in {cache_folder()}" if made.kept else "not kept: the next process compiles too"
+    answer(document, [text + where], json=json)
+
+
+@app.command(epilog="Example: energyplan demo --out demo")
+def demo(
+    out: Annotated[Path, Option(callback=writes(), help="Folder for the files.")] = Path("demo"),
+    json: Json = False,
+) -> None:
+    """Run the whole chain on bundled input.
+
+    Makes pictures and a web page.
+    """
+    from energyplan.demo import run
+
+    files = run(out, say=(lambda text: None) if json else warn)
+    names = [str(name) for name in files]
+    answer({"files": names}, [*names, f"open {out / 'index.html'} in a browser"], json=json)

@@ -1,0 +1,493 @@
+"""The commands that learn from drives: start, identify, diagnose, watch."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import math
+import signal
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from typer import Argument, Option
+
+from energyplan.cli.answers import (
+    answer,
+    give_up_stdout,
+    progress,
+    say,
+    verdict,
+    warn,
+    warn_with_answer,
+    write_report,
+)
+from energyplan.cli.app import app
+from energyplan.cli.options import (
+    YAML,
+    Columns,
+    Json,
+    Logs,
+    OutModel,
+    Report,
+    Robot,
+    Strict,
+    number,
+    writes,
+)
+from energyplan.errors import InvalidInputError, NotIdentifiableError, UnknownNameError
+
+if TYPE_CHECKING:
+    from energyplan.fit import ICREstimate
+    from energyplan.live import Event, Line, Restart
+    from energyplan.logs import DriveLog
+    from energyplan.power import Term
+
+_POLL = 0.2
+"""Time between two looks at a file that does not grow [s]."""
+_QUESTIONS = {
+    "track": "Distance of the left from the right wheels' contact points [m]",
+    "wheelbase": "Distance of the front from the rear wheels' contact points [m]",
+    "mass": "Mass as it drives [kg]",
+}
+
+
+@app.command(
+    epilog="Example: energyplan start foreign.csv --track 0.5 --wheelbase 0.475 --mass 147 "
+    "--out robot.yaml"
+)
+def start(
+    log: Annotated[Path, Argument(help="A drive log: a table or a bag.")],
+    out: Annotated[
+        Path | None,
+        Option(
+            callback=writes(*YAML),
+            help="Write the project to this YAML file. Without it: list what the log holds.",
+        ),
+    ] = None,
+    wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
+    track: Annotated[
+        float | None, Option(help="Distance between the left and the right contact points [m].")
+    ] = None,
+    wheelbase: Annotated[
+        float | None, Option(help="Distance between the front and the rear contact points [m].")
+    ] = None,
+    mass: Annotated[float | None, Option(help="Mass as it drives, with payload [kg].")] = None,
+    counts_per_revolution: Annotated[
+        float | None, Option(metavar="N", help="Counts of an encoder for one turn of the wheel.")
+    ] = None,
+    length: Annotated[float | None, Option(help="Length of the footprint [m].")] = None,
+    width: Annotated[float | None, Option(help="Width of the footprint [m].")] = None,
+    name: Annotated[str, Option(help="Name of the robot.")] = "",
+    like: Annotated[
+        str | None,
+        Option(metavar="VEHICLE", help="Start from this vehicle; other options override it."),
+    ] = None,
+    columns: Columns = None,
+    accept: Annotated[
+        bool, Option("--accept", help="Accept a log of which a check is WRONG.")
+    ] = False,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Write a project from a drive log.
+
+    Guesses columns, topics and units, and checks the log against the robot. What it cannot know it
+    takes from the options, or asks for on a terminal. A log that contradicts itself or the robot
+    makes no project, unless you accept that. Other commands read the project with --project.
+    """
+    from energyplan.io.config import read_vehicle
+    from energyplan.io.given import Given
+    from energyplan.io.logs import describe_log
+    from energyplan.io.project import write_project
+    from energyplan.io.start import start as run
+    from energyplan.output import documents, text
+
+    if out is None:
+        held = describe_log(log)
+        lines = [*text.log(held), "give --out PROJECT.yaml to check it and write a project"]
+        answer(documents.plain(held), lines, json=json)
+        return
+    told = {
+        "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
+        "length": length, "width": width, "counts_per_revolution": counts_per_revolution,
+    }  # fmt: skip
+    if like is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
+        told |= {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if told[key] is None}
+    given = Given(
+        **{key: math.nan if value is None else value for key, value in told.items()},
+        name=name, like=None if like is None else read_vehicle(like), columns=columns,
+    )  # fmt: skip
+    with progress("looking into the log"):
+        made = run(log, given)
+    written = made.sound or accept
+    done = f"not written: {out}; mend what is WRONG, or write it all the same with --accept"
+    if written:
+        write_project(made.project, out)
+        done = f"written: {out}"
+    answer(documents.start(made), [*text.start(made), done], json=json)
+    verdict(made.sound, strict or not written)
+
+
+def _ask(question: str) -> float | None:
+    """Ask for a number on the terminal; an empty answer leaves it to the log."""
+    text = typer.prompt(f"{question}, empty for a guess", default="", show_default=False, err=True)
+    try:
+        return float(text) if text.strip() else None
+    except ValueError:
+        raise InvalidInputError(f"{text!r} is no number; write it like 0.555") from None
+
+
+@app.command(
+    epilog="Example: energyplan identify spiral.csv --vehicle quadriga:full --out model.yaml"
+)
+def identify(
+    logs: Logs,
+    robot: Robot,
+    method: Annotated[
+        Literal["lad", "simplex", "huber", "windows"],
+        Option(
+            help="lad: least absolute deviations; simplex: the same by the paper's search; huber: "
+            "robust least squares; windows: as diagnose fits."
+        ),
+    ] = "lad",
+    terms: Annotated[
+        str | None,
+        Option(
+            metavar="NAME,NAME",
+            help="Terms of the model. Default: slip_friction,traction_resistance.",
+        ),
+    ] = None,
+    without: Annotated[
+        str | None,
+        Option(metavar="NAME,NAME", help="Terms to leave out, such as slip_friction."),
+    ] = None,
+    hoisted: Annotated[
+        bool,
+        Option("--hoisted", help="The wheels were off the ground: find each side's friction."),
+    ] = False,
+    motor_constant: Annotated[
+        float | None,
+        Option(metavar="K", help="With --hoisted: force per ampere of a side's motor [N/A]."),
+    ] = None,
+    spin: Annotated[
+        bool,
+        Option(
+            "--spin",
+            help="The log holds one spin on the spot: find the tread ICRs alone (Morales et al. "
+            "2010, Eq. 5). --out then writes the vehicle with them.",
+        ),
+    ] = False,
+    angle: Annotated[
+        str | None,
+        Option(help="With --spin: angle turned through, as 3600deg. Default: the log's yaw."),
+    ] = None,
+    angle_error: Annotated[str, Option(help="With --angle: its standard error.")] = "0deg",
+    out: OutModel = None,
+    json: Json = False,
+) -> None:
+    """Find a robot's power parameters from drive logs.
+
+    The method lad minimises the cost of Morales et al. (2010), "the paper", Eq. 7, exactly; simplex
+    does so by the paper's search.
+    """
+    from energyplan.fit import identify as run
+    from energyplan.fit.hoisted import doubts_off_the_ground
+    from energyplan.fit.hoisted import hoisted as inside
+    from energyplan.io.config import read_vehicle, write_model, write_vehicle
+    from energyplan.output import documents, text
+
+    vehicle = read_vehicle(robot.vehicle)
+    for name, given, needed in (("--motor-constant", motor_constant, hoisted),
+                                ("--angle", angle, spin)):  # fmt: skip
+        if given is not None and not needed:
+            mode = "--hoisted" if name == "--motor-constant" else "--spin"
+            raise InvalidInputError(f"{name} goes with {mode}; give both or neither")
+    if spin and (hoisted or terms or without):
+        raise InvalidInputError("--spin finds the tread ICRs alone; leave other options out")
+    if spin and len(logs) > 1:
+        raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
+    if hoisted and (out or terms or without):
+        raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
+    drives = _read(logs, robot)
+    if spin:
+        icr = _icr_of_spin(drives[0], angle, angle_error)
+        if out:
+            write_vehicle(vehicle.with_icr(icr.icr), out)
+        answer(documents.icr(icr), text.icr(icr), json=json)
+    elif hoisted:
+        sides = inside(drives, motor_constant)
+        told = _notes([replace(log, warnings=doubts_off_the_ground(log)) for log in drives])
+        if motor_constant is None:
+            told += [
+                f"{side.side}: the power hardly grows with speed, as if it were voltage times "
+                "motor current; then give --motor-constant, such as 21.4 for a Husky"
+                for side in sides
+                if side.power_without_speed
+            ]
+        lines = [*text.hoisted(sides), *(f"note: {line}" for line in told)]
+        answer({"sides": documents.plain(sides), "warnings": told}, lines, json=json)
+    else:
+        found = run(drives, vehicle, terms=_terms(terms, without), method=method)
+        doubts = (*_notes(drives, found.warnings), *_contradictions(drives, vehicle))
+        found = replace(found, warnings=(*doubts, *found.warnings))
+        if out:
+            write_model(found.model, out)
+        answer(documents.identification(found), text.identification(found), json=json)
+
+
+def _read(paths: list[Path], robot: Robot) -> list[DriveLog]:
+    from energyplan.io.logs import read_drives
+
+    with progress("reading") as update:
+        return read_drives(paths, robot.vehicle, robot.columns, robot.topics, update)
+
+
+def _contradictions(logs: list[DriveLog], vehicle: Any) -> list[str]:
+    from energyplan.logs.consistency import contradictions
+
+    return [f"{log.name}: {check}" for log in logs for check in contradictions(log, vehicle)]
+
+
+def _notes(logs: list[DriveLog], told: Sequence[str] = ()) -> list[str]:
+    """Return what the readers of logs warned of, and is not yet told; once for several logs."""
+    from energyplan.output.text import listed
+
+    warned: dict[str, list[str]] = {}
+    for log in logs:
+        for warning in (one for one in log.warnings if not any(one in text for text in told)):
+            warned.setdefault(warning, []).append(log.name)
+    return [f"{listed(names)}: {warning}" for warning, names in warned.items()]
+
+
+def _icr_of_spin(drive: DriveLog, angle: str | None, angle_error: str) -> ICREstimate:
+    """Return the tread ICRs from one spin; doubt an angle that the log contradicts."""
+    from energyplan.fit import icr_from_spin
+
+    turned = None if angle is None else number("--angle", "angle", angle)
+    found = icr_from_spin(drive, turned, number("--angle-error", "angle", angle_error))
+    with suppress(NotIdentifiableError):  # the log need not show the angle
+        shown = icr_from_spin(drive).turning
+        if abs(shown - found.turning) > 0.1 * found.turning:
+            warn(
+                f"--angle {angle} is {found.turning:.4g} rad, but by its yaw the log turns "
+                f"through {shown:.4g} rad in all, to either side; which is right?"
+            )
+    return found
+
+
+def _terms(terms: str | None, without: str | None) -> list[Term]:
+    """Return the terms that a model is to have."""
+    from energyplan.power import SLIP, TRACTION
+    from energyplan.power.effects import term
+
+    wanted, unwanted = (
+        [name.strip() for name in (names or "").split(",") if name.strip()]
+        for names in (terms, without)
+    )
+    chosen = {one.name: one for one in (list(map(term, wanted)) or [SLIP, TRACTION])}
+    for name in unwanted:
+        if name not in chosen:
+            raise UnknownNameError("term to leave out", name, list(chosen))
+    left = [one for name, one in chosen.items() if name not in unwanted]
+    if not left:
+        raise InvalidInputError("--without leaves no term to identify; leave one in")
+    return left
+
+
+@app.command(
+    epilog="Example: energyplan diagnose a.csv b.csv --holdout c.csv --vehicle quadriga "
+    "--out extended.yaml --report diagnosis.html"
+)
+def diagnose(
+    logs: Logs,
+    robot: Robot,
+    holdout: Annotated[
+        list[Path] | None,
+        Option(
+            metavar="LOG...",
+            help="Drives kept for validation. Default: the last 40 % of each drive; of drives "
+            "under 40 s some as a whole.",
+        ),
+    ] = None,
+    out: OutModel = None,
+    report: Report = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Find out why the model and the logs differ.
+
+    Traces the residual of the power model to effects, adds them to the model, and reports the error
+    before and after on hold-out drives.
+    """
+    from energyplan.diagnosis import diagnose as run
+    from energyplan.fit import split_drives
+    from energyplan.io.config import read_vehicle, write_model
+    from energyplan.io.files import same_file
+    from energyplan.logs.clean import set_aside_by_drive
+    from energyplan.output import documents, text
+    from energyplan.output.pages import diagnosis_page
+
+    vehicle = read_vehicle(robot.vehicle)
+    for path in logs:
+        if any(same_file(path, other) for other in holdout or []):
+            raise InvalidInputError(
+                f"{path.name} is both a training and a hold-out drive; leave it in one list"
+            )
+    training = _read(logs, robot)
+    judging = _read(holdout, robot) if holdout else []
+    read = [*training, *judging]
+    for note in (*_notes(read), *_contradictions(read, vehicle)):
+        warn(note)
+    if not judging:
+        training, judging = split_drives(training)
+    parts = {
+        "training": [drive.name for drive in training],
+        "judging": [drive.name for drive in judging],
+    }
+    with progress("diagnosing") as update:
+        told = run(training, holdout=judging, vehicle=vehicle, progress=update)
+    told = replace(told, set_aside=set_aside_by_drive(read))
+    lines = [f"{part}: {', '.join(names)}" for part, names in parts.items()]
+    if out:
+        write_model(told.model, out)
+    if report:
+        page = diagnosis_page(told, judging)
+        page.heading("Drives")
+        page.bullets(lines)
+        write_report(page, report)
+    answer({**parts, **documents.diagnosis(told)}, [*lines, *text.diagnosis(told)], json=json)
+    verdict(told.verdict != "unexplained", strict)
+
+
+@app.command(
+    epilog="Example: energyplan watch drive.csv --vehicle husky_a200 --once --out model.yaml"
+)
+def watch(
+    log: Annotated[str, Argument(help="A CSV log that grows, or - for standard input.")],
+    model: Annotated[
+        str | None, Option(metavar="MODEL", help="Model to begin with: a preset or a YAML file.")
+    ] = None,
+    vehicle: Annotated[
+        str | None, Option(metavar="VEHICLE", help="In place of a model: the vehicle alone.")
+    ] = None,
+    mission: Annotated[
+        Path | None, Option(help="YAML file of the mission that the robot is on.")
+    ] = None,
+    columns: Columns = None,
+    once: Annotated[
+        bool, Option("--once", help="Stop at the end of the file; do not wait for more.")
+    ] = False,
+    every: Annotated[float, Option(help="Time between two reports [s].")] = 10.0,
+    mission_every: Annotated[
+        float, Option(help="Time between two assessments of the rest of the mission [s].")
+    ] = 60.0,
+    near: Annotated[
+        float, Option(help="Within this distance of a task's place a resting robot does it [m].")
+    ] = 0.5,
+    soc: Annotated[
+        str | None,
+        Option(help="State of charge at the start of the log, as 80%. Default: the mission's."),
+    ] = None,
+    done: Annotated[
+        list[str] | None, Option(metavar="NAME...", help="Tasks that are already done.")
+    ] = None,
+    out: OutModel = None,
+    json: Json = False,
+) -> None:
+    """Follow a drive while it happens.
+
+    Learns the robot's model, says when the ground changes, and evaluates the rest of the mission.
+    One line for each event; with --json each is a JSON document. Ctrl-C ends it.
+    """
+    from energyplan.io.config import read_model, read_vehicle, write_model
+    from energyplan.io.mission import read_mission
+    from energyplan.io.project import read_columns
+    from energyplan.live import Ended, Learned, follow, lines_of
+    from energyplan.live import watch as events
+    from energyplan.live.watcher import Settings
+    from energyplan.output import documents, text
+
+    if model and vehicle:
+        raise InvalidInputError("--model and --vehicle: a model has its vehicle; give one of them")
+    if not (model or vehicle or mission):
+        raise InvalidInputError("the robot is not known; give --model, --vehicle or --mission")
+    for name, given in (("--soc", soc), ("--done", done)):
+        if given is not None and mission is None:
+            raise InvalidInputError(f"{name} goes with --mission; give both or neither")
+    prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
+    charge = None if soc is None else number("--soc", "fraction", soc)
+    settings = Settings(every, mission_every, near, charge, tuple(done or ()))
+    wanted = read_mission(mission) if mission else None
+    mapping = read_columns(columns) if columns and columns.endswith(YAML) else columns
+    source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
+    learned: Any = None
+    try:
+        with _until_interrupted(source) as lines:
+            found = events(lines, prior, wanted, columns=mapping, name=log, settings=settings)
+            for k, event in enumerate(found):
+                if k == 0:
+                    warn_with_answer()
+                _tell(event, json, documents.event, text.event)
+                if isinstance(event, Learned | Ended):
+                    learned = event.model if isinstance(event, Learned) else learned
+                    if out and learned is not None:
+                        write_model(learned, out)
+    except BrokenPipeError:
+        give_up_stdout()  # whoever read has seen enough
+        if out and learned is not None:
+            write_model(learned, out)
+
+
+def _wait() -> bool:
+    time.sleep(_POLL)
+    return True
+
+
+def _tell(event: Event, json: bool, document: Any, lines: Any) -> None:
+    say(jsonlib.dumps(document(event), allow_nan=False) if json else "\n".join(lines(event)))
+    sys.stdout.flush()
+
+
+@contextmanager
+def _until_interrupted(
+    lines: Iterable[Line | Restart],
+) -> Iterator[Iterator[Line | Restart]]:
+    """Let Ctrl-C end the lines, so that what follows from them is still told."""
+    stopped = waiting = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopped
+        stopped = True
+        if waiting:
+            raise KeyboardInterrupt
+
+    def wanted() -> Iterator[Line | Restart]:
+        nonlocal waiting
+        source = iter(lines)
+        while not stopped:
+            waiting = True
+            try:
+                line = next(source, None)
+            except KeyboardInterrupt:
+                return
+            finally:
+                waiting = False
+            if line is None:
+                return
+            yield line
+
+    try:
+        before = signal.signal(signal.SIGINT, stop)
+    except ValueError:  # not the main thread, which alone gets signals
+        yield wanted()
+        return
+    try:
+        yield wanted()
+    finally:
+        signal.signal(signal.SIGINT, before)

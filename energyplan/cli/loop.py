@@ -1,0 +1,263 @@
+"""The commands that drive a robot in a physics engine: drive, close-the-loop, design."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from energyplan.cli.answers import answer, progress, verdict, write_report
+from energyplan.cli.app import app
+from energyplan.cli.options import (
+    TABLES,
+    Drive,
+    Effort,
+    Ground,
+    Json,
+    MaybePose,
+    ModelName,
+    OutModel,
+    PoseText,
+    Report,
+    Site,
+    Strict,
+    writes,
+)
+from energyplan.cli.routes import priced_ground, problem_of
+from energyplan.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from energyplan.physics import Effect, Robot
+
+PLAN_TIME = 5.0
+"""Time for each round's plan where neither time nor effort is given [s]."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulated robot has and the model lacks."""
+
+    effect: Annotated[
+        list[str] | None,
+        Option(
+            metavar="NAME=SIZE[,DETAIL=VALUE]",
+            help="An effect that the simulated robot has and the model lacks; repeatable.",
+        ),
+    ] = None
+    hidden: Annotated[
+        int | None, Option(help="Give it one or two secret effects, drawn by this seed.")
+    ] = None
+    truth: Annotated[
+        Path | None, Option(callback=writes(".json"), help="Write its effects to this JSON file.")
+    ] = None
+
+    def effects(self, robot: Robot, x: float, y: float) -> tuple[Effect, ...]:
+        """Return the effects that were declared, and those that were drawn around a place."""
+        from energyplan.io.files import atomic_write
+        from energyplan.output.documents import plain
+        from energyplan.physics import Effect, draw_effects
+
+        chosen = tuple(Effect.parse(text) for text in self.effect or ())
+        if self.hidden is not None:
+            chosen += draw_effects(robot, self.hidden, around=(x, y))
+        if self.truth:
+            rows = [{"name": e.name, "size": e.size, "details": plain(e.details)} for e in chosen]
+            atomic_write(self.truth, jsonlib.dumps({"effects": rows}, indent=1) + "\n")
+        return chosen
+
+
+@app.command(
+    epilog="Example: energyplan drive trajectory.csv --model quadriga:full:concrete "
+    "--effect viscous_loss=60 --out log.csv"
+)
+def drive(
+    trajectory: Annotated[Path, Argument(help="CSV with columns t,x,y,yaw,v,omega.")],
+    ground: Ground,
+    robot: Truth,
+    out: Annotated[
+        Path | None, Option(callback=writes(*TABLES), help="Write the drive log to this file.")
+    ] = None,
+    sensors: Annotated[
+        str,
+        Option(
+            metavar="NAME=VALUE,...",
+            help="How the drive is recorded: rate [Hz], power_noise [W], speed_noise, speed_step "
+            "[m/s], current_step [A], delay [s], unsigned=true, measured=sides, total or battery.",
+        ),
+    ] = "",
+    seed: Annotated[int, Option(help="Seed of the sensors' noise.")] = 0,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Drive a trajectory in a physics engine.
+
+    Prints the predicted energy and the energy that the drive took.
+    """
+    from energyplan.io.trajectory import read_trajectory, write_log
+    from energyplan.output import documents, text
+    from energyplan.physics import Ground as Floor
+    from energyplan.physics import Robot, Sensors, switch_on
+    from energyplan.physics import drive as run
+
+    wanted = read_trajectory(trajectory)
+    cost, surfaces, heights = priced_ground(Drive(**asdict(ground), at_battery=True))
+    recording = Sensors.parse(sensors, seed)
+    simulated = Robot.from_model(cost.model)
+    x, y, _ = wanted.poses[len(wanted) // 2]
+    simulated = switch_on(simulated, robot.effects(simulated, float(x), float(y)))
+    with progress("driving"):
+        made = run(wanted, simulated, cost.model, ground=Floor(surfaces, heights))
+    if out:
+        write_log(recording.log(made.run, out.name), out)
+    secret = robot.hidden is not None
+    answer(documents.driven(made, secret=secret), text.driven(made, secret=secret), json=json)
+    verdict(made.arrived, strict)
+
+
+@app.command(
+    epilog="Example: energyplan close-the-loop --map warehouse.yaml --model quadriga:full:concrete "
+    "--start 2,2,0 --goal 20,12,90deg --hidden 4 --effort 50000 "
+    "--report loop.html"
+)
+def close_the_loop(
+    site: Site,
+    ground: Ground,
+    start: PoseText,
+    goal: PoseText,
+    robot: Truth,
+    effort: Effort,
+    logs: Annotated[
+        Path | None,
+        Option(help="Folder of a real robot's logs, one a round in the order of their names."),
+    ] = None,
+    rounds: Annotated[int, Option(help="Largest number of rounds.")] = 3,
+    error: Annotated[
+        float, Option(help="Stop when the predicted energy is off by less than this fraction.")
+    ] = 0.01,
+    speed: Annotated[
+        float | None,
+        Option(
+            help="Tread speed [m/s]. Default: the vehicle's usual speed; without one, three fifths "
+            "of its motors', which leaves the controller room."
+        ),
+    ] = None,
+    survey: Annotated[
+        float,
+        Option(help="Longest test drive after the first wrong prediction [s]; 0: none."),
+    ] = 60.0,
+    out: OutModel = None,
+    report: Report = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Plan, drive, diagnose, and plan again.
+
+    Diagnoses with all drives so far, until the predicted energy is right.
+    """
+    from energyplan.cost import EnergyCost
+    from energyplan.io.config import write_model
+    from energyplan.io.documents import parse_pose
+    from energyplan.io.logs import read_drives
+    from energyplan.output import documents, text
+    from energyplan.output.pages import loop_page
+    from energyplan.physics import EngineDrives, Robot, close_loop, switch_on
+    from energyplan.physics import Ground as Floor
+    from energyplan.physics.loop import Source
+
+    priced = Drive(**asdict(ground), at_battery=True)
+    problem = problem_of(site, priced, parse_pose(start), parse_pose(goal))
+    problem = replace(problem, cost=EnergyCost(problem.cost.model, battery=True))
+    source: Source
+    if logs is not None:
+        if robot.effect or robot.hidden is not None:
+            raise InvalidInputError("--logs are of a real robot; leave out --effect and --hidden")
+        if not logs.is_dir():
+            raise InvalidInputError(f"{str(logs)!r} is no folder; give one that holds the logs")
+        files = sorted(file for file in logs.iterdir() if file.suffix in TABLES)
+        if not files:
+            raise InvalidInputError(
+                f"{str(logs)!r} holds no log that ends with {', '.join(TABLES)}"
+            )
+        source = read_drives(files, problem.cost.vehicle.name)
+    else:
+        simulated = Robot.from_model(problem.cost.model)
+        x = 0.5 * (problem.start.x + problem.goal.x)
+        y = 0.5 * (problem.start.y + problem.goal.y)
+        simulated = switch_on(simulated, robot.effects(simulated, x, y))
+        source = EngineDrives(simulated, Floor(problem.surfaces, problem.heights))
+    with progress("closing the loop") as update:
+        made = close_loop(
+            problem, source, rounds=rounds, tolerance=error, speed=speed, survey=survey,
+            progress=update, **effort.within(PLAN_TIME),
+        )  # fmt: skip
+    if out:
+        write_model(made.model, out)
+    if report:
+        write_report(loop_page(made, problem), report)
+    answer(documents.loop(made), text.loop(made), json=json)
+    verdict(made.closed, strict)
+
+
+@app.command(
+    epilog="Example: energyplan design --model quadriga:full:concrete --duration 40 --out next.csv"
+)
+def design(
+    model: ModelName,
+    diagnosis: Annotated[
+        Path | None,
+        Option(help="Output of diagnose --json: which explanations to separate."),
+    ] = None,
+    map_file: Annotated[
+        Path | None, Option("--map", help="Map to drive on; without it, an empty square.")
+    ] = None,
+    square: Annotated[float, Option(help="Side of the empty square [m].")] = 6.0,
+    start: MaybePose = None,
+    duration: Annotated[float, Option(help="Longest time of the drive [s].")] = 60.0,
+    max_speed: Annotated[float | None, Option(help="Largest tread speed [m/s].")] = None,
+    noise: Annotated[float, Option(help="Standard deviation of the noise of the power [W].")] = 5.0,
+    screen: Annotated[
+        bool,
+        Option("--screen", help="Without --diagnosis: look for every effect."),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        Option("--out", callback=writes(*TABLES), help="Write the trajectory to this CSV file."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Design the next test drive.
+
+    It is the one that best separates the explanations that are left. Begins at --start, or where
+    there is most room.
+    """
+    from energyplan.io.config import read_model
+    from energyplan.io.documents import parse_pose
+    from energyplan.io.maps import read_map
+    from energyplan.io.trajectory import write_trajectory
+    from energyplan.output import documents, text
+    from energyplan.physics.design import design as run
+    from energyplan.physics.design import explanations_of
+
+    law = read_model(model)
+    explanations = explanations_of(_document(diagnosis)) if diagnosis else ()
+    made = run(
+        law, explanations, grid=read_map(map_file) if map_file else None, square=square,
+        start=parse_pose(start) if start else None, duration=duration, speed=max_speed, noise=noise,
+        screen=screen,
+    )  # fmt: skip
+    if out:
+        write_trajectory(made.trajectory, out)
+    answer(documents.design(made), text.design(made), json=json)
+
+
+def _document(file: Path) -> dict[str, Any]:
+    from energyplan.io.documents import MAX_JSON, read_json
+
+    remedy = "give what diagnose --json printed"
+    found = read_json(file, MAX_JSON, InvalidInputError, remedy)
+    if not isinstance(found, dict):
+        raise InvalidInputError(f"{file} is no JSON document; {remedy}")
+    return found

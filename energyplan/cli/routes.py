@@ -1,0 +1,659 @@
+"""The commands about routes and how far a battery lasts: plan, compare, check, range, mission."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+from typer import Argument, Option
+
+from energyplan.cli.answers import NO, answer, progress, verdict, warn, write_report
+from energyplan.cli.app import app
+from energyplan.cli.options import (
+    GEOJSON,
+    RECORDING,
+    TABLES,
+    Drive,
+    Effort,
+    Json,
+    MaybePose,
+    Plot,
+    PoseText,
+    Report,
+    Site,
+    Spread,
+    Strict,
+    number,
+    writes,
+)
+from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
+
+if TYPE_CHECKING:
+    from energyplan.cost import EnergyCost
+    from energyplan.path import Pose
+    from energyplan.planning import Plan, PlanningProblem
+    from energyplan.planning.driven import DrivenPath
+    from energyplan.power import PowerModel
+    from energyplan.terrain import HeightMap, SurfaceMap
+    from energyplan.vehicle import Vehicle
+
+PLAN_TIME = 1.0
+"""Time for planning where neither time nor effort is given [s]."""
+Planner = Annotated[str, Option(help="lattice, roadmap, or the name of another planner.")]
+Objective = Annotated[str, Option(help="What to make least: energy, length or time.")]
+OutPath = Annotated[
+    Path | None,
+    Option(
+        "--out",
+        callback=writes(*TABLES, RECORDING),
+        help="Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
+    ),
+]
+OutTrajectory = Annotated[
+    Path | None,
+    Option(
+        "--trajectory",
+        callback=writes(*TABLES),
+        help="Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' limits.",
+    ),
+]
+
+
+class PricedGround(NamedTuple):
+    """What is driven on, and what motions cost there."""
+
+    cost: EnergyCost
+    surfaces: SurfaceMap | None
+    heights: HeightMap | None
+
+
+def priced_ground(drive: Drive) -> PricedGround:
+    """Return the ground that options name, and what motions cost on it at the wanted speed."""
+    from energyplan.cost import EnergyCost
+    from energyplan.cost.speeds import asked_speed
+    from energyplan.io.config import read_model
+    from energyplan.io.geojson import read_surfaces
+    from energyplan.io.heights import read_heights
+    from energyplan.power.effects import reads_slope, with_weight
+    from energyplan.terrain import knows_ground, with_weights
+
+    power = read_model(drive.model)
+    if drive.tolerance is not None:
+        robot = replace(power.vehicle, tracking_tolerance=drive.tolerance)
+        power = replace(power, vehicle=robot)
+    surfaces = read_surfaces(drive.surfaces) if drive.surfaces else None
+    warn_of_surfaces(power.vehicle, surfaces)
+    heights = read_heights(drive.heights) if drive.heights else None
+    if knows_ground(power):
+        warn(
+            f"{power.name} contains ground: it counts unless a file of surfaces or heights is given"
+        )
+    if heights is not None:
+        if not reads_slope(power):
+            warn(
+                f"no term of {power.name} depends on slope: the weight of "
+                f"{power.vehicle.mass:.4g} kg is added"
+            )
+        power, surfaces = with_weight(power), with_weights(surfaces) if surfaces else None
+    speed = asked_speed(drive.speed, power.vehicle)
+    return PricedGround(EnergyCost(power, battery=drive.at_battery, speed=speed), surfaces, heights)
+
+
+def level_model(name: str) -> PowerModel:
+    """Read the model of what knows no map; say so where it contains ground of some place."""
+    from energyplan.io.config import read_model
+    from energyplan.terrain import knows_ground
+
+    power = read_model(name)
+    if knows_ground(power):
+        warn(
+            f"{power.name} contains ground of some place, such as a slope: it is left out, because "
+            "what is written holds for level ground anywhere"
+        )
+    return power
+
+
+def problem_of(site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -> PlanningProblem:
+    """Return the problem that options name."""
+    from energyplan.io.maps import read_map
+    from energyplan.planning import PlanningProblem
+
+    ground = priced_ground(drive)
+    grid = read_map(site.map_file)
+    notes: list[str | None] = []
+    if ground.surfaces is not None:
+        notes += ground.surfaces.notes_on(grid)
+    if site.keepout:
+        mask = read_map(site.keepout)
+        notes.append(grid.note_of_mask(mask))
+        grid = grid.with_mask(mask)
+    for note in filter(None, notes):
+        warn(note)
+    return PlanningProblem(
+        grid, ground.cost, start, goal, surfaces=ground.surfaces, heights=ground.heights,
+        clearance=site.clearance, **more,
+    )  # fmt: skip
+
+
+def warn_of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> None:
+    """Say where something is of a robot with another footprint than the one that drives has."""
+    import numpy as np
+
+    for other in {other.name: other for other in others}.values():
+        if not np.allclose(vehicle.footprint, other.footprint, rtol=0.05):
+            warn(
+                f"{what} of another robot, {other.name}, whose footprint is not that of the "
+                f"model's {vehicle.name}"
+            )
+
+
+def warn_of_surfaces(vehicle: Vehicle, ground: SurfaceMap | None) -> None:
+    """Say where the model of a surface is of another robot than the one that drives."""
+    others = (surface.model.vehicle for surface in (ground.surfaces if ground else ()))
+    warn_of_another_robot("models of the surfaces are", vehicle, others)
+
+
+@contextmanager
+def planning(json: bool, strict: bool) -> Iterator[None]:
+    """Show progress, and answer where there is no path."""
+    from energyplan.output import documents, text
+
+    try:
+        with progress("planning"):
+            yield
+    except NoPathError as error:
+        answer(documents.no_path(error), text.no_path(error), json=json)
+        raise typer.Exit(NO if strict else 0) from None
+
+
+def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
+    """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
+    from energyplan.io.trajectory import write_trajectory
+
+    if trajectory is None and made.length == 0.0 and made.turning == 0.0:
+        warn("start and goal are the same pose: there is nothing to drive")
+        return None
+    try:
+        told = made.driven
+    except (InfeasibleMotionError, InvalidInputError) as error:
+        if trajectory:
+            raise
+        warn(f"the path cannot be timed: {error}")
+        return None
+    if trajectory:
+        write_trajectory(told.trajectory, trajectory)
+    return told
+
+
+def _writable(out: Path | None) -> None:
+    """Refuse a recording that could not be written, before any work."""
+    if out and out.suffix == RECORDING:
+        from energyplan.ros.recording import need_rosbags
+
+        need_rosbags()
+
+
+def _write(
+    problem: PlanningProblem, out: Path | None, plot: Path | None, plans: dict[str, Plan]
+) -> None:
+    """Write the first of some plans as a table, or all of them as a recording; draw them all."""
+    from energyplan.io.files import atomic_write
+    from energyplan.io.trajectory import write_path
+    from energyplan.output import plots
+    from energyplan.output.report import image
+
+    if out and out.suffix == RECORDING:
+        from energyplan.ros.recording import write_recording
+
+        topics = {f"/{name.replace(' ', '_')}": made.path for name, made in plans.items()}
+        write_recording(topics, out, problem.map)
+    elif out:
+        write_path(next(iter(plans.values())).path, out)
+    if plot:
+        paths = {f"{name}: {made.energy:.0f} J": made.path for name, made in plans.items()}
+        ground = problem.surfaces.polygons if problem.surfaces else ()
+        figure = plots.routes(problem.map, paths, surfaces=ground)
+        if problem.heights is not None:
+            problem.heights.contours(figure.axes[0])
+        atomic_write(plot, image(figure, plot.suffix))
+
+
+@app.command(
+    epilog="Example: energyplan plan --map warehouse.yaml --model quadriga:empty:concrete "
+    "--start 2,2,0 --goal 20,12,90deg --plot route.png"
+)
+def plan(
+    site: Site,
+    drive: Drive,
+    start: PoseText,
+    effort: Effort,
+    goal: Annotated[
+        str | None,
+        Option(metavar="X,Y,YAW", help="Where to go. With --former: the end of that path."),
+    ] = None,
+    former: Annotated[
+        Path | None,
+        Option(
+            help="A path being driven, as plan --out writes it: what is left of it is kept if it "
+            "is still free and no obstacle is gone."
+        ),
+    ] = None,
+    former_map: Annotated[
+        Path | None, Option(help="The map of that path. Default: no obstacle is gone since then.")
+    ] = None,
+    costmap: Annotated[
+        Path | None,
+        Option(help="A map of soft costs, such as an inflated costmap; takes --costmap-weight."),
+    ] = None,
+    costmap_weight: Annotated[
+        float,
+        Option(min=0.0, help="Price of a metre at the highest soft cost [unit of the objective]."),
+    ] = 0.0,
+    planner: Planner = "lattice",
+    objective: Objective = "energy",
+    out: OutPath = None,
+    trajectory: OutTrajectory = None,
+    plot: Plot = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Plan the route of least energy.
+
+    Prints its energy, and how far from optimal it can be at most.
+    """
+    from energyplan.io.documents import parse_pose
+    from energyplan.io.maps import read_costmap
+    from energyplan.io.trajectory import read_path
+    from energyplan.output import documents, text
+    from energyplan.planning import plan as run
+    from energyplan.planning.replanning import replan
+
+    _writable(out)
+    if (costmap is None) != (costmap_weight == 0.0):
+        raise InvalidInputError("--costmap and --costmap-weight go together; give both or neither")
+    if former is None and goal is None:
+        raise InvalidInputError("--goal is missing; give X,Y,YAW, or a path by --former")
+    if former is None and former_map is not None:
+        raise InvalidInputError("--former-map goes with --former; give both or neither")
+    if former is not None and goal is not None:
+        raise InvalidInputError("--former has its own goal, the end of the path; leave --goal out")
+    if former is not None and planner != "lattice":
+        raise InvalidInputError(f"--former needs the planner lattice, not {planner}")
+    here = parse_pose(start)
+    soft = read_costmap(costmap) if costmap else None
+    more = {"objective": objective, "costmap": soft, "costmap_weight": costmap_weight}
+    problem = problem_of(site, drive, here, parse_pose(goal) if goal else here, **more)
+    spent = effort.within(PLAN_TIME)
+    if former is None:
+        with planning(json, strict):
+            made = run(problem, planner=planner, **spent)
+    else:
+        path = read_path(former, problem.cost.icr.longitudinal)
+        before = replace(problem, start=path.start, goal=path.end)
+        if former_map:
+            known = problem_of(replace(site, map_file=former_map), drive, here, here, **more)
+            before = replace(before, map=known.map)
+        with planning(json, strict):
+            made = replan(before, path, start=here, map=problem.map, **spent)
+    told = driven(made, trajectory)
+    _write(problem, out, plot, {"plan": made})
+    document = {**documents.plan(made), **documents.driven_path(told)}
+    answer(document, [*text.plan(made, objective), *text.driven_path(made, told)], json=json)
+
+
+@app.command(
+    epilog="Example: energyplan compare --map warehouse.yaml --model quadriga:empty:concrete "
+    "--start 2,2,0 --goal 20,12,90deg --report routes.html"
+)
+def compare(
+    site: Site,
+    drive: Drive,
+    start: PoseText,
+    goal: PoseText,
+    effort: Effort,
+    planner: Planner = "lattice",
+    objective: Objective = "energy",
+    out: OutPath = None,
+    trajectory: OutTrajectory = None,
+    plot: Plot = None,
+    report: Report = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Compare the cheapest route with the shortest.
+
+    Plans the route of least energy and the shortest one, and prices both by the same model.
+    """
+    from energyplan.io.documents import parse_pose
+    from energyplan.output import documents, text
+    from energyplan.output.pages import comparison_page
+    from energyplan.studies.comparison import compare as run
+
+    _writable(out)
+    problem = problem_of(site, drive, parse_pose(start), parse_pose(goal), objective=objective)
+    with planning(json, strict):
+        made = run(problem, planner=planner, **effort.within(PLAN_TIME))
+    best = driven(made.energy_optimal, trajectory)
+    one = made.shortest.path == made.energy_optimal.path
+    shortest = best if one else driven(made.shortest, None)
+    _write(problem, out, plot, {"least energy": made.energy_optimal, "shortest": made.shortest})
+    if report:
+        write_report(comparison_page(made, problem), report)
+    document = documents.comparison(made)
+    document["energy_optimal"] |= documents.driven_path(best)
+    document["shortest"] |= documents.driven_path(shortest)
+    lines = text.comparison(made)
+    lines += [f"least energy, {line}" for line in text.driven_path(made.energy_optimal, best)]
+    lines += [f"shortest, {line}" for line in text.driven_path(made.shortest, shortest)]
+    answer(document, lines, json=json)
+
+
+@app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
+def check(
+    trajectory: Annotated[
+        Path,
+        Argument(help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."),
+    ],
+    drive: Drive,
+    vehicle: Annotated[
+        str | None, Option(help="Vehicle whose motor limits count. Default: the model's.")
+    ] = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Check whether the motors can drive a trajectory.
+
+    If they cannot, says where and why, and how fast the robot could drive it.
+    """
+    from energyplan.cost.speeds import asked_speed
+    from energyplan.io.config import read_vehicle
+    from energyplan.io.trajectory import read_drive
+    from energyplan.limits.feasibility import check as run
+    from energyplan.output import documents, text
+    from energyplan.path import Trajectory
+    from energyplan.planning.driven import counted, drive_path
+
+    cost, ground, hills = priced_ground(drive)
+    limits = read_vehicle(vehicle) if vehicle else None
+    if limits is not None:
+        warn_of_another_robot("the motor limits are", cost.vehicle, [limits])
+    found = read_drive(trajectory, cost.icr.longitudinal)
+    if not isinstance(found, Trajectory):
+        if limits is not None:
+            cost = replace(cost, speed=asked_speed(drive.speed, limits))
+        found = drive_path(found, cost, ground, hills, vehicle=limits).trajectory
+    elif drive.speed is not None or drive.tolerance is not None:
+        raise InvalidInputError(
+            f"{trajectory} is a trajectory, whose speeds are given; leave --speed and --tolerance "
+            "out, or give a path of x,y,yaw"
+        )
+    law, ground = counted(cost, ground)
+    report = run(found, law, limits, surfaces=ground, heights=hills)
+    answer(documents.feasibility(report), text.feasibility(report), json=json)
+    verdict(report.feasible, strict)
+
+
+BatteryName = Annotated[
+    str | None,
+    Option(
+        metavar="BATTERY",
+        help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'.",
+    ),
+]
+Charge = Annotated[str | None, Option(help="State of charge at the start, as 80%. Default: full.")]
+
+
+@app.command(
+    name="range",
+    epilog="Example: energyplan range --map warehouse.yaml --model quadriga:empty:concrete "
+    "--start 2,2,0 --energy 5000 --return --confidence 0.95 --spread 0.05",
+)
+def reach(
+    site: Site,
+    drive: Drive,
+    start: PoseText,
+    energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None,
+    battery: BatteryName = None,
+    soc: Charge = None,
+    reserve: Annotated[str, Option(help="What of it to keep, as 20%.")] = "0",
+    confidence: Annotated[
+        float | None,
+        Option(help="Probability that a place shown as reachable really is, such as 0.95."),
+    ] = None,
+    spread: Spread = None,
+    back: Annotated[
+        bool, Option("--return", help="The robot must still get back to the start.")
+    ] = False,
+    charger: Annotated[
+        str | None,
+        Option(metavar="X,Y,YAW", help="The robot must still reach this charger afterwards."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        Option(callback=writes(".asc"), help="Write the energies [J] to this ESRI ASCII grid."),
+    ] = None,
+    contours: Annotated[
+        Path | None,
+        Option(callback=writes(*GEOJSON), help="Write the areas within reach to this GeoJSON."),
+    ] = None,
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Find how far a given energy takes the robot.
+
+    Computes the energy that it takes to reach each place of a map, and to come back if asked.
+    """
+    from energyplan.io.documents import parse_pose
+    from energyplan.io.energy_map import write_contours, write_energies
+    from energyplan.io.files import atomic_write
+    from energyplan.io.mission import read_battery
+    from energyplan.output import documents, plots, text
+    from energyplan.output.report import image
+    from energyplan.studies.energy_map import energy_map, energy_of_charge
+
+    if battery and energy is not None:
+        raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
+    if soc is not None and battery is None:
+        raise InvalidInputError("--soc is the charge of a battery; give --battery, or leave it out")
+    if spread and confidence is None:
+        raise InvalidInputError("--spread needs --confidence; give both")
+    kept = _fraction("--reserve", reserve)
+    pose = parse_pose(start)
+    if battery:  # what a battery delivers is counted at the battery
+        drive = replace(drive, at_battery=True)
+    problem = problem_of(site, drive, pose, pose)
+    home = parse_pose(charger) if charger else pose
+    if battery:
+        charge = 1.0 if soc is None else _fraction("--soc", soc)
+        energy = energy_of_charge(problem.cost, read_battery(battery), charge)
+    usable = None if energy is None else (1.0 - kept) * energy
+    with progress("searching"):
+        found = energy_map(
+            problem, energy=math.inf if usable is None else usable,
+            back=home if back or charger else None,
+            confidence=confidence, coefficient_spread=spread or 0.0,
+        )  # fmt: skip
+    areas = found.areas(usable)
+    if out:
+        write_energies(found, out)
+    if contours:
+        write_contours(areas, contours)
+    if plot:
+        atomic_write(plot, image(plots.energy_map(found, problem.map), plot.suffix))
+    answer(documents.energy_map(found, areas), text.energy_map(found, areas), json=json)
+
+
+def _fraction(option: str, text: str) -> float:
+    value = number(option, "fraction", text)
+    if not 0.0 <= value <= 1.0:
+        raise InvalidInputError(f"{option} {text} is not between 0 and 1; give a part, as 80%")
+    return value
+
+
+@app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
+def mission(
+    effort: Effort,
+    file: Annotated[
+        Path | None,
+        Argument(help="Mission YAML file; without it the options describe the mission."),
+    ] = None,
+    map_file: Annotated[Path | None, Option("--map", help="As in plan.")] = None,
+    model: Annotated[str | None, Option(metavar="MODEL", help="As in plan.")] = None,
+    battery: BatteryName = None,
+    start: MaybePose = None,
+    task: Annotated[
+        list[str] | None,
+        Option(
+            metavar="TASK...",
+            help="Task NAME=X,Y,YAW[,DWELL[,POWER]], as meter=3.9,2,90deg,5 min,30 W; repeatable.",
+        ),
+    ] = None,
+    soc: Charge = None,
+    reserve: Annotated[
+        str | None, Option(help="What must be left at the end. Default: 20 %.")
+    ] = None,
+    back: Annotated[bool, Option("--return", help="Return to the start.")] = False,
+    confidence: Annotated[
+        float | None, Option(help="Probability that a verdict holds. Default: the file's, or 0.95.")
+    ] = None,
+    spread: Spread = None,
+    fail: Annotated[
+        str | None,
+        Option(
+            metavar="NAME@TIME",
+            help="Suppose that this robot of several fails at this time [s]: who takes over?",
+        ),
+    ] = None,
+    report: Report = None,
+    trajectories: Annotated[
+        Path | None,
+        Option(
+            callback=writes(),
+            help="Write each drive to this folder (t,x,y,yaw,v,omega), and into --json.",
+        ),
+    ] = None,
+    json: Json = False,
+    strict: Strict = False,
+) -> None:
+    """Find out whether the battery lasts for a mission.
+
+    Names the tasks that cannot be done, why, and what would change that. A file with robots is
+    shared between them: which robot does which task, and when it charges.
+    """
+    from energyplan.io.fleet import names_robots
+    from energyplan.io.mission import mission_from, read_mission
+    from energyplan.io.trajectory import write_trajectory
+    from energyplan.mission import evaluate
+    from energyplan.output import documents, text
+    from energyplan.output.pages import mission_page
+
+    described: dict[str, Any] = {
+        "map": map_file,
+        "model": model,
+        "battery": battery,
+        "start": start,
+        "task": task,
+    }
+    stated: dict[str, Any] = {
+        "planning_effort": effort.effort, "planning_time": effort.time_limit,
+        "confidence": confidence, "coefficient_spread": spread,
+    }  # fmt: skip
+    stated = {name: value for name, value in stated.items() if value is not None}
+    if file is None:
+        missing = [f"--{name}" for name, value in described.items() if not value]
+        if missing:
+            raise InvalidInputError(
+                f"without a mission's file {', '.join(missing)} must be given; docs/missions lists "
+                "what a file may contain"
+            )
+        asked = mission_from(
+            {
+                "name": "mission", "model": model, "map": str(map_file), "battery": battery,
+                "start": start, "soc": soc or "100 %", "reserve": reserve or "20 %",
+                "return_to": "start" if back else "any",
+                "tasks": [_task(text) for text in task or []],
+            }
+        )  # fmt: skip
+    else:
+        described |= {"soc": soc, "reserve": reserve, "return": back}
+        clash = [f"--{name}" for name, value in described.items() if value]
+        if clash:
+            raise InvalidInputError(
+                f"the mission's file already sets what {', '.join(clash)} would; drop "
+                f"{'it' if len(clash) == 1 else 'them'}, or give no file"
+            )
+        if names_robots(file):
+            if report or trajectories:
+                raise InvalidInputError(
+                    f"{file} is a mission of several robots, which has no --report and no "
+                    "--trajectories yet; leave them out"
+                )
+            _robots(file, fail, stated, json, strict)
+            return
+        asked = read_mission(file)
+    if fail is not None:
+        raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
+    asked = replace(asked, **stated)
+    warn_of_surfaces(asked.model.vehicle, asked.surfaces)
+    with progress("evaluating the mission"):
+        told = evaluate(asked)
+    if trajectories:
+        trajectories.mkdir(parents=True, exist_ok=True)
+        for k, leg in enumerate(told.trajectories, start=1):
+            write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
+    if report:
+        write_report(mission_page(told), report)
+    answer(documents.mission(told, bool(trajectories)), text.mission(told), json=json)
+    verdict(told.feasible, strict)
+
+
+def _task(text: str) -> dict[str, str]:
+    """Return what a task's option says, as a mission's file would hold it."""
+    name, _, rest = text.partition("=")
+    parts = [part.strip() for part in rest.split(",")]
+    if not name.strip() or not 3 <= len(parts) <= 5:
+        raise InvalidInputError(
+            f"task {text!r} cannot be read; write NAME=X,Y,YAW[,DWELL[,POWER]], such as "
+            "meter=3.9,2,90deg,5 min,30 W"
+        )
+    task = {"name": name.strip(), "pose": ",".join(parts[:3])}
+    return task | dict(zip(("dwell", "power"), parts[3:], strict=False))
+
+
+def _robots(file: Path, fail: str | None, stated: dict[str, Any], json: bool, strict: bool) -> None:
+    """Share the tasks of a mission between its robots."""
+    from energyplan.fleet import Fleet, evaluate_fleet
+    from energyplan.io.fleet import read_fleet
+    from energyplan.output import documents, text
+
+    name, instant = _failure(fail) if fail else ("", 0.0)
+    asked = read_fleet(file)
+    robots = [replace(one, mission=replace(one.mission, **stated)) for one in asked.robots]
+    asked = Fleet(tuple(robots), asked.places, asked.name)
+    with progress("evaluating the mission"):
+        told = evaluate_fleet(asked)
+        after = evaluate_fleet(told.after_failure(name, instant)) if name else None
+    document, lines = documents.fleet(told), text.fleet(told)
+    if after is not None:
+        document["after_failure"] = {"robot": name, "time": instant, **documents.fleet(after)}
+        lines += [f"if {name} fails at {instant:g} s:", *text.fleet(after)]
+    answer(document, lines, json=json)
+    verdict(told.feasible and (after is None or after.feasible), strict)
+
+
+def _failure(text: str) -> tuple[str, float]:
+    """Return which robot fails, and when."""
+    name, _, instant = text.rpartition("@")
+    try:
+        if not name:
+            raise ValueError(text)
+        return name, float(instant)
+    except ValueError:
+        raise InvalidInputError(
+            f"--fail {text!r} cannot be read; write NAME@SECONDS, as beta@600"
+        ) from None
