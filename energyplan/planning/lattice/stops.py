@@ -2,7 +2,7 @@
 
 Energy at a steady speed knows no stops. Driven, each one takes the kinetic energy that the drive
 does not recover, and time in which the computers draw power. What a stop of the best path takes is
-its price. One more search looks for a way with fewer turns, at what the stops take per radian;
+its price. Routes with fewer turns are sought once more, at what the stops take per radian;
 shortcuts are sought at the price, and all that come of it are driven.
 """
 
@@ -19,7 +19,7 @@ from energyplan.path import Path
 from energyplan.planning.budget import Budget
 from energyplan.planning.driven import DrivenPath, drive_plan
 from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.lattice.search import Search, lattice_for
+from energyplan.planning.lattice.turning import ways_with_turns
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
 from energyplan.planning.scene.guide_kernels import DistanceToGo
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
@@ -39,11 +39,8 @@ SHARE = 0.25
 DEAR = 0.03
 """Part of the energy that stops must take for another way to be searched for."""
 
-COARSE, WEIGHT = 3.0, 1.0
-"""Scale of the lattice of that search, on which it soon knows all ways, and weight of the guide."""
-
-EXPANSIONS, POLISH = 20_000, 800
-"""Expansions of that search, and attempts to refine what it finds."""
+POLISH = 800
+"""Attempts to refine what is found along other routes."""
 
 
 class Stops(NamedTuple):
@@ -132,15 +129,14 @@ def _with_dear_turns(setting: KernelProblem, per_radian: float) -> KernelProblem
 
 
 def _searched(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> list[Segments]:
-    """Return the motions that one more search finds, refined a little; none if it finds none."""
-    search = Search(setting, to_go, lattice_for(setting, COARSE), WEIGHT, aligned=True)
-    search.run(budget.part(0.6), stop_at_first=True, expansions=EXPANSIONS)
-    if not search.found:
-        return []
-    refiner = Refiner(setting, search.segments())
-    refiner.shortcut(budget)
-    refiner.polish(budget.part(0.5), most=POLISH)
-    return [refiner.segments]
+    """Return the motions along the routes that are cheapest at these prices, refined a little."""
+    found = []
+    for way in ways_with_turns(setting, to_go, budget.part(0.6)):
+        refiner = Refiner(setting, way)
+        refiner.shortcut(budget)
+        refiner.polish(budget.part(0.5), most=POLISH)
+        found.append(refiner.segments)
+    return found
 
 
 def _key(path: Path) -> tuple[int, float]:
