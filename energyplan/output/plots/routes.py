@@ -259,13 +259,18 @@ def mission_map(report: MissionReport) -> Figure:
     return made
 
 
+def _short(name: str) -> str:
+    """Return a name that leaves room for the picture beside it."""
+    return name if len(name) <= 28 else f"{name[:27]}…"
+
+
 def _name_places(figure: Figure, places: Mapping[str, tuple[float, float]], line: Any) -> None:
     """Write names beside places: off marks, lines and each other, within the axes if possible."""
     ax = figure.axes[0]
     marks = list(places.values())
     notes = [
         ax.annotate(
-            name, at, xytext=(0, 0), textcoords="offset points", fontsize="small", zorder=6,
+            _short(name), at, xytext=(0, 0), textcoords="offset points", fontsize="small", zorder=6,
             va="bottom",
             bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
             arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "0.4", "shrinkA": 0},
@@ -363,7 +368,7 @@ def visits(ax: Axes, report: MissionReport) -> Axes:
         row = names.index(stop.name)
         ax.barh(row, stay, left=begin, height=0.6, color=colors[stop.kind])
         ax.plot(begin, row, "|", color=colors[stop.kind], ms=8)
-    ax.set_yticks(range(len(names)), names, fontsize="small")
+    ax.set_yticks(range(len(names)), [_short(name) for name in names], fontsize="small")
     ax.set_ylim(len(names) - 0.5, -0.5)
     style_label(ax, "time [min]", "", "")
     return ax
