@@ -20,7 +20,6 @@ from energyplan.diagnosis.explanations import Found
 from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
 from energyplan.diagnosis.joint_fit import FinalFit, final_fit, least_known, size_error, size_spread
 from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
-from energyplan.diagnosis.mimics import without_mimics
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
@@ -35,7 +34,7 @@ from energyplan.diagnosis.result import (
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search
 from energyplan.diagnosis.stand_ins import Presence
-from energyplan.diagnosis.tested import Tested, tested
+from energyplan.diagnosis.tested import Tested, tested, without_mimics
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.adequacy import Adequacy, usual_effects

@@ -24,9 +24,8 @@ from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import fit_residual
 from energyplan.fit.drives import drive as _drive
 from energyplan.fit.drives.denoise import quiet, speed_noise
-from energyplan.fit.drives.design import Design
+from energyplan.fit.drives.design import Design, block_grams
 from energyplan.fit.drives.drive import Drive
-from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.fit.least_squares import Fit, fit, solve, weighted
 from energyplan.fit.problem import Problem
 from energyplan.motion import Motion

@@ -18,7 +18,7 @@ from energyplan.diagnosis.change_points import mark_changes
 from energyplan.diagnosis.part import Part
 from energyplan.diagnosis.proposals import Candidate
 from energyplan.diagnosis.search import Search
-from energyplan.diagnosis.settling import settled
+from energyplan.diagnosis.settled_sets import settled
 from energyplan.fit.drives.drive import prepared
 from energyplan.fit.drives.late import ON_TIME, Late
 from energyplan.fit.problem import PAPER, Problem

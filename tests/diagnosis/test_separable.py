@@ -7,7 +7,7 @@ import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.separable import separable, varies
+from energyplan.diagnosis.search import separable, varies
 from energyplan.fit.drives.drive import prepared
 from energyplan.fit.problem import Problem
 from energyplan.motion import Motion

@@ -18,10 +18,28 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.compilation import AnyInts, AnyTable, FloatBlock, njit
 from energyplan.fit.drives.drive import Drive
-from energyplan.fit.drives.window_kernels import block_grams
 from energyplan.fit.drives.windows import SCALES
 from energyplan.path import FloatArray
+
+
+@njit
+def block_grams(table: AnyTable, block: AnyInts, count: int) -> FloatBlock:
+    """Gram matrix of the rows of each block, shape (count, k, k)."""
+    rows, width = table.shape
+    total = np.zeros((count, width, width))
+    for n in range(rows):
+        into = total[block[n]]
+        for i in range(width):
+            for j in range(i + 1):
+                into[i, j] += table[n, i] * table[n, j]
+    for b in range(count):
+        for i in range(width):
+            for j in range(i):
+                total[b, j, i] = total[b, i, j]
+    return total
+
 
 _MUCH = 0.4  # share of all blocks that no drive may exceed to be left out as a whole
 _IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
