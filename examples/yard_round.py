@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import energyplan as ep
 from energyplan.io.bundled import bundled
-from energyplan.mission import Routes
+from energyplan.mission import MissionReport, Routes
 
 
-def tell(title: str, report: ep.MissionReport) -> None:
+def tell(title: str, report: MissionReport) -> None:
     """Print what comes of a mission."""
     length = sum(path.length for path in report.paths)
     print(

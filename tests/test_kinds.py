@@ -23,6 +23,9 @@ from energyplan.fleet.types import Fleet, Robot
 from energyplan.io.project import Project
 from energyplan.logs.mapping import Column
 from energyplan.physics.effects import Effect
+from energyplan.planning.replanning import replan
+from energyplan.power import Sides
+from energyplan.terrain import Terrain
 from energyplan.terrain.grid import CostMap
 
 VEHICLE = ep.Vehicle.preset("quadriga:full")
@@ -89,9 +92,9 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: HALL.first_collision(VEHICLE, LINE), "path is a Vehicle; give a Path"),
     (lambda: HALL.with_blocked([(1, 1), (2, 2)]), "an area is .* give a polygon of shapely"),
     (lambda: HALL.with_mask(np.zeros((3, 3), bool)), "mask is an array of shape"),
-    (lambda: ep.Terrain("hall.yaml"), "grid .* give an OccupancyGrid"),
+    (lambda: Terrain("hall.yaml"), "grid .* give an OccupancyGrid"),
     (lambda: ep.SurfaceMap([shapely.box(0, 0, 1, 1)]), r"surfaces\[0\] is a Polygon"),
-    (lambda: ep.replan(problem(), LINE.poses(), start=(2, 3, 0)), "former is an array"),
+    (lambda: replan(problem(), LINE.poses(), start=(2, 3, 0)), "former is an array"),
     (lambda: ep.energy_map("hall.yaml"), "problem"),
     (lambda: ep.write_model(ep.identify, "a.yaml"), "model is a function; give a PowerModel"),
     (lambda: ep.read_map(None), "path is None; give a text or the name of a file"),
@@ -239,7 +242,7 @@ ALIKE: list[Callable[[], object]] = [
     lambda: ep.PowerModel.preset("jackal:flooring"),
     lambda: ep.Battery.preset("quadriga"),
     lambda: ep.Motion.from_twist([0.5, 0.6], [0.0, 0.1], VEHICLE.icr, slope=[0.0, 0.1]),
-    lambda: ep.Sides(np.array([1.0]), np.array([2.0])),
+    lambda: Sides(np.array([1.0]), np.array([2.0])),
     lambda: ep.identify(LOG, VEHICLE),
 ]
 

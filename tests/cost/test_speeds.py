@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from energyplan import EnergyCost, MotorLimits, Path, Pose, PowerModel, Sides, TreadICR, Vehicle
+from energyplan import EnergyCost, MotorLimits, Path, Pose, PowerModel, TreadICR, Vehicle
 from energyplan.cost.speeds import (
     admissible_rate,
     asked_speed,
@@ -18,6 +18,7 @@ from energyplan.cost.speeds import (
 )
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
+from energyplan.power import Sides
 from energyplan.power.effects import term
 
 VEHICLE = Vehicle.preset("husky_a200")

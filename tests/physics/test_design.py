@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import energyplan as ep
-from energyplan import Motion, Sides
+from energyplan import Motion
 from energyplan.errors import InvalidInputError
 from energyplan.physics.design import Explanation, design, explanations_of
+from energyplan.power import Sides
 from energyplan.power.effects import term
 
 MODEL = ep.PowerModel.preset("quadriga:full:concrete")

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan import EnergyCost, Motion, PowerModel, Term, Vehicle
+from energyplan import EnergyCost, Motion, PowerModel, Vehicle
 from energyplan.errors import ModelError, UnknownNameError
-from energyplan.power import TRACTION, effects, tread_forces
+from energyplan.power import TRACTION, Term, effects, tread_forces
 from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
     DRAGGING_RIGHT,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from energyplan import Motion, PowerModel, Sides, Term, TreadICR, Vehicle
+from energyplan import Motion, PowerModel, TreadICR, Vehicle
 from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
 from energyplan.power import (
     DRIVE_LOSS,
@@ -15,6 +15,8 @@ from energyplan.power import (
     REGENERATION_LOSS,
     SLIP,
     TRACTION,
+    Sides,
+    Term,
     effects,
     tread_forces,
 )

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import shapely
 
-from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, SurfaceMap, Terrain, plan
+from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, SurfaceMap, plan
 from energyplan.errors import MapError
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import places_for
+from energyplan.terrain import Terrain
 from energyplan.terrain.updates import Window, tables_of, window_of
 
 COST = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)

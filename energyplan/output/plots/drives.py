@@ -330,7 +330,8 @@ def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
     --------
     >>> import energyplan as ep
     >>> model = ep.PowerModel.preset("quadriga:full:concrete")
-    >>> region = ep.feasibility.feasible_region(model, [-1.0, 0.0, 1.0], [0.3, 0.6, 0.9])
+    >>> from energyplan.limits.feasibility import feasible_region as region_of
+    >>> region = region_of(model, [-1.0, 0.0, 1.0], [0.3, 0.6, 0.9])
     >>> feasible_region(figure().axes[0], region).get_xlabel()
     'curvature [1/m]'
     """
