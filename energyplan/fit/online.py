@@ -15,8 +15,11 @@ from scipy.stats import chi2
 
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit import _online_kernel as kernel
+from energyplan.fit.drives.drive import Drive
 from energyplan.fit.identifiability import is_linear, linearise
+from energyplan.fit.regression import PowerRegression
 from energyplan.fit.residuals import energy_error
+from energyplan.fit.solvers import Bounds
 from energyplan.kinds import checked, described
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -33,6 +36,12 @@ _NOISE_MEMORY = 120.0
 _CORRELATION_TIME = 0.5
 """Of the residual, until the drive shows its own [s]."""
 
+_FEWEST = 3  # former runs that tell what the rest of a run keeps
+_SHARES = 21  # values of that share
+_DRAWS = 200  # of the Bayesian bootstrap
+_EXACT = 1e-6  # relative error that is none
+_IDLE = 0.1  # share of the usual power, up to which a part of a run tells nothing
+
 _RAMP_TIME = 0.15
 """Time constant of the filter that accelerations of single samples come from [s]."""
 
@@ -45,6 +54,66 @@ class SurfaceChange:
     onset: float  # about when it happened [s]
     statistic: float  # how clear it is
     before: PowerModel  # the model up to then
+
+
+@dataclass(frozen=True)
+class RunMemory:
+    """How much of a run's departure from former runs the rest of it keeps."""
+
+    share: float  # of the logarithm of measured over predicted energy, in [0, 1]
+    quarter: float  # usual energy of the first quarter of a run [J]
+
+    @classmethod
+    def of(cls, logs: Sequence[DriveLog], model: PowerModel) -> RunMemory:
+        """Learn it from former runs, each predicted from the others by the model's terms.
+
+        The share is its mean over values in [0, 1] by how they predict the last three quarters of
+        former runs from the first. It is as probable before that there is none, and any other one
+        divides its odds by e, as a coefficient does (Akaike); relative errors of energies have
+        Laplace's distribution, its size by the Bayesian bootstrap.
+        """
+        usual = 0.25 * float(np.median([log.energy for log in logs])) if logs else np.inf
+        known = _departures(logs, model) if len(logs) >= _FEWEST else np.zeros((0, 2))
+        if not len(known):
+            return cls(0.0, usual)
+        shares = np.linspace(0.0, 1.0, _SHARES)
+        missed = np.abs(np.expm1(shares * known[:, :1] - known[:, 1:]))
+        weights = np.random.default_rng(0).dirichlet(np.ones(len(known)), _DRAWS)
+        odds = -len(known) * np.log(weights @ missed + _EXACT)
+        odds[:, 0] += np.log(_SHARES - 1) + 1.0
+        chance = np.exp(odds - odds.max(axis=1, keepdims=True))
+        chance /= chance.sum(axis=1, keepdims=True)
+        return cls(float(np.mean(chance @ shares)), usual)
+
+    def factor(self, measured: float, predicted: float) -> float:
+        """Factor of the rest's energy, from energies so far [J]; little driving shows little."""
+        if not (measured > 0.0 and predicted > 0.0 and self.quarter > 0.0):
+            return 1.0
+        shown = min(measured / self.quarter, predicted / self.quarter, 1.0)
+        return float((measured / predicted) ** (self.share * shown))
+
+
+def _departures(logs: Sequence[DriveLog], model: PowerModel) -> FloatArray:
+    """Logarithms of measured over predicted energy: of the first quarter and the rest, (runs, 2).
+
+    Parts in which a run hardly draws power are no measure, and such runs are left out.
+    """
+    drives = [Drive.of(log, model.vehicle) for log in logs]
+    bounds = Bounds(*np.array([term.bounds for term in model.terms], float).T)
+    usual = sum(log.energy for log in logs) / sum(log.duration for log in logs)
+    found = []
+    for k, drive in enumerate(drives):
+        others = PowerRegression([*drives[:k], *drives[k + 1 :]], model).solve("lad", bounds)
+        (power,) = PowerRegression([drive], others).powers(others)
+        first = drive.t <= 0.25 * drive.t[-1]
+        parts = [
+            (float(drive.weights[some] @ p[some])) for some in (first, ~first)
+            for p in (drive.power, power)
+        ]  # fmt: skip
+        time = [float(drive.weights[some].sum()) for some in (first, ~first) for _ in range(2)]
+        if all(e > _IDLE * usual * t for e, t in zip(parts, time, strict=True)):
+            found.append((np.log(parts[0] / parts[1]), np.log(parts[2] / parts[3])))
+    return np.array(found).reshape(-1, 2)
 
 
 def _typical(term: Term, vehicle: Vehicle) -> float:

@@ -36,6 +36,7 @@ class Learned:
     t: float  # time [s]
     model: PowerModel  # the model of the ground at hand, with covariance
     samples: int  # samples so far
+    factor: float = 1.0  # of the former runs' power, where the model is theirs
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot, inf, isfinite
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from energyplan.errors import EnergyPlanError, InvalidInputError
-from energyplan.fit.online import OnlineIdentifier
+from energyplan.fit.online import OnlineIdentifier, RunMemory
 from energyplan.kinds import checked
 from energyplan.live.samples import (
     Changed,
@@ -27,6 +27,7 @@ from energyplan.live.samples import (
     Trouble,
     read_samples,
 )
+from energyplan.logs import DriveLog
 from energyplan.logs.mapping import Column
 from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion
@@ -78,6 +79,7 @@ def watch(
     columns: str | Mapping[str, str | Column] | None = None,
     name: str = "log",
     settings: Settings | None = None,
+    former: Sequence[DriveLog] = (),
 ) -> Iterator[Event]:
     """Watch a drive: learn the power model, notice changes of ground, evaluate the mission's rest.
 
@@ -99,6 +101,10 @@ def watch(
         What to call the log in messages.
     settings : Settings, optional
         How often to tell what.
+    former : sequence of DriveLog
+        Runs that the prior was identified from, three or more. What is learned is then the prior
+        times a factor of this run: as much of what it took so far, over what the prior predicts, as
+        former runs kept from their first quarter to their end.
 
     Yields
     ------
@@ -119,9 +125,13 @@ def watch(
     >>> last.samples, last.changes
     (600, 0)
     """
+    if former and not isinstance(prior, PowerModel):
+        raise InvalidInputError(
+            "former runs go with the model that was identified from them; give prior"
+        )
     if prior is None and mission is None:
         raise InvalidInputError("the robot is not known; give a model, a vehicle or a mission")
-    yield from _Watch(prior, mission, settings or Settings()).run(lines, columns, name)
+    yield from _Watch(prior, mission, settings or Settings(), former).run(lines, columns, name)
 
 
 @dataclass
@@ -130,6 +140,42 @@ class _Ground:
 
     online: OnlineIdentifier
     t: float = 0.0
+    memory: RunMemory | None = None
+    prior: PowerModel | None = None  # of former runs
+    battery: bool = False  # whether power is measured at the battery
+    pending: list[tuple[float, Sample]] = field(default_factory=list)  # time and sample
+    energies: tuple[float, float] = (0.0, 0.0)  # measured and predicted [J]
+
+    @property
+    def factor(self) -> float:
+        """Factor of the power of former runs that the rest of this one has."""
+        if self.memory is None or self.prior is None:
+            return 1.0
+        if self.pending:
+            time = np.array([step for step, _ in self.pending])
+            samples = [sample for _, sample in self.pending]
+            shown = self.prior.battery_side() if self.battery else self.prior
+            more = (
+                float(time @ [sample.power for sample in samples]),
+                float(time @ _power(shown, samples)),
+            )
+            self.energies = (self.energies[0] + more[0], self.energies[1] + more[1])
+            self.pending.clear()
+        return self.memory.factor(*self.energies)
+
+    @property
+    def model(self) -> PowerModel:
+        """The model as it is known now."""
+        factor, online = self.factor, self.online.model
+        if self.memory is None or self.prior is None:
+            return online
+        scale = np.array([1.0 if t.kind == "loss" else factor for t in self.prior.terms])
+        covariance = self.prior.covariance
+        return replace(
+            self.prior, coefficients=scale * self.prior.coefficients,
+            covariance=None if covariance is None else np.outer(scale, scale) * covariance,
+            residual=online.residual,
+        )  # fmt: skip
 
 
 @dataclass
@@ -140,10 +186,26 @@ class _Drawn:
     samples: list[Sample] = field(default_factory=list)
 
 
+def _power(model: PowerModel, samples: Sequence[Sample]) -> FloatArray:
+    """Power of a model in single samples; without accelerations."""
+    names = {channel for term in model.terms for channel in term.channels}
+    motion = Motion(
+        np.array([sample.v_left for sample in samples]),
+        np.array([sample.v_right for sample in samples]),
+        model.vehicle.icr,
+        {n: np.array([sample.channels.get(n, 0.0) for sample in samples]) for n in names},
+    )
+    return np.asarray(model.power(motion))
+
+
 class _Watch:
     def __init__(
-        self, prior: PowerModel | Vehicle | None, mission: Mission | None, settings: Settings
-    ) -> None:
+        self, prior: PowerModel | Vehicle | None, mission: Mission | None, settings: Settings,
+        former: Sequence[DriveLog],
+    ) -> None:  # fmt: skip
+        self._memory = (
+            RunMemory.of(former, prior) if former and isinstance(prior, PowerModel) else None
+        )
         self._prior, self._mission, self._settings = prior, mission, settings
         self._known = set(settings.done)
         names = {task.name for task in mission.tasks} if mission is not None else set()
@@ -197,7 +259,7 @@ class _Watch:
         yield Ended(
             self._samples,
             sum(len(ground.online.changes) for ground in self._grounds.values()),
-            tuple(ground.online.model for ground in self._grounds.values()),
+            tuple(ground.model for ground in self._grounds.values()),
             dict(+self._aside),
         )
 
@@ -218,7 +280,8 @@ class _Watch:
         yield from (trouble for trouble in self._again.values() if trouble.count)
         self._again.clear()
         if self._here is not None:
-            yield Learned(self._last, self._here.online.model, self._samples)
+            here = self._here
+            yield Learned(self._last, here.model, self._samples, here.factor)
 
     # -- time -------------------------------------------------------------------------------------
 
@@ -312,8 +375,10 @@ class _Watch:
             if prior is None:
                 raise InvalidInputError("the robot is not known; give a model or a vehicle")
             self._grounds[region] = _Ground(
-                OnlineIdentifier(prior, battery=self._battery_side, period=self._period)
-            )
+                OnlineIdentifier(prior, battery=self._battery_side, period=self._period),
+                memory=self._memory, prior=prior if isinstance(prior, PowerModel) else None,
+                battery=self._battery_side,
+            )  # fmt: skip
         return self._grounds[region]
 
     def _take(self, sample: Sample, step: float) -> Iterator[Event]:
@@ -324,7 +389,10 @@ class _Watch:
             ground.t, sample.v_left, sample.v_right, sample.power, **sample.channels
         )
         self._samples += 1
+        if ground.memory is not None:
+            ground.pending.append((step, sample))
         if changed:
+            ground.pending, ground.energies = [], (0.0, 0.0)
             change = ground.online.changes[-1]
             ago = change.t - change.onset
             yield Changed(sample.t, sample.t - ago, change.statistic, change.before)
@@ -397,15 +465,8 @@ class _Watch:
         measured = np.array([sample.power for sample in samples])
         if self._battery_side or self._here is None:
             return measured
-        model = self._here.online.model
-        names = {channel for term in model.battery_side().terms for channel in term.channels}
-        motion = Motion(
-            np.array([sample.v_left for sample in samples]),
-            np.array([sample.v_right for sample in samples]),
-            model.vehicle.icr,
-            {n: np.array([sample.channels.get(n, 0.0) for sample in samples]) for n in names},
-        )
-        return np.asarray(measured + model.battery_side().power(motion) - model.power(motion))
+        model = self._here.model
+        return measured + _power(model.battery_side(), samples) - _power(model, samples)
 
     def _look(self) -> Iterator[Event]:
         """Evaluate the rest of the mission."""
@@ -430,7 +491,7 @@ class _Watch:
             return mission
         changes: dict[str, Any] = {}
         for region, ground in self._grounds.items():
-            model, surfaces = ground.online.model, changes.get("surfaces", mission.surfaces)
+            model, surfaces = ground.model, changes.get("surfaces", mission.surfaces)
             if region == 0:
                 changes["model"] = replace(
                     model, vehicle=mission.vehicle.with_icr(model.vehicle.icr)

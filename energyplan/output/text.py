@@ -188,7 +188,8 @@ def event(told: Event) -> list[str]:
         often = f" ({told.count} times more)" if told.count > 1 else ""
         return [f"{told.place}: {told.reason}{often}"]
     if isinstance(told, Learned):
-        return [f"{told.t:.1f} s: {_coefficients(told.model)}; {told.samples} samples"]
+        factor = f"; {number(told.factor, 3)} times former runs" if told.factor != 1.0 else ""
+        return [f"{told.t:.1f} s: {_coefficients(told.model)}; {told.samples} samples{factor}"]
     if isinstance(told, Changed):
         return [
             f"{told.t:.1f} s: the ground changed about {told.onset:.1f} s (chi-squared "

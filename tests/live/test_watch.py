@@ -26,10 +26,12 @@ from energyplan import (
     SurfaceMap,
     Task,
     evaluate,
+    identify,
     simulate,
     watch,
 )
 from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.fit import fit_residual
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.trajectory import write_log
 from energyplan.live import (
@@ -459,3 +461,47 @@ def test_the_icr_of_a_spin_by_its_angle(
     from energyplan.io.config import read_vehicle
 
     assert read_vehicle(str(out)).icr.left == pytest.approx(expected)
+
+
+# -- runs that differ as a whole ----------------------------------------------------------------
+
+
+def runs_of(count: int, keeps: bool) -> list[DriveLog]:
+    """Runs that take more or less than others, throughout or in their first quarter alone."""
+    logs = []
+    for k in range(count):
+        factor = np.exp(0.3 * np.random.default_rng(k).standard_normal())
+        log = simulate.drive(MARBLE, "survey", power_noise=5.0, seed=k)
+        early = log.t - log.t[0] <= 0.25 * log.duration
+        power = log.power * np.where(early | keeps, factor, 1.0)
+        logs.append(DriveLog({"t": log.t, "power": power,
+                              **{n: log.channel(n) for n in ("v_left", "v_right", "yaw_rate")}},
+                             f"run {k}"))  # fmt: skip
+    return logs
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_the_rest_of_a_run_keeps_as_much_of_its_factor_as_former_runs_did(keeps: bool) -> None:
+    *former, run = runs_of(7, keeps)
+    prior = identify(former, MARBLE.vehicle).model
+    first = run.segment(float(run.t[0]), float(run.t[0]) + 0.25 * run.duration)
+    rest = run.segment(float(run.t[0]) + 0.25 * run.duration, float(run.t[-1]))
+    rows = [HEADER] + [
+        ",".join(str(value) for value in row)
+        for row in zip(first.t, *(first.channel(n) for n in HEADER.split(",")[1:-1]), first.power,
+                       strict=True)
+    ]  # fmt: skip
+    learned = only(told(rows, prior=prior, former=former), Learned)[-1]
+    before, after = (
+        abs(fit_residual(model, rest).energy_error) for model in (prior, learned.model)
+    )
+    if keeps:
+        assert before > 0.1
+        assert after < 0.3 * before
+    else:
+        assert after < before + 0.03
+
+
+def test_former_runs_need_the_model_that_was_identified_from_them() -> None:
+    with pytest.raises(InvalidInputError, match="former runs"):
+        told([HEADER], prior=MARBLE.vehicle, former=runs_of(1, True))
