@@ -397,6 +397,14 @@ def watch(
     done: Annotated[
         list[str] | None, Option(metavar="NAME...", help="Tasks that are already done.")
     ] = None,
+    former: Annotated[
+        list[Path] | None,
+        Option(
+            metavar="LOG...",
+            help="Runs that --model was identified from, three or more: this run then has a factor "
+            "of its own, as much of it as former runs kept.",
+        ),
+    ] = None,
     out: OutModel = None,
     json: Json = False,
 ) -> None:
@@ -406,6 +414,7 @@ def watch(
     One line for each event; with --json each is a JSON document. Ctrl-C ends it.
     """
     from energyplan.io.config import read_model, read_vehicle, write_model
+    from energyplan.io.logs import read_drives
     from energyplan.io.mission import read_mission
     from energyplan.io.project import read_columns
     from energyplan.live import Ended, Learned, follow, lines_of
@@ -420,6 +429,8 @@ def watch(
     for name, given in (("--soc", soc), ("--done", done)):
         if given is not None and mission is None:
             raise InvalidInputError(f"{name} goes with --mission; give both or neither")
+    if former and not model:
+        raise InvalidInputError("--former goes with the --model that was identified from it")
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
     charge = None if soc is None else number("--soc", "fraction", soc)
     settings = Settings(every, mission_every, near, charge, tuple(done or ()))
@@ -427,9 +438,12 @@ def watch(
     mapping = read_columns(columns) if columns and columns.endswith(YAML) else columns
     source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
     learned: Any = None
+    known = read_drives(former, str(model), columns) if former else []
     try:
         with _until_interrupted(source) as lines:
-            found = events(lines, prior, wanted, columns=mapping, name=log, settings=settings)
+            found = events(
+                lines, prior, wanted, columns=mapping, name=log, settings=settings, former=known
+            )
             for k, event in enumerate(found):
                 if k == 0:
                     warn_with_answer()

@@ -210,8 +210,9 @@ def event(told: Event) -> list[str]:
 
 def _coefficients(model: PowerModel) -> str:
     return ", ".join(
-        f"{row['symbol']} = {number(row['value'])} +- {number(row['std_error'], 2)} "
-        f"{_unit(row['unit'])}".rstrip()
+        f"{row['symbol']} = {number(row['value'])}"
+        + ("" if row["std_error"] is None else f" +- {number(row['std_error'], 2)}")
+        + f" {_unit(row['unit'])}".rstrip()
         for row in terms(model)
     )
 
