@@ -252,7 +252,8 @@ class Kernel(CPUDispatcher):
             return super().compile(given)
         with nullcontext() if self.kept or self.disk is None else self.disk.alone():
             entry = super().compile(self.declared)
-        if not any(isinstance(kind, types.Literal | types.Omitted) for kind in given):
+        literal = any(isinstance(kind, types.Literal | types.Omitted) for kind in given)
+        if given != self.declared and not literal:  # a second entry would be ambiguous
             insert: Any = self._insert  # type: ignore[attr-defined]
             insert([kind._code for kind in given], entry, False)  # next time found at once
         return entry

@@ -422,3 +422,15 @@ def test_who_starts_in_an_obstacle_is_told_so_at_once(planner: str, tmp_path: Pa
         "energyplan.terrain.updates",
         "energyplan.cost.direction_table",
     }
+
+
+def test_calls_with_the_declared_types_are_resolved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel with two entries of the same types is ambiguous, and each call resolves it anew."""
+    kernel = KERNELS["energyplan.steering.kernels.between_poses"]
+    seven = (0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0)
+    kernel(*seven)
+    asked: list[object] = []
+    monkeypatch.setattr(type(kernel), "compile", lambda self, sig=None: asked.append(sig))
+    for _ in range(3):
+        kernel(*seven)
+    assert asked == []

@@ -542,7 +542,7 @@ class Battery(ByValue, html.Readable):
         --------
         >>> pack = Battery.of("25.6 V 100 Ah LiFePO4, usable 80 %")
         >>> round(pack.full_energy / 3600), round(pack.cutoff_soc, 2)
-        (2622, 0.2)
+        (2614, 0.2)
         """
         if words.strip() in PRESETS:
             return cls.preset(words.strip())

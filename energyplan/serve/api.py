@@ -356,7 +356,7 @@ def _missions(service: _Service) -> APIRouter:
         told = evaluate(mission, routes=routes)
         names = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
         along = {name: documents.plain(getattr(told.timeline, name)) for name in names}
-        return {**documents.mission(told), "timeline": along}
+        return {**documents.mission(told, trajectories=True), "timeline": along}
 
     service.answers(router, "/mission", MissionRequest, evaluated)
     return router

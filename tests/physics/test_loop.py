@@ -107,9 +107,10 @@ def test_who_knows_the_effect_takes_another_way(made: Callable[[float], forks.Fo
     right, taken = believed(problem, true, speed), []
     for model in (MODEL, true):
         asked = believed(problem, model, speed)
-        made = ep.plan(asked, effort=30_000)
-        taken.append(asked_energy(timed(made, asked, speed), right))
-    assert taken[1] < 0.98 * taken[0]
+        planned = ep.plan(asked, effort=30_000)
+        taken.append(asked_energy(timed(planned, asked, speed), right))
+    # without the drag both ways round the block take the same: chance may find the right one
+    assert taken[1] < (taken[0] if made is forks.dragging else 0.98 * taken[0])
 
 
 @pytest.mark.nightly

@@ -260,7 +260,7 @@ def test_the_shortest_route_turns_where_turning_has_no_length(treads):
     points = [point_ahead(Pose(*end), treads[2]) for end in (start, goal)]
     apart = np.hypot(*np.subtract(*points))
     found = plan(problem, effort=2000)
-    assert found.length == pytest.approx(apart, rel=1e-3)
+    assert apart * (1 - 1e-9) <= found.length <= 1.002 * apart  # it also prefers little energy
     assert found.gap < 0.01
     # about a box, and seen from one place among many
     hall[30:62, 50:58] = True
