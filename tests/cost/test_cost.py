@@ -14,13 +14,12 @@ from energyplan import (
     Path,
     Pose,
     PowerModel,
-    Term,
     TreadICR,
     Vehicle,
     steering,
 )
 from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
-from energyplan.power import HOTEL, TRACTION
+from energyplan.power import HOTEL, TRACTION, Term
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, term
 
 MODEL = PowerModel.preset("quadriga:full:marble")

@@ -13,7 +13,6 @@ from matplotlib.text import Annotation, Text
 from energyplan import (
     Battery,
     Mission,
-    MissionReport,
     OccupancyGrid,
     Path,
     Pose,
@@ -23,6 +22,7 @@ from energyplan import (
     evaluate,
     simulate,
 )
+from energyplan.mission import MissionReport
 from energyplan.output import plots
 from energyplan.output.report import image
 from energyplan.terrain.surfaces import Surface

@@ -12,21 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from steering_optimum import Corners, optimum
 
-from energyplan import (
-    EnergyCost,
-    Motion,
-    MotorLimits,
-    Path,
-    Pose,
-    PowerModel,
-    Sides,
-    Term,
-    TreadICR,
-    steering,
-)
+from energyplan import EnergyCost, Motion, MotorLimits, Path, Pose, PowerModel, TreadICR, steering
 from energyplan.cost.steering import polygon_steering
 from energyplan.errors import InvalidInputError
-from energyplan.power import HOTEL, tread_forces
+from energyplan.power import HOTEL, Sides, Term, tread_forces
 from energyplan.power.effects import VISCOUS_LOSS
 from energyplan.steering.kernels import steer_energy
 from energyplan.steering.polygon import polygon_energies

@@ -18,7 +18,6 @@ from energyplan import (
     PlanningProblem,
     Pose,
     PowerModel,
-    Residual,
     energy_map,
     plan,
     steering,
@@ -31,6 +30,7 @@ from energyplan.errors import (
 )
 from energyplan.io.energy_map import write_contours, write_energies
 from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.power import Residual
 from energyplan.studies.energy_map import most_power, upper_prices
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
