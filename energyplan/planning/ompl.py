@@ -271,33 +271,19 @@ def _geometric(
     return Candidate(query.path(_joined(query, states)))
 
 
-def rrtstar(
-    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
-) -> Candidate:
-    """Plan with OMPL's RRT* on the objective of the problem."""
-    return _geometric(geometric.RRTstar, "rrtstar", problem, budget, seed, parameters)
+def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
+    """Return the planner that lets one of OMPL's solve a problem."""
+
+    def plan(
+        problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
+    ) -> Candidate:
+        return _geometric(make, name, problem, budget, seed, parameters)
+
+    plan.__name__ = plan.__qualname__ = name
+    return plan
 
 
-def informed_rrtstar(
-    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
-) -> Candidate:
-    """Plan with OMPL's informed RRT*; parameters as in `rrtstar`."""
-    make = geometric.InformedRRTstar
-    return _geometric(make, "informed_rrtstar", problem, budget, seed, parameters)
-
-
-def bitstar(
-    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
-) -> Candidate:
-    """Plan with OMPL's BIT*; parameters as in `rrtstar`."""
-    return _geometric(geometric.BITstar, "bitstar", problem, budget, seed, parameters)
-
-
-def fmt(
-    problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
-) -> Candidate:
-    """Plan with OMPL's FMT*; parameters as in `rrtstar`.
-
-    FMT* is not anytime: it draws ``num_samples`` samples, then searches once.
-    """
-    return _geometric(geometric.FMT, "fmt", problem, budget, seed, parameters)
+rrtstar = _planner(geometric.RRTstar, "rrtstar")
+informed_rrtstar = _planner(geometric.InformedRRTstar, "informed_rrtstar")
+bitstar = _planner(geometric.BITstar, "bitstar")
+fmt = _planner(geometric.FMT, "fmt")  # not anytime: draws num_samples samples, then searches once
