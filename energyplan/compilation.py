@@ -84,6 +84,7 @@ FEW = 4
 
 _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 _ROOT = Path(__file__).parent
+_DIGEST = re.compile("[0-9a-f]{24}")  # what `source_digest` returns
 _IMPORT = re.compile(r"^[ \t]*from energyplan([.\w]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
 
@@ -208,12 +209,14 @@ def _can_be_kept() -> bool:
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=cache_folder()).close()
-        for entry in cache_folder().iterdir():
-            if time.time() - entry.stat().st_mtime > UNUSED:
-                shutil.rmtree(entry, ignore_errors=True)
+        entries = list(cache_folder().iterdir())
     except OSError as error:
         _say_not_kept(str(error.strerror))
         return False
+    for entry in entries:  # the folder may be one that the user has for other things, too
+        with suppress(OSError):  # another process may delete it at the same time
+            if _DIGEST.fullmatch(entry.name) and time.time() - entry.stat().st_mtime > UNUSED:
+                shutil.rmtree(entry)
     return True
 
 
