@@ -1,11 +1,12 @@
 """How well energies of real runs are predicted from the others of their ground.
 
 ``python benchmarks/real.py FOLDER [GROUND ...]`` leaves out one run after the other of every ground
-and prints a line for each ground: mean size of the relative error of a run's energy by the paper's
-two terms and by the model that diagnosis hands on, both learned from the other runs, and how many
-90 % intervals hold the measured energy. FOLDER holds ``borealtc``, ``vulpi`` and ``drive`` as
-docs/model_card.md tells. A ground that is one long drive is cut into parts of equal length, and
-parts in which the robot hardly moves are left out of the errors, not of the training.
+and prints a line for each ground (each run is told on stderr): mean size of the relative error of a
+run's energy by the paper's two terms and by the model that diagnosis hands on, both learned from
+the other runs, and how many 90 % intervals hold the measured energy. FOLDER holds ``borealtc``,
+``vulpi`` and ``drive`` as docs/model_card.md tells. A ground that is one long drive is cut into
+parts of equal length, and parts in which the robot hardly moves are left out of the errors, not of
+the training.
 ``--rest`` predicts what is left of each run after its first quarter instead: by two terms of the
 former runs alone, and as `energyplan.watch` does, with this run's factor.
 All grounds take about ten minutes on one core.
@@ -14,6 +15,7 @@ All grounds take about ten minutes on one core.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -107,7 +109,7 @@ def left_out(ground: Ground) -> Row:
         print(
             f"  {unseen.name}: {row.two_terms[-1]:+.3f} {row.handed_on[-1]:+.3f} {row.within[-1]} "
             f"half {0.5 * (high - low) / one.measured:.2f} {told.average}",
-            flush=True,
+            file=sys.stderr,
         )
     return row
 
@@ -142,7 +144,10 @@ def main() -> None:
     parser.add_argument("grounds", nargs="*", help="names of grounds; all where none is given")
     parser.add_argument("--rest", action="store_true", help="predict the rest of each run")
     asked = parser.parse_args()
-    lines, rows = [], []
+    rows = []
+    if not asked.rest:
+        print("| ground | runs | two terms | handed on | ratio | in the 90 % interval |")
+        print("|---|---|---|---|---|---|")
     for ground in grounds(asked.folder):
         if asked.grounds and ground.name not in asked.grounds:
             continue
@@ -151,13 +156,7 @@ def main() -> None:
             continue
         row = left_out(ground)
         rows.append(row)
-        lines.append(row.line(ground.name))
-        print(lines[-1], flush=True)
-    if asked.rest:
-        return
-    print("| ground | runs | two terms | handed on | ratio | in the 90 % interval |")
-    print("|---|---|---|---|---|---|")
-    print("\n".join(lines))
+        print(row.line(ground.name), flush=True)
     if rows:
         means = np.array([[np.mean(np.abs(errors)) for errors in row[:2]] for row in rows])
         within = [one for row in rows for one in row.within]
