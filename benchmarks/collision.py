@@ -16,7 +16,7 @@ import shapely
 from scipy import ndimage
 from shapely import affinity
 
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.terrain import OccupancyGrid

@@ -50,8 +50,8 @@ def examples(folder: Path) -> dict[str, list[str]]:
     """Make the input, and return the arguments of each command."""
     import energyplan as ep
     from energyplan import simulate
-    from energyplan.io.bundled import bundled
-    from energyplan.io.trajectory import write_log, write_trajectory
+    from energyplan.io.files import bundled
+    from energyplan.io.tables import write_log, write_trajectory
     from energyplan.power import HOTEL
 
     model = ep.PowerModel.preset("quadriga:full:concrete")

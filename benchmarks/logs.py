@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 from energyplan import simulate
-from energyplan.io.trajectory import write_log
+from energyplan.io.tables import write_log
 from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
 

@@ -27,7 +27,7 @@ from scipy.stats import binomtest
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.limits.speed import profile
 from energyplan.physics import EFFECTS, Effect, Robot, Sensors, draw_effects, drive, switch_on
 from energyplan.physics.design import Explanation, Option, design, joined, manoeuvres

@@ -17,7 +17,7 @@ import networkx as nx
 import numpy as np
 
 from energyplan.cost import EnergyCost
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.planning import PlanningProblem, plan

@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
 import energyplan as ep
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.limits.speed import profile
 from energyplan.output import plots
 from energyplan.physics import Robot, drive

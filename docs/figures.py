@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 import energyplan as ep
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.output import plots
 from energyplan.output.report import image
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on

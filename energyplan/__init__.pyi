@@ -12,7 +12,7 @@ from .io.config import read_vehicle as read_vehicle
 from .io.config import write_model as write_model
 from .io.fleet import read_fleet as read_fleet
 from .io.geojson import read_surfaces as read_surfaces
-from .io.heights import read_heights as read_heights
+from .io.maps import read_heights as read_heights
 from .io.maps import read_map as read_map
 from .io.mission import read_mission as read_mission
 from .limits import speed as speed

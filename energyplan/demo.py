@@ -20,13 +20,12 @@ from energyplan.diagnosis import diagnose
 from energyplan.errors import MissingDependencyError
 from energyplan.fit import identify
 from energyplan.html import quantity, words
-from energyplan.io.bundled import bundled
 from energyplan.io.config import write_model
-from energyplan.io.files import atomic_write, files_behind
+from energyplan.io.files import atomic_write, bundled, files_behind
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.io.mission import read_mission
-from energyplan.io.trajectory import write_log, write_path, write_trajectory
+from energyplan.io.tables import write_log, write_path, write_trajectory
 from energyplan.limits.feasibility import check, feasible_region
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import energyplan as ep
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.mission import MissionReport, Routes
 
 

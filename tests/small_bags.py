@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from energyplan.io.topics import TopicMap
+from energyplan.io.bags import TopicMap
 
 TOPICS = TopicMap.model_validate(
     {

@@ -20,7 +20,7 @@ from energyplan import kinds, live
 from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.fleet.types import Fleet, Robot
-from energyplan.io.project import Project
+from energyplan.io.config import Project
 from energyplan.logs.mapping import Column
 from energyplan.physics.effects import Effect
 from energyplan.planning.replanning import replan

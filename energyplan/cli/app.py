@@ -245,7 +245,7 @@ class App(typer.Typer):
 def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:
     """Let the project give the options that it can the value of its file."""
     if value is not None and not ctx.resilient_parsing:
-        from energyplan.io.project import read_project
+        from energyplan.io.config import read_project
 
         project = read_project(value)
         ctx.meta[_PROJECT] = value

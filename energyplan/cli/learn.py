@@ -101,10 +101,9 @@ def start(
     takes from the options, or asks for on a terminal. A log that contradicts itself or the robot
     makes no project, unless you accept that. Other commands read the project with --project.
     """
-    from energyplan.io.config import read_vehicle
-    from energyplan.io.given import Given
+    from energyplan.io.config import read_vehicle, write_project
     from energyplan.io.logs import describe_log
-    from energyplan.io.project import write_project
+    from energyplan.io.start import Given
     from energyplan.io.start import start as run
     from energyplan.output import documents, text
 
@@ -413,10 +412,9 @@ def watch(
     Learns the robot's model, says when the ground changes, and evaluates the rest of the mission.
     One line for each event; with --json each is a JSON document. Ctrl-C ends it.
     """
-    from energyplan.io.config import read_model, read_vehicle, write_model
+    from energyplan.io.config import read_columns, read_model, read_vehicle, write_model
     from energyplan.io.logs import read_drives
     from energyplan.io.mission import read_mission
-    from energyplan.io.project import read_columns
     from energyplan.live import Ended, Learned, follow, lines_of
     from energyplan.live import watch as events
     from energyplan.live.watcher import Settings

@@ -96,7 +96,7 @@ def drive(
 
     Prints the predicted energy and the energy that the drive took.
     """
-    from energyplan.io.trajectory import read_trajectory, write_log
+    from energyplan.io.tables import read_trajectory, write_log
     from energyplan.output import documents, text
     from energyplan.physics import Ground as Floor
     from energyplan.physics import Robot, Sensors, switch_on
@@ -236,7 +236,7 @@ def design(
     from energyplan.io.config import read_model
     from energyplan.io.documents import parse_pose
     from energyplan.io.maps import read_map
-    from energyplan.io.trajectory import write_trajectory
+    from energyplan.io.tables import write_trajectory
     from energyplan.output import documents, text
     from energyplan.physics.design import design as run
     from energyplan.physics.design import explanations_of

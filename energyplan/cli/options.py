@@ -60,7 +60,7 @@ def _complete(kind: str) -> Callable[[str], list[str]]:
     """Return the completion of an option that names a preset or a file."""
 
     def complete(incomplete: str) -> list[str]:
-        from energyplan.io.topics import TOPIC_MAPS
+        from energyplan.io.bags import TOPIC_MAPS
         from energyplan.power.presets import MODEL_PRESETS
         from energyplan.vehicle.presets import VEHICLE_PRESETS
 

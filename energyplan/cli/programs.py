@@ -51,7 +51,7 @@ def graph(
 
     Prices each edge with the energy of the path found along it, and names those that are closed.
     """
-    from energyplan.io.route_graph import read_route_graph, write_route_graph
+    from energyplan.io.nav2 import read_route_graph, write_route_graph
     from energyplan.path import as_pose
     from energyplan.planning.roadmap.planned import EFFORT
     from energyplan.planning.roadmap.planned import plan_edges as run
@@ -108,7 +108,7 @@ def lattice(
     """
     from energyplan.cost import EnergyCost
     from energyplan.cost.speeds import asked_speed
-    from energyplan.io.nav2_lattice import write_lattice, write_penalties
+    from energyplan.io.nav2 import write_lattice, write_penalties
     from energyplan.studies.control_set import control_set, penalties
 
     power = level_model(model)
@@ -147,7 +147,7 @@ def table(
     A planner in any language can read it.
     """
     from energyplan.cost import EnergyCost
-    from energyplan.io.cost_table import tabulate, write_cost_table
+    from energyplan.io.tables import tabulate, write_cost_table
 
     try:
         asked = None if speeds is None else [float(text) for text in speeds.split(",")]

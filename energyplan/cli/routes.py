@@ -78,7 +78,7 @@ def priced_ground(drive: Drive) -> PricedGround:
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_model
     from energyplan.io.geojson import read_surfaces
-    from energyplan.io.heights import read_heights
+    from energyplan.io.maps import read_heights
     from energyplan.power.effects import reads_slope, with_weight
     from energyplan.terrain import knows_ground, with_weights
 
@@ -173,7 +173,7 @@ def planning(json: bool, strict: bool) -> Iterator[None]:
 
 def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
     """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
-    from energyplan.io.trajectory import write_trajectory
+    from energyplan.io.tables import write_trajectory
 
     if trajectory is None and made.length == 0.0 and made.turning == 0.0:
         warn("start and goal are the same pose: there is nothing to drive")
@@ -203,7 +203,7 @@ def _write(
 ) -> None:
     """Write the first of some plans as a table, or all of them as a recording; draw them all."""
     from energyplan.io.files import atomic_write
-    from energyplan.io.trajectory import write_path
+    from energyplan.io.tables import write_path
     from energyplan.output import plots
     from energyplan.output.report import image
 
@@ -268,7 +268,7 @@ def plan(
     """
     from energyplan.io.documents import parse_pose
     from energyplan.io.maps import read_costmap
-    from energyplan.io.trajectory import read_path
+    from energyplan.io.tables import read_path
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
     from energyplan.planning.replanning import replan
@@ -372,7 +372,7 @@ def check(
     """
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_vehicle
-    from energyplan.io.trajectory import read_drive
+    from energyplan.io.tables import read_drive
     from energyplan.limits.feasibility import check as run
     from energyplan.output import documents, text
     from energyplan.path import Trajectory
@@ -449,9 +449,9 @@ def reach(
     Computes the energy that it takes to reach each place of a map, and to come back if asked.
     """
     from energyplan.io.documents import parse_pose
-    from energyplan.io.energy_map import write_contours, write_energies
     from energyplan.io.files import atomic_write
     from energyplan.io.mission import read_battery
+    from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, plots, text
     from energyplan.output.report import image
     from energyplan.studies.energy_map import energy_map, energy_of_charge
@@ -547,7 +547,7 @@ def mission(
     """
     from energyplan.io.fleet import names_robots
     from energyplan.io.mission import mission_from, read_mission
-    from energyplan.io.trajectory import write_trajectory
+    from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
     from energyplan.output.pages import mission_page

@@ -1,4 +1,4 @@
-"""Drive logs from ROS 1 bags, ROS 2 bags and MCAP files, without a ROS installation."""
+"""Drive logs from ROS 1 and ROS 2 bags and MCAP files, and what serves as which channel."""
 
 from __future__ import annotations
 
@@ -14,20 +14,256 @@ from bz2 import BZ2Decompressor
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import lru_cache
 from importlib import import_module
+from math import atan2, nan
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace, TracebackType
-from typing import Any, BinaryIO, NamedTuple
+from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from energyplan.errors import DriveLogError, EnergyPlanError, MissingDependencyError
+from energyplan.errors import (
+    ConfigError,
+    DriveLogError,
+    EnergyPlanError,
+    MissingDependencyError,
+    UnknownNameError,
+)
+from energyplan.io.documents import Checked, Document, Loc, load
 from energyplan.io.files import is_file
-from energyplan.io.topics import TOPIC_MAPS, TopicMap, TopicSource
 from energyplan.logs import DriveLog
 from energyplan.logs.align import AS_LOGGED, Series, align
 from energyplan.logs.clean import SetAside
 from energyplan.logs.guess import guess, side_of, words
+
+_FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
+
+
+_FIELDS = "write a field such as angular_velocity.z, a.b[0], yaw(a.b) or a.b-0.25*c.d"
+
+
+class _Place(NamedTuple):
+    """Where in a message a value stands."""
+
+    parts: tuple[str, ...]
+    element: str | None
+    heading: bool
+
+
+_TERM = re.compile(
+    r"\s*([-+]?)\s*(?:(\d+\.?\d*(?:[eE][-+]?\d+)?)\s*\*)?\s*([^-+*\[]+(?:\[[^\]]*\])?\)?)"
+)
+
+
+@lru_cache(maxsize=256)
+def _parse(formula: str) -> tuple[tuple[float, _Place], ...]:
+    """Read a field, or a sum of fields with factors such as ``a.b-0.25*c.d``."""
+    terms: list[tuple[float, _Place]] = []
+    at = 0
+    while at < len(formula.rstrip()):
+        match = _TERM.match(formula, at)
+        if match is None or (terms and not match[1]):
+            raise ValueError(_FIELDS)
+        weight = float(match[2] or 1.0)
+        terms.append((-weight if match[1] == "-" else weight, _place(match[3])))
+        at = match.end()
+    if not terms:
+        raise ValueError(_FIELDS)
+    return tuple(terms)
+
+
+def _place(field: str) -> _Place:
+    text = field.strip()
+    heading = text.startswith("yaw(") and text.endswith(")")
+    match = _FIELD.match(text[4:-1].strip() if heading else text)
+    if match is None:
+        raise ValueError(_FIELDS)
+    return _Place(tuple(match[1].split(".")), match[2], heading)
+
+
+def _read(message: Any, field: str) -> float:
+    """Return a number from a message; NaN where there is none."""
+    return sum(weight * _number(message, place) for weight, place in _parse(field))
+
+
+def _number(message: Any, place: _Place) -> float:
+    value = message
+    for part in place.parts:
+        value = getattr(value, part, None)
+    if value is None:
+        return nan
+    if place.heading:
+        sine = 2 * (value.w * value.z + value.x * value.y)
+        return atan2(sine, 1 - 2 * (value.y**2 + value.z**2))
+    if place.element is None:
+        return float(value)
+    if place.element.isdecimal():
+        index = [int(place.element)]
+    else:
+        names = getattr(message, "name", ())
+        wanted = place.element.split("|")
+        index = [k for k, name in enumerate(names) if any(fnmatchcase(name, w) for w in wanted)]
+    found = [float(value[k]) for k in index if k < len(value)]
+    return sum(found) / len(found) if found else nan
+
+
+class TopicSource(Checked, BaseModel):
+    """A message field that serves as a channel."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    topic: str  # topic
+    field: str  # field of the message, such as ``angular_velocity.z``
+    scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    times: str | None = None  # A further field of the same message to multiply by
+
+    @field_validator("field", "times")
+    @classmethod
+    def _readable(cls, text: str | None) -> str | None:
+        if text is not None:
+            _parse(text)
+        return text
+
+    def matches(self, topic: str) -> bool:
+        """Tell whether a bag's topic is meant."""
+        wanted = self.topic.strip("/")
+        return topic.strip("/") == wanted or topic.endswith(f"/{wanted}")
+
+    def value(self, message: Any) -> float:
+        """Return the channel's value from a message; NaN where the field holds none."""
+        found = self.scale * _read(message, self.field)
+        return found if self.times is None else found * _read(message, self.times)
+
+
+class TopicMap(BaseModel):
+    """Sources of each channel, the preferred one first."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: Literal["topics"] = "topics"  # what a YAML file of a topic map says it is
+    name: str = "topics"  # what to call it
+    channels: dict[str, list[TopicSource]]  # the sources by channel
+
+    @field_validator("channels", mode="before")
+    @classmethod
+    def _lists(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {key: item if isinstance(item, list) else [item] for key, item in value.items()}
+
+    @classmethod
+    def read(cls, source: str | Path) -> TopicMap:
+        """Return a ready-made map (``husky``, ``jackal``, ``warthog``) or one from a YAML file.
+
+        A project's file is read for the topic map that it holds.
+        """
+        if isinstance(source, str) and not source.endswith((".yaml", ".yml")):
+            if source not in TOPIC_MAPS:
+                raise UnknownNameError("topic map", source, [*TOPIC_MAPS, "FILE.yaml"])
+            return TOPIC_MAPS[source]
+        document = load(source, ConfigError)
+        if document.data.get("kind") != "project":
+            return document.check(cls)
+        if not isinstance(document.data.get("topics"), dict):
+            raise document.fail(
+                ("topics",),
+                "the project has no topic map: it was made from a table, not from a bag",
+            )
+        return Document(
+            document.source, document.data["topics"], _below(document.lines, "topics"), ConfigError
+        ).check(cls)
+
+
+def _below(lines: dict[Loc, int], key: str) -> dict[Loc, int]:
+    """Return the lines of what stands below a key."""
+    return {place[1:]: line for place, line in lines.items() if place[:1] == (key,)}
+
+
+_FURTHER: dict[str, list[dict[str, Any]]] = {
+    "voltage": [
+        {"topic": "platform/bms/state", "field": "voltage"},
+        {"topic": "battery_state", "field": "voltage"},
+    ],
+    "current": [  # of a sensor_msgs/BatteryState: negative when discharging
+        {"topic": "platform/bms/state", "field": "current", "scale": -1.0},
+        {"topic": "battery_state", "field": "current", "scale": -1.0},
+    ],
+    "yaw_rate": [
+        {"topic": "sensors/imu_0/data", "field": "angular_velocity.z"},
+        {"topic": "imu/data", "field": "angular_velocity.z"},
+    ],
+    "accel_x": [
+        {"topic": "sensors/imu_0/data", "field": "linear_acceleration.x"},
+        {"topic": "imu/data", "field": "linear_acceleration.x"},
+    ],
+    **{
+        channel: [
+            {"topic": topic, "field": field}
+            for topic in ("platform/odom/filtered", "odometry/filtered")
+        ]
+        for channel, field in (
+            ("x", "pose.pose.position.x"),
+            ("y", "pose.pose.position.y"),
+            ("yaw", "yaw(pose.pose.orientation)"),
+        )
+    },
+}
+
+
+def _wheels(radius: float) -> dict[str, list[dict[str, Any]]]:
+    """Tread speeds from the joints' rates, all wheels of a side together."""
+    return {
+        f"v_{side}": [
+            {"topic": topic, "field": f"velocity[*{side}*]", "scale": radius}
+            for topic in ("platform/joint_states", "joint_states")
+        ]
+        for side in ("left", "right")
+    }
+
+
+def _power_message(voltage: int, current: int) -> dict[str, Any]:
+    return {
+        "topic": "platform/mcu/status/power",
+        "field": f"measured_currents[{current}]",
+        "times": f"measured_voltages[{voltage}]",
+    }
+
+
+TOPIC_MAPS = {
+    name: TopicMap.model_validate({"name": name, "channels": channels})
+    for name, channels in {
+        "husky": {
+            **_wheels(0.1651),
+            **{
+                f"p_{side}": [
+                    {
+                        "topic": topic,
+                        "field": f"{side}_driver_current",
+                        "times": f"{side}_driver_voltage",
+                    }
+                    for topic in ("husky/status", "status")
+                ]
+                + [_power_message(k, k)]
+                for k, side in ((1, "left"), (2, "right"))
+            },
+            **_FURTHER,
+        },
+        "jackal": {**_wheels(0.098), "power": [_power_message(0, 2)], **_FURTHER},
+        "warthog": {**_wheels(0.3), "power": [_power_message(0, 0)], **_FURTHER},
+    }.items()
+}
+"""Ready-made topic maps of Clearpath robots, ROS 1 and ROS 2."""
+
+_PRESETS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
+
+
+def topic_map_of(vehicle: str) -> str | None:
+    """Return the name of the ready-made topic map of a vehicle preset, if it has one."""
+    return _PRESETS.get(vehicle.partition(":")[0])
+
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 """Kinds of file that are read as bags, beside folders with a ``metadata.yaml``."""
@@ -286,7 +522,7 @@ _SIDES = ("v_left", "v_right")
 _ROLLING = {"wheel", "wheels", "track", "tread", "drivewhl", "drive", "whl"}
 
 
-class Field(NamedTuple):
+class Number(NamedTuple):
     """A number of a message: its topic, the message's type, the field, and a name for it."""
 
     topic: str
@@ -299,15 +535,15 @@ class Field(NamedTuple):
 class BagFields:
     """Fields of a bag's messages that hold numbers, by a name that tells topic and field."""
 
-    fields: dict[str, Field]
+    fields: dict[str, Number]
 
     def names(self) -> list[str]:
         """Return the fields' names."""
         return list(self.fields)
 
-    def channels(self) -> dict[str, list[Field]]:
+    def channels(self) -> dict[str, list[Number]]:
         """Guess the fields that make each channel; two of them are multiplied."""
-        found: dict[str, list[Field]] = {}
+        found: dict[str, list[Number]] = {}
         for rule in (self._typed, self._named):
             for channel, sources in rule().items():
                 found.setdefault(channel, sources)
@@ -317,7 +553,7 @@ class BagFields:
             found = {k: v for k, v in found.items() if k not in ("p_left", "p_right")}
         return found
 
-    def twist(self, track: float) -> dict[str, list[Field]]:
+    def twist(self, track: float) -> dict[str, list[Number]]:
         """Return tread speeds made from speed and turn rate of the body, of a track [m]."""
         for one in self.fields.values():
             ahead, turn = "twist.twist.linear.x", "twist.twist.angular.z"
@@ -329,9 +565,9 @@ class BagFields:
                 }  # fmt: skip
         return {}
 
-    def _typed(self) -> dict[str, list[Field]]:
+    def _typed(self) -> dict[str, list[Number]]:
         """Channels of the message types that ROS gives a meaning."""
-        found: dict[str, list[Field]] = {}
+        found: dict[str, list[Number]] = {}
         meaning = {
             ("sensor_msgs/msg/BatteryState", "voltage"): "voltage",
             ("sensor_msgs/msg/BatteryState", "current"): "current",
@@ -359,7 +595,7 @@ class BagFields:
                 found[channel] = rolling
         return found
 
-    def _named(self) -> dict[str, list[Field]]:
+    def _named(self) -> dict[str, list[Number]]:
         """Channels that the names of topics and fields tell."""
         others = [
             label
@@ -378,7 +614,7 @@ class BagFields:
         found.pop("t", None)
         return found
 
-    def wheel_rates(self, sources: dict[str, list[Field]]) -> bool:
+    def wheel_rates(self, sources: dict[str, list[Number]]) -> bool:
         """Tell whether the tread speeds are rates of joints, which take a wheel radius."""
         first = sources["v_left"][0]
         said = set(words(first.label))
@@ -386,7 +622,7 @@ class BagFields:
             said & {"rate", "omega", "angular", "rpm", "joint"}
         )
 
-    def topic_map(self, sources: dict[str, list[Field]], radius: float, name: str) -> TopicMap:
+    def topic_map(self, sources: dict[str, list[Number]], radius: float, name: str) -> TopicMap:
         """Return the topic map that reads these fields."""
         channels: dict[str, list[dict[str, Any]]] = {}
         for channel, fields in sources.items():
@@ -408,7 +644,7 @@ class BagFields:
 
 def bag_fields(path: str | Path) -> BagFields:
     """List the numbers in the first message of each topic of a bag."""
-    fields: dict[str, Field] = {}
+    fields: dict[str, Number] = {}
     with opened_bag(Path(path)) as reader:
         for name, topic in sorted(reader.topics.items()):
             connections = [one for one in reader.connections if one.topic == name]
@@ -419,7 +655,7 @@ def bag_fields(path: str | Path) -> BagFields:
             message = reader.deserialize(raw, connection.msgtype)
             for field in _numbers(message, "", 0):
                 label = re.sub(r"[\[\]()]+", ".", f"{name}.{field}").strip("/.")
-                fields[label] = Field(name, str(topic.msgtype), field, label)
+                fields[label] = Number(name, str(topic.msgtype), field, label)
     return BagFields(fields)
 
 

@@ -1,24 +1,34 @@
-"""Vehicles and power models as YAML files, checked key by key."""
+"""Vehicles, power models and projects as YAML files, checked key by key."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from math import inf
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from energyplan.errors import ConfigError, InvalidInputError, ModelError, UnknownNameError
+from energyplan.errors import (
+    ConfigError,
+    DriveLogError,
+    InvalidInputError,
+    ModelError,
+    UnknownNameError,
+)
+from energyplan.io.bags import TopicMap
 from energyplan.io.documents import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
 from energyplan.kinds import checked
+from energyplan.logs.mapping import Column, column_from
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
 from energyplan.power.effects import term
+from energyplan.records import ReadOnly
 from energyplan.vehicle import (
     DEFAULT_ACCELERATION,
     MotorLimits,
@@ -96,7 +106,7 @@ class _Column(_Strict):
 
 
 class ProjectFile(_Strict):
-    """What a project's file holds; `energyplan.io.project` reads it."""
+    """What a project's file holds; `energyplan.io.config` reads it."""
 
     kind: Literal["project"]
     name: str = "project"
@@ -425,4 +435,65 @@ def plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _dump(data: dict[str, Any], path: str | Path) -> Path:
+    return atomic_write(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))
+
+
+@dataclass(frozen=True)
+class Project(ReadOnly):
+    """How a robot's logs are read, and the robot."""
+
+    name: str  # what to call it
+    vehicle: Vehicle  # the robot
+    columns: Mapping[str, Column] = field(default_factory=lambda: MappingProxyType({}))
+    topics: TopicMap | None = None  # which field of a bag serves as which channel
+    log: str = ""  # name of the log that the project was made from
+    defaults: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def read_project(path: str | Path) -> Project:
+    """Read a project."""
+    document = load(path, ConfigError)
+    if document.data.get("kind") != "project":
+        raise document.fail(
+            ("kind",),
+            "this file holds no project; energyplan start LOG --out FILE.yaml makes one",
+        )
+    spec = document.check(ProjectFile)
+    columns: dict[str, Column] = {}
+    for channel, item in spec.columns.items():
+        told = {"column": item} if isinstance(item, str) else item.model_dump()
+        try:
+            columns[channel] = column_from(channel, **told)
+        except DriveLogError as problem:
+            raise document.fail(("columns", channel), str(problem)) from None
+    topics = None
+    if spec.topics is not None:
+        topics = TopicMap.model_validate(spec.topics)
+    return Project(
+        spec.name, read_vehicle(Path(path)), columns, topics, spec.log or "", spec.defaults
+    )
+
+
+def read_columns(path: str | Path) -> dict[str, Column]:
+    """Read which column serves as which channel from a project's file."""
+    project = read_project(path)
+    if not project.columns:
+        raise ConfigError(f"{path}: the project has no columns: it was made from a bag")
+    return dict(project.columns)
+
+
+def write_project(project: Project, path: str | Path) -> Path:
+    """Write a project as YAML, whole or not at all."""
+    data: dict[str, Any] = {"kind": "project", "name": project.name}
+    data |= {"log": project.log} if project.log else {}
+    data["vehicle"] = plain_vehicle(project.vehicle)
+    if project.columns:
+        data["columns"] = {
+            channel: {key: value for key, value in column.described().items() if value}
+            for channel, column in project.columns.items()
+        }
+    if project.topics is not None:
+        data["topics"] = project.topics.model_dump(exclude_defaults=True)
+    if project.defaults:
+        data["defaults"] = dict(project.defaults)
     return atomic_write(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))

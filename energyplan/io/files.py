@@ -1,4 +1,4 @@
-"""Writing files whole or not at all, and never over what is read."""
+"""The library's own files; writing files whole or not at all, and never over what is read."""
 
 from __future__ import annotations
 
@@ -11,9 +11,25 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from energyplan.errors import InvalidInputError
-from energyplan.io.bundled import bundle
+from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.io.documents import load
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def bundle() -> dict[str, Path]:
+    """Return the files that come with the library by name."""
+    folders = (_PACKAGE / "bundle", _PACKAGE.parent / "maps", _PACKAGE.parent / "examples")
+    return {file.name: file for folder in folders if folder.is_dir() for file in folder.iterdir()}
+
+
+def bundled(name: str) -> Path:
+    """Return the path of a file that comes with the library."""
+    files = bundle()
+    if name not in files:
+        raise UnknownNameError("bundled file", name, files)
+    return files[name]
+
 
 _PROBE = bytes(1 << 16)  # what a place must be able to take before work for it begins
 _LARGEST_JSON = 1 << 25  # bytes of a file of surfaces that is searched for names of files

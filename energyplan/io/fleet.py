@@ -74,7 +74,7 @@ def read_fleet(path: str | Path) -> Fleet:
 
     Examples
     --------
-    >>> from energyplan.io.bundled import bundled
+    >>> from energyplan.io.files import bundled
     >>> len(read_fleet(bundled("fleet_warehouse.yaml")).robots) > 1
     True
     """

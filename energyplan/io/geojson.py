@@ -63,7 +63,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
 
     Examples
     --------
-    >>> from energyplan.io.bundled import bundled
+    >>> from energyplan.io.files import bundled
     >>> [surface.name for surface in read_surfaces(bundled("office_surfaces.geojson")).surfaces]
     ['concrete', 'marble']
     """

@@ -9,11 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.io.bags import bag_info, channels_served, is_bag, read_bag
+from energyplan.io.bags import (
+    TOPIC_MAPS,
+    TopicMap,
+    bag_info,
+    channels_served,
+    is_bag,
+    read_bag,
+    topic_map_of,
+)
+from energyplan.io.config import read_columns
 from energyplan.io.files import same_file
 from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
-from energyplan.io.project import read_columns
-from energyplan.io.topics import TOPIC_MAPS, TopicMap, topic_map_of
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import LONGEST_STEP
 from energyplan.logs.guess import Guess, guess

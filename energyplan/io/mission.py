@@ -14,13 +14,11 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidat
 
 from energyplan.battery import EXAMPLE, Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
-from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, amount, beside, load, parse
-from energyplan.io.files import is_file
+from energyplan.io.files import bundled, is_file
 from energyplan.io.geojson import read_surfaces
-from energyplan.io.heights import read_heights
-from energyplan.io.maps import read_map
+from energyplan.io.maps import read_heights, read_map
 from energyplan.kinds import checked
 from energyplan.mission import Charger, Mission, Spreads, Task
 from energyplan.path import Pose
@@ -211,7 +209,7 @@ def read_mission(path: str | Path, *, inside: bool = False) -> Mission:
 
     Examples
     --------
-    >>> from energyplan.io.bundled import bundled
+    >>> from energyplan.io.files import bundled
     >>> read_mission(bundled("mission_warehouse.yaml")).name
     'warehouse cleaning'
     """

@@ -94,7 +94,7 @@ def evaluate(
     --------
     >>> from dataclasses import replace
     >>> from energyplan.io.mission import read_mission
-    >>> from energyplan.io.bundled import bundled
+    >>> from energyplan.io.files import bundled
     >>> mission = replace(read_mission(bundled("mission_warehouse.yaml")), planning_effort=250)
     >>> evaluate(mission).feasible
     True

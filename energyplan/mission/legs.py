@@ -81,7 +81,7 @@ class Routes:
     --------
     >>> from dataclasses import replace
     >>> import energyplan as ep
-    >>> from energyplan.io.bundled import bundled
+    >>> from energyplan.io.files import bundled
     >>> from energyplan.mission import Routes
     >>> mission = ep.read_mission(bundled("mission_warehouse.yaml"))
     >>> mission, routes = replace(mission, planning_effort=250), Routes()

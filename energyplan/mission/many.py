@@ -57,7 +57,7 @@ def evaluate_many(
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> from dataclasses import replace
     >>> import energyplan as ep
-    >>> from energyplan.io.bundled import bundled
+    >>> from energyplan.io.files import bundled
     >>> from energyplan.mission import evaluate_many
     >>> mission = ep.read_mission(bundled("mission_warehouse.yaml"))
     >>> variants = [replace(mission, planning_effort=250, soc=soc) for soc in (0.6, 0.9)]

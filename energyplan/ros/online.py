@@ -8,7 +8,7 @@ from typing import Any
 
 from energyplan.errors import MessageError
 from energyplan.fit.online import OnlineIdentifier
-from energyplan.io.topics import TopicMap
+from energyplan.io.bags import TopicMap
 
 STALE = 1.0
 """Age at which the last value of a channel is no longer taken for the present one [s]."""

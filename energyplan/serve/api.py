@@ -35,14 +35,13 @@ from energyplan.errors import (
     TimeLimitError,
 )
 from energyplan.fit import identify
-from energyplan.io.energy_map import contours_document
-from energyplan.io.given import Given
+from energyplan.io.bags import topic_map_of
+from energyplan.io.config import Project
 from energyplan.io.logs import read_log
 from energyplan.io.mission import mission_from, read_mission
-from energyplan.io.project import Project
-from energyplan.io.start import Start
+from energyplan.io.start import Given, Start
 from energyplan.io.start import start as start_of
-from energyplan.io.topics import topic_map_of
+from energyplan.io.tables import contours_document
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
 from energyplan.mission import Routes, evaluate

@@ -16,8 +16,7 @@ from energyplan.errors import CancelledError, EnergyPlanError, InvalidInputError
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.files import atomic_write, files_behind
 from energyplan.io.geojson import read_surfaces
-from energyplan.io.heights import read_heights
-from energyplan.io.maps import read_map
+from energyplan.io.maps import read_heights, read_map
 from energyplan.planning.budget import cancellable
 
 T = TypeVar("T")

@@ -17,9 +17,9 @@ import energyplan as ep
 from energyplan import PowerModel, Trajectory, simulate
 from energyplan.html import number
 from energyplan.io.bags import bag_fields
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
-from energyplan.io.trajectory import write_log, write_trajectory
+from energyplan.io.tables import write_log, write_trajectory
 from energyplan.studies.energy_map import most_power
 
 Run = Callable[..., "Result"]

@@ -13,7 +13,7 @@ from limits.fine_integral import fine_energy
 
 from energyplan import PowerModel, cli, write_model
 from energyplan.io.config import write_vehicle
-from energyplan.io.trajectory import read_trajectory
+from energyplan.io.tables import read_trajectory
 from energyplan.power.effects import term
 
 pytestmark = pytest.mark.usefixtures("counted")

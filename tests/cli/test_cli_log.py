@@ -10,7 +10,7 @@ import pytest
 from energyplan import PowerModel, cli, simulate
 from energyplan.errors import DriveLogError
 from energyplan.io.logs import describe_log
-from energyplan.io.trajectory import write_log
+from energyplan.io.tables import write_log
 
 
 @pytest.fixture(scope="module")

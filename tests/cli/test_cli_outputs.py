@@ -18,10 +18,9 @@ from commands import run
 import energyplan as ep
 from energyplan import cli, simulate
 from energyplan.cli.answers import answer
-from energyplan.io.bundled import bundled
 from energyplan.io.config import write_vehicle
-from energyplan.io.files import files_behind, refuse_overwriting
-from energyplan.io.trajectory import write_log, write_trajectory
+from energyplan.io.files import bundled, files_behind, refuse_overwriting
+from energyplan.io.tables import write_log, write_trajectory
 
 pytestmark = pytest.mark.usefixtures("counted", "few_effects")
 

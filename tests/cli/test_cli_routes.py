@@ -14,8 +14,7 @@ from commands import run as run_command
 
 from energyplan import OccupancyGrid, PowerModel, write_model
 from energyplan.io.maps import write_map
-from energyplan.io.nav2_lattice import read_lattice
-from energyplan.io.route_graph import read_route_graph
+from energyplan.io.nav2 import read_lattice, read_route_graph
 from energyplan.power.effects import term
 
 Run = Callable[..., "tuple[int, str, str]"]

@@ -78,8 +78,7 @@ def test_from_the_log_of_a_warthog(shared_data: Path, tmp_path: Path, run: Run) 
 
 @pytest.mark.nightly  # by day the pages' commands are run, from a bag as well
 def test_from_a_bag_of_a_robot_that_no_preset_knows(tmp_path: Path, run: Run) -> None:
-    from energyplan.io.bundled import bundled
-    from energyplan.io.files import files_behind
+    from energyplan.io.files import bundled, files_behind
 
     bag(tmp_path, drive())
     for file in files_behind(bundled("warehouse.yaml")):

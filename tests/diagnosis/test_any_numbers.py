@@ -14,8 +14,7 @@ from by_day import by_day
 
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan.errors import EnergyPlanError
-from energyplan.io.given import Given
-from energyplan.io.start import start
+from energyplan.io.start import Given, start
 from energyplan.live import lines_of, watch
 from energyplan.output import documents
 from energyplan.path import FloatArray

@@ -29,7 +29,7 @@ import yaml
 
 import energyplan as ep
 from energyplan import cli, simulate
-from energyplan.io.trajectory import write_log, write_path, write_trajectory
+from energyplan.io.tables import write_log, write_path, write_trajectory
 from energyplan.power import HOTEL
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 
 import energyplan as ep
 from energyplan import cli, simulate
-from energyplan.io.bundled import bundle
-from energyplan.io.trajectory import write_log, write_path, write_trajectory
+from energyplan.io.files import bundle
+from energyplan.io.tables import write_log, write_path, write_trajectory
 from energyplan.power import HOTEL
 
 HERE = Path(__file__).parent

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from energyplan.errors import ConfigError, DriveLogError, EnergyPlanError, UnknownNameError
-from energyplan.io.bags import bag_info, is_bag, read_bag
+from energyplan.io.bags import TOPIC_MAPS, TopicMap, TopicSource, bag_info, is_bag, read_bag
 from energyplan.io.logs import read_log
-from energyplan.io.topics import TOPIC_MAPS, TopicMap, TopicSource
-from energyplan.io.trajectory import write_log
+from energyplan.io.tables import write_log
 from energyplan.logs import DriveLog
 from energyplan.logs.align import Series, align, interpolation_error
 from energyplan.power import PowerModel

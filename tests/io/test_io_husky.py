@@ -16,10 +16,9 @@ from numpy.testing import assert_allclose
 
 from energyplan.errors import DriveLogError, EnergyPlanError
 from energyplan.fit import identify
-from energyplan.io.given import Given
 from energyplan.io.husky import HuskyDrive, is_husky, read_husky
 from energyplan.io.logs import read_log
-from energyplan.io.start import start
+from energyplan.io.start import Given, start
 from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
 from energyplan.simulate import drive, identification_drive

@@ -11,8 +11,8 @@ import pytest
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError
-from energyplan.io.bundled import bundled
 from energyplan.io.config import read_model, read_vehicle, write_model
+from energyplan.io.files import bundled
 from energyplan.io.logs import describe_log, read_log
 from energyplan.io.maps import read_map
 from energyplan.io.mission import read_mission

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from energyplan import simulate
 from energyplan.errors import DriveLogError, EnergyPlanError, InvalidInputError, PathError
-from energyplan.io.trajectory import (
+from energyplan.io.tables import (
     read_drive,
     read_path,
     read_trajectory,

@@ -33,7 +33,7 @@ from energyplan import (
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import fit_residual
 from energyplan.fit.online import OnlineIdentifier
-from energyplan.io.trajectory import write_log
+from energyplan.io.tables import write_log
 from energyplan.live import (
     Changed,
     Done,

@@ -13,11 +13,9 @@ from pydantic import ValidationError
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
-from energyplan.io.bags import BagFields, Field
-from energyplan.io.given import Given
+from energyplan.io.bags import BagFields, Number, TopicSource
 from energyplan.io.logs import read_log
-from energyplan.io.start import start
-from energyplan.io.topics import TopicSource
+from energyplan.io.start import Given, start
 
 AT = At(drive(ROVER), ROVER)
 MEASURES = Given(**ROVER.measures)
@@ -139,7 +137,9 @@ def test_speed_and_turn_rate_of_the_body_tell_that_slip_is_unseen(tmp_path: Path
 def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
     """As of the odometry that every Nav2 robot has."""
     topic, kind = "/odom", "nav_msgs/msg/Odometry"
-    labels = [Field(topic, kind, f"twist.twist.{part}", part) for part in ("linear.x", "angular.z")]
+    labels = [
+        Number(topic, kind, f"twist.twist.{part}", part) for part in ("linear.x", "angular.z")
+    ]
     fields = BagFields({one.label: one for one in labels})
     sources = fields.twist(0.5)
     assert not fields.wheel_rates(sources)

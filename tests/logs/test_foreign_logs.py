@@ -40,8 +40,7 @@ from foreign_logs import (
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
-from energyplan.io.given import Given
-from energyplan.io.start import start
+from energyplan.io.start import Given, start
 from energyplan.output import documents
 
 BY_NAME = {"argnames": "write", "ids": lambda write: write.__name__}

@@ -10,8 +10,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.io.given import Given
-from energyplan.io.start import start
+from energyplan.io.start import Given, start
 from energyplan.logs.checks import find_lost_sign
 
 

@@ -10,8 +10,7 @@ import pytest
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
-from energyplan.io.given import Given
-from energyplan.io.start import start
+from energyplan.io.start import Given, start
 from energyplan.power import PowerModel
 from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.simulate import Setpoint, drive

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_corridor import METRE, charger, corridor
 
-from energyplan.io.bundled import bundled
+from energyplan.io.files import bundled
 from energyplan.io.mission import read_mission
 from energyplan.mission import MissionReport, Routes, Task, evaluate
 from energyplan.output import documents, text

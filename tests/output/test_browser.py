@@ -10,8 +10,8 @@ import pytest
 
 import energyplan as ep
 from energyplan import cli
-from energyplan.io.bundled import bundled
-from energyplan.io.trajectory import write_log
+from energyplan.io.files import bundled
+from energyplan.io.tables import write_log
 
 PHONE, DESKTOP = 390, 1200
 MODEL = ep.PowerModel.preset("quadriga:full:marble")

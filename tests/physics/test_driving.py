@@ -13,8 +13,8 @@ from by_day import by_day
 import energyplan as ep
 from energyplan import cli
 from energyplan.errors import InvalidInputError, UnknownNameError
-from energyplan.io.bundled import bundled
-from energyplan.io.trajectory import write_trajectory
+from energyplan.io.files import bundled
+from energyplan.io.tables import write_trajectory
 from energyplan.limits.speed import profile
 from energyplan.physics import Driven, Ground, Robot, Sensors, drive
 from energyplan.power import HOTEL

@@ -29,8 +29,8 @@ from energyplan.errors import (
     VehicleError,
 )
 from energyplan.fit.online import OnlineIdentifier
+from energyplan.io.bags import TopicMap
 from energyplan.io.maps import write_map
-from energyplan.io.topics import TopicMap
 from energyplan.path import wrap_angle
 
 pytest.importorskip("rosbags", reason="the messages' definitions need the extra bags")

@@ -27,7 +27,7 @@ from energyplan import simulate
 from energyplan.errors import InvalidInputError
 from energyplan.io.config import write_model
 from energyplan.io.maps import write_map
-from energyplan.io.trajectory import write_log
+from energyplan.io.tables import write_log
 from energyplan.output import documents
 from energyplan.power import HOTEL
 

@@ -11,7 +11,7 @@ import yaml
 
 from energyplan import EnergyCost, Path, Pose, PowerModel
 from energyplan.errors import InvalidInputError, MapError
-from energyplan.io.nav2_lattice import read_lattice, write_lattice, write_penalties
+from energyplan.io.nav2 import read_lattice, write_lattice, write_penalties
 from energyplan.studies.control_set import (
     control_set,
     headings_of,

@@ -28,7 +28,7 @@ from energyplan.errors import (
     PlanningError,
     StartInCollisionError,
 )
-from energyplan.io.energy_map import write_contours, write_energies
+from energyplan.io.tables import write_contours, write_energies
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import Residual
 from energyplan.studies.energy_map import most_power, upper_prices

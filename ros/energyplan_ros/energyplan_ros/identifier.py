@@ -15,7 +15,7 @@ import energyplan as ep
 from energyplan import ros
 from energyplan.errors import EnergyPlanError
 from energyplan.fit.online import OnlineIdentifier
-from energyplan.io.topics import TopicMap
+from energyplan.io.bags import TopicMap
 from energyplan_ros.running import run
 
 PARAMETERS = {
