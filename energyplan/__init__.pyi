@@ -1,4 +1,3 @@
-from . import battery as battery
 from . import errors as errors
 from . import simulate as simulate
 from . import steering as steering
@@ -38,6 +37,7 @@ from .studies import compare as compare
 from .studies import energy_map as energy_map
 from .terrain import HeightMap as HeightMap
 from .terrain import OccupancyGrid as OccupancyGrid
+from .terrain import Site as Site
 from .terrain import SurfaceMap as SurfaceMap
 from .vehicle import MotorLimits as MotorLimits
 from .vehicle import TreadICR as TreadICR

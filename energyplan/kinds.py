@@ -7,16 +7,18 @@ an error that says nothing to whoever gave it.
 
 from __future__ import annotations
 
-import ast
+import builtins
 import importlib
 import inspect
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields
 from functools import cache, wraps
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_origin
+from types import UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +42,7 @@ SOURCES = {
     "Path": "Path.from_poses(poses), or the path of a plan",
     "PlanningProblem": "PlanningProblem(map, cost, start, goal)",
     "PowerModel": "PowerModel.preset(NAME), read_model(FILE), or the model of an identification",
+    "Site": "Site(map), or io.maps.read_site(FILE)",
     "SurfaceMap": "read_surfaces(FILE)",
     "Trajectory": "speed.profile(path, model), or the trajectory of a plan's drive",
     "TreadICR": "TreadICR.symmetric(METRES)",
@@ -91,43 +94,26 @@ def numbers(
 # -- kinds of values ------------------------------------------------------------------------------
 
 
-class _Fault(NamedTuple):
-    place: str
-    value: object
-    words: str
-
-
-@dataclass(frozen=True)
-class _Kind:
+class _Kind(NamedTuple):
     """A kind of values: what to give, what it takes, and of what kind its items are."""
 
     words: str
-    fits: Callable[[object], bool]
+    fits: Callable[[object], bool] = lambda value: True
     items: _Kind | None = None
+    others: tuple[_Kind, ...] = ()  # where it is one of several kinds
 
-    def wrong(self, value: object, place: str) -> _Fault | None:
-        """Return where a value is of another kind."""
-        if not self.fits(value):
-            return _Fault(place, value, self.words)
+    def fault(self, value: object, place: str) -> str:
+        """Return what is wrong with a value of another kind; empty where nothing is."""
+        faults = [kind.fault(value, place) for kind in self.others]
+        if "" in faults:
+            return ""
+        if faults or not self.fits(value):
+            within = (fault for fault in faults if fault.startswith(f"{place}["))
+            return next(within, f"{place} is {described(value)}; give {self.words}")
         if self.items is None or not isinstance(value, list | tuple):
-            return None
-        faults = (self.items.wrong(item, f"{place}[{k}]") for k, item in enumerate(value))
-        return next(filter(None, faults), None)
-
-
-@dataclass(frozen=True)
-class _Either(_Kind):
-    """One of several kinds."""
-
-    kinds: tuple[_Kind, ...] = ()
-
-    def wrong(self, value: object, place: str) -> _Fault | None:
-        """Return where a value is of another kind than all of them."""
-        faults = [kind.wrong(value, place) for kind in self.kinds]
-        if None in faults:
-            return None
-        deeper = [fault for fault in faults if fault and fault.place != place]
-        return deeper[0] if deeper else _Fault(place, value, self.words)
+            return ""
+        faults = [self.items.fault(item, f"{place}[{k}]") for k, item in enumerate(value)]
+        return next(filter(None, faults), "")
 
 
 def _number(value: object) -> bool:
@@ -141,11 +127,10 @@ def _whole(value: object) -> bool:
 
 
 def _numeric(value: object) -> bool:
-    try:
+    with suppress(InvalidInputError):
         numbers(value, "value")  # type: ignore[arg-type]
-    except InvalidInputError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _several(value: object) -> bool:
@@ -153,23 +138,40 @@ def _several(value: object) -> bool:
     return isinstance(value, Iterable) and not named
 
 
-_PLAIN = {
-    "float": _Kind("a number, in SI units", _number),
-    "int": _Kind("a whole number", _whole),
-    "bool": _Kind("True or False", lambda value: isinstance(value, bool | np.bool_)),
-    "str": _Kind("a text", lambda value: isinstance(value, str)),
-    "None": _Kind("", lambda value: value is None),
-    "ArrayLike": _Kind("numbers", _numeric),
-    "FloatArray": _Kind("numbers", _numeric),
-    "NDArray[np.float64]": _Kind("numbers", _numeric),
+_NUMBERS = _Kind("numbers", _numeric)
+_PLAIN: dict[Any, _Kind] = {
+    float: _Kind("a number, in SI units", _number),
+    int: _Kind("a whole number", _whole),
+    bool: _Kind("True or False", lambda value: isinstance(value, bool | np.bool_)),
+    str: _Kind("a text", lambda value: isinstance(value, str)),
+    type(None): _Kind("", lambda value: value is None),
+    NDArray[np.float64]: _NUMBERS,
 }
 
 
-_FUNCTION = _Kind("a function", callable)
+class _Unknown(type):
+    """Makes the class that stands for what only type checkers know, with all that is in it."""
+
+    def __getattr__(cls, name: str) -> _Unknown:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return cls
+
+    def __getitem__(cls, item: object) -> _Unknown:
+        return cls
 
 
-def _in(value: object, texts: tuple[str, ...]) -> bool:
-    return isinstance(value, str) and value in texts
+_ANYTHING = _Unknown("Anything", (), {})
+
+
+class _Names(dict[str, Any]):
+    """The names of a module, then Python's own, then those of the library."""
+
+    def __missing__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise KeyError(name)
+        known = getattr(builtins, name, None)
+        return known or getattr(importlib.import_module("energyplan"), name, _ANYTHING)
 
 
 def _of_class(wanted: type) -> _Kind | None:
@@ -188,65 +190,59 @@ def _of_class(wanted: type) -> _Kind | None:
     return _Kind(f"{article} {name}{source}", lambda value: isinstance(value, wanted))
 
 
-def _kind(node: ast.expr, names: Mapping[str, Any]) -> _Kind | None:
+@cache
+def _kind(hint: Any) -> _Kind | None:
     """Return the kind that an annotation means; None where anything may be given."""
-    text = ast.unparse(node)
-    if text in _PLAIN:
-        return _PLAIN[text]
-    if isinstance(node, ast.BinOp):
-        either = _kind(node.left, names), _kind(node.right, names)
-        return None if None in either else _either(*either)  # type: ignore[arg-type]
-    if isinstance(node, ast.Subscript):
-        outer = ast.unparse(node.value)
-        parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
-        alike = {ast.unparse(part) for part in parts} - {"..."}
-        if outer in ("Sequence", "tuple", "list", "Iterable"):
-            items = _kind(parts[0], names) if len(alike) == 1 else None  # of one kind
-            return _Kind(f"a list: {items.words}, ..." if items else "a list", _several, items)
-        if outer in ("Mapping", "dict"):
-            return _Kind("a mapping", lambda value: isinstance(value, Mapping))
-        if outer == "Literal":
-            texts = ast.literal_eval(node.slice)
-            texts = texts if isinstance(texts, tuple) else (texts,)
-            return _Kind(" or ".join(map(repr, texts)), lambda value: _in(value, texts))
-        return _FUNCTION if outer == "Callable" else None
-    found = names.get(text)
-    if found is None:  # known to type checkers only
-        found = getattr(importlib.import_module("energyplan"), text, None)
-    if get_origin(found) is Callable:
-        return _FUNCTION
-    return _of_class(found) if isinstance(found, type) else None
+    if hint in _PLAIN:
+        return _PLAIN[hint]
+    outer, parts = get_origin(hint), get_args(hint)
+    if outer in (Union, UnionType):
+        return _either(parts)
+    if outer is Literal:
+        words = " or ".join(map(repr, parts))
+        return _Kind(words, lambda value: isinstance(value, str) and value in parts)
+    if outer in (Sequence, tuple, list, Iterable):
+        items = _kind(parts[0]) if len({*parts} - {...}) == 1 else None  # of one kind
+        return _Kind(f"a list: {items.words}, ..." if items else "a list", _several, items)
+    if outer in (Mapping, dict):
+        return _Kind("a mapping", lambda value: isinstance(value, Mapping))
+    if outer is Callable:
+        return _Kind("a function", callable)
+    return _of_class(hint) if isinstance(hint, type) and hint is not _ANYTHING else None
 
 
-def _either(*kinds: _Kind) -> _Kind:
+def _either(parts: tuple[Any, ...]) -> _Kind | None:
+    """Return the kind of one of several annotations; `ArrayLike` is several by itself."""
+    arrays = {*get_args(ArrayLike)} if {*get_args(ArrayLike)} <= {*parts} else set()
+    found = [_NUMBERS if arrays else None, *(_kind(part) for part in parts if part not in arrays)]
+    kinds = [kind for kind in found if kind is not None]
+    if len(kinds) < len(found) - (not arrays):
+        return None
     alone = [kind.words for kind in kinds if kind.words and kind.items is None]
-    lists = [kind for kind in kinds if kind.items is not None]
-    several = ["a list of them" if k.items.words in alone else k.words for k in lists if k.items]
-    words = " or ".join((*alone, *several))
-    return _Either(words, lambda value: True, None, kinds)
+    lists = [k.items.words for k in kinds if k.items is not None]
+    several = ["a list of them" if w in alone else f"a list: {w}, ..." for w in lists]
+    return _Kind(" or ".join((*alone, *several)), others=tuple(kinds))
 
 
 @cache
 def _kinds(owner: Callable[..., Any]) -> dict[str, _Kind]:
     """Return the kinds of the parameters of a function, or of the fields of a dataclass."""
-    parts = reversed(owner.__mro__[:-1]) if isinstance(owner, type) else [owner]
     found: dict[str, _Kind | None] = {}
-    for part in parts:
-        names = vars(importlib.import_module(part.__module__))
+    for part in reversed(owner.__mro__[:-1]) if isinstance(owner, type) else [owner]:
+        names = _Names(vars(importlib.import_module(part.__module__)))
         for name, text in inspect.get_annotations(part).items():
+            hint = eval(text, {}, names) if isinstance(text, str) else text
             # of a choice among names alone the function says which it knows
-            if isinstance(text, str) and not text.startswith("Literal["):
-                found[name] = _kind(ast.parse(text, mode="eval").body, names)
+            found[name] = None if get_origin(hint) is Literal else _kind(hint)
     if isinstance(owner, type):
         built = {field.name for field in fields(owner) if field.init}
         found = {name: kind for name, kind in found.items() if name in built}
     return {name: kind for name, kind in found.items() if kind is not None and name != "return"}
 
 
-def _check(kind: _Kind, value: object, name: str, error: type[Exception], whose: str) -> None:
-    fault = kind.wrong(value, name)
-    if fault:
-        raise error(f"{whose}{fault.place} is {described(fault.value)}; give {fault.words}")
+def _check(kind: _Kind, value: object, name: str, error: type[Exception], whose: str = "") -> None:
+    if fault := kind.fault(value, name):
+        raise error(f"{whose}{fault}")
 
 
 def instance(
@@ -266,7 +262,7 @@ def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
     """
     for name, kind in _kinds(type(record)).items():  # type: ignore[arg-type]
         value = getattr(record, name)
-        if type(value) is float and kind is _PLAIN["float"]:
+        if type(value) is float and kind is _PLAIN[float]:
             continue
         _check(kind, value, name, error, whose)
         if isinstance(value, np.generic | np.ndarray) and _number(value):
@@ -290,7 +286,7 @@ def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], 
                     continue
                 several = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
                 for key, value in given[name].items() if several else ((name, given[name]),):
-                    _check(kind, value, key, error, "")
+                    _check(kind, value, key, error)
             return function(*args, **options)
 
         return held  # type: ignore[return-value]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import _thread
 import errno
 import functools
 import io
 import sys
-import threading
 import warnings
 from typing import Any, TextIO
 
@@ -34,8 +32,6 @@ def commands() -> Any:
 def main() -> None:
     """Entry point: map errors to exit codes and one line on stderr."""
     warnings.showwarning = _show_warning
-    if sys.unraisablehook is sys.__unraisablehook__:  # not that of a program around this one
-        sys.unraisablehook = _interrupt_again
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -56,14 +52,6 @@ def main() -> None:
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
         _fail("interrupted; files are as they were", code)
     sys.exit(code)
-
-
-def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
-    """Let Ctrl-C end the command where Python drops it, such as while a kernel is loaded."""
-    if issubclass(lost.exc_type, KeyboardInterrupt):
-        threading.Timer(0.05, _thread.interrupt_main).start()
-    else:
-        sys.__unraisablehook__(lost)
 
 
 def _show_warning(

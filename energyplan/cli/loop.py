@@ -235,7 +235,7 @@ def design(
     """
     from energyplan.io.config import read_model
     from energyplan.io.documents import parse_pose
-    from energyplan.io.maps import read_map
+    from energyplan.io.maps import read_site
     from energyplan.io.tables import write_trajectory
     from energyplan.output import documents, text
     from energyplan.physics.design import design as run
@@ -244,7 +244,7 @@ def design(
     law = read_model(model)
     explanations = explanations_of(_document(diagnosis)) if diagnosis else ()
     made = run(
-        law, explanations, grid=read_map(map_file) if map_file else None, square=square,
+        law, explanations, grid=read_site(map_file).grid if map_file else None, square=square,
         start=parse_pose(start) if start else None, duration=duration, speed=max_speed, noise=noise,
         screen=screen,
     )  # fmt: skip

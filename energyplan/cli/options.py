@@ -172,11 +172,16 @@ class Drive(Ground):
 class Site:
     """The place: its map, and what closes parts of it."""
 
-    map_file: Annotated[Path, Option("--map", help="The map: a YAML file of ROS map_server.")]
+    map_file: Annotated[
+        Path,
+        Option("--map", help="The map: a YAML file of ROS map_server, or of a site."),
+    ]
     keepout: Annotated[
         Path | None, Option(help="A second map; the robot stays out of its occupied cells.")
     ] = None
-    clearance: Annotated[float, Option(help="Distance to keep from obstacles [m].")] = 0.0
+    clearance: Annotated[
+        float | None, Option(help="Distance to keep from obstacles [m]. Default: the site's, or 0.")
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -66,10 +66,8 @@ def graph(
         made = run(places, problem, effort=EFFORT if effort is None else effort)
     if out:
         write_route_graph(made.graph, out)
-    edges = [
-        {"source": state.source, "target": state.target, "energy": energy}
-        for state, energy in made.energies.items()
-    ]
+    edges = [{"source": one.source, "target": one.target, "energy": energy}
+             for one, energy in made.energies.items()]  # fmt: skip
     lines = [f"{edge['source']} to {edge['target']}: {edge['energy']:.0f} J" for edge in edges]
     lines += [f"{one.source} to {one.target} is closed: {one.reason}" for one in made.closed]
     answer({"edges": edges, "closed": [one._asdict() for one in made.closed]}, lines, json=json)
@@ -217,13 +215,9 @@ def warmup(
             import_module(module)
         made = compile_kernels(*modules, processes=processes)
     document = {
-        "folder": str(cache_folder()),
-        "compiled": list(made.compiled),
-        "found": made.found,
-        "kept": made.kept,
-        "processes": made.processes,
-        "seconds": made.seconds,
-    }
+        "folder": str(cache_folder()), "compiled": list(made.compiled), "found": made.found,
+        "kept": made.kept, "processes": made.processes, "seconds": made.seconds,
+    }  # fmt: skip
     text = (
         f"{len(made.compiled)} kernels compiled in {made.seconds:.1f} s by {made.processes} "
         f"process{'es' if made.processes > 1 else ''}, {made.found} found; "

@@ -20,6 +20,7 @@ from energyplan.cli.options import (
     TABLES,
     Drive,
     Effort,
+    Ground,
     Json,
     MaybePose,
     Plot,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel
     from energyplan.terrain import HeightMap, SurfaceMap
+    from energyplan.terrain import Site as Place
     from energyplan.vehicle import Vehicle
 
 PLAN_TIME = 1.0
@@ -72,8 +74,19 @@ class PricedGround(NamedTuple):
     heights: HeightMap | None
 
 
-def priced_ground(drive: Drive) -> PricedGround:
-    """Return the ground that options name, and what motions cost on it at the wanted speed."""
+def site_of(site: Site, ground: Ground) -> Place:
+    """Return the site that options name; what an option gives takes the place of the file's."""
+    from energyplan.io.maps import PARTS, read_site
+
+    files = {"surfaces": ground.surfaces, "heights": ground.heights, "keepout": site.keepout}
+    parts: dict[str, Any] = {key: PARTS[key](file) for key, file in files.items() if file}
+    if site.clearance is not None:
+        parts["clearance"] = site.clearance
+    return replace(read_site(site.map_file), **parts)
+
+
+def priced_ground(drive: Drive, place: Place | None = None) -> PricedGround:
+    """Return the ground of a site, or that options name, and what motions cost on it."""
     from energyplan.cost import EnergyCost
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_model
@@ -86,9 +99,12 @@ def priced_ground(drive: Drive) -> PricedGround:
     if drive.tolerance is not None:
         robot = replace(power.vehicle, tracking_tolerance=drive.tolerance)
         power = replace(power, vehicle=robot)
-    surfaces = read_surfaces(drive.surfaces) if drive.surfaces else None
+    if place is not None:
+        surfaces, heights = place.surfaces, place.heights
+    else:
+        surfaces = read_surfaces(drive.surfaces) if drive.surfaces else None
+        heights = read_heights(drive.heights) if drive.heights else None
     warn_of_surfaces(power.vehicle, surfaces)
-    heights = read_heights(drive.heights) if drive.heights else None
     if knows_ground(power):
         warn(
             f"{power.name} contains ground: it counts unless a file of surfaces or heights is given"
@@ -120,24 +136,16 @@ def level_model(name: str) -> PowerModel:
 
 def problem_of(site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -> PlanningProblem:
     """Return the problem that options name."""
-    from energyplan.io.maps import read_map
     from energyplan.planning import PlanningProblem
 
-    ground = priced_ground(drive)
-    grid = read_map(site.map_file)
-    notes: list[str | None] = []
-    if ground.surfaces is not None:
-        notes += ground.surfaces.notes_on(grid)
-    if site.keepout:
-        mask = read_map(site.keepout)
-        notes.append(grid.note_of_mask(mask))
-        grid = grid.with_mask(mask)
-    for note in filter(None, notes):
+    place = site_of(site, drive)
+    ground = priced_ground(drive, place)
+    for note in place.notes:
         warn(note)
-    return PlanningProblem(
-        grid, ground.cost, start, goal, surfaces=ground.surfaces, heights=ground.heights,
-        clearance=site.clearance, **more,
-    )  # fmt: skip
+    place = replace(place, surfaces=ground.surfaces)
+    if place.costmap is not None and not more.get("costmap_weight"):
+        warn("the costmap of the site does not count: plan takes --costmap-weight")
+    return PlanningProblem(place, ground.cost, start, goal, **more)  # type: ignore[arg-type]
 
 
 def warn_of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> None:
@@ -274,8 +282,8 @@ def plan(
     from energyplan.planning.replanning import replan
 
     _writable(out)
-    if (costmap is None) != (costmap_weight == 0.0):
-        raise InvalidInputError("--costmap and --costmap-weight go together; give both or neither")
+    if costmap is not None and costmap_weight == 0.0:
+        raise InvalidInputError("--costmap needs --costmap-weight; give both or neither")
     if former is None and goal is None:
         raise InvalidInputError("--goal is missing; give X,Y,YAW, or a path by --former")
     if former is None and former_map is not None:
@@ -287,7 +295,9 @@ def plan(
     here = parse_pose(start)
     soft = read_costmap(costmap) if costmap else None
     more = {"objective": objective, "costmap": soft, "costmap_weight": costmap_weight}
-    problem = problem_of(site, drive, here, parse_pose(goal) if goal else here, **more)
+    problem = problem_of(site, drive, here, here if goal is None else parse_pose(goal), **more)
+    if costmap_weight and problem.costmap is None:
+        raise InvalidInputError("--costmap-weight needs --costmap, or a site that names one")
     spent = effort.within(PLAN_TIME)
     if former is None:
         with planning(json, strict):

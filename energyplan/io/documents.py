@@ -106,6 +106,7 @@ _TELLING = {
     "a building of Open-RMF": {"levels"},
     "a parameters file of Nav2": {"planner_server"},
     "a mission": {"tasks", "battery"},
+    "a site": {"map", "clearance"},
     "a fleet": {"robots"},
     "a power model": {"terms"},
     "a vehicle": {"mass", "track"},
@@ -303,6 +304,7 @@ class _Builder:
 
 
 UNITS: dict[str, dict[str, float]] = {
+    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3},
     "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
     "power": {"W": 1.0, "kW": 1e3},
     "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6},

@@ -17,14 +17,13 @@ from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, amount, beside, load, parse
 from energyplan.io.files import bundled, is_file
-from energyplan.io.geojson import read_surfaces
-from energyplan.io.maps import read_heights, read_map
+from energyplan.io.maps import PARTS, SiteFile, read_site
 from energyplan.kinds import checked
 from energyplan.mission import Charger, Mission, Spreads, Task
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
-from energyplan.terrain import with_weights
+from energyplan.terrain import Site, with_weights
 from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
@@ -150,14 +149,11 @@ class _Spreads(_Strict):
     waiting: Fraction | None = None
 
 
-class _Mission(_Strict):
+class _Mission(SiteFile, _Strict):
     name: str = "mission"
     vehicle: str | None = None
     model: str
     payload_models: dict[str, dict[float, str]] = {}
-    map: str
-    surfaces: str | None = None
-    heights: str | None = None
     battery: str | _Battery
     soc: OpenFraction = Uncertain(1.0)
     start: PoseText
@@ -256,12 +252,9 @@ class MissionReader:
             self._placed(("chargers", k), self._charger, k, charger)
             for k, charger in enumerate(spec.chargers)
         ]
-        surfaces = None
-        if spec.surfaces is not None:
-            surfaces = self._placed(("surfaces",), self._read, read_surfaces, spec.surfaces)
-        heights = None
-        if spec.heights is not None:
-            heights = self._placed(("heights",), self._read, read_heights, spec.heights)
+        site = self._site()
+        surfaces = site.surfaces
+        if site.heights is not None:
             # models from level ground say nothing about slopes; the wheel loads tell the weight
             model = with_weight(model)
             surfaces = None if surfaces is None else with_weights(surfaces)
@@ -279,8 +272,7 @@ class MissionReader:
         return self._placed(
             (), Mission,
             model=model, battery=battery, tasks=tuple(tasks), chargers=tuple(chargers),
-            surfaces=surfaces, heights=heights, payload_models=loaded, payload=spec.payload,
-            map=self._placed(("map",), self._read, read_map, spec.map),
+            map=replace(site, surfaces=surfaces), payload_models=loaded, payload=spec.payload,
             start=self._pose(spec.start, ("start",)),
             soc=spec.soc.value, waiting=spec.waiting.value,
             spreads=self._placed((), self._spreads),
@@ -324,6 +316,18 @@ class MissionReader:
 
     def _read(self, read: Callable[[Path], T], name: str) -> T:
         return read(self._file(name))
+
+    def _site(self) -> Site:
+        """Return the site that ``map`` names, with what stands beside that key in place of it."""
+        read = partial(read_site, inside=not self._anywhere)
+        site: Site = self._placed(("map",), self._read, read, self._spec.map)
+        given = {key: getattr(self._spec, key) for key in PARTS}
+        parts = {
+            key: self._placed((key,), self._read, PARTS[key], name)
+            for key, name in given.items()
+            if name is not None
+        }
+        return replace(site, **parts, clearance=self._spec.clearance or site.clearance)
 
     def _model(self, name: str) -> PowerModel:
         return read_model(self._file(name)) if _is_yaml(name) else PowerModel.preset(name)
@@ -445,26 +449,7 @@ def _built(spec: _Battery, name: str, document: Document, at: Loc) -> Battery:
 
 
 def read_battery(source: str | Path) -> Battery:
-    """Return a battery from words, the name of a preset, or a YAML file.
-
-    Parameters
-    ----------
-    source : str or Path
-        Words such as ``"24 V 20 Ah lead-acid"``, a preset such as ``"husky_a200"``, or a YAML file
-        with the keys of a mission's `battery`.
-
-    Returns
-    -------
-    Battery
-        The battery.
-
-    Raises
-    ------
-    BatteryError
-        If the words are not understood.
-    MissionError
-        If the file is malformed.
-    """
+    """Return a battery from words, a preset, or a YAML file with the keys of a mission's."""
     if not _is_yaml(str(source)):
         return Battery.of(str(source))
     document = load(source, MissionError)

@@ -260,6 +260,7 @@ class Legs:
         return PlanningProblem(
             mission.map, cost, self.poses[start], self.poses[goal], surfaces=surfaces,
             heights=mission.heights, objective="time" if hurried else mission.objective,
+            clearance=mission.clearance,
         )  # fmt: skip
 
     # -- legs -------------------------------------------------------------------------------------
@@ -300,7 +301,7 @@ class Legs:
             *(shapely.to_wkb(area) for area in areas),
             _shaped(mission.heights),
             self._speed, mission.objective, mission.planner, self._planning_time,
-            mission.planning_effort,
+            mission.planning_effort, mission.clearance,
         )  # fmt: skip
         return hashlib.sha256(repr(asked).encode()).digest()
 

@@ -21,7 +21,7 @@ from energyplan.planning.problem import free_beside, nearest_free
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope
 from energyplan.records import ReadOnly
-from energyplan.terrain import OccupancyGrid, knows_ground, laid_out, on_laid_ground
+from energyplan.terrain import OccupancyGrid, Site, knows_ground, laid_out, on_laid_ground
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ class Mission(ReadOnly, html.Readable):
     ----------
     model : PowerModel
         Power model, with the vehicle, where no surface says otherwise.
-    map : OccupancyGrid
-        Obstacles.
+    map : OccupancyGrid or Site
+        Obstacles; or the site, for what is left out of surfaces, heights and clearance.
     battery : BatteryModel
         The battery: a `Battery`, or any class with what a `BatteryModel` has.
     start : Pose
@@ -99,6 +99,8 @@ class Mission(ReadOnly, html.Readable):
         (`energyplan.power.effects.with_weight`); payload adds to the mass of the term grade.
         Where surfaces or heights are left out, the ground that the model knows of stands for them
         (`energyplan.terrain.laid_out`).
+    clearance : float
+        Distance that the footprint keeps from obstacles on the way [m].
 
     Raises
     ------
@@ -147,9 +149,16 @@ class Mission(ReadOnly, html.Readable):
     heights: HeightMap | None = None
     spreads: Spreads = field(default_factory=Spreads)
     waiting: float = 0.0
+    clearance: float = 0.0
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 
     def __post_init__(self) -> None:
+        place: object = self.map
+        if isinstance(place, Site):
+            place.fill(self)
+            if place.costmap is not None:
+                told = "the costmap of the site does not count: routes are those of least energy"
+                object.__setattr__(self, "notes", (told,))
         check_fields(self, MissionError)
         object.__setattr__(self, "tasks", tuple(self.tasks))
         object.__setattr__(self, "chargers", tuple(self.chargers))
@@ -229,7 +238,7 @@ class Mission(ReadOnly, html.Readable):
                 f"{self.reserve:g}",
                 "chargers", k, "until",
             )  # fmt: skip
-        for key in ("coefficient_spread", "payload", "time", "waiting"):
+        for key in ("coefficient_spread", "payload", "time", "waiting", "clearance"):
             value = getattr(self, key)
             require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
         for key in ("planning_time", "planning_effort", "speed"):
@@ -273,7 +282,7 @@ class Mission(ReadOnly, html.Readable):
             if self.home == self.start:
                 object.__setattr__(self, "home", beside.pose)
             object.__setattr__(self, "start", beside.pose)
-            object.__setattr__(self, "notes", (beside.note,))
+            object.__setattr__(self, "notes", (*self.notes, beside.note))
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]
@@ -395,13 +404,7 @@ class Mission(ReadOnly, html.Readable):
 
     @checked(MissionError)
     def with_remedy(self, remedy: Remedy) -> Mission:
-        """Return the mission with a remedy of its report applied.
-
-        Raises
-        ------
-        MissionError
-            If it names a task that the mission does not have, or what it asks for is out of range.
-        """
+        """Return the mission with a remedy of its report applied."""
         names = [task.name for task in self.tasks]
         if remedy.kind in ("drop", "window"):
             require(remedy.task in names, f"no task is called {remedy.task!r}")

@@ -25,6 +25,7 @@ from energyplan.terrain import (
     CostMap,
     HeightMap,
     OccupancyGrid,
+    Site,
     SurfaceMap,
     Terrain,
     knows_ground,
@@ -75,8 +76,8 @@ class PlanningProblem:
 
     Parameters
     ----------
-    map : OccupancyGrid
-        Obstacles.
+    map : OccupancyGrid or Site
+        Obstacles; or the site, for what is left out of surfaces, heights, clearance and costmap.
     cost : EnergyCost
         Cost of motions. Its model carries the vehicle and the tread ICRs.
     start, goal : array_like, shape (3,)
@@ -132,6 +133,9 @@ class PlanningProblem:
     costmap_weight: float = 0.0
 
     def __post_init__(self) -> None:
+        place: object = self.map
+        if isinstance(place, Site):
+            place.fill(self)
         check_fields(self, InvalidInputError)
         if not 0.0 <= self.costmap_weight < np.inf:
             raise InvalidInputError(

@@ -37,6 +37,7 @@ from energyplan.errors import (
 from energyplan.fit import identify
 from energyplan.io.bags import topic_map_of
 from energyplan.io.config import Project
+from energyplan.io.geojson import read_surfaces
 from energyplan.io.logs import read_log
 from energyplan.io.mission import mission_from, read_mission
 from energyplan.io.start import Given, Start
@@ -237,7 +238,7 @@ def _files(service: _Service) -> APIRouter:
     @router.get("/surfaces/{name:path}")
     async def surface_document(name: str) -> Response:
         """Return the polygons of surfaces as they are."""
-        await asyncio.to_thread(store.surfaces, name)
+        await asyncio.to_thread(store.read, name, read_surfaces)
         return FileResponse(store.path(name), media_type="application/geo+json")
 
     @router.get("/models/{name}")
@@ -276,19 +277,19 @@ def _map_document(grid: Any) -> Document:
 def _routes(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
-    def problem_of(asked: PlanRequest) -> PlanningProblem:
-        grid = store.map(asked.map)
-        return PlanningProblem(
-            grid.with_mask(store.map(asked.keepout)) if asked.keepout else grid,
-            service.cost(asked.model, asked.battery), Pose(*asked.start), Pose(*asked.goal),
-            surfaces=store.surfaces(asked.surfaces), heights=store.heights(asked.heights),
-            objective=asked.objective, clearance=asked.clearance,
-        )  # fmt: skip
+    def problem_of(asked: PlanRequest | RangeRequest, battery: bool, goal: list[float],
+                   **more: Any) -> PlanningProblem:  # fmt: skip
+        cost = service.cost(asked.model, battery)
+        place: Any = store.site(asked)  # of which a problem takes the parts
+        return PlanningProblem(place, cost, Pose(*asked.start), Pose(*goal), **more)
 
     def planned(
         run: Callable[..., Any], document: Callable[[Any], Document], job: Job, asked: PlanRequest
     ) -> Document:
-        query = problem_of(asked)
+        query = problem_of(
+            asked, asked.battery, asked.goal, objective=asked.objective,
+            costmap_weight=asked.costmap_weight,
+        )  # fmt: skip
         job.say("planning")
         options: Document = {"planner": asked.planner, "time_limit": asked.time_limit}
         if asked.effort is not None:
@@ -297,22 +298,17 @@ def _routes(service: _Service) -> APIRouter:
             found = document(run(query, **options))
         except NoPathError as error:  # an answer, as on the command line
             return documents.no_path(error)
-        grid = store.map(asked.map)
-        told = () if query.surfaces is None else query.surfaces.notes_on(grid)
-        closing = grid.note_of_mask(store.map(asked.keepout)) if asked.keepout else None
-        if told or closing:
-            found["notes"] = [*found.get("notes", ()), *told, *([closing] if closing else [])]
+        if notes := store.site(asked).notes:
+            found["notes"] = [*found.get("notes", ()), *notes]
         return found
 
     def reach(job: Job, asked: RangeRequest) -> Document:
         if (asked.energy is None) == (asked.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
-        cost, start = service.cost(asked.model, asked.pack is not None), Pose(*asked.start)
-        surfaces = store.surfaces(asked.surfaces)
-        question = PlanningProblem(store.map(asked.map), cost, start, start, surfaces=surfaces)
+        question = problem_of(asked, asked.pack is not None, asked.start)
         there_is = asked.energy
         if asked.pack:
-            there_is = energy_of_charge(cost, Battery.preset(asked.pack), asked.soc)
+            there_is = energy_of_charge(question.cost, Battery.preset(asked.pack), asked.soc)
         assert there_is is not None
         usable = (1.0 - asked.reserve) * there_is
         job.say("searching")

@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from energyplan.io.maps import SiteFile
+
 LONGEST, MOST_EFFORT = 60.0, 5_000_000
 """Largest time limit [s] and effort that a request may ask for."""
 
@@ -25,28 +27,23 @@ class _Asked(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
-class PlanRequest(_Asked):
+class PlanRequest(SiteFile, _Asked):
     """A planning problem; files are named as the data folder has them."""
 
-    map: Name
     model: Name = Field(examples=["quadriga:full:concrete"])
     start: PoseRow
     goal: PoseRow
-    surfaces: Name | None = None
-    heights: Name | None = None
     battery: bool = False
-    clearance: float = Field(0.0, ge=0, le=100)
-    keepout: Name | None = None
+    costmap_weight: float = Field(0.0, ge=0)
     objective: Literal["energy", "length", "time"] = "energy"
     planner: Name = "lattice"
     time_limit: float = Field(1.0, gt=0, le=LONGEST)
     effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
 
 
-class RangeRequest(_Asked):
+class RangeRequest(SiteFile, _Asked):
     """From where, and what there is: an energy [J], or the charge of a battery."""
 
-    map: Name
     model: Name = Field(examples=["quadriga:full:concrete"])
     start: PoseRow
     back: PoseRow | None = Field(None, description="a pose to get back to, such as a charger's")
@@ -56,7 +53,6 @@ class RangeRequest(_Asked):
     reserve: float = Field(0.0, ge=0, lt=1)
     confidence: float | None = Field(None, gt=0, lt=1)
     coefficient_spread: float = Field(0.0, ge=0, lt=1)
-    surfaces: Name | None = None
 
 
 class CheckRequest(_Asked):

@@ -9,15 +9,17 @@ import re
 import threading
 from collections.abc import AsyncIterator, Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 from energyplan.errors import CancelledError, EnergyPlanError, InvalidInputError
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.files import atomic_write, files_behind
-from energyplan.io.geojson import read_surfaces
-from energyplan.io.maps import read_heights, read_map
+from energyplan.io.maps import PARTS, SiteFile, read_site
 from energyplan.planning.budget import cancellable
+from energyplan.terrain import OccupancyGrid, Site
 
 T = TypeVar("T")
 
@@ -86,17 +88,16 @@ class Store:
             raise UnknownFileError(f"{name!r} lies outside the data folder")
         return file
 
-    def map(self, name: str) -> Any:
-        """Return a map; the same object, with its tables, as long as its files are the same."""
-        return self.read(name, read_map)
+    def map(self, name: str) -> OccupancyGrid:
+        """Return a map, or that of a site."""
+        return self.site(SiteFile(map=name)).grid
 
-    def surfaces(self, name: str | None) -> Any:
-        """Return surfaces, if any are named."""
-        return self.read(name, read_surfaces) if name else None
-
-    def heights(self, name: str | None) -> Any:
-        """Return heights, if any are named."""
-        return self.read(name, read_heights) if name else None
+    def site(self, asked: SiteFile) -> Site:
+        """Return a site; its map is the same object, with its tables, while its files are."""
+        found = self.read(asked.map, partial(read_site, inside=True), "site")
+        given = {key: getattr(asked, key) for key in PARTS}
+        parts = {key: self.read(name, PARTS[key]) for key, name in given.items() if name}
+        return replace(found, **parts, clearance=asked.clearance or found.clearance)
 
     def model(self, name: str) -> Any:
         """Return a power model: a file of the folder, or a preset."""
@@ -171,9 +172,9 @@ def _kind_of(file: Path) -> str:
     with file.open("rb") as stream:
         text = stream.read(65536).decode("utf-8", "replace")
     keys = set(re.findall(r"^(\w+)\s*:", text, re.MULTILINE))
-    if {"image", "resolution"} <= keys:
-        return "maps"
-    return "missions" if "tasks" in keys else "models"
+    if "tasks" in keys:
+        return "missions"
+    return "maps" if {"image", "resolution"} <= keys or "map" in keys else "models"
 
 
 # -- work ---------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from energyplan.terrain.found import LaidGround, knows_ground, laid_out, on_laid
 from energyplan.terrain.grid import CostMap, OccupancyGrid, footprint
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import Surface, SurfaceMap, with_weights
-from energyplan.terrain.terrain import PathPrice, Piece, Terrain, path_pieces, path_price
+from energyplan.terrain.terrain import PathPrice, Piece, Site, Terrain, path_pieces, path_price
 
 __all__ = [
     "CostMap",
@@ -15,6 +15,7 @@ __all__ = [
     "OccupancyGrid",
     "PathPrice",
     "Piece",
+    "Site",
     "Surface",
     "SurfaceMap",
     "Terrain",

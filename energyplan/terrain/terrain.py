@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,7 +15,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked
 from energyplan.path import FloatArray, Path
-from energyplan.terrain.grid import OccupancyGrid
+from energyplan.terrain.grid import CostMap, OccupancyGrid
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import SurfaceMap
 
@@ -32,6 +32,68 @@ _MOST_SURFACES = 255
 
 FLAT = SurfaceMap(())
 """No surfaces: the cost at hand applies everywhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A place where robots drive: `PlanningProblem` and `Mission` take one in place of a map.
+
+    Parameters
+    ----------
+    map : OccupancyGrid
+        Obstacles.
+    surfaces : SurfaceMap, optional
+        Grounds with power models of their own, and areas to keep out of.
+    heights : HeightMap, optional
+        Heights of the ground where it slopes.
+    keepout : OccupancyGrid, optional
+        A mask as Nav2 has them: the robot stays out of its occupied cells.
+    costmap : CostMap, optional
+        Soft costs, such as those of an inflated costmap.
+    clearance : float
+        Distance that the footprint keeps from obstacles [m].
+
+    Examples
+    --------
+    >>> import energyplan as ep
+    >>> hall = ep.Site(OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1), clearance=0.1)
+    >>> cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:marble"))
+    >>> ep.PlanningProblem(hall, cost, (1, 2, 0), (4, 2, 0)).clearance
+    0.1
+    """
+
+    map: OccupancyGrid
+    surfaces: SurfaceMap | None = None
+    heights: HeightMap | None = None
+    keepout: OccupancyGrid | None = None
+    costmap: CostMap | None = None
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, MapError)
+        if not 0.0 <= self.clearance < np.inf:
+            raise MapError(f"the clearance is {self.clearance} m; give a distance of 0 m or more")
+
+    @cached_property
+    def grid(self) -> OccupancyGrid:
+        """The map, with what the mask closes occupied."""
+        return self.map if self.keepout is None else self.map.with_mask(self.keepout)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which parts do not lie on the map, or close nothing of it."""
+        told = () if self.surfaces is None else self.surfaces.notes_on(self.map)
+        closing = None if self.keepout is None else self.map.note_of_mask(self.keepout)
+        return (*told, *([closing] if closing else []))
+
+    def fill(self, record: Any) -> None:
+        """Give a dataclass that was built with this site for its map the parts that it left out."""
+        parts = {"surfaces": self.surfaces, "heights": self.heights, "costmap": self.costmap,
+                 "clearance": self.clearance}  # fmt: skip
+        for part in fields(record):
+            if part.name in parts and getattr(record, part.name) == part.default:
+                object.__setattr__(record, part.name, parts[part.name])
+        object.__setattr__(record, "map", self.grid)
 
 
 class Piece(NamedTuple):

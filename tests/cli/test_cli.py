@@ -49,11 +49,6 @@ def spiral(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(log, tmp_path_factory.mktemp("logs") / "spiral.csv")
 
 
-def test_a_drive_is_not_both_learned_from_and_held_out(run: Run, spiral: Path) -> None:
-    result = run("diagnose", spiral, "--holdout", spiral, "--vehicle", "quadriga:full")
-    assert_refused(result, spiral.name, "hold-out")
-
-
 def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
     report = tmp_path / "routes.html"
     result = run("compare", "--map", bundled("office.yaml"), "--model", "quadriga:full:marble",
@@ -137,66 +132,6 @@ def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
         1 - both["energy_optimal"]["energy"] / both["shortest"]["energy"]
     )
     assert both["saving"] >= 0
-
-
-@pytest.mark.parametrize("pose", ["1,2", "1,2,3,4", "1,2,north", "1,nan,0", "", "1,2,90"])
-def test_bad_poses_are_refused(run: Run, pose: str) -> None:
-    result = run("plan", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-                 "--start", pose, "--goal", "4,2,0")  # fmt: skip
-    assert_refused(result, "pose", "90deg")
-
-
-def test_a_goal_in_a_wall_or_outside_is_named(run: Run) -> None:
-    options = ("plan", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--start", "1.2,2,90deg", "--goal")  # fmt: skip
-    assert_refused(run(*options, "0,0,0"), "goal")
-    assert_refused(run(*options, "-50,0,0"), "goal", "outside")
-
-
-def test_missing_and_broken_files_are_refused(run: Run, tmp_path: Path) -> None:
-    absent = tmp_path / "absent.csv"
-    assert_refused(run("identify", absent, "--vehicle", "quadriga"), "absent.csv")
-    broken = tmp_path / "broken.csv"
-    broken.write_text("t,v_left,v_right,power\n0,0,0,1\n1,0,0,1\n0.5,0,0,1\n")
-    assert_refused(run("identify", broken, "--vehicle", "quadriga"), "broken.csv", "line 4")
-    assert_refused(run("mission", tmp_path / "absent.yaml"), "absent.yaml")
-    assert_refused(run("check", absent, "--model", "quadriga:full:marble"), "absent.csv")
-
-
-def test_unknown_names_list_the_known_ones(run: Run, spiral: Path) -> None:
-    assert_refused(run("identify", spiral, "--vehicle", "quadrga"), "quadrga", "husky_a200")
-    assert_refused(
-        run("identify", spiral, "--vehicle", "quadriga", "--method", "magic"), "magic", "huber"
-    )
-    assert_refused(run("check", spiral, "--model", "quadriga:full:ice"), "quadriga:full:marble")
-
-
-def test_wrong_usage_is_one_line(run: Run) -> None:
-    assert_refused(run("identify", "--nonsense"), "--nonsense")
-    assert_refused(run("plan"), "--map", "see energyplan plan --help")
-    assert_refused(run("plna"), "Did you mean 'plan'", "see energyplan --help")
-    assert_refused(
-        run("range", "--start", "2,2,0", "--energy", "5kJ"), "'5kJ' should be a valid number in J"
-    )
-    assert_refused(run("serve", ".", "--port=99999"), "'99999' should be less than")
-
-
-def test_a_log_given_twice_and_a_list_without_values_are_refused(run: Run, spiral: Path) -> None:
-    again = spiral.parent / ".." / spiral.parent.name / spiral.name
-    assert_refused(run("identify", spiral, again, "--vehicle", "quadriga:full"), "given twice")
-    for rest in ((), ("--vehicle", "quadriga:full")):
-        assert_refused(run("diagnose", spiral, "--holdout", *rest), "--holdout", "without a value")
-
-
-def test_a_file_of_another_kind_or_a_folder_is_named(run: Run, tmp_path: Path) -> None:
-    asked = ("--start", "2,2,0", "--goal", "4,2,0", "--model")
-    grid, mission = bundled("office.yaml"), bundled("mission_warehouse.yaml")
-    assert_refused(run("plan", "--map", grid, *asked, grid), "line 1", "seems to be a map")
-    assert_refused(run("plan", "--map", mission, *asked, "warthog:grass"), "seems to be a mission")
-    assert_refused(run("mission", mission, "--fail", "a@1"), "has robots")
-    assert_refused(run("identify", "a.csv", "--vehicle", grid), "seems to be a map")
-    assert_refused(run("plan", "--map", tmp_path, *asked, "warthog:grass"), "is a folder")
-    assert_refused(run("identify", tmp_path, "--vehicle", "quadriga"), "is a folder")
 
 
 def test_the_same_route_twice_is_told_of_once(run: Run) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -246,48 +247,6 @@ def test_an_encoding_that_lacks_a_letter_prints_the_answer(encoding: str, shown:
     assert len(done.stderr.splitlines()) == 1
 
 
-INTERRUPTED = """
-import ctypes, signal, sys, time
-from energyplan import cli, demo
-
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
-
-@ctypes.CFUNCTYPE(None)
-def machine_code():
-    raise KeyboardInterrupt
-
-def work(out, say):
-    machine_code()
-    while True:
-        time.sleep(0.01)
-
-demo.run = work
-sys.argv[1:] = ["demo", "--out", sys.argv[1]]
-cli.main()
-"""
-
-
-def test_ctrl_c_within_machine_code_ends_the_command(tmp_path: Path) -> None:
-    """Python drops what is raised in a call from machine code."""
-    done = program(INTERRUPTED, str(tmp_path / "demo"))
-    assert done.returncode == 130
-    assert done.stderr == b"energyplan: interrupted; files are as they were\n"
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--json", "check", "t.csv"), "give it after the command"),
-        ((*PLAN, "4", "2"), "are one word each"),
-        (("identify", "a.csv"), "or a project's, by --project"),
-    ],
-)
-def test_usual_slips_are_told_with_their_remedy(
-    folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
-) -> None:
-    assert said in refused(folder, capsys, *words)
-
-
 @pytest.mark.parametrize(("turns", "told"), [(1.0, False), (2.0, True)])
 def test_an_angle_that_the_yaw_contradicts_is_told(
     folder: Path, capsys: pytest.CaptureFixture[str], turns: float, told: bool
@@ -317,32 +276,6 @@ def test_what_belongs_to_another_robot_is_told(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("mission", "model.yaml"), "this file seems to be a power model"),
-        (("identify", "a.csv", "--vehicle", "empty.yaml"), "empty.yaml is empty"),
-        (
-            (
-                "range",
-                "--map",
-                bundled("office_surfaces.geojson"),
-                "--model",
-                "model.yaml",
-                "--start",
-                "1.2,2,0",
-            ),
-            "these are surfaces and no obstacles",
-        ),
-    ],
-)
-def test_a_file_of_another_kind_or_without_content_is_told_as_such(
-    folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
-) -> None:
-    Path("empty.yaml").write_text("# to be written\n")
-    assert said in refused(folder, capsys, *words)
-
-
-@pytest.mark.parametrize(
     "arguments",
     [("a.csv", "--holdout", "c.csv", "d.csv"), ("--holdout", "c.csv", "d.csv", "--", "a.csv"),
      ("a.csv", "--holdout=c.csv", "d.csv"), ("a.csv", "--holdout", "c.csv", "--holdout", "d.csv")],
@@ -358,39 +291,75 @@ def test_all_that_follows_holdout_is_held_out(
     assert told["judging"] == ["c.csv", "d.csv"]
 
 
-def test_a_drive_by_another_name_is_not_held_out(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+BAD_INPUTS = """
+diagnose a.csv --holdout a.csv --vehicle robot.yaml | a.csv is both a training and a hold-out drive
+diagnose a.csv --holdout same.csv --vehicle robot.yaml | hold-out
+diagnose a.csv --holdout | --holdout is given without a value
+diagnose a.csv --holdout --vehicle robot.yaml | --holdout is given without a value
+identify a.csv ../site/a.csv --vehicle robot.yaml | given twice
+identify absent.csv --vehicle quadriga | absent.csv
+identify broken.csv --vehicle quadriga | broken.csv, line 4
+identify a.csv --vehicle quadrga | husky_a200
+identify a.csv --vehicle quadriga --method magic | 'magic' is not one of 'lad', 'simplex', 'huber'
+identify a.csv --vehicle office.yaml | seems to be a map
+identify a.csv --vehicle empty.yaml | empty.yaml is empty
+identify . --vehicle quadriga | is a folder
+identify a.csv | or a project's, by --project
+identify --nonsense | --nonsense
+check absent.csv --model quadriga:full:marble | absent.csv
+check a.csv --model quadriga:full:ice | quadriga:full:marble
+--json check t.csv | give it after the command
+plan | --map
+plan | see energyplan plan --help
+plna | Did you mean 'plan'
+{plan} --goal 0,0,0 | goal
+{plan} --goal -50,0,0 | outside
+{plan} --goal 4 2 0 | are one word each
+{plan} --goal 1,2 | 90deg
+{plan} --goal 1,2,3,4 | 90deg
+{plan} --goal 1,2,north | 90deg
+{plan} --goal 1,nan,0 | 90deg
+{plan} --goal '' | 90deg
+{plan} --goal 1,2,90 | 90deg
+{plan} --goal 2,2,0 --map . | is a folder
+{plan} --goal 2,2,0 --map round.yaml | seems to be a mission
+{plan} --goal 2,2,0 --map site.yaml | site.yaml, line 2, surfaces: 'none.geojson' cannot be read
+{plan} --goal 2,2,0 --model office.yaml | line 1
+{plan} --goal 2,2,0 --model office.yaml | seems to be a map
+{plan} --goal 2,2,0 --costmap-weight 5 | needs --costmap, or a site
+range --start 2,2,0 --energy 5kJ | '5kJ' should be a valid number in J
+range --map {surfaces} --model model.yaml --start 1.2,2,0 | these are surfaces and no obstacles
+range {site} --energy 5000 --spread -1 | give
+mission absent.yaml | absent.yaml
+mission model.yaml | this file seems to be a power model
+mission round.yaml --fail a@1 | has robots
+mission round.yaml --soc '5 %' | drop it
+mission round.yaml --reserve '50 %' | drop it
+start a.csv --track nan --out new.yaml | --track is nan; give a number
+watch a.csv --once --mission round.yaml --vehicle robot.yaml --done zz | no task
+design --model model.yaml --duration 1e9 | give
+export lattice --model model.yaml --out l.json --resolution 1e-9 | give
+serve . --port=99999 | '99999' should be less than
+"""
+
+
+@pytest.mark.parametrize("case", BAD_INPUTS.strip().splitlines())
+def test_bad_input_is_refused_in_one_line_that_tells_the_remedy(
+    folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
     (folder / "same.csv").symlink_to("a.csv")
-    error = refused(folder, capsys, "diagnose", "a.csv", "--vehicle", "robot.yaml", "--holdout",
-                    "same.csv")  # fmt: skip
-    assert "hold-out" in error
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("start", "a.csv", "--track", "nan", "--out", "new.yaml"),
-        ("range", "--map", "office.yaml", "--model", "model.yaml", "--start", "1.2,2,90deg",
-         "--energy", "5000", "--spread", "-1"),
-        ("watch", "a.csv", "--once", "--mission", "round.yaml", "--vehicle", "robot.yaml", "--done",
-         "zz"),
-        ("design", "--model", "model.yaml", "--duration", "1e9"),
-        ("export", "lattice", "--model", "model.yaml", "--out", "l.json", "--resolution", "1e-9"),
-        ("mission", "round.yaml", "--soc", "5 %"),
-        ("mission", "round.yaml", "--reserve", "50 %"),
-    ],
-)  # fmt: skip
-def test_a_number_that_cannot_be_meant_is_refused_in_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
-) -> None:
+    (folder / "broken.csv").write_text("t,v_left,v_right,power\n0,0,0,1\n1,0,0,1\n0.5,0,0,1\n")
+    (folder / "empty.yaml").write_text("# to be written\n")
+    (folder / "site.yaml").write_text("map: office.yaml\nsurfaces: none.geojson\n")
     (folder / "round.yaml").write_text(
         "model: quadriga:full:marble\nmap: office.yaml\nbattery: quadriga\n"
         "start: [1.2, 2, 90deg]\ncoefficient_spread: 5 %\n"
         "tasks: [{name: m, pose: [3.9, 2, 90deg]}]\n"
     )
-    error = refused(folder, capsys, *arguments)
-    assert any(word in error for word in ("give", "no task", "drop it"))
+    command, said = case.split(" | ")
+    site = "--map office.yaml --model model.yaml --start 1.2,2,90deg"
+    places = {"plan": f"plan {site}", "site": site, "surfaces": bundled("office_surfaces.geojson")}
+    assert said in refused(folder, capsys, *shlex.split(command.format(**places)))
 
 
 def test_without_a_command_it_says_what_to_do_first(capsys: pytest.CaptureFixture[str]) -> None:

@@ -97,8 +97,8 @@ def test_the_public_names_are_these() -> None:
     assert sorted(energyplan.__all__) == [
         "Battery", "Candidate", "Charger", "DriveLog", "EnergyCost", "HeightMap", "Mission",
         "Motion", "MotorLimits", "OccupancyGrid", "OnlineIdentifier", "Path", "Plan", "Planner",
-        "PlanningProblem", "Pose", "PowerModel", "SurfaceMap", "Task", "Trajectory", "TreadICR",
-        "Vehicle", "battery", "check", "compare", "diagnose", "energy_map", "errors", "evaluate",
+        "PlanningProblem", "Pose", "PowerModel", "Site", "SurfaceMap", "Task", "Trajectory",
+        "TreadICR", "Vehicle", "check", "compare", "diagnose", "energy_map", "errors", "evaluate",
         "identify", "plan", "plots", "read_fleet", "read_heights", "read_map", "read_mission",
         "read_model", "read_surfaces", "read_vehicle", "simulate", "speed", "steering", "watch",
         "write_model",

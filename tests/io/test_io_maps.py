@@ -7,6 +7,7 @@ import itertools
 import json
 import struct
 import zlib
+from dataclasses import replace
 from fractions import Fraction
 from math import floor
 
@@ -17,13 +18,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from energyplan.battery import Battery
+from energyplan.cost import EnergyCost
 from energyplan.errors import ConfigError, EnergyPlanError, MapError
 from energyplan.io.documents import read_json
 from energyplan.io.geojson import read_surfaces, write_surfaces
-from energyplan.io.maps import read_map, write_map
+from energyplan.io.maps import read_map, read_site, write_map
+from energyplan.mission import Mission, Task
 from energyplan.path import Pose
+from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain import CostMap, OccupancyGrid, Site, Surface, SurfaceMap
 
 HEADER = {
     "image": "m.png",
@@ -611,3 +616,47 @@ def test_malformed_obstacles_name_the_place(tmp_path, features, place):
     file.write_text(collection(*features))
     with pytest.raises(MapError, match=place):
         read_map(file)
+
+
+SITE = "map: m.yaml\nkeepout: m.yaml\nclearance: 20 cm\n"
+
+
+def test_a_site_stands_for_its_parts(tmp_path):
+    write(tmp_path, np.array([[254, 254], [254, 0]], np.uint8))
+    (tmp_path / "sites").mkdir()
+    file = tmp_path / "sites" / "yard.yaml"
+    file.write_text(SITE.replace("m.yaml", "../m.yaml"))
+    site = read_site(file)
+    assert (site.clearance, site.surfaces, site.notes[0][:16]) == (0.2, None, "the keep-out mas")
+    assert read_site(tmp_path / "m.yaml").grid.shape == (2, 2)
+    open_hall = Site(OccupancyGrid(np.zeros((40, 60), bool), 0.1), clearance=0.3)
+    mask = OccupancyGrid(np.ones((5, 5), bool), 0.1)
+    cost = EnergyCost(PowerModel.preset("quadriga:empty:marble"))
+    problem = PlanningProblem(replace(open_hall, keepout=mask), cost, (2, 2, 0), (4, 2, 0))
+    closed = open_hall.map.with_mask(mask).occupied
+    assert (problem.clearance, np.array_equal(problem.map.occupied, closed)) == (0.3, True)
+    assert PlanningProblem(open_hall, cost, (2, 2, 0), (4, 2, 0), clearance=0.1).clearance == 0.1
+    battery = Battery.preset("quadriga")
+    tasks = [Task("look", (4, 2, 0))]
+    soft = replace(open_hall, costmap=CostMap(np.zeros((40, 60)), 0.1))
+    mission = Mission(cost.model, soft, battery, (2, 2, 0), tasks, confidence=0.5)
+    assert (mission.clearance, "costmap" in mission.notes[0]) == (0.3, True)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("clearance", "clearnce", "line 3, clearnce: there is no such key"),
+        ("20 cm", "-20 cm", "line 3, clearance"),
+        ("20 cm", "20 inch", "line 3, clearance: the unit of a length is one of m, cm, mm"),
+        ("keepout: m.yaml", "keepout: none.yaml", "line 2, keepout: .*none.yaml"),
+        ("keepout: m.yaml", "heights: m.yaml", "line 2, heights"),
+        ("map: m.yaml", "map: ../m.yaml", "line 1, map: .*leaves the file's folder"),
+    ],
+)
+def test_a_site_s_faults_name_file_line_and_key(tmp_path, old, new, told):
+    write(tmp_path, np.array([[254, 254], [254, 0]], np.uint8))
+    file = tmp_path / "yard.yaml"
+    file.write_text(SITE.replace(old, new, 1))
+    with pytest.raises(MapError, match=f"yard.yaml, {told}"):
+        read_site(file, inside=True)
