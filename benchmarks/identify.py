@@ -16,7 +16,7 @@ import numpy as np
 
 from energyplan import simulate
 from energyplan.fit import identify, solvers
-from energyplan.fit.identifiability import linearise
+from energyplan.fit.doubts import linearise
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.logs import DriveLog
 from energyplan.power import PowerModel

@@ -196,8 +196,8 @@ def identify(
     does so by the paper's search.
     """
     from energyplan.fit import identify as run
-    from energyplan.fit.hoisted import doubts_off_the_ground
-    from energyplan.fit.hoisted import hoisted as inside
+    from energyplan.fit.identification import doubts_off_the_ground
+    from energyplan.fit.identification import hoisted as inside
     from energyplan.io.config import read_vehicle, write_model, write_vehicle
     from energyplan.output import documents, text
 

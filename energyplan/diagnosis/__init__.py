@@ -12,37 +12,45 @@ from dataclasses import replace
 
 import numpy as np
 
-from energyplan.diagnosis import advice as _advice
-from energyplan.diagnosis.adequacy import energies, explains, holds, with_contacts
+from energyplan.diagnosis import result as _advice
 from energyplan.diagnosis.averaging import averaged, note_of
-from energyplan.diagnosis.change_points import change_time
-from energyplan.diagnosis.explanations import Found
-from energyplan.diagnosis.holdout import ErrorInterval, Prediction, interval, predict, score
-from energyplan.diagnosis.joint_fit import FinalFit, final_fit, least_known, size_error, size_spread
-from energyplan.diagnosis.mass_centre import MassCentre, find_mass_centre
-from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.candidates import Part, change_time
+from energyplan.diagnosis.judge import (
+    FinalFit,
+    MassCentre,
+    Prediction,
+    Tested,
+    energies,
+    explains,
+    final_fit,
+    find_mass_centre,
+    holds,
+    interval,
+    predict,
+    score,
+    size_error,
+    size_spread,
+    tested,
+    with_contacts,
+)
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
     Average,
     Diagnosis,
     EnergyPrediction,
+    ErrorInterval,
     Evidence,
     Explanation,
     FoundEffect,
     Unexplained,
     Verdict,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, Search
-from energyplan.diagnosis.stand_ins import Presence
-from energyplan.diagnosis.tested import Tested, tested, without_mimics
+from energyplan.diagnosis.search import SIGNIFICANCE, Presence, Search, SearchResult
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
-from energyplan.fit.adequacy import Adequacy, usual_effects
-from energyplan.fit.breakaway import with_breakaway
-from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
-from energyplan.fit.drives.late import Late
-from energyplan.fit.problem import PAPER, Problem
-from energyplan.fit.usual import ends_in_words, leaves_open, open_in_words
+from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words, usual_effects
+from energyplan.fit.drive import Drive, Late, check_long_enough, prepared
+from energyplan.fit.estimate import PAPER, Problem, with_breakaway
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
@@ -264,7 +272,7 @@ class _Case:
         return found if found is not None and found.found else None
 
     def conclude(
-        self, searched: Found, choose: bool, empirical: bool, report: Progress
+        self, searched: SearchResult, choose: bool, empirical: bool, report: Progress
     ) -> Diagnosis:
         """Judge the most probable explanation on the hold-out drives and put it into words."""
         before, best, parts = self.before, searched.best, searched.best.parts
@@ -282,18 +290,10 @@ class _Case:
             )  # fmt: skip
 
         outcome = test(parts)
-        mimics: list[str] = []
         maps: tuple[Part, ...] = ()
-        if choose and outcome.doubtful:
-            parts, mimics = without_mimics(best.problem, parts)
-            outcome = test(parts) if mimics else outcome
         if choose and outcome.maps:
             maps = outcome.maps
             outcome = test(tuple(part for part in parts if part not in maps))
-        vague: list[Part] = []
-        while choose and (least := least_known(outcome.fitted.model, outcome.effects)) is not None:
-            vague.append(least)
-            outcome = test(tuple(part for part in outcome.effects if part is not least))
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality, present = outcome.fitted, outcome.quality, outcome.present
         weighed = (
@@ -330,9 +330,8 @@ class _Case:
             *self.limits,
             *open_in_words(told.model, told.assumed),
             *ends_in_words(told.model),
-            *_advice.mimic_advice(left, names, mimics),
+            *_advice.residual_advice(left, names),
             *_advice.map_advice([part.effect.name for part in maps]),
-            *_advice.vague_advice([part.effect for part in vague]),
             *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
             *_advice.small_advice(searched.likely),
@@ -370,7 +369,7 @@ class _Case:
             paper=replace(self.paper, residual=errors[0]),
             dependences_before=told_before,
             dependences_after=outcome.dependences,
-            withdrawn=(*mimics, *(part.effect.name for part in (*maps, *vague))),
+            withdrawn=tuple(part.effect.name for part in maps),
             predictions_before=self._on_given_samples(before),
             predictions_after=self._on_given_samples(after),
             explanations=others,
@@ -402,7 +401,7 @@ class _Case:
         names = [log.name for log in self.logs[0]]
         return tuple(names if len(names) >= 4 else (f"blocks of {name}" for name in names))
 
-    def _explanations(self, searched: Found, share: float) -> tuple[Explanation, ...]:
+    def _explanations(self, searched: SearchResult, share: float) -> tuple[Explanation, ...]:
         moved = () if self.mass_centre is None else ("centre_of_mass",)
         return tuple(
             Explanation(
@@ -419,7 +418,7 @@ class _Case:
         self,
         parts: Sequence[Part],
         fitted: FinalFit,
-        searched: Found,
+        searched: SearchResult,
         after: Sequence[Prediction],
         present: Presence,
         others: Sequence[Explanation],

@@ -22,13 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
-from energyplan.diagnosis.joint_fit import FinalFit
-from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.candidates import Part
+from energyplan.diagnosis.judge import FinalFit
 from energyplan.diagnosis.result import Average
-from energyplan.fit.drives.design import Design
-from energyplan.fit.least_squares import left_out, weighted
-from energyplan.fit.problem import FLOOR, PAPER, Problem
-from energyplan.fit.run_spread import RunSpread
+from energyplan.fit.estimate import FLOOR, PAPER, Problem, RunSpread, left_out, weighted
+from energyplan.fit.regressors import Design
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term

@@ -16,11 +16,9 @@ from scipy.fft import next_fast_len
 from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
-from energyplan.fit.drives.design import Design, window_means
-from energyplan.fit.drives.drive import Drive, channels_of
-from energyplan.fit.drives.linear import held_forces
-from energyplan.fit.least_squares import Fit, difference, fit
-from energyplan.fit.problem import Problem
+from energyplan.fit.drive import Drive, channels_of
+from energyplan.fit.estimate import Fit, Problem, difference, fit
+from energyplan.fit.regressors import Design, held_forces, window_means
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term

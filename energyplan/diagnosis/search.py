@@ -7,35 +7,549 @@ a set must earn its place in it. What is left is weighed by likelihood and prior
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.stats import f as fisher
 
-from energyplan.diagnosis.change_points import mark_changes
-from energyplan.diagnosis.evidence import Account, classes
-from energyplan.diagnosis.explanations import Explanation, Found
-from energyplan.diagnosis.fitted_sets import LATE, WORTHWHILE
-from energyplan.diagnosis.neighbouring_sets import NeighbouringSets
-from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.plausible import likeness
-from energyplan.diagnosis.proposals import (
+from energyplan.diagnosis.candidates import (
     OF_LOG,
+    PAIRED,
     RARE,
+    About,
     Candidate,
+    Ground,
+    Part,
+    Proposals,
     Set,
+    mark_changes,
     terms_of,
+    with_changes,
 )
-from energyplan.diagnosis.settled_sets import Weighed, most_probable
-from energyplan.fit.drives.drive import Drive
-from energyplan.fit.drives.late import ON_TIME, Late, least_late
-from energyplan.fit.least_squares import fit
-from energyplan.fit.problem import PAPER, Problem
-from energyplan.fit.solvers import column_scale
-from energyplan.fit.usual import usual_friction
+from energyplan.diagnosis.residual import Dependence
+from energyplan.fit.doubts import Adequacy, usual_friction
+from energyplan.fit.drive import (
+    DELAYS,
+    ON_TIME,
+    SCALES,
+    Drive,
+    Late,
+    field_of,
+    least_late,
+    speed_noise,
+)
+from energyplan.fit.estimate import FLOOR, PAPER, ROUNDS, WEIGHTS, Fit, Problem, fit, weighted
+from energyplan.fit.regressors import Design, held_loss
+from energyplan.fit.solvers import column_scale, innovation_share
 from energyplan.path import FloatArray
-from energyplan.power import HOTEL
+from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, Sides, Term
+from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE
 from energyplan.power.effects import Effect
+from energyplan.vehicle import GRAVITY
+
+# -- is what an effect asks for what this robot can do? --------------------------------------------
+
+_MARGIN = 1.5  # over what the vehicle's description gives
+_OVER = 0.05  # over the upper end of a coefficient, by which noise of the speeds may put it beyond
+_USUAL = 0.99  # quantile over the samples: single ones may be noise of a speed's derivative
+
+
+def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool:
+    """Tell whether the force of an effect is one that this robot's treads can have given.
+
+    The drives were driven, so that no part of what the motors gave exceeds what they can: their
+    force, their peak power at the speed of the tread, and the weight, beyond which wheels spin.
+    """
+    forces = [term for term in terms if term.kind == "force"]
+    if not forces:
+        return True
+    vehicle = problem.vehicle
+    strongest = _MARGIN * min(vehicle.motor.force, vehicle.mass * GRAVITY)
+    most = _MARGIN * vehicle.motor.peak_power
+    for drive in problem.drives:
+        motion = drive.motion
+        total = Sides(np.zeros(motion.shape), np.zeros(motion.shape))
+        for term in forces:
+            total = total + field_of(term, drive, vehicle) * model.coefficient(term.name)
+        for force, speed in ((total.left, motion.v_left), (total.right, motion.v_right)):
+            if float(np.quantile(np.abs(force), _USUAL)) > strongest:
+                return False
+            if np.isfinite(most) and float(np.quantile(np.abs(force * speed), _USUAL)) > most:
+                return False
+    return True
+
+
+def most_held(problem: Problem, terms: Sequence[Term], values: FloatArray) -> float:
+    """Return the most that losses may take at rest in any drive [W]."""
+    return max(held_loss(problem.vehicle, terms, values, drive) for drive in problem.drives)
+
+
+def drags(terms: Sequence[Term], values: FloatArray) -> bool:
+    """Tell whether friction and resistance still drag after a change, as plans take them then."""
+    now = {term.name: float(value) for term, value in zip(terms, values, strict=True)}
+    return all(
+        now.get(usual.name, 0.0) + now[change.name] >= 0.0
+        for usual, change in ((SLIP, SLIP_CHANGE), (TRACTION, TRACTION_CHANGE))
+        if change.name in now
+    )
+
+
+class Rest:
+    """What the robot draws at rest, where the drives show it."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.drives = problem.drives
+        self._drawn: dict[Late, tuple[int, float]] = {}
+
+    def drawn(self, late: Late) -> tuple[int, float]:
+        """Return how many samples show the robot at rest, and the mean of their power [W].
+
+        Where the power is logged late, what a sample shows is of before.
+        """
+        if late not in self._drawn:
+            late_drives = [replace(drive, late=late) for drive in self.drives]
+            power = np.concatenate([drive.power[drive.rests] for drive in late_drives])
+            self._drawn[late] = len(power), float(power.mean()) if len(power) else 0.0
+        return self._drawn[late]
+
+    def allows(self, constant: float, held: float = 0.0, late: Late = ON_TIME) -> bool:
+        """Tell whether a constant power agrees with what is drawn at rest."""
+        count, mean = self.drawn(late)
+        if count < 10 or constant == 0.0:
+            return True
+        slack = 0.5 * abs(constant)
+        return -slack <= mean - constant <= slack + held
+
+    def agrees(self, problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
+        """Tell whether coefficients are possible, and what the robot draws at rest too."""
+        terms = [*PAPER, *(term for part in parts for term in part.terms)]
+        slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+        for term, value, wide in zip(terms, found.values, slack, strict=True):
+            low, high = term.bounds
+            # What is at its upper end is estimated beyond it as often as not; none is no effect.
+            above = float(wide) + _OVER * abs(high)
+            if not low - (float(wide) if term in PAPER else 0.0) <= value <= high + above:
+                return False
+        most = np.array([term.bounds[1] for term in terms])
+        model = PowerModel(problem.vehicle, tuple(terms), np.minimum(found.values, most))
+        for part in parts:
+            if not part.terms:
+                continue
+            low, high = part.effect.limits(problem.vehicle)
+            if not low <= part.effect.value(model) <= high:
+                return False
+        if not all(drivable(problem, part.terms, model) for part in parts):
+            return False
+        if not drags(terms, found.values):
+            return False
+        constant = {term.name for part in parts for term in part.terms if term.kind == "power"}
+        resting = sum(
+            float(value)
+            for term, value in zip(terms, found.values, strict=True)
+            if term.name in constant
+        )
+        held = most_held(problem, terms, found.values)
+        return self.allows(resting, held, problem.drives[0].late)
+
+
+# -- what a residual counts as evidence, and which explanations drives cannot tell apart -----------
+
+Likelihood = Callable[[FloatArray, FloatArray], float]
+
+_TOLD = 3.0
+"""Logarithm of the odds, some 20 to 1, that drives must be expected to give to tell two apart."""
+
+
+def residuals(design: Design, values: FloatArray) -> list[FloatArray]:
+    """Return what coefficients leave of each window, at each scale [W]."""
+    return [table[:, -1] - table[:, :-1] @ values for table in design.rows]
+
+
+def innovations(design: Design, left: Sequence[FloatArray]) -> FloatArray:
+    """Return the share of a residual that its own past does not foretell, at each scale."""
+    shares = []
+    for table, block, residual in zip(design.rows, design.blocks, left, strict=True):
+        kept = np.any(table != 0.0, axis=1)
+        owner = design.drives[block[kept]]
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
+        pieces = [slice(a, b) for a, b in pairwise(edges.tolist())]
+        shares.append(innovation_share(residual[kept], pieces) if len(owner) else 1.0)
+    return np.array(shares)
+
+
+@dataclass(frozen=True)
+class Account:
+    """An explanation as it accounts for the drives."""
+
+    design: Design  # its columns about its coefficients
+    fit: Fit  # the coefficients
+    errors: FloatArray  # (scales,): reference mean square errors, by which scales weigh [W^2]
+
+    def told_from(self, other: Account, likelihood: Likelihood) -> bool:
+        """Tell whether drives like these would tell the other explanation apart, were this true.
+
+        The other is fitted to what this one predicts; what it cannot follow would be left in its
+        residual, on top of what is left in this one's.
+        """
+        own = residuals(self.design, self.fit.values)
+        gaps = [b - a for a, b in zip(own, residuals(other.design, other.fit.values), strict=True)]
+        rows = tuple(
+            np.column_stack([table[:, :-1], gap])
+            for table, gap in zip(other.design.rows, gaps, strict=True)
+        )
+        gram = weighted(Design(rows, other.design.blocks, other.design.drives), self.errors)
+        normal = gram.sum(axis=0)
+        follows = np.linalg.lstsq(normal[:-1, :-1], normal[:-1, -1], rcond=1e-12)[0]
+        left = [gap - row[:, :-1] @ follows for gap, row in zip(gaps, rows, strict=True)]
+        counts = self.design.counts
+        more = np.array([float(np.sum(part**2)) for part in left]) / counts
+        plain = self.fit.errors * innovations(self.design, own)
+        both = [a + b for a, b in zip(own, left, strict=True)]
+        worse = (self.fit.errors + more) * innovations(self.design, both)
+        windows = self.design.evidence
+        return likelihood(plain, windows) - likelihood(worse, windows) > _TOLD
+
+
+def classes(accounts: Sequence[Account], likelihood: Likelihood) -> list[int]:
+    """Give explanations that the drives cannot tell apart the same number."""
+    heads: list[int] = []
+    found: list[int] = []
+    for k, one in enumerate(accounts):
+        for head in heads:
+            first = accounts[head]
+            if len(first.design.rows) != len(one.design.rows):
+                continue
+            if not (first.told_from(one, likelihood) and one.told_from(first, likelihood)):
+                found.append(head)
+                break
+        else:
+            heads.append(k)
+            found.append(k)
+    return found
+
+
+# -- what the search weighs: sets of effects, what each effect is worth, probabilities -------------
+
+_LIKELY = 0.5  # odds of an effect beside the best explanation from which on it is worth a word
+_RIVAL = 0.05  # probability of another explanation, over that of the best, that is worth naming
+
+
+@dataclass(frozen=True)
+class EffectSet:
+    """A set of effects that may be the reason."""
+
+    parts: tuple[Part, ...]  # the effects, the one that explains most first
+    probability: float  # that this set is the right one, among those of the catalogue
+    problem: Problem  # the drives, with delays, factors and times of changes as this set has them
+    gains: tuple[Gain, ...]  # what each effect of the set is worth in it
+    alike: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(part.effect.name for part in self.parts)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What an effect is worth beside the others of its set."""
+
+    improvement: float
+    error: float
+    p_value: float  # of its coefficients being zero, times the number of candidates
+    weight: float  # by how much it raises the logarithm of the set's likelihood
+    share: float  # root of the fall of the mean square error, over the root mean square power
+    falls: FloatArray  # (scales,) [W^2]
+    lasting: float  # fall of the cross-validated loss without the block that shows most of it
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Outcome of the search: explanations, the most probable one first.
+
+    `followed` is how well each effect would be followed by another one, were it not known, and
+    `odds` those of each effect beside the best explanation that is too small or too improbable to
+    be named.
+    """
+
+    explanations: tuple[EffectSet, ...]
+    untested: tuple[tuple[str, str], ...]
+    followed: FloatArray
+    odds: Mapping[str, float]
+
+    @property
+    def best(self) -> EffectSet:
+        """The most probable explanation."""
+        return self.explanations[0]
+
+    @property
+    def further(self) -> float:
+        """Probability that there are effects beside the best explanation; one half at most."""
+        odds = min(sum(self.odds.values()), 1.0)
+        return odds / (1.0 + odds)
+
+    @property
+    def likely(self) -> tuple[str, ...]:
+        """Effects beside the best explanation that may well be there."""
+        return tuple(name for name, odds in self.odds.items() if odds > _LIKELY)
+
+    def rivals(self, name: str) -> tuple[str, ...]:
+        """Return the effects that may stand in for one of the best explanation."""
+        best = self.best
+        found: list[str] = []
+        for other in self.explanations[1:]:
+            new = set(other.names) - set(best.names)
+            gone = set(best.names) - set(other.names)
+            if name in gone and new and other.probability > _RIVAL * best.probability:
+                found += [one for one in other.names if one in new and one not in found]
+        return tuple(found)
+
+    def probability(self, name: str) -> float:
+        """Return the probability that an effect is there."""
+        named = sum(one.probability for one in self.explanations if name in one.names)
+        return float((1.0 - self.further) * named + self.further * (name in self.best.names))
+
+
+@dataclass
+class Evaluated:
+    """A set fitted as it is.
+
+    `shares` are those of the residual's variance, at each scale, that its past does not foretell;
+    `odds` the logarithm of what it took from the likelihood that what contacts hold was not known.
+    """
+
+    counts: FloatArray
+    shares: FloatArray
+    errors: FloatArray
+    fit: Fit
+    problem: Problem
+    sound: bool
+    parts: tuple[Part, ...]
+    odds: float = 0.0
+    gains: dict[int, Gain] = field(default_factory=dict)
+
+
+# -- how well one effect stands in for another that a catalogue lacks ------------------------------
+
+_ALMOST = 1e-9  # share of a column's square that the model's own columns leave of it, and is none
+
+
+def followed(
+    gram: FloatArray, base: Sequence[int], groups: Mapping[str, Sequence[tuple[int, ...]]]
+) -> FloatArray:
+    """Return how well each effect is followed by the best other one."""
+    own = list(base)
+    size = np.diagonal(gram)
+    scale = 1.0 / np.sqrt(np.maximum(size, 1e-300))
+    unit = gram * np.outer(scale, scale)
+    left = (
+        unit
+        - unit[:, own] @ np.linalg.pinv(unit[np.ix_(own, own)], 1e-9, hermitian=True) @ unit[own]
+    )
+    square = np.diagonal(left)
+    shown = square > _ALMOST
+    best: dict[str, FloatArray] = {}
+    for name, variants in groups.items():
+        most = np.zeros(len(left))
+        for columns in variants:
+            some = [k for k in columns if shown[k]]
+            if some:
+                cross = left[:, some]
+                inner = np.linalg.pinv(left[np.ix_(some, some)], 1e-9, hermitian=True)
+                most = np.maximum(most, np.einsum("ki,ij,kj->k", cross, inner, cross))
+        best[name] = most
+    shares = []
+    for name, variants in groups.items():
+        others = [best[other] for other in groups if other != name]
+        mine = [k for columns in variants for k in columns if shown[k]]
+        if others and mine:
+            most = np.max(others, axis=0)[mine] / square[mine]
+            shares.append(float(np.median(np.clip(most, 0.0, 1.0))))
+    return np.sort(np.array(shares))
+
+
+def followed_in(design: Design, candidates: Sequence[Candidate], best: Evaluated) -> FloatArray:
+    """Return how well each effect is followed by the best other one in drives."""
+    base, groups = [*range(len(PAPER))], dict[str, list[tuple[int, ...]]]()
+    usual = {part.effect.name for part in best.parts if part.effect.usual}
+    for one in candidates:
+        if one.name in usual:
+            base.extend(one.columns)
+        else:
+            groups.setdefault(one.name, []).append(one.columns)
+    return followed(weighted(design, best.errors).sum(axis=0)[:-1, :-1], base, groups)
+
+
+def chance_to_stand_in(share: float, known: FloatArray) -> float:
+    """Return the chance that a cause the catalogue lacks is followed as well as this, or better."""
+    at = np.concatenate([[0.0], known, [1.0]])
+    return float(np.interp(share, at, np.linspace(1.0, 0.0, len(at))))
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Whether what was named is there, or stands in for what the catalogue lacks."""
+
+    chances: Mapping[str, float]  # of each effect, that it is there
+    stranger: float  # that behind a name, or behind none, is something that the catalogue lacks
+
+    def of(self, name: str) -> float:
+        """Return the chance that an effect is there."""
+        return self.chances.get(name, 1.0)
+
+
+def presence(
+    searched: SearchResult,
+    parts: Sequence[Part],
+    quality: Adequacy,
+    left: Sequence[Dependence],
+    otherwise: bool,
+) -> Presence:
+    """Return the chances that effects are there, and do not stand in for what is missing.
+
+    Where more than noise is left, a name is as probable as few effects of the catalogue, were they
+    not known, would be followed as well by another. What lasts counts for more, as in the
+    likelihood of explanations.
+    """
+    depends = max((one.explained_variance for one in left if one.channel != "drive"), default=0.0)
+    if (quality.adequate and depends == 0.0) or not len(searched.followed):
+        return Presence({}, 0.0)
+    missing = np.maximum(quality.missing, depends * quality.slow_residual**2)
+    chances, named = dict[str, float](), list[float]()
+    for part, gain in zip(searched.best.parts, searched.best.gains, strict=True):
+        if part not in parts:
+            continue
+        falls = np.maximum(gain.falls, 0.0)
+        share = float(WEIGHTS @ (falls / np.maximum(falls + missing, 1e-300)))
+        if not part.effect.usual:
+            chances[part.effect.name] = 1.0 - chance_to_stand_in(share, searched.followed)
+            named.append(chances[part.effect.name])
+    return Presence(chances, 1.0 - min(named, default=1.0 if otherwise else 0.0))
+
+
+# -- sets of effects fitted as they are, losses included, and what an effect earns in one ----------
+
+_CHANCE = 0.05
+"""Chance of an effect's coefficients, over all candidates together, that is accepted of one that
+predicts unseen blocks better and outweighs its prior: three gates, each of which it must pass."""
+
+WORTHWHILE = 0.05
+"""Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
+
+WORTH = 0.004
+"""Part of the root mean square power from which on an effect is worth its place whatever else is
+missing. A smaller one is where it is more than what its set leaves beyond noise: what a model does
+not have looks like one effect or another of at most that size."""
+
+_LASTING = 0.45
+"""Part of what a change is worth that is left without the block that shows most of it, at least.
+Changes that are there leave half and more; an odd block that some line or time fits, two fifths at
+most."""
+
+_LASTING_COMPLETE = 0.3
+"""The same where what the set leaves beyond noise is worth no effect: then no block is odd."""
+
+_BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
+_FEWEST = 4  # samples that tell no noise
+
+LATE = -float(np.log(len(DELAYS)))
+"""Logarithm of the odds of a delay before the data: most logs' power is late, so that only the
+search for it counts."""
+
+
+# -- parameters that sets have from a grid, moved to where the sets fit best -----------------------
+
+_NOWHERE = 1e9  # loss of a line that was not crossed: finite, since a simplex takes differences
+
+Make = Callable[[FloatArray], tuple[list[Part], Problem]]
+"""From a part's parameters to the parts and drives with them."""
+
+
+def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
+    """Move the parameters of a part to where the loss is least.
+
+    While they move, losses are linear about the coefficients found where they start; the outcome is
+    taken where the fit with losses as they are finds it better, too.
+    """
+    start = part.values
+    trial, case = made(start)
+    ground = Ground(case.drives, case.vehicle) if part.effect.acts == "place" else None
+    terms = terms_of(trial)
+    found_there = fit(case.design(terms, errors), errors).values.tolist()
+    known = dict(zip((term.name for term in terms), found_there, strict=True))
+    if ground is not None:
+        start = ground.from_middle(start)
+
+    def fitted(values: FloatArray, rounds: int) -> float:
+        if ground is not None:
+            values = ground.from_origin(values)
+            if not ground.crosses(values):
+                return _NOWHERE
+        trial, case = made(values)
+        return fit(case.design(terms_of(trial), errors, known, rounds), errors).loss
+
+    def loss(values: FloatArray) -> float:
+        return fitted(values, 1)
+
+    span = _span(part) if ground is None else ground.first_step
+    inside = (
+        [(0.3 * x, 3.0 * x) for x in start]
+        if part.effect.grid and not _is_delay(part)
+        else [(x - 2 * s, x + 2 * s) for x, s in zip(start, span, strict=True)]
+    )
+    found = minimize(
+        loss,
+        start,
+        method="Nelder-Mead",
+        bounds=inside,
+        options={
+            "initial_simplex": start + np.vstack([np.zeros(len(start)), np.diag(span)]),
+            "maxfev": 30 * len(start),
+            "xatol": 1e-3,
+            "fatol": 1e-4,
+        },
+    )
+    better = found.fun < loss(start) and fitted(found.x, ROUNDS) < fitted(start, ROUNDS)
+    if not better:
+        return None
+    return np.asarray(found.x) if ground is None else ground.from_origin(found.x)
+
+
+def _is_delay(part: Part) -> bool:
+    return part.effect.name == "time_offset"
+
+
+def _span(part: Part) -> FloatArray:
+    """First step of each searched parameter: a good part of the grid's."""
+    if _is_delay(part):
+        return np.array([0.03, 0.05])[: len(part.params)]
+    return np.asarray(0.2 * np.abs(part.values))
+
+
+_KEPT = 8  # lines about which others are tried
+_KEPT_LAST = 16  # the same where nothing else is sought any more: more of them find no better line
+_TOGETHER = 16  # lines in one table
+_TELLS = 5.0  # by which a line raises the logarithm of the likelihood, at least; chance up to 4
+_SAMPLES = 5  # in a shortest window, that tell where a line may be
+
+Weighed = dict[tuple[frozenset[int], Late], float]
+"""Likelihood times prior of sets at time offsets, as logarithms."""
+
+
+def most_probable(weighed: Weighed) -> tuple[frozenset[int], Late]:
+    """Return the most probable set, and its time offset."""
+    return max(weighed, key=lambda key: weighed[key])
+
+
+# -- sets beside another one: what it may lack, or have in place of something else -----------------
+
+_TRIED = 18  # neighbours of a set, each of other effects, that are fitted as they are
+
+
+# -- which set of effects explains the drives, with a probability for each -------------------------
 
 _NOISE = 0.05
 """Singular value of regressors, each of unit size in means over two seconds, that the noise of
@@ -94,16 +608,15 @@ def _means(problem: Problem, parts: Sequence[Part], friction: FloatArray) -> Flo
 SIGNIFICANCE = 0.01
 """Chance that a channel is called a reason where it is none, over all channels together."""
 
-_AS_GOOD = 1.5  # odds of two explanations up to which neither is the better one
 _COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
 _PERIOD = 0.1  # over which the search averages drives [s]; sizes are fitted to all samples
-_SAMPLES = 60_000  # that the search works on
-_DRIVES = 40  # and of so many drives
+_MOST_SAMPLES = 60_000  # that the search works on
+_MOST_DRIVES = 40  # and of so many drives
 
 
-class Search(NeighbouringSets):
-    """Joint search over a catalogue."""
+class Search:
+    """Joint search over a catalogue: pool of sets, exact fits, best set moved and extended."""
 
     def __init__(
         self,
@@ -113,9 +626,11 @@ class Search(NeighbouringSets):
         limit: int,
         judged: Sequence[Drive] = (),
     ) -> None:
-        super().__init__(problem, effects, limit, judged)
+        self.quick = Proposals(problem, effects, limit, judged)
         self.progress = progress
         self.whole, self.excerpted = problem, False
+        self.rest = Rest(problem)
+        self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
         self.followed: FloatArray = np.array([])
         self.odds: dict[str, float] = {}
 
@@ -131,7 +646,7 @@ class Search(NeighbouringSets):
         def loss(late: Late) -> float:
             design = unknown.delayed(late).design(terms)
             errors = fit(design, np.ones(len(design.rows))).errors
-            return -float(self.problem.likelihood(errors, design.evidence))
+            return -float(self.quick.problem.likelihood(errors, design.evidence))
 
         found = least_late(loss, -RARE, _APART)
         if len(found) == 1 or not any(part.lossy for part in parts):
@@ -140,19 +655,19 @@ class Search(NeighbouringSets):
         return max(found, key=lambda late: self.score(self._fitted(totals.delayed(late), parts)))
 
     def _delays(self, nuisance: Sequence[Part]) -> list[Late]:
-        if self.delay is None:
+        if self.quick.delay is None:
             return [ON_TIME]
         linear = [part for part in nuisance if not part.lossy]
-        found = self._best_delay(linear, self.problem)
+        found = self._best_delay(linear, self.quick.problem)
         plain, late = (
-            self.score(self._fitted(self.problem.delayed(each), linear))
+            self.score(self._fitted(self.quick.problem.delayed(each), linear))
             for each in (ON_TIME, found)
         )
         return [ON_TIME, found] if late + RARE + OF_LOG > plain else [ON_TIME]
 
     def _masked_delay(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Late | None:
         """Return a time offset that a strong effect hid; None where there is none."""
-        if self.delay is None:
+        if self.quick.delay is None:
             return None
         best = self._best_of(pools)
         totals = best.problem.of_totals.delayed(ON_TIME)
@@ -165,27 +680,27 @@ class Search(NeighbouringSets):
         )
         return found if late + LATE > plain else None
 
-    def run(self) -> Found:
+    def run(self) -> SearchResult:
         """Search, and return the explanations, the most probable one first."""
-        self.progress(0.0, f"trying {len(self.effects)} effects together")
+        self.progress(0.0, f"trying {len(self.quick.effects)} effects together")
         usual = [
-            part for effect in self.effects if effect.usual and not effect.grid
-            for part in self.variants(effect)
+            part for effect in self.quick.effects if effect.usual and not effect.grid
+            for part in self.quick.variants(effect)
         ]  # fmt: skip
-        nuisance = [*usual, *(Part(e) for e in self.effects if e.terms == (HOTEL,))]
+        nuisance = [*usual, *(Part(e) for e in self.quick.effects if e.terms == (HOTEL,))]
         self.whole = self.whole.levelled(terms_of(nuisance))
         means = self.whole.averaged(_PERIOD)
-        self.problem = means.excerpt(_SAMPLES, _DRIVES)
-        self.excerpted = self.problem is not means
+        self.quick.problem = means.excerpt(_MOST_SAMPLES, _MOST_DRIVES)
+        self.excerpted = self.quick.problem is not means
         self._leave_inseparable()
         pools: dict[Late, tuple[list[Candidate], list[Set]]] = {}
         for late in self._delays(nuisance):
-            pools[late] = self.pool(late, usual)
+            pools[late] = self.quick.pool(late, usual)
         self.progress(0.5, "fitting the best sets")
         masked = self._masked_delay(pools)
         if masked is not None:
-            pools[masked] = self.pool(masked, usual)
-        self.errors = self._best_of(pools).errors
+            pools[masked] = self.quick.pool(masked, usual)
+        self.quick.errors = self._best_of(pools).errors
         weighed: Weighed = {}
         for late, (candidates, sets) in pools.items():
             for chosen in sets:
@@ -196,19 +711,19 @@ class Search(NeighbouringSets):
 
     def _leave_inseparable(self) -> None:
         """Leave out effects that drives of such motions do not tell from friction."""
-        tried = [e for e in self.effects if e.terms and e.acts in ("motion", "log")]
-        parts = [part for effect in tried for part in self.variants(effect)]
+        tried = [e for e in self.quick.effects if e.terms and e.acts in ("motion", "log")]
+        parts = [part for effect in tried for part in self.quick.variants(effect)]
         told = {
             part.effect.name
-            for part, one in zip(parts, separable(self.problem, parts), strict=True) if one
+            for part, one in zip(parts, separable(self.quick.problem, parts), strict=True) if one
         }  # fmt: skip
         gone = [effect for effect in tried if effect.name not in told]
-        self.effects = [effect for effect in self.effects if effect not in gone]
-        if self.delay is not None and not varies(self.problem):
-            gone.append(self.delay)
-            self.delay = None
+        self.quick.effects = [effect for effect in self.quick.effects if effect not in gone]
+        if self.quick.delay is not None and not varies(self.quick.problem):
+            gone.append(self.quick.delay)
+            self.quick.delay = None
         reason = "these drives hold too few motions to tell it from friction"
-        self.untested.extend((effect.name, reason) for effect in gone)
+        self.quick.untested.extend((effect.name, reason) for effect in gone)
 
     def _climb(
         self,
@@ -221,9 +736,7 @@ class Search(NeighbouringSets):
         what else it needs.
         """
         stones: set[tuple[Set, Late]] = set()
-        searched: set[frozenset[str]] = set()
-        for _ in range(self.limit):
-            self._redelay(weighed, pools)
+        for _ in range(self.quick.limit):
             self._settle_best(weighed, pools)
             self._settle_delay(weighed, pools)
             chosen, late = most_probable(weighed)
@@ -237,8 +750,6 @@ class Search(NeighbouringSets):
             if stone is not None:
                 stones.add(stone)
                 self._weigh_neighbours(weighed, stone[0], pools[stone[1]], stone[1])
-            if most_probable(weighed) in before:
-                self._search_lines_again(weighed, pools, searched)
             if most_probable(weighed) in before:
                 self._lessened(weighed, now, candidates, late)
                 return
@@ -298,33 +809,11 @@ class Search(NeighbouringSets):
                 self._gains(less, candidates, late)
                 weighed.setdefault((frozenset(less), late), self._posterior(less, candidates, late))
 
-    def _redelay(
-        self,
-        weighed: Weighed,
-        pools: Mapping[Late, list[Candidate]],
-    ) -> None:
-        """Weigh the best set at each other time offset, too.
-
-        Each offset has a pool of its own. A set of which one pool has only a part may be found in
-        that of an offset that it does not need.
-        """
-        chosen, found = most_probable(weighed)
-        wanted = [pools[found][k] for k in sorted(chosen)]
-        for late, candidates in pools.items():
-            same = [
-                k for k, one in enumerate(candidates)
-                if any((one.part, one.marked) == (other.part, other.marked) for other in wanted)
-            ]  # fmt: skip
-            known = (frozenset(same), late) in weighed
-            apart = max(abs(late.mean - found.mean), abs(late.lag - found.lag)) >= _APART
-            if apart and len(same) == len(wanted) and not known:
-                self._weigh(weighed, tuple(same), candidates, late)
-
     def _explained(
         self,
         weighed: Weighed,
         pools: dict[Late, list[Candidate]],
-    ) -> Found:
+    ) -> SearchResult:
         # Exact ties go to the effect that comes first in the catalogue.
         keys = sorted(weighed, key=lambda key: (-round(weighed[key], 2), sorted(key[0])))
         values = np.array([weighed[key] for key in keys])
@@ -341,9 +830,9 @@ class Search(NeighbouringSets):
             )
             parts = [candidates[k].part for k in order]
             gains = [one.gains[k] for k in order]
-            if offset != ON_TIME and self.delay is not None:
+            if offset != ON_TIME and self.quick.delay is not None:
                 still = self._evaluate(numbers, candidates, ON_TIME) if pools.get(ON_TIME) else one
-                late = Part(self.delay, offset.params)
+                late = Part(self.quick.delay, offset.params)
                 gain = self._gain(one, still, late, 1.0)
                 if gain.weight + LATE < 0.0 or gain.improvement < WORTHWHILE:
                     continue
@@ -353,11 +842,9 @@ class Search(NeighbouringSets):
                 parts.insert(place, late)
                 gains.insert(place, gain)
             problem = one.problem.starting_from(self._coefficients(one))
-            explanations.append(
-                Explanation(tuple(parts), float(probability), problem, tuple(gains))
-            )
+            explanations.append(EffectSet(tuple(parts), float(probability), problem, tuple(gains)))
         # Variants of the same effects are one explanation: that of the best of them.
-        joined: dict[frozenset[str], Explanation] = {}
+        joined: dict[frozenset[str], EffectSet] = {}
         for new in explanations:
             names = frozenset(new.names)
             known = joined.get(names)
@@ -374,9 +861,9 @@ class Search(NeighbouringSets):
         )
         ranked = [replace(one, problem=self._of_all(one)) for one in ranked]
         ranked[0] = self._refined(ranked[0])
-        return Found(tuple(ranked), tuple(self.untested), self.followed, self.odds)
+        return SearchResult(tuple(ranked), tuple(self.quick.untested), self.followed, self.odds)
 
-    def _of_all(self, one: Explanation) -> Problem:
+    def _of_all(self, one: EffectSet) -> Problem:
         """Return whole drives with what an explanation says of their means, or of excerpts."""
         few, whole = one.problem, self.whole.delayed(one.problem.drives[0].late)
         whole = whole.starting_from(few.memory)
@@ -389,7 +876,7 @@ class Search(NeighbouringSets):
         drives = [drive.changed_as(means) for drive, means in pairs]
         return Problem(drives, whole.vehicle, whole.memory)
 
-    def _classed(self, ranked: Sequence[Explanation]) -> list[Explanation]:
+    def _classed(self, ranked: Sequence[EffectSet]) -> list[EffectSet]:
         """Say of each explanation which others these drives cannot tell it from.
 
         Of those the one is first whose masses are most like the vehicle's; where these hardly tell
@@ -399,52 +886,42 @@ class Search(NeighbouringSets):
         compared = [one for one in ranked if one.probability > _COMPARED]
         accounts = []
         for one in compared:
-            design = one.problem.design(terms_of(one.parts), self.errors)
+            design = one.problem.design(terms_of(one.parts), self.quick.errors)
             errors = one.problem.reference(design)
             accounts.append(Account(design, fit(design, errors), errors))
-        number = classes(accounts, lambda e, n: float(self.problem.likelihood(e, n)))
-        share = np.array([one.probability for one in compared])
-        pairs = zip(compared, accounts, strict=True)
-        like = np.array([likeness(e.problem.vehicle, e.parts, a.fit) for e, a in pairs])
-        for head in set(number):
-            same = np.flatnonzero(np.array(number) == head)
-            weighed = share[same] * like[same]
-            if weighed.any():
-                share[same] = weighed * (share[same].sum() / weighed.sum())
-            near = same[_AS_GOOD * share[same] >= share[same].max()]
-            share[near] = share[near].mean()
+        number = classes(accounts, lambda e, n: float(self.quick.problem.likelihood(e, n)))
         told = list(ranked)
         for k, one in enumerate(compared):
             alike = (j for j in range(len(compared)) if j != k and number[j] == number[k])
             names = tuple(compared[j].names for j in alike)
-            told[k] = replace(one, probability=float(share[k]), alike=names)
-        order = {effect.name: k for k, effect in enumerate(self.effects)}
+            told[k] = replace(one, alike=names)
+        order = {effect.name: k for k, effect in enumerate(self.quick.effects)}
         places = [sorted(order.get(name, -1) for name in one.names) for one in told]
         shares = [-round(one.probability, 3) for one in told]
         return [told[k] for k in sorted(range(len(told)), key=lambda k: (shares[k], places[k]))]
 
-    def take_all(self) -> Found:
+    def take_all(self) -> SearchResult:
         """Take every effect whether it helps or not, in the order given.
 
         Losses are fitted first, and where something changes last: what they take, and what is
         missing, looks like other effects, whose parameters are chosen one effect after the other.
         """
         parts: list[Part] = []
-        problem = self.problem
+        problem = self.quick.problem
         order = sorted(
-            self.effects, key=lambda e: (not Part(e).lossy, e.acts in ("change", "place"))
+            self.quick.effects, key=lambda e: (not Part(e).lossy, e.acts in ("change", "place"))
         )
         for effect in order:
-            variants = self.variants(effect)
+            variants = self.quick.variants(effect)
             if effect.acts == "change":
                 problem = mark_changes(problem, terms_of(parts), _errors(problem, parts))
             trials = [self._fitted(problem, [*parts, part]) for part in variants]
             parts.append(variants[int(np.argmax([self.score(one) for one in trials]))])
-        parts.sort(key=lambda part: self.effects.index(part.effect))
-        if self.delay is not None:
+        parts.sort(key=lambda part: self.quick.effects.index(part.effect))
+        if self.quick.delay is not None:
             late = self._best_delay(parts, problem)
             problem = problem.delayed(late)
-            parts.append(Part(self.delay, late.params))
+            parts.append(Part(self.quick.delay, late.params))
         full = self._fitted(problem, parts)
         for k, part in enumerate(parts):
             if part.effect.acts == "place":
@@ -454,8 +931,462 @@ class Search(NeighbouringSets):
         for part in parts:
             rest = [other for other in parts if other is not part]
             gains.append(self._gain(full, self._fitted(problem, rest), part, 1.0))
-        one = Explanation(tuple(parts), 1.0, problem, tuple(gains))
-        return Found((self._refined(one),), tuple(self.untested), np.array([]), {})
+        one = EffectSet(tuple(parts), 1.0, problem, tuple(gains))
+        return SearchResult((self._refined(one),), tuple(self.quick.untested), np.array([]), {})
+
+    def _weigh_neighbours(
+        self, weighed: Weighed, now: Set, candidates: list[Candidate], late: Late
+    ) -> tuple[list[Set], FloatArray, FloatArray]:
+        """Weigh the neighbours of a set that promise most."""
+        one = self._evaluate(now, candidates, late)
+        about = self.quick.about(one.problem, one.parts, one.errors)
+        design = self.quick.table(self.quick.problem.delayed(late), candidates, about)
+        follows = followed_in(design, candidates, one)
+        others = [k for k in range(len(candidates)) if k not in now]
+        # A change takes up what others of its set are beside the truth by: without one, too.
+        cores = [now, tuple(k for k in now if candidates[k].marked is None)]
+        trials = [set(core) for core in cores if core != now]
+        for core in dict.fromkeys(cores):
+            trials += [{*core, new} for new in others]
+            trials += [
+                {*core, new} - {old} for old in core for new in others
+                if not candidates[old].always
+            ]  # fmt: skip
+        sets = [tuple(sorted(some)) for some in trials]
+        sets = [some for some in sets if self.quick.compatible(candidates, some)]
+        scores = self.quick.scores(design, candidates, sets, one.errors)
+        pairs = [
+            one
+            for core in dict.fromkeys(cores)
+            for one in self._pairs(core, sets, scores, candidates)
+        ]
+        scores = np.append(scores, self.quick.scores(design, candidates, pairs, one.errors))
+        sets += pairs
+        best: dict[frozenset[str], Set] = {}
+        for k in np.argsort(-scores, kind="stable"):
+            best.setdefault(frozenset(candidates[j].name for j in sets[k]), sets[k])
+        tried = [*best.values()][:_TRIED]
+        tried += self._losses(sets, scores, candidates, one)
+        for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
+            self._weigh(weighed, some, candidates, late)
+        own = float(self.quick.scores(design, candidates, [now], one.errors)[0])
+        # Where the quick search takes the set itself for impossible, it has no odds to tell.
+        return sets, scores - own if np.isfinite(own) else np.full(len(sets), -np.inf), follows
+
+    def _pairs(
+        self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
+    ) -> list[Set]:
+        """Return a set with two further effects, of those that add most to it: they may mask."""
+        best: dict[str, int] = {}
+        for k in np.argsort(-scores, kind="stable"):
+            if set(now) < set(sets[k]) and len(sets[k]) == len(now) + 1:
+                (new,) = set(sets[k]) - set(now)
+                best.setdefault(candidates[new].name, new)
+        pairs = combinations(list(best.values())[:PAIRED], 2)
+        some = (tuple(sorted({*now, *pair})) for pair in pairs)
+        return [one for one in some if self.quick.compatible(candidates, one)]
+
+    def _losses(
+        self, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate],
+        now: Evaluated,
+    ) -> list[Set]:  # fmt: skip
+        """Return the best set with each loss.
+
+        How much a loss explains, the quick search cannot see: it takes for linear what multiplies
+        all other forces.
+        """
+        found: dict[str, Set] = {}
+        names = {part.effect.name for part in now.parts}
+        for k in np.argsort(-scores, kind="stable"):
+            for one in (candidates[j] for j in sets[k]):
+                if one.name not in names and one.part.lossy:
+                    found.setdefault(one.name, sets[k])
+        return list(found.values())
+
+    def _weigh(
+        self, weighed: Weighed, chosen: Set, candidates: Sequence[Candidate], late: Late
+    ) -> None:
+        """Weigh what of a set earns a place in it."""
+        one = self._reduced(chosen, candidates, late)
+        weighed[frozenset(one), late] = self._posterior(one, candidates, late)
+
+    def _settle_best(
+        self,
+        weighed: Weighed,
+        pools: Mapping[Late, list[Candidate]],
+    ) -> None:
+        """Move the parameters of the best set, which a grid has, to where it fits best.
+
+        What a value of the grid beside the true one leaves would look like one effect or another.
+        """
+        self._settle_some(weighed, pools, lambda one: bool(one.part.params) and not one.settled)
+
+    def _settle_some(
+        self,
+        weighed: Weighed,
+        pools: Mapping[Late, list[Candidate]],
+        which: Callable[[Candidate], bool],
+        kept: int = _KEPT,
+    ) -> None:
+        """Weigh the best set with the parameters of some of its effects where it fits best."""
+        chosen, late = most_probable(weighed)
+        candidates, now = pools[late], tuple(sorted(chosen))
+        one = self._evaluate(now, candidates, late)
+        moved: Set | None = None
+        for k in now:
+            if which(candidates[k]):
+                moved = self._settle(k, moved or now, candidates, one, kept) or moved
+        if moved is not None:
+            self._weigh(weighed, moved, candidates, late)
+
+    def _settle_delay(
+        self,
+        weighed: Weighed,
+        pools: dict[Late, list[Candidate]],
+    ) -> None:
+        """Move a time offset to where the best set fits best.
+
+        It was found without most of the set, and what it is beside the true one by looks like one
+        effect or another.
+        """
+        chosen, late = most_probable(weighed)
+        if self.quick.delay is None or late == ON_TIME:
+            return
+        one = self._evaluate(tuple(sorted(chosen)), pools[late], late)
+        part = Part(self.quick.delay, late.params)
+        made = self._moved([*one.parts, part], len(one.parts), one.problem)
+        better = settled(part, made, one.errors)
+        if better is not None:
+            moved = Late.of(made(better)[0][-1].params)
+            pools[moved] = pools[late]
+            self._weigh(weighed, tuple(sorted(chosen)), pools[moved], moved)
+
+    def _settle(
+        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated, kept: int = _KEPT,
+        least: float = -np.inf,
+    ) -> Set | None:  # fmt: skip
+        """Return a set with a candidate's parameters moved to where it fits best, if it does.
+
+        What is moved becomes a further candidate, as probable before the data as it was. A line
+        has to raise the logarithm of the likelihood by `least`.
+        """
+        parts, at = [candidates[j].part for j in chosen], chosen.index(k)
+        if parts[at].effect.acts == "place":
+            line = self._nearest(parts, at, now, kept, least)
+            if line is None:
+                return None
+            parts[at] = line
+        part, made = parts[at], self._moved(parts, at, now.problem)
+        better = settled(part, made, now.errors)
+        if better is None:
+            if part == candidates[k].part:
+                return None
+            better = part.values
+        last = max(one.columns[-1] for one in candidates if one.columns)
+        columns = tuple(range(last + 1, last + 1 + len(part.terms)))
+        part = made(better)[0][at]
+        candidates.append(replace(candidates[k], part=part, columns=columns, settled=True))
+        return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
+
+    def _nearest(
+        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST,
+        least: float = -np.inf,
+    ) -> Part | None:  # fmt: skip
+        """Return the line with which a set fits best, of many: the nearest to start from.
+
+        Wheels cross a border one after the other, so that lines beside the best one are worse than
+        others that are far from it. About the best of a grid further ones are tried, closer and
+        closer to each other. None where none of that grid tells as much as `least`.
+        """
+        problem = now.problem.thinned(_SAMPLES)
+        about = self.quick.about(now.problem, now.parts, now.errors)
+        rest = [part for k, part in enumerate(parts) if k != at]
+        ground = Ground(problem.drives, problem.vehicle)
+        best = [*ground.lines(parts[at].effect, fine=True), parts[at]]
+        for level in range(ground.levels + 1):
+            if level:
+                best = list(ground.about(best, level))
+            tables = [
+                self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
+                for k in range(0, len(best), _TOGETHER)
+            ]
+            scores = np.concatenate([table[1:] for table in tables])
+            if scores.max() < tables[0][0] + least:
+                return None
+            ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
+            best = ground.apart(ranked, level)[:kept]
+        return best[0]
+
+    def _alone(
+        self, rest: Sequence[Part], new: Sequence[Part], problem: Problem, about: About,
+        errors: FloatArray,
+    ) -> FloatArray:  # fmt: skip
+        """Score a set, and the set with one of several further parts each."""
+        candidates, first = [], len(PAPER)
+        for part in (*rest, *new):
+            columns = tuple(range(first, first + len(part.terms)))
+            first += len(columns)
+            candidates.append(Candidate(part, columns, 0.0))
+        design = self.quick.table(problem, candidates, about)
+        own = tuple(range(len(rest)))
+        sets = [own, *((*own, len(rest) + k) for k in range(len(new)))]
+        return self.quick.scores(design, candidates, sets, errors)
+
+    def _settled_lines(
+        self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
+    ) -> list[Set]:
+        """Return the best set with each effect of a place, its line moved to where it fits best.
+
+        Lines of a grid lie up to half a step beside the border, and tell only part of it. One that
+        tells nothing is beside none. Sets with a further loss do not count: the quick search takes
+        it for linear about none.
+        """
+        found: list[Set] = []
+        losses = {part.effect.name for part in now.parts if part.lossy}
+        plain = [
+            k for k in np.argsort(-scores, kind="stable")
+            if not any(candidates[j].marked for j in sets[k])
+            and losses >= {candidates[j].name for j in sets[k] if candidates[j].part.lossy}
+        ]  # fmt: skip
+        known = {part.effect.name for part in now.parts}
+        if any(part.effect.acts == "change" for part in now.parts):
+            known = set()
+        for effect in self.quick.effects:
+            if effect.acts != "place" or effect.name in known:
+                continue
+            own = {
+                k for k, one in enumerate(candidates)
+                if one.part.effect is effect and not one.settled
+            }  # fmt: skip
+            best, other = (
+                next((k for k in plain if bool(own & set(sets[k])) == crossed), None)
+                for crossed in (True, False)
+            )
+            if best is None:
+                continue
+            (line,) = own & set(sets[best])
+            likely = scores[best] - candidates[line].prior
+            if other is not None and likely < scores[other] + _TELLS:
+                continue
+            moved = self._settle(line, sets[best], candidates, now)
+            if moved is not None:
+                found.append(moved)
+        return found
+
+    def _refined(self, best: EffectSet) -> EffectSet:
+        """Move the parameters that were searched on a grid to where the loss is least."""
+        parts, problem = list(best.parts), best.problem
+        design = problem.design(terms_of(parts))
+        errors = problem.reference(design)
+        for k, part in enumerate(parts):
+            if not part.params:
+                continue
+
+            made = self._moved(parts, k, problem)
+            better = settled(part, made, errors)
+            if better is not None:
+                parts, problem = made(better)
+        return replace(best, parts=tuple(parts), problem=problem)
+
+    def _moved(self, parts: Sequence[Part], k: int, problem: Problem) -> Make:
+        """Return a function from a part's parameters to the parts and drives with them."""
+        part = parts[k]
+
+        def made(values: FloatArray) -> tuple[list[Part], Problem]:
+            named = zip((key for key, _ in part.params), values.tolist(), strict=True)
+            trial = [*parts[:k], replace(part, params=tuple(named)), *parts[k + 1 :]]
+            late = part.effect is self.quick.delay
+            return trial, problem.delayed(Late.of(trial[k].params)) if late else problem
+
+        return made
+
+    def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
+        every = [
+            self._evaluate(chosen, candidates, late)
+            for late, (candidates, sets) in pools.items() for chosen in sets
+        ]  # fmt: skip
+        return max(every, key=self.score)
+
+    def score(self, one: Evaluated) -> float:
+        """Return the logarithm of an evaluated set's likelihood, that of its innovations.
+
+        What the past of a residual foretells is no evidence against a set, and a fall of what lasts
+        alone is none for it.
+        """
+        return (
+            float(self.quick.problem.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
+        )
+
+    def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
+        """Fit a set as it is, losses included."""
+        key = (chosen, late)
+        if key not in self.evaluated:
+            parts = tuple(candidates[one].part for one in chosen)
+            marked = next(
+                (candidates[one].marked for one in chosen if candidates[one].marked), None
+            )
+            problem = (
+                self.quick.problem if marked is None else with_changes(self.quick.problem, marked)
+            )
+            problem = problem.delayed(late)
+            self.evaluated[key] = self._fitted(problem, parts, self._of_a_part(chosen, late))
+        return self.evaluated[key]
+
+    def _of_a_part(self, chosen: Set, late: Late) -> dict[str, float] | None:
+        """Return the coefficients of the best part of a set that was fitted before; None of none.
+
+        A fit with losses that begins there takes fewer steps, and explains no less.
+        """
+        parts = [
+            one for (some, at), one in self.evaluated.items()
+            if at == late and one.sound and set(some) < set(chosen)
+        ]  # fmt: skip
+        return self._coefficients(max(parts, key=self.score)) if parts else None
+
+    def _fitted(
+        self, problem: Problem, parts: Sequence[Part], start: Mapping[str, float] | None = None
+    ) -> Evaluated:
+        """Fit parts, losses included; from the other side of a bound where a loss ends beyond it.
+
+        What losses take is not linear, and may fit as well with the sign that no robot has.
+        """
+        one = self._fitted_from(problem, parts, start)
+        values = self._coefficients(one)
+        beyond = {
+            term.name: 2.0 * term.bounds[0] - values[term.name]
+            for part in parts for term in part.terms
+            if term.kind == "loss" and values[term.name] < term.bounds[0]
+        }  # fmt: skip
+        if one.sound or not beyond:
+            return one
+        other = self._fitted_from(problem, parts, values | beyond)
+        return other if other.sound else one
+
+    def _fitted_from(
+        self, problem: Problem, parts: Sequence[Part], start: Mapping[str, float] | None
+    ) -> Evaluated:
+        terms = terms_of(parts)
+        design = problem.design(terms, self.quick.errors, start)
+        errors = problem.reference(design)
+        found = fit(design, errors)
+        sound = self.rest.agrees(problem, parts, found)
+        shares = innovations(design, residuals(design, found.values))
+        odds = problem.odds(terms, found.values)
+        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
+
+    def _coefficients(self, one: Evaluated) -> dict[str, float]:
+        """Return the coefficients of an evaluated set, by name of their term."""
+        pairs = zip(terms_of(one.parts), one.fit.values.tolist(), strict=True)
+        return {term.name: value for term, value in pairs}
+
+    def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
+        """Return what a part is worth in a set, against the set without it."""
+        floor = self.quick.problem.floor
+        scale = 1.0 / (less.errors + floor)
+        # What shows in one equation alone is no less worth for it.
+        fall = less.fit.squares - full.fit.squares
+        falls, shares = (
+            (fall * by[:, None]).reshape(-1, len(SCALES), fall.shape[1]).mean(axis=1)
+            for by in (scale, FLOOR**2 / floor)
+        )
+        blocks = falls[np.argmax(falls.sum(axis=1))]
+        return Gain(
+            float(blocks.sum()), float(np.sqrt(len(blocks)) * blocks.std(ddof=1)),
+            self._p_value(full, part, looks), self.score(full) - self.score(less),
+            float(np.sqrt(max(shares.sum(axis=1).max(), 0.0))), fall.sum(axis=1)[: len(SCALES)],
+            float(blocks.sum() - blocks.max()),
+        )  # fmt: skip
+
+    def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
+        """Chance of a part's coefficients being this far from zero, over all candidates."""
+        own = {term.name for term in part.terms}
+        which = [k for k, term in enumerate(terms_of(full.parts)) if term.name in own]
+        return min(full.fit.p_value(which) * looks, 1.0) if which else 0.0
+
+    def _missing(self, one: Evaluated) -> float:
+        """Return what a set leaves beyond noise, over the root mean square power.
+
+        Of means of the total power at each scale, whichever leaves most. By chance noise alone
+        leaves nothing in all but one of a thousand sets.
+        """
+        noise, power = [], []
+        for drive in one.problem.drives:
+            noise.append(speed_noise(drive.power) ** 2 if len(drive.power) > _FEWEST else 0.0)
+            power.append(float(np.mean(drive.power**2)))
+        samples = float(sum(len(drive.t) for drive in one.problem.drives))
+        means = one.counts[: len(SCALES)]
+        limit = fisher.isf(_BY_CHANCE / len(SCALES), means, samples) * np.median(noise)
+        left = one.fit.errors[: len(SCALES)] - limit * means / samples
+        return float(np.sqrt(max(left.max(), 0.0) / max(np.mean(power), 1e-300)))
+
+    def _acceptable(self, gain: Gain, one: Candidate, full: Evaluated, less: Evaluated) -> bool:
+        """Tell whether an effect earns its place in a set, given the set with and without it.
+
+        However small, an effect is needed where the others are impossible without it.
+        """
+        return (self._large(gain, full) or not less.sound) and self._shown(gain, one, full)
+
+    def _large(self, gain: Gain, full: Evaluated) -> bool:
+        """Tell whether an effect is large enough to be named."""
+        return gain.improvement > WORTHWHILE and (
+            gain.share > WORTH or gain.share > self._missing(full)
+        )
+
+    def _shown(self, gain: Gain, one: Candidate, full: Evaluated) -> bool:
+        """Tell whether drives show an effect, however small it is."""
+        if one.part.effect.acts in ("change", "place"):
+            # Where or when something changes was searched with all blocks: the block that shows
+            # most of it is not foretold by the others.
+            foretold = gain.lasting > _LASTING * gain.improvement or (
+                gain.lasting > _LASTING_COMPLETE * gain.improvement and self._missing(full) <= WORTH
+            )
+        else:
+            foretold = gain.lasting > 0.0 or gain.improvement > gain.error
+        return foretold and gain.p_value < _CHANCE and gain.weight + one.prior > 0.0
+
+    def _posterior(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> float:
+        one = self._evaluate(chosen, candidates, late)
+        prior = sum(candidates[k].prior for k in chosen)
+        if late != ON_TIME:
+            prior += LATE
+        return self.score(one) + prior
+
+    def _reduced(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Set:
+        """Take out what earns no place, the worst first."""
+        now = chosen
+        while now:
+            full = self._evaluate(now, candidates, late)
+            chance = {
+                k: self._p_value(full, candidates[k].part, self._looks(candidates[k])) for k in now
+            }
+            weak = max(now, key=lambda k: chance[k])
+            if chance[weak] < _CHANCE:
+                gains, less = self._gains(now, candidates, late)
+                poor = [
+                    k for k in now
+                    if not self._acceptable(gains[k], candidates[k], full, less[k])
+                ]  # fmt: skip
+                if full.sound and not poor:
+                    return now
+                # Nonsense that fits: what explains least is the culprit.
+                weak = min(poor or now, key=lambda k: gains[k].weight + candidates[k].prior)
+            now = tuple(k for k in now if k != weak)
+        return now
+
+    def _looks(self, one: Candidate) -> float:
+        """Return how many effects were looked for where one was found; a usual one is always."""
+        return 1.0 if one.part.effect.usual else float(len(self.quick.effects))
+
+    def _gains(
+        self, now: Set, candidates: Sequence[Candidate], late: Late
+    ) -> tuple[dict[int, Gain], dict[int, Evaluated]]:
+        """Return what each effect of a set is worth in it, and the sets without it."""
+        full = self._evaluate(now, candidates, late)
+        less = {k: self._evaluate(tuple(j for j in now if j != k), candidates, late) for k in now}
+        for k in now:
+            looks = self._looks(candidates[k])
+            full.gains[k] = self._gain(full, less[k], candidates[k].part, looks)
+        return full.gains, less
 
 
 def _errors(problem: Problem, parts: Sequence[Part]) -> FloatArray:

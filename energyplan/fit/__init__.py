@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from energyplan.fit.drives.parting import split_drives
-from energyplan.fit.icr import fit_icr
+from energyplan.fit.drive import split_drives
+from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin
 from energyplan.fit.identification import (
-    ICREstimate,
     Identification,
     fit_residual,
-    icr_from_spin,
     identify,
 )
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from energyplan.errors import NotIdentifiableError
-from energyplan.fit.covariance import autocorrelation, local_scale, sum_covariance
+from energyplan.fit.solvers import autocorrelation, local_scale, sum_covariance
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.vehicle import TreadICR

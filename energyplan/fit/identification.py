@@ -2,40 +2,431 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
-from energyplan.fit.adequacy import Adequacy, Beside, adequacy, beside, usual_effects, usual_terms
-from energyplan.fit.breakaway import with_breakaway
-from energyplan.fit.covariance import autocorrelation
-from energyplan.fit.drives.drive import Drive, check_long_enough, prepared
-from energyplan.fit.foretold import Foretold, foretold
-from energyplan.fit.icr import ICREstimate, fit_icr, icr_from_spin, turned, yaw_channel
-from energyplan.fit.identifiability import check_identifiable, linearise, signal_motion
-from energyplan.fit.joint import joint_fit
-from energyplan.fit.problem import Problem
-from energyplan.fit.regression import Method, PowerRegression
-from energyplan.fit.residuals import statistics
-from energyplan.fit.solvers import Bounds
-from energyplan.fit.usual import ends_in_words, open_in_words
+from energyplan.fit.doubts import (
+    Adequacy,
+    Beside,
+    Foretold,
+    adequacy,
+    beside,
+    check_identifiable,
+    ends_in_words,
+    foretold,
+    is_linear,
+    linearise,
+    open_in_words,
+    pieces_of,
+    signal_motion,
+    statistics,
+    usual_effects,
+    usual_terms,
+)
+from energyplan.fit.drive import Drive, check_long_enough, prepared
+from energyplan.fit.estimate import Problem, joint_fit, with_breakaway
+from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
+from energyplan.fit.regressors import linearise_drive, power_of
+from energyplan.fit.solvers import (
+    HUBER_TUNING,
+    Bounds,
+    autocorrelation,
+    column_scale,
+    huber,
+    lad,
+    local_scale,
+    normal_scores,
+    robust_scale,
+    sandwich,
+    simplex,
+    sum_covariance,
+    weighted_least_squares,
+)
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
-from energyplan.logs.checks import find_lost_sign, refuse_one_side, without_copies
+from energyplan.logs.checks import find_checks, find_lost_sign, refuse_one_side, without_copies
 from energyplan.logs.clean import set_aside_by_drive
+from energyplan.logs.consistency import correlation, distance_ratio, lasts, yaw_rates
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
 from energyplan.records import ByValue
 from energyplan.vehicle import TreadICR, Vehicle
 
-__all__ = ["ICREstimate", "Identification", "fit_icr", "fit_residual", "icr_from_spin", "identify"]
+# -- the fit itself: measured power of all logs against a model that may not be linear -------------
+
+Method = Literal["lad", "simplex", "huber", "windows"]
+Loss = Callable[[FloatArray], float]
+
+_IDLE = 0.01
+"""Size of a regressor, over its usual one, below which a sample says nothing about it."""
+
+
+def telling(design: FloatArray) -> NDArray[np.bool_]:
+    """Tell which samples say something about the coefficients.
+
+    A robot at rest says nothing about friction, however long it stands: its residual is not that
+    of a driving one, and where half of a log is rest, its residual is the whole log's median.
+    """
+    size = np.abs(design)
+    usual = np.sqrt(np.einsum("ij,ij->j", size, size) / np.maximum((size > 0).sum(axis=0), 1))
+    found = np.any(size > _IDLE * usual, axis=1)
+    return found if np.count_nonzero(found) > design.shape[1] else np.ones(len(design), bool)
+
+
+def kept_pieces(pieces: Sequence[slice], kept: NDArray[np.bool_]) -> list[slice]:
+    """Return stretches without a gap among the kept samples, counted over those alone."""
+    number = np.concatenate([[0], np.cumsum(kept)])
+    edges = [0]
+    for piece in pieces:
+        steps = np.flatnonzero(np.diff(kept[piece].astype(int))) + piece.start + 1
+        edges += [*number[steps], number[piece.stop]]
+    bounds = np.unique(edges).tolist()
+    return [slice(a, b) for a, b in pairwise(bounds)]
+
+
+class PowerRegression:
+    """Measured total power and the predictions to fit to it, all drives one below the other."""
+
+    def __init__(self, drives: Sequence[Drive], model: PowerModel) -> None:
+        self._start = model
+        self._drives = [replace(drive, between=None) for drive in drives]
+        self._measured = np.concatenate([drive.power for drive in drives])
+        self.pieces = pieces_of(drives)
+        self._linear = is_linear(model) and not (
+            any(drive.battery for drive in drives) and not is_linear(model.battery_side())
+        )
+
+    def powers(self, model: PowerModel) -> list[FloatArray]:
+        """Return the predicted power of each drive [W]."""
+        return [drive.seen(power_of(model, drive)) for drive in self._drives]
+
+    def residual(self, model: PowerModel) -> FloatArray:
+        """Measured minus predicted power [W]."""
+        return np.asarray(self._measured - np.concatenate(self.powers(model)))
+
+    def _linearise(self, model: PowerModel) -> tuple[FloatArray, FloatArray]:
+        """Target and design of the linear problem at a model's coefficients."""
+        parts = [
+            linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
+            for drive in self._drives
+        ]
+        jacobian = np.concatenate([part.columns[:, 0] for part in parts])
+        power = np.concatenate([part.power[:, 0] for part in parts])
+        return self._measured - power + jacobian @ model.coefficients, jacobian
+
+    def solve(self, method: Method, bounds: Bounds) -> PowerModel:
+        """Return the model with the coefficients that minimise the method's sum."""
+        if method not in ("lad", "simplex", "huber"):
+            raise UnknownNameError("method", str(method), ("lad", "simplex", "huber"))
+        if method == "simplex":
+            rough = self._iterate(weighted_least_squares, lambda _: _squares, bounds)
+            found = self._simplex(rough, bounds)
+        elif method == "lad":
+            found = self._iterate(lad, lambda _: _absolute, bounds)
+        else:
+            found = self._iterate(huber, _huber_loss, bounds)
+        return self._start.with_coefficients(self._snapped(found, bounds))
+
+    def _snapped(self, c: FloatArray, bounds: Bounds) -> FloatArray:
+        """Put coefficients that are at a bound but for rounding at the bound."""
+        _, design = self._linearise(self._start.with_coefficients(c))
+        watt = 1e-9 * float(np.max(np.abs(self._measured), initial=0.0))
+        for bound in (bounds.lower, bounds.upper):
+            c = np.where(np.abs(c - bound) * column_scale(design) < watt, bound, c)
+        return c
+
+    def _simplex(self, start: FloatArray, bounds: Bounds) -> FloatArray:
+        target, design = self._linearise(self._start)
+
+        def linear(c: FloatArray) -> float:
+            return float(np.abs(target - design @ c).sum())
+
+        def general(c: FloatArray) -> float:
+            return _absolute(self.residual(self._start.with_coefficients(c)))
+
+        return simplex(linear if self._linear else general, start, bounds)
+
+    def _iterate(
+        self,
+        fit: Callable[[FloatArray, FloatArray, Bounds], FloatArray],
+        merit: Callable[[FloatArray], Loss],
+        bounds: Bounds,
+    ) -> FloatArray:
+        """Solve a sequence of linear problems, each about the solution of the one before it."""
+        target, design = self._linearise(self._start)
+        if self._linear:
+            return fit(design, target, bounds)
+        # The losses act on forces: find those first, without losses.
+        lossy = np.array([term.kind == "loss" for term in self._start.terms])
+        c = np.array(self._start.coefficients)
+        free = np.flatnonzero(~lossy)
+        c[free] = fit(
+            design[:, free],
+            target - design[:, lossy] @ c[lossy],
+            Bounds(bounds.lower[free], bounds.upper[free]),
+        )
+        for _ in range(50):
+            residual = self.residual(self._start.with_coefficients(c))
+            loss = merit(residual)
+            value = loss(residual)
+            target, design = self._linearise(self._start.with_coefficients(c))
+            step = fit(design, target, bounds) - c
+            for _ in range(30):
+                trial = loss(self.residual(self._start.with_coefficients(c + step)))
+                if trial < value:
+                    break
+                step *= 0.5
+            else:
+                break
+            c = c + step
+            if value - trial <= 1e-12 * value:
+                break
+        return bounds.clip(c)
+
+    def covariance(self, model: PowerModel, method: Method) -> FloatArray:
+        """Covariance of the coefficients under autocorrelated, heteroscedastic residuals."""
+        target, design = self._linearise(model)
+        informative = telling(design)
+        target, design = target[informative], design[informative]
+        pieces = kept_pieces(self.pieces, informative)
+        residual = target - design @ model.coefficients
+        noise = autocorrelation(normal_scores(residual), pieces, design)
+        sigma = robust_scale(residual)
+        sigma = max(sigma, 1e-9 * float(np.max(np.abs(self._measured), initial=1e-300)))
+        if method == "huber":
+            edge = HUBER_TUNING * sigma
+            scale = local_scale(np.clip(residual, -edge, edge), noise.repeats)
+            rho = noise.rho
+            slope = (np.abs(residual) < edge).astype(float)
+        else:
+            scale = np.ones(len(residual))
+            # Signs of jointly normal values are correlated by the arcsine law.
+            rho = 2 / np.pi * np.arcsin(np.clip(noise.rho, -1.0, 1.0))
+            slope = 2.0 * _density_at_zero(residual, sigma, len(residual) / noise.repeats)
+        bread = (design * slope[:, None]).T @ design
+        meat = sum_covariance(design, scale, rho, pieces)
+        return np.asarray(sandwich(bread, meat) / noise.kept)
+
+    def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:
+        """Covariance that the coefficients take over from the tread ICRs."""
+        _, design = self._linearise(model)
+        icr = model.vehicle.icr
+        power = np.concatenate(self.powers(model))
+        shifts = []
+        for which in ("left", "right", "longitudinal"):
+            step = max(estimate.std_error[which], 1e-6)
+            moved = replace(icr, **{which: getattr(icr, which) + step})
+            other = replace(model, vehicle=model.vehicle.with_icr(moved))
+            turned = [drive.with_icr(moved) for drive in self._drives]
+            ahead = np.concatenate([drive.seen(power_of(other, drive)) for drive in turned])
+            shifts.append((ahead - power) / step)
+        free = Bounds(np.full(len(model.terms), -np.inf), np.full(len(model.terms), np.inf))
+        change = [weighted_least_squares(design, -shift, free) for shift in shifts]
+        sensitivity = np.column_stack(change)
+        return np.asarray(sensitivity @ estimate.covariance @ sensitivity.T)
+
+
+def _squares(residual: FloatArray) -> float:
+    return float(residual @ residual)
+
+
+def _absolute(residual: FloatArray) -> float:
+    return float(np.abs(residual).sum())
+
+
+def _huber_loss(present: FloatArray) -> Loss:
+    """Huber's loss at the scale of the present residual."""
+    size = np.abs(present)
+    edge = HUBER_TUNING * max(robust_scale(present), 1e-9 * float(size.max()), 1e-100)
+
+    def loss(residual: FloatArray) -> float:
+        inner = np.minimum(np.abs(residual), edge)
+        return float((inner * (np.abs(residual) - 0.5 * inner)).sum())
+
+    return loss
+
+
+def _density_at_zero(residual: FloatArray, sigma: float, independent: float) -> FloatArray:
+    """Each residual's share in the kernel estimate of the density at zero (Powell 1991).
+
+    The normal kernel's width is Silverman's for the number of independent samples: correlated ones
+    cluster, and a narrow kernel would count the accidents of a cluster.
+    """
+    width = 1.06 * sigma * max(independent, 2.0) ** -0.2
+    z = residual / width
+    return np.asarray(np.exp(-0.5 * z * z) / (width * np.sqrt(2 * np.pi)))
+
+
+# -- friction inside a robot, from drives with its wheels in the air -------------------------------
+
+_SLOWEST = 0.05  # tread speed from which a side turns [m/s]
+_BIN = 0.1  # width of the speed classes that are told [m/s]
+_STEADY = 0.15  # largest tread acceleration of a steady sample [m/s^2]
+_ENOUGH = 20
+_TRAVEL = {"x", "y", "yaw", "yaw_rate", "accel_x"}
+_TOGETHER = 0.7  # correlation of the turning with the treads' of a robot that drives
+_PILED = 0.05  # share of moving readings at the least one, from which it is a dead band
+
+
+@dataclass(frozen=True)
+class SpeedClass:
+    """Mean force of a side in a class of speeds."""
+
+    speed: float  # mean tread speed [m/s]
+    force: float  # mean force at the tread [N]
+    std_error: float  # its standard error [N]
+    samples: int  # how many samples
+
+
+@dataclass(frozen=True)
+class InternalFriction:
+    """Friction inside one side of the robot, ``F(v) = force + slope * (|v| - speed)``."""
+
+    side: str  # the side
+    force: float  # force at the mean speed of the drives, and its standard error [N]
+    force_error: float  # force at the mean speed of the drives, and its standard error [N]
+    speed: float  # that mean speed [m/s]
+    slope: float  # how the force changes with the tread speed, and its standard error [N s/m]
+    slope_error: float  # how the force changes with the tread speed, and its standard error [N s/m]
+    classes: tuple[SpeedClass, ...]  # the force by speed
+    left_out: int  # moving samples in the sensor's dead band, which give only an upper limit
+
+    @property
+    def power_without_speed(self) -> bool:
+        """Whether the force falls with speed as if the power did not depend on it."""
+        steep = self.slope < -0.5 * self.force / self.speed
+        return steep and self.slope < -3 * self.slope_error
+
+
+def hoisted(
+    logs: DriveLog | Sequence[DriveLog], motor_constant: float | None = None
+) -> tuple[InternalFriction, ...]:
+    """Find the friction inside each side from drives with the wheels in the air.
+
+    Nothing but the friction of motor, gear, chain and bearings resists then. Samples of steady
+    speed are used, so that no inertia counts.
+
+    Source: Morales et al. (2010), section IV: 59 N were found so.
+    """
+    drives = [logs] if isinstance(logs, DriveLog) else list(logs)
+    for log in drives:
+        _refuse_driving(log)
+    return tuple(_side(drives, side, motor_constant) for side in ("left", "right"))
+
+
+def _refuse_driving(log: DriveLog) -> None:
+    """Refuse a drive on the ground, where slip and rolling resist too."""
+    difference = log.channels["v_right"] - log.channels["v_left"]
+    rates = yaw_rates(log.channels, log.runs)
+    turns = [name for name, rate in rates.items()
+             if lasts(rate) and correlation(rate, difference) > _TOGETHER]  # fmt: skip
+    goes = np.isfinite(distance_ratio(log.channels, log.runs))
+    if turns or goes:
+        raise NotIdentifiableError(
+            f"{log.name}: {turns[0] if turns else 'the pose'} follows the treads, so the wheels "
+            "were on the ground; what resists them there is not the friction inside: leave out "
+            "--hoisted, or give drives with the wheels in the air"
+        )
+
+
+def doubts_off_the_ground(log: DriveLog) -> tuple[str, ...]:
+    """Return the warnings of a log that hold for a robot whose wheels are in the air.
+
+    It neither travels nor turns: what its pose or yaw rate would contradict on the ground, or lag
+    behind, is as it should be.
+    """
+    power, runs = log.power, log.runs
+    kept = {name: v for name, v in log.channels.items() if name not in _TRAVEL}
+    stale = {*map(str, find_checks(log.channels, power, runs))} - {
+        *map(str, find_checks(kept, power, runs))
+    }
+    return tuple(warning for warning in log.warnings if warning not in stale)
+
+
+def _side(drives: Sequence[DriveLog], side: str, constant: float | None) -> InternalFriction:
+    """Find one side's friction."""
+    channel = f"p_{side}" if constant is None else f"current_{side}"
+    speeds: list[FloatArray] = []
+    forces: list[FloatArray] = []
+    lost = 0
+    for log in drives:
+        if not log.has(channel):
+            raise InvalidInputError(
+                f"{log.name}: there is no {channel}, and the friction of each side needs "
+                f"both; map a column to it, as in {channel}=NAME"
+            )
+        speed = np.abs(log.channel(f"v_{side}"))
+        reading = np.abs(log.channel(channel))
+        change = np.gradient(_smooth(speed), log.t)
+        moving = (speed > _SLOWEST) & (np.abs(change) < _STEADY)
+        if not np.any(moving):
+            continue
+        if constant is not None:
+            floor = float(reading[moving].min())
+            piled = moving & (reading <= floor * 1.01 + 1e-12)
+            if np.count_nonzero(piled) > _PILED * np.count_nonzero(moving):
+                lost += int(np.count_nonzero(piled))
+                # What the sensor does not tell lies between nothing and its dead band.
+                reading = np.where(piled, 0.5 * floor, reading)
+            force = constant * reading
+        else:
+            force = reading / np.maximum(speed, _SLOWEST)
+        speeds.append(speed[moving])
+        forces.append(force[moving])
+    if not speeds or sum(map(len, speeds)) < _ENOUGH:
+        raise NotIdentifiableError(
+            f"the {side} side hardly turns at a steady speed: drive it for half a minute at two "
+            "speeds or more"
+        )
+    v, force = np.concatenate(speeds), np.concatenate(forces)
+    mean = float(v.mean())
+    X = np.stack([np.ones(len(v)), v - mean], axis=1)
+    spread = float(np.ptp(v)) > _BIN
+    X = X if spread else X[:, :1]
+    inverse = np.linalg.inv(X.T @ X)
+    found = inverse @ X.T @ force
+    residual = force - X @ found
+    ends = np.cumsum([0, *map(len, speeds)])
+    pieces = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    repeats = autocorrelation(residual, pieces).repeats
+    variance = float(residual @ residual) / max(len(v) - X.shape[1], 1) * repeats
+    errors = np.sqrt(variance * np.diag(inverse))
+    return InternalFriction(
+        side, float(found[0]), float(errors[0]), mean,
+        float(found[1]) if spread else 0.0, float(errors[1]) if spread else np.inf,
+        _classes(v, force, repeats), lost,
+    )  # fmt: skip
+
+
+def _classes(speed: FloatArray, force: FloatArray, repeats: float) -> tuple[SpeedClass, ...]:
+    number = np.round(speed / _BIN).astype(int)
+    made = []
+    for k in np.unique(number):
+        some = force[number == k]
+        if len(some) >= _ENOUGH:
+            error = float(some.std() * np.sqrt(min(repeats, len(some)) / len(some)))
+            at = float(speed[number == k].mean())
+            made.append(SpeedClass(at, float(some.mean()), error, len(some)))
+    return tuple(made)
+
+
+def _smooth(values: FloatArray) -> FloatArray:
+    """Return running means over nine samples: encoders beat."""
+    padded = np.pad(values, 4, mode="edge")
+    return np.convolve(padded, np.full(9, 1 / 9), mode="valid")
+
+
+# -- from drive logs to a power model: coefficients, tread ICRs, and how well both are known -------
 
 ICRChoice = Literal["auto", "symmetric", "asymmetric", "vehicle"]
 

@@ -1,8 +1,4 @@
-"""Recursive identification while driving, and detection of a change of ground.
-
-The paper's future work: "an automatic on-line implementation of the identification procedure would
-be valuable to recalculate model parameters in missions where terrain type is unknown".
-"""
+"""Parameters while driving: recursive estimation of the power model."""
 
 from __future__ import annotations
 
@@ -13,12 +9,11 @@ from math import fsum
 import numpy as np
 from scipy.stats import chi2
 
+from energyplan.compilation import AnyTable, Column, FloatBlock, Floats, FloatTable, njit
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.fit import _online_kernel as kernel
-from energyplan.fit.drives.drive import Drive
-from energyplan.fit.identifiability import is_linear, linearise
-from energyplan.fit.regression import PowerRegression
-from energyplan.fit.residuals import energy_error
+from energyplan.fit.doubts import energy_error, is_linear, linearise
+from energyplan.fit.drive import Drive
+from energyplan.fit.identification import PowerRegression
 from energyplan.fit.solvers import Bounds
 from energyplan.kinds import checked, described
 from energyplan.logs import DriveLog
@@ -26,6 +21,267 @@ from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Sides, Term
 from energyplan.vehicle import Vehicle
+
+# -- one step of recursive identification: robust, forgetting, watching for change -----------------
+
+# Matrices of the state: information and covariance of the coefficients.
+INFORMATION, COVARIANCE = range(2)
+# Vectors of the state: the coefficients, and by how much they seem to have changed.
+COEFFICIENTS, SHIFT = range(2)
+# Scalars of the state.
+(
+    VARIANCE,  # of the residual [W^2]
+    SAMPLES,  # that the variance stands on
+    REPEATS,  # samples that make one independent sample
+    BLOCKS,  # that this stands on; means over them of the sum's size and of the sum of squares
+    MEAN_SIZE,
+    MEAN_SQUARES,
+    EXCITATION,  # mean square of the regressors while driving [W^2]
+    LEVEL,  # of the statistic, over what chance alone gives
+    BLOCK_SUM,  # of normalised residuals in the present block, their squares, its length [s]
+    BLOCK_SQUARES,
+    BLOCK_TIME,
+    TICK_TIME,  # length of the present tick [s]
+    TICKS,  # completed since the last change
+    STATISTIC,  # of the window that shows a change best, its length [s], its change of power
+    STRETCH,
+    MATERIAL,
+    TOTAL_TIME,  # since the last change: time; squared, absolute, signed residual; energy
+    TOTAL_SQUARES,
+    TOTAL_ABSOLUTE,
+    TOTAL_RESIDUAL,
+    TOTAL_MEASURED,
+    SCALARS,
+) = range(22)
+# Settings.
+MEMORY, NOISE_MEMORY, THRESHOLD, LEAST_MATERIAL, SETTINGS = range(5)
+
+CLIP = 4.0
+"""Standard deviations beyond which a residual pulls no harder."""
+
+BLOCK = 5.0
+"""Length of the blocks that tell the correlation of the residual [s]."""
+
+TICK = 0.25
+"""Driving time between two looks for a change [s]."""
+
+LONGEST = 32
+"""Ticks in the longest window; the others are a half, a quarter and an eighth of it."""
+
+_UNEXCITED = 0.01
+"""Share of the usual excitation below which a sample tells nothing."""
+
+_BEST_OF_FOUR = 1.7
+"""Mean of the largest of the windows' statistics, over the number of coefficients."""
+
+_RIDGE = 1e-6
+
+
+@njit
+def inverse(matrix: FloatTable, result: FloatTable) -> None:
+    """Invert a small positive definite matrix, by Gauss and Jordan without pivoting."""
+    p = len(matrix)
+    work = matrix.copy()
+    for i in range(p):
+        for j in range(p):
+            result[i, j] = 1.0 if i == j else 0.0
+    for i in range(p):
+        pivot = 1.0 / work[i, i]
+        for j in range(p):
+            work[i, j] *= pivot
+            result[i, j] *= pivot
+        for k in range(p):
+            factor = work[k, i]
+            if k != i and factor != 0.0:
+                for j in range(p):
+                    work[k, j] -= factor * work[i, j]
+                    result[k, j] -= factor * result[i, j]
+
+
+@njit
+def _form(left: Column, matrix: FloatTable, right: Column) -> float:
+    """Bilinear form ``left' matrix right``."""
+    total = 0.0
+    for i in range(len(left)):
+        for j in range(len(right)):
+            total += left[i] * matrix[i, j] * right[j]
+    return total
+
+
+@njit
+def look(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: Floats) -> None:
+    """Test the residuals of the last 1, 2, 4 and 8 s for a change of the coefficients.
+
+    The score test: what the residuals say about the coefficients is compared with the variance
+    that correlated noise and the coefficients' own uncertainty give it.
+    """
+    p = vectors.shape[1]
+    covariance = matrices[COVARIANCE]
+    ticks = int(scalars[TICKS])
+    score, window, energy = np.zeros(p), np.zeros((p, p)), 0.0
+    expected, solved = np.empty((p, p)), np.empty((p, p))
+    scalars[STATISTIC] = scalars[MATERIAL] = scalars[STRETCH] = 0.0
+    size = LONGEST // 8
+    for age in range(min(ticks, LONGEST)):
+        row = ring[(ticks - 1 - age) % LONGEST]
+        for i in range(p):
+            score[i] += row[i]
+            for j in range(p):
+                window[i, j] += row[p + i * p + j]
+        energy += row[p + p * p]
+        if age + 1 < size:
+            continue
+        size *= 2
+        doubt = window @ covariance @ window
+        ridge = 0.0
+        for i in range(p):
+            for j in range(p):
+                expected[i, j] = scalars[REPEATS] * window[i, j] + doubt[i, j]
+            ridge += _RIDGE * expected[i, i] / p
+        for i in range(p):
+            expected[i, i] += ridge
+        inverse(expected, solved)
+        statistic = _form(score, solved, score)
+        if statistic <= scalars[STATISTIC]:
+            continue
+        # The change that the window shows, for a prior of unit information.
+        for i in range(p):
+            for j in range(p):
+                expected[i, j] = window[i, j] / scalars[REPEATS]
+            expected[i, i] += 1.0
+        inverse(expected, solved)
+        vectors[SHIFT] = solved @ score / scalars[REPEATS]
+        change = _form(vectors[SHIFT], window, vectors[SHIFT]) * scalars[VARIANCE]
+        scalars[STATISTIC] = statistic
+        scalars[STRETCH] = (age + 1) * TICK
+        scalars[MATERIAL] = np.sqrt(change / max(energy, 1e-300))
+
+
+@njit
+def advance(
+    phi: Column,
+    power: float,
+    dt: float,
+    matrices: FloatBlock,
+    vectors: FloatTable,
+    ring: FloatTable,
+    scalars: Floats,
+    settings: Floats,
+) -> bool:
+    """Take in one sample."""
+    p = len(phi)
+    information, covariance, c = matrices[INFORMATION], matrices[COVARIANCE], vectors[COEFFICIENTS]
+    residual, excitation = power, 0.0
+    for i in range(p):
+        residual -= phi[i] * c[i]
+        excitation += phi[i] * phi[i]
+    scalars[TOTAL_TIME] += dt
+    scalars[TOTAL_SQUARES] += residual * residual * dt
+    scalars[TOTAL_ABSOLUTE] += abs(residual) * dt
+    scalars[TOTAL_RESIDUAL] += residual * dt
+    scalars[TOTAL_MEASURED] += power * dt
+    # Old information fades into the prior's, so that it never fades to nothing.
+    keep = np.exp(-dt / settings[MEMORY])
+    for i in range(p):
+        for j in range(p):
+            information[i, j] *= keep
+        information[i, i] += 1.0 - keep
+    inverse(information, covariance)
+    if excitation <= _UNEXCITED * scalars[EXCITATION]:
+        return False
+    share = min(1.0, dt / settings[NOISE_MEMORY])
+    scalars[EXCITATION] += share * (excitation - scalars[EXCITATION])
+
+    variance = scalars[VARIANCE]
+    doubt = _form(phi, covariance, phi)
+    limit = CLIP * np.sqrt(variance + doubt)
+    clipped = min(max(residual, -limit), limit)
+    weight = 1.0 if clipped == residual else clipped / residual
+    z = min(max(residual / np.sqrt(variance), -CLIP), CLIP)
+    row = ring[LONGEST]
+    for i in range(p):
+        row[i] += phi[i] * z / np.sqrt(variance)
+        for j in range(p):
+            row[p + i * p + j] += phi[i] * phi[j] / variance
+    row[p + p * p] += power * power
+
+    # A sample counts as much as the correlation of its residual with its neighbours' leaves it.
+    noise = variance * scalars[REPEATS]
+    for i in range(p):
+        for j in range(p):
+            information[i, j] += weight * phi[i] * phi[j] / noise
+    inverse(information, covariance)
+    after = power
+    for i in range(p):
+        for j in range(p):
+            c[i] += covariance[i, j] * phi[j] * clipped / noise
+    for i in range(p):
+        after -= phi[i] * c[i]
+
+    most = max(settings[NOISE_MEMORY] / max(dt, 1e-9), 2.0)
+    scalars[SAMPLES] = min(scalars[SAMPLES] + 1.0, most)
+    scalars[VARIANCE] += (min(after * after, limit * limit) - variance) / scalars[SAMPLES]
+    if doubt < variance:  # else the residual is mostly that of coefficients yet to be found
+        scalars[BLOCK_SUM] += z
+        scalars[BLOCK_SQUARES] += z * z
+        scalars[BLOCK_TIME] += dt
+    if scalars[BLOCK_TIME] >= BLOCK:
+        fade = np.exp(-scalars[BLOCK_TIME] / settings[NOISE_MEMORY])
+        scalars[BLOCKS] = fade * scalars[BLOCKS] + 1.0
+        share = 1.0 / scalars[BLOCKS]
+        scalars[MEAN_SIZE] += share * (abs(scalars[BLOCK_SUM]) - scalars[MEAN_SIZE])
+        scalars[MEAN_SQUARES] += share * (scalars[BLOCK_SQUARES] - scalars[MEAN_SQUARES])
+        # By the mean size, not the mean square: one block across a change must not count much.
+        spread = 0.5 * np.pi * scalars[MEAN_SIZE] ** 2
+        scalars[REPEATS] = max(spread / max(scalars[MEAN_SQUARES], 1e-300), 1.0)
+        scalars[BLOCK_SUM] = scalars[BLOCK_SQUARES] = scalars[BLOCK_TIME] = 0.0
+
+    scalars[TICK_TIME] += dt
+    if scalars[TICK_TIME] < TICK - 1e-9:
+        return False
+    ring[int(scalars[TICKS]) % LONGEST] = row
+    row[:] = 0.0
+    scalars[TICK_TIME] = 0.0
+    scalars[TICKS] += 1.0
+    look(matrices, vectors, ring, scalars)
+    # Where the model is not quite right, the statistic is large from time to time on any ground.
+    bound = settings[THRESHOLD] * max(scalars[LEVEL], 1.0)
+    usual = min(scalars[STATISTIC], bound) / (_BEST_OF_FOUR * p)
+    scalars[LEVEL] += TICK / settings[NOISE_MEMORY] * (usual - scalars[LEVEL])
+    return bool(scalars[STATISTIC] > bound and scalars[MATERIAL] > settings[LEAST_MATERIAL])
+
+
+@njit
+def restart(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: Floats) -> None:
+    """Forget all but the coefficients and the noise."""
+    p = vectors.shape[1]
+    matrices[:] = 0.0
+    for i in range(p):
+        matrices[INFORMATION, i, i] = matrices[COVARIANCE, i, i] = 1.0
+    vectors[SHIFT] = 0.0
+    ring[:] = 0.0
+    scalars[BLOCK_SUM:SCALARS] = 0.0
+
+
+@njit
+def advance_all(
+    design: AnyTable,
+    power: Column,
+    dt: Column,
+    matrices: FloatBlock,
+    vectors: FloatTable,
+    ring: FloatTable,
+    scalars: Floats,
+    settings: Floats,
+) -> int:
+    """Take in samples up to and with one that reveals a change."""
+    for k in range(len(power)):
+        if advance(design[k], power[k], dt[k], matrices, vectors, ring, scalars, settings):
+            return k
+    return len(power)
+
+
+# -- recursive identification while driving, and detection of a change of ground -------------------
 
 _TYPICAL = {"N": 0.7, "W": 0.15, "kg": 0.7}
 """Order of magnitude of coefficients by unit and kilogram of the vehicle, where none is known."""
@@ -210,11 +466,11 @@ class OnlineIdentifier:
         p = len(self._model.terms)
         self._ramps = bool(self._needed & {"accel", "yaw_accel"})
         # Looks are not independent, so that this bounds the rate of false alarms.
-        threshold = float(chi2.isf(false_alarms * kernel.TICK / 3600.0, p))
+        threshold = float(chi2.isf(false_alarms * TICK / 3600.0, p))
         self._settings = np.array([memory, _NOISE_MEMORY, threshold, material])
         self._matrices, self._vectors = np.zeros((2, p, p)), np.zeros((2, p))
-        self._ring = np.zeros((kernel.LONGEST + 1, p + p * p + 1))
-        self._scalars = np.zeros(kernel.SCALARS)
+        self._ring = np.zeros((LONGEST + 1, p + p * p + 1))
+        self._scalars = np.zeros(SCALARS)
         self._t, self._changes = np.nan, list[SurfaceChange]()
         self._period = np.nan
         self._start()
@@ -225,23 +481,23 @@ class OnlineIdentifier:
         """Set the state from the prior model."""
         model = self._model
         self._unit = self._units(model.coefficients)
-        kernel.restart(self._matrices, self._vectors, self._ring, self._scalars)
-        self._vectors[kernel.COEFFICIENTS] = model.coefficients / self._unit
+        restart(self._matrices, self._vectors, self._ring, self._scalars)
+        self._vectors[COEFFICIENTS] = model.coefficients / self._unit
         if model.covariance is not None:
             scaled = model.covariance / np.outer(self._unit, self._unit)
             # A prior surer than any log could make it would never learn.
             scaled = scaled + 1e-8 * np.eye(len(self._unit))
-            self._matrices[kernel.INFORMATION] = np.linalg.inv(scaled)
-            self._matrices[kernel.COVARIANCE] = scaled
+            self._matrices[INFORMATION] = np.linalg.inv(scaled)
+            self._matrices[COVARIANCE] = scaled
         known = model.residual is not None and model.residual.rmse > 0
         noise = (
             model.residual.rmse
             if model.residual is not None and known
             else _NOISE * model.vehicle.mass
         )
-        self._scalars[kernel.VARIANCE] = noise**2
+        self._scalars[VARIANCE] = noise**2
         # A guess that fits a robot of some size is worth little on another.
-        self._scalars[kernel.SAMPLES] = 40.0 if known else 2.0
+        self._scalars[SAMPLES] = 40.0 if known else 2.0
 
     def _units(self, coefficients: FloatArray) -> FloatArray:
         """Prior standard deviations."""
@@ -255,11 +511,11 @@ class OnlineIdentifier:
         residual = self._model.residual
         time = residual.correlation_time if residual else 0.0
         repeats = max(2.0 * (time if time > 0 else _CORRELATION_TIME) / period, 1.0)
-        self._scalars[kernel.REPEATS] = repeats
-        count = kernel.BLOCK / period
-        self._scalars[kernel.BLOCKS] = 4.0
-        self._scalars[kernel.MEAN_SIZE] = np.sqrt(2.0 / np.pi * repeats * count)
-        self._scalars[kernel.MEAN_SQUARES] = count
+        self._scalars[REPEATS] = repeats
+        count = BLOCK / period
+        self._scalars[BLOCKS] = 4.0
+        self._scalars[MEAN_SIZE] = np.sqrt(2.0 / np.pi * repeats * count)
+        self._scalars[MEAN_SQUARES] = count
 
     # -- samples --------------------------------------------------------------------------------
 
@@ -311,7 +567,7 @@ class OnlineIdentifier:
         if self._ramps:
             channels = {**self._accelerations(v_left, v_right, dt), **channels}
         phi, target = self._sample(v_left, v_right, power, channels)
-        changed = kernel.advance(
+        changed = advance(
             phi, target, dt, self._matrices, self._vectors, self._ring, self._scalars,
             self._settings,
         )  # fmt: skip
@@ -361,7 +617,7 @@ class OnlineIdentifier:
         return phi, power
 
     def _linearised(self, motion: Motion, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-        coefficients = self._vectors[kernel.COEFFICIENTS] * self._unit
+        coefficients = self._vectors[COEFFICIENTS] * self._unit
         model = self._model.with_coefficients(coefficients)
         known = linearise(model, motion, self._battery)
         columns = known.columns[:, 0]
@@ -405,7 +661,7 @@ class OnlineIdentifier:
                 {name: values[first:last] for name, values in motion.channels.items()},
             )  # fmt: skip
             design, target = self._linearised(part, log.power[first:last])
-            found = kernel.advance_all(
+            found = advance_all(
                 design, target, dt[first:last], self._matrices, self._vectors, self._ring,
                 self._scalars, self._settings,
             )  # fmt: skip
@@ -420,13 +676,13 @@ class OnlineIdentifier:
     def _change(self) -> None:
         """Note a change and start afresh from a wide prior about the last coefficients."""
         before, scalars = self.model, self._scalars
-        onset = self._t - float(scalars[kernel.STRETCH])
-        statistic = float(scalars[kernel.STATISTIC])
+        onset = self._t - float(scalars[STRETCH])
+        statistic = float(scalars[STATISTIC])
         self._changes.append(SurfaceChange(self._t, onset, statistic, before))
         found = self._bounded(self._vectors.sum(axis=0) * self._unit)
         self._unit = self._units(np.maximum(np.abs(found), np.abs(before.coefficients)))
-        kernel.restart(self._matrices, self._vectors, self._ring, scalars)
-        self._vectors[kernel.COEFFICIENTS] = found / self._unit
+        restart(self._matrices, self._vectors, self._ring, scalars)
+        self._vectors[COEFFICIENTS] = found / self._unit
 
     def _bounded(self, coefficients: FloatArray) -> FloatArray:
         bounds = np.array([term.bounds for term in self._model.terms])
@@ -445,22 +701,20 @@ class OnlineIdentifier:
 
         Its residual is that of one-step-ahead predictions since the last change.
         """
-        values = self._bounded(self._vectors[kernel.COEFFICIENTS] * self._unit)
-        covariance = self._matrices[kernel.COVARIANCE] * np.outer(self._unit, self._unit)
+        values = self._bounded(self._vectors[COEFFICIENTS] * self._unit)
+        covariance = self._matrices[COVARIANCE] * np.outer(self._unit, self._unit)
         covariance = 0.5 * (covariance + covariance.T)
         model = self._model.with_coefficients(values, covariance)
-        time = self._scalars[kernel.TOTAL_TIME]
+        time = self._scalars[TOTAL_TIME]
         if not time > 0:
             return model
-        missing, measured = (
-            self._scalars[k] for k in (kernel.TOTAL_RESIDUAL, kernel.TOTAL_MEASURED)
-        )
+        missing, measured = (self._scalars[k] for k in (TOTAL_RESIDUAL, TOTAL_MEASURED))
         residual = Residual(
-            rmse=float(np.sqrt(self._scalars[kernel.TOTAL_SQUARES] / time)),
-            mae=float(self._scalars[kernel.TOTAL_ABSOLUTE] / time),
+            rmse=float(np.sqrt(self._scalars[TOTAL_SQUARES] / time)),
+            mae=float(self._scalars[TOTAL_ABSOLUTE] / time),
             bias=float(missing / time),
             energy_error=energy_error(float(missing), float(measured)),
-            correlation_time=float(0.5 * self._scalars[kernel.REPEATS] * self._period),
+            correlation_time=float(0.5 * self._scalars[REPEATS] * self._period),
             duration=float(time),
         )
         return PowerModel(

@@ -1,21 +1,23 @@
-"""Linear fits under bounds: least absolute error (exact), Huber, and Nelder-Mead (private).
-
-All take a design matrix ``X``, a target ``y`` and bounds, and return the coefficients that minimise
-a sum over the residuals ``y - X c``.
-"""
+"""Linear fits under bounds, and covariance of correlated estimates (private)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linprog, lsq_linear
+from scipy.signal import lfilter, oaconvolve
+from scipy.stats import norm, rankdata
 
 from energyplan.errors import NotIdentifiableError
 from energyplan.path import FloatArray
+
+# -- linear fits under bounds: least absolute error (exact), Huber, and Nelder-Mead ----------------
 
 NORMAL_MAD = 1.4826
 """Standard deviation over median absolute deviation of a normal distribution."""
@@ -204,3 +206,206 @@ def simplex(
         if settled:
             break
     return bounds.clip(best * unit)
+
+
+# -- covariance of estimates from autocorrelated residuals -----------------------------------------
+
+_LARGEST_ORDER = 30
+_LARGEST_PARTIAL = 0.9995
+_CORRECTIONS = 3
+_LEAST_KEPT = 0.2
+_NEGLIGIBLE = 1e-3
+"""Autocorrelation at which its tail is cut; share of the noise that a fit may take unseen."""
+
+
+def normal_scores(residual: FloatArray) -> FloatArray:
+    """Replace each value by the normal quantile of its rank: no outlier, the same dependence."""
+    return np.asarray(norm.ppf((rankdata(residual) - 0.5) / len(residual)))
+
+
+def _padded(piece: slice, lags: int) -> int:
+    """Length to which a piece is padded, so that products at these lags do not wrap around."""
+    return next_fast_len(piece.stop - piece.start + lags, real=True)
+
+
+def _products(a: FloatArray, b: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
+    """Sum ``a[t] b[t + k]`` within the pieces, for k from 0 to `lags`."""
+    total = np.zeros(lags + 1)
+    for piece in pieces:
+        size = _padded(piece, lags)
+        product = irfft(rfft(a[piece], size).conj() * rfft(b[piece], size), size)
+        total += product[: lags + 1]
+    return total
+
+
+def _spread(columns: FloatArray, rho: FloatArray, pieces: Sequence[slice]) -> FloatArray:
+    """Multiply columns by the correlation matrix of the noise, without building it."""
+    kernel = np.concatenate([rho[:0:-1], rho])[:, None]
+    middle = len(rho) - 1
+    parts = []
+    for piece in pieces:
+        wide = oaconvolve(columns[piece], kernel, mode="full", axes=0)
+        parts.append(wide[middle : middle + piece.stop - piece.start])
+    return np.concatenate(parts)
+
+
+def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
+    """Products at each lag that a fit on an orthonormal basis takes out of noise of unit variance.
+
+    The residual ``(1 - H) e`` has covariance ``(1 - H) R (1 - H)``; this is the sum over each
+    diagonal of what is missing from ``R``.
+    """
+    spread = _spread(basis, rho, pieces)
+    inner = basis.T @ spread
+    total = np.zeros(lags + 1)
+    for piece in pieces:
+        size = _padded(piece, lags)
+        whole, wide = rfft(basis[piece], size, axis=0), rfft(spread[piece], size, axis=0)
+        missing = 2.0 * (whole.conj() * wide).real - whole.conj() * (whole @ inner)
+        total += irfft(missing.sum(axis=1), size)[: lags + 1]
+    return total
+
+
+def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
+    """Continue an autocorrelation from its first lags by an autoregression, until it dies out.
+
+    Levinson's recursion; the order has the least AIC. Corrected autocovariances of a short or
+    smooth series may be inconsistent; the recursion ends at the lag where they become so.
+    """
+    given = covariance / covariance[0]
+    rho, current, variance = np.ones(1), np.zeros(0), 1.0
+    best, score = current, 0.0
+    for order in range(1, len(given)):
+        foretold = float(current @ rho[:0:-1])
+        partial = (given[order] - foretold) / variance
+        if abs(partial) > _LARGEST_PARTIAL and order > 1:
+            break
+        partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
+        rho = np.append(rho, foretold + partial * variance)
+        current = np.append(current - partial * current[::-1], partial)
+        variance *= 1.0 - partial**2
+        criterion = count * np.log(variance) + 2 * order
+        if criterion < score:
+            best, score = current, criterion
+    order = len(best)
+    start = rho[: order + 1]
+    reach = 64 if order else 0
+    while reach:
+        # The autoregression's own tail: a filter that starts at its last values and gets no input.
+        state = [best[k:] @ start[order:k:-1] for k in range(order)]
+        tail, _ = lfilter([1.0], np.append(1.0, -best), np.zeros(reach), zi=state)
+        alive = np.flatnonzero(np.abs(tail) > _NEGLIGIBLE)
+        last = int(alive[-1]) + 1 if len(alive) else 0
+        if last < reach or reach >= longest:
+            kept = max(min(last, longest - 1 - order), 0)
+            return np.concatenate([start, tail[:kept]])
+        reach *= 4
+    return start
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Autocorrelation of the noise behind a residual."""
+
+    rho: FloatArray  # (m,): autocorrelation at lags from 0 until it has died out
+    kept: float = 1.0  # fraction of the noise's variance that the residual still has
+
+    @property
+    def repeats(self) -> float:
+        """How many neighbouring samples make one independent sample."""
+        return max(2.0 * float(self.rho.sum()) - 1.0, 1.0)
+
+
+def autocorrelation(
+    series: FloatArray, pieces: Sequence[slice], regressors: FloatArray | None = None
+) -> Correlation:
+    """Autocorrelation of a series, or of the noise that a fit left it from.
+
+    Source: Brockwell and Davis (1991), Time Series: Theory and Methods, sections 8.1 and 9.3.
+    """
+    count = len(series)
+    longest = max(s.stop - s.start for s in pieces)
+    lags = min(_LARGEST_ORDER, longest // 4)
+    centred = series - series.mean()
+    observed = _products(centred, centred, pieces, lags) / count
+    if observed[0] <= 0:
+        return Correlation(np.ones(1))
+    pairs = np.array([sum(max(s.stop - s.start - k, 0) for s in pieces) for k in range(lags + 1)])
+    ones = np.ones((count, 1))
+    fitted = ones if regressors is None else np.hstack([ones, regressors])
+    first = Correlation(_extended(observed * count / pairs, count, longest))
+    if first.repeats * fitted.shape[1] < _NEGLIGIBLE * count:
+        return first
+    basis, _ = np.linalg.qr(fitted)
+    rho, kept = first.rho, 1.0
+    for _ in range(_CORRECTIONS):
+        absorbed = _absorbed(basis, rho, pieces, lags) / count
+        kept = min(max(1.0 - absorbed[0], _LEAST_KEPT), 1.0)
+        rho = _extended((observed + observed[0] / kept * absorbed) * count / pairs, count, longest)
+    return Correlation(rho, kept)
+
+
+def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
+    """Share of a series' variance that its own past does not foretell.
+
+    One for white noise. The likelihood of a normal series depends on its innovations alone: what
+    repeats is no new evidence (Schweppe's form).
+
+    Source: Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989),
+    Biometrika 76.
+    """
+    count = len(series)
+    lags = min(_LARGEST_ORDER, max(s.stop - s.start for s in pieces) // 4)
+    centred = series - series.mean()
+    covariance = _products(centred, centred, pieces, lags) / count
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho, current, variance = covariance / covariance[0], np.zeros(0), 1.0
+    best, least = 1.0, 2.0 * count / max(count - 2, 1)
+    for order in range(1, lags + 1):
+        partial = (rho[order] - float(current @ rho[order - 1 : 0 : -1])) / variance
+        partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
+        current = np.append(current - partial * current[::-1], partial)
+        variance *= 1.0 - partial**2
+        if count <= order + 3:
+            break
+        criterion = count * np.log(variance) + 2.0 * count * (order + 1) / (count - order - 2)
+        if criterion < least:
+            best, least = variance, criterion
+    return float(best)
+
+
+def sum_covariance(
+    regressors: FloatArray, scale: FloatArray, rho: FloatArray, pieces: Sequence[slice]
+) -> FloatArray:
+    """Covariance of ``sum_t regressors[t] * e[t]`` for autocorrelated noise ``e``."""
+    loaded = regressors * scale[:, None]
+    total = loaded.T @ _spread(loaded, rho, pieces)
+    return np.asarray(0.5 * (total + total.T))
+
+
+def local_scale(series: FloatArray, repeats: float) -> FloatArray:
+    """Root mean square of a series around each sample: noise need not be the same throughout.
+
+    The window holds some twenty independent samples: a shorter one would follow the noise itself.
+    """
+    window = min(len(series), max(100, round(20 * repeats)))
+    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(series**2, window), 0.0)))
+
+
+def sandwich(bread: FloatArray, meat: FloatArray) -> FloatArray:
+    """Covariance ``bread^-1 meat bread^-1``, computed in units that balance the bread."""
+    scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
+    unit = np.outer(scale, scale)
+    inverse = np.linalg.pinv(bread / unit, rcond=1e-13, hermitian=True)
+    covariance = inverse @ (meat / unit) @ inverse / unit
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def correlation_time(residual: FloatArray, period: float, pieces: Sequence[slice]) -> float:
+    """Integral time scale of a series: the area under its autocorrelation at positive lags [s].
+
+    White noise has half a sample period; a series of duration T holds about ``T / (2 time
+    scale)`` independent samples.
+    """
+    return 0.5 * period * autocorrelation(residual, pieces).repeats

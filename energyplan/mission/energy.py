@@ -19,7 +19,7 @@ import numpy as np
 
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
-from energyplan.fit.residuals import unfounded
+from energyplan.fit.doubts import unfounded
 from energyplan.limits.drive import Drive, Ground
 from energyplan.mission.types import Mission
 from energyplan.motion import Motion

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
-    from energyplan.fit.adequacy import Adequacy
+    from energyplan.fit.doubts import Adequacy
     from energyplan.fleet import FleetReport
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
-    from energyplan.fit.hoisted import InternalFriction
+    from energyplan.fit.identification import InternalFriction
     from energyplan.fleet import FleetReport
     from energyplan.io.logs import LogInfo
     from energyplan.io.start import Start

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.fit.residuals import unfounded
+from energyplan.fit.doubts import unfounded
 from energyplan.kinds import checked, numbers
 from energyplan.path import FloatArray, Pose, as_pose
 from energyplan.planning.budget import Budget

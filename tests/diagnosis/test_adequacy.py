@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, simulate
-from energyplan.diagnosis.joint_fit import final_fit
-from energyplan.diagnosis.part import Part
-from energyplan.fit.adequacy import Adequacy, adequacy, left_over, predicted, shown_of_contacts
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.problem import Problem
+from energyplan.diagnosis.candidates import Part
+from energyplan.diagnosis.judge import final_fit
+from energyplan.fit.doubts import Adequacy, adequacy, left_over, predicted, shown_of_contacts
+from energyplan.fit.drive import prepared
+from energyplan.fit.estimate import Problem
 from energyplan.path import FloatArray
 from energyplan.power.effects import COPPER_LOSS, catalogue
 

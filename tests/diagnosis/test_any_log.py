@@ -12,7 +12,7 @@ from by_day import by_day
 
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan.errors import EnergyPlanError, NotIdentifiableError
-from energyplan.fit.drives.denoise import quiet
+from energyplan.fit.drive import quiet
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
 from energyplan.vehicle import Vehicle

@@ -10,11 +10,10 @@ import pytest
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.averaging import averaged
-from energyplan.diagnosis.holdout import predict
-from energyplan.diagnosis.joint_fit import final_fit
-from energyplan.diagnosis.part import Part
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.problem import Problem
+from energyplan.diagnosis.candidates import Part
+from energyplan.diagnosis.judge import final_fit, predict
+from energyplan.fit.drive import prepared
+from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effect_terms import MOBILISATION, REVERSE_DRAG, SPECIFIC_FORCE

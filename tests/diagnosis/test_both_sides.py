@@ -11,11 +11,9 @@ import pytest
 from by_day import by_day
 
 from energyplan import DriveLog, diagnose, simulate
-from energyplan.fit.breakaway import with_breakaway
-from energyplan.fit.drives.drive import Drive, prepared
-from energyplan.fit.drives.linear import linearise_drive
-from energyplan.fit.least_squares import fit
-from energyplan.fit.problem import Problem
+from energyplan.fit.drive import Drive, prepared
+from energyplan.fit.estimate import Problem, fit, with_breakaway
+from energyplan.fit.regressors import linearise_drive
 from energyplan.motion import Motion
 from energyplan.power import (
     DRIVE_LOSS,

@@ -18,16 +18,14 @@ from scipy.stats import kstest
 from energyplan import DriveLog, EnergyCost, diagnose, identify, simulate
 from energyplan.diagnosis import Dependence, Diagnosis, residual
 from energyplan.diagnosis import search as _search
-from energyplan.diagnosis.mass_centre import find_mass_centre, twist
+from energyplan.diagnosis.judge import find_mass_centre, twist
 from energyplan.diagnosis.residual import dependences, in_words
 from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.fit import drive as _drive
 from energyplan.fit import fit_residual
-from energyplan.fit.drives import drive as _drive
-from energyplan.fit.drives.denoise import quiet, speed_noise
-from energyplan.fit.drives.design import Design, block_grams
-from energyplan.fit.drives.drive import Drive
-from energyplan.fit.least_squares import Fit, fit, solve, weighted
-from energyplan.fit.problem import Problem
+from energyplan.fit.drive import Drive, quiet, speed_noise
+from energyplan.fit.estimate import Fit, Problem, fit, solve, weighted
+from energyplan.fit.regressors import Design, block_grams
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import (

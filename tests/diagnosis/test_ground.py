@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.ground import Ground
-from energyplan.fit.drives.drive import Drive
+from energyplan.diagnosis.candidates import Ground
+from energyplan.fit.drive import Drive
 from energyplan.motion import Motion
 from energyplan.power.effect_terms import SLIP_BEYOND
 from energyplan.power.effects import catalogue

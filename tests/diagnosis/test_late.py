@@ -10,10 +10,9 @@ from by_day import by_day
 from numpy.testing import assert_allclose
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
-from energyplan.diagnosis.joint_fit import _between_samples
-from energyplan.fit.drives.drive import Drive
-from energyplan.fit.drives.late import Clock, Late
-from energyplan.fit.problem import Problem
+from energyplan.diagnosis.judge import _between_samples
+from energyplan.fit.drive import Clock, Drive, Late
+from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import PowerModel
 from energyplan.power.effects import LINEAR_INERTIA, catalogue

@@ -9,10 +9,9 @@ import pytest
 from by_day import by_day
 
 from energyplan import diagnose, simulate
-from energyplan.diagnosis.plausible import Rest, drags, drivable
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.drives.late import Late
-from energyplan.fit.problem import Problem
+from energyplan.diagnosis.search import Rest, drags, drivable
+from energyplan.fit.drive import Late, prepared
+from energyplan.fit.estimate import Problem
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel
 from energyplan.power.effect_terms import (
     SLIP_CHANGE,

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.fit.covariance import innovation_share
-from energyplan.fit.drives.denoise import Turning, quiet, reading_noise, turning
+from energyplan.fit.drive import Turning, quiet, reading_noise, turning
+from energyplan.fit.solvers import innovation_share
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, effects
 from energyplan.power.effect_terms import DRAGGING_LEFT

@@ -14,16 +14,11 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.change_points import mark_changes
-from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.proposals import Candidate
-from energyplan.diagnosis.search import Search
-from energyplan.diagnosis.settled_sets import settled
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.drives.late import ON_TIME, Late
-from energyplan.fit.problem import PAPER, Problem
+from energyplan.diagnosis.candidates import Candidate, Part, mark_changes
+from energyplan.diagnosis.search import Search, settled
+from energyplan.fit.drive import ON_TIME, Late, prepared
+from energyplan.fit.estimate import PAPER, Problem
 from energyplan.path import FloatArray
-from energyplan.power import DRIVE_LOSS, HOTEL
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
 from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue
 
@@ -50,65 +45,12 @@ def made() -> Search:
     effects = [catalogue()[name] for name in NAMES]
     problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
     found = Search(problem, effects, lambda *_: None, 4)
-    found.errors = problem.reference(problem.design(ROBOT.terms))
+    found.quick.errors = problem.reference(problem.design(ROBOT.terms))
     return found
 
 
-def test_a_set_is_fitted_again_from_a_part_of_it_that_explains_more(search: Search) -> None:
-    candidates = search._candidates(None)
-    whole, part = (0, 1, 2), (0, 1)
-    found = search._evaluate(whole, candidates, ON_TIME)
-    stuck = replace(found, fit=replace(found.fit, squares=1e4 * found.fit.squares))
-    search.evaluated[whole, ON_TIME] = stuck
-    search._fit_from(part, whole, candidates, ON_TIME)
-    again = search._evaluate(whole, candidates, ON_TIME)
-    assert search.score(again) == pytest.approx(search.score(found), abs=0.01)
-    # Where it explains as much as the part, nothing is done.
-    search._fit_from(part, whole, candidates, ON_TIME)
-    assert search._evaluate(whole, candidates, ON_TIME) is again
-
-
-def test_the_best_set_is_weighed_at_each_delay(search: Search) -> None:
-    late = Late(0.2)
-    pools = {late: search._candidates(None), ON_TIME: list(reversed(search._candidates(None)))}
-    key = frozenset({0, 1, 2})
-    weighed = {(key, late): search._posterior((0, 1, 2), pools[late], late)}
-    search._redelay(weighed, pools)
-    assert (frozenset({0, 1, 2}), ON_TIME) in weighed
-    assert weighed[key, ON_TIME] > weighed[key, late]  # the drive's power is not late
-
-
-def test_pairs_hold_the_set_and_two_effects_more(search: Search) -> None:
-    candidates = search._candidates(None)
-    singles = [(0, 1), (0, 2), (1,)]
-    assert search._pairs((0,), singles, np.zeros(3), candidates) == [(0, 1, 2)]
-
-
-def test_the_best_set_with_each_loss_is_tried_whatever_the_quick_search_says(
-    search: Search,
-) -> None:
-    candidates = search._candidates(None)
-    plain, lossy = (search._evaluate(some, candidates, ON_TIME) for some in ((1,), (0, 1)))
-    sets, scores = [(1, 2), (0, 1), (0, 1, 2), (0,)], np.array([4.0, 1.0, 3.0, 2.0])
-    assert search._losses(sets, scores, candidates, plain) == [(0, 1, 2)]
-    assert search._losses(sets, scores, candidates, lossy) == []
-
-
-def test_a_more_probable_set_that_earns_no_place_is_a_stepping_stone(search: Search) -> None:
-    pools = {ON_TIME: search._candidates(None)}
-    plain, whole = (search._posterior(s, pools[ON_TIME], ON_TIME) for s in ((), (0, 1, 2)))
-    assert whole > plain + 6.0
-    weighed = {(frozenset[int](), ON_TIME): plain}
-    assert search._stepping_stone(weighed, pools, set()) == ((0, 1, 2), ON_TIME)
-    # Not twice, not what has earned its place, and nothing that is hardly better than the best.
-    tried = {((0, 1, 2), ON_TIME)}
-    assert search._stepping_stone(weighed, pools, tried) != ((0, 1, 2), ON_TIME)
-    weighed[frozenset((0, 1, 2)), ON_TIME] = whole
-    assert search._stepping_stone(weighed, pools, set()) is None
-
-
 def test_a_further_effect_counts_with_its_odds(search: Search) -> None:
-    candidates = search._candidates(None)
+    candidates = search.quick.candidates_for(None)
     sets = [(0, 1), (0, 2), (0, 1, 2), (1, 2)]
 
     def odds(*scores: float) -> float:
@@ -129,17 +71,6 @@ def test_a_further_effect_counts_with_its_odds(search: Search) -> None:
     assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(math.exp(-3.0))
 
 
-def test_the_best_set_is_weighed_without_each_of_its_effects(search: Search) -> None:
-    candidates, key = search._candidates(None), frozenset({0, 1, 2})
-    weighed = {(key, ON_TIME): search._posterior((0, 1, 2), candidates, ON_TIME)}
-    search._lessened(weighed, (0, 1, 2), candidates, ON_TIME)
-    less = {(frozenset(some), ON_TIME) for some in ((0, 1), (0, 2), (1, 2))}
-    assert set(weighed) == {(key, ON_TIME)} | less
-    assert max(weighed[one] for one in less) < weighed[key, ON_TIME] - 10.0
-    # Each can be told: what its effects are worth in it is known.
-    assert set(search.evaluated[(0, 2), ON_TIME].gains) == {0, 2}
-
-
 def one_drive(
     model: PowerModel, names: tuple[str, ...], disturbed: float = 0.0, late: float = 0.0
 ) -> Search:
@@ -153,14 +84,14 @@ def one_drive(
     log = DriveLog({**log.channels, "power": log.power + swing}, log.name)
     problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
     made = Search(problem, [catalogue()[name] for name in names], lambda *_: None, 4)
-    made.errors = problem.reference(problem.design(ROBOT.terms))
+    made.quick.errors = problem.reference(problem.design(ROBOT.terms))
     return made
 
 
 @pytest.mark.parametrize("disturbed", [0.0, 0.01])
 def test_a_small_effect_is_one_where_less_than_it_is_missing(disturbed: float) -> None:
     search = one_drive(ROBOT.with_term(VISCOUS_LOSS, 2.5), ("viscous_loss",), disturbed)
-    candidates = search._candidates(None)
+    candidates = search.quick.candidates_for(None)
     one = search._evaluate((0,), candidates, ON_TIME)
     less = search._evaluate((), candidates, ON_TIME)
     gain = replace(search._gain(one, less, candidates[0].part, 1.0), share=0.003)
@@ -177,9 +108,9 @@ def test_what_one_block_alone_shows_of_a_change_is_none(
     search: Search, lasting: float, left: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The less so where what the set leaves beyond noise is worth no effect."""
-    candidate = search._candidates(None)[0]
-    one = search._evaluate((0,), search._candidates(None), ON_TIME)
-    less = search._evaluate((), search._candidates(None), ON_TIME)
+    candidate = search.quick.candidates_for(None)[0]
+    one = search._evaluate((0,), search.quick.candidates_for(None), ON_TIME)
+    less = search._evaluate((), search.quick.candidates_for(None), ON_TIME)
     gain = replace(search._gain(one, less, candidate.part, 1.0), lasting=lasting, improvement=1.0)
     gain = replace(gain, error=0.5, share=0.1, p_value=0.0, weight=40.0)
     monkeypatch.setattr(search, "_missing", lambda _: left)
@@ -193,24 +124,9 @@ def test_what_one_block_alone_shows_of_a_change_is_none(
         assert search._acceptable(gain, replace(candidate, part=part), one, less) == accepted
 
 
-def test_what_most_blocks_show_of_an_effect_lasts_without_the_one_that_shows_most(
-    search: Search,
-) -> None:
-    """The falls of the blocks' errors, in units of one set, sum up to what it is worth."""
-    candidates = search._candidates(None)
-    full, less = (search._evaluate(some, candidates, ON_TIME) for some in ((0, 1, 2), (0, 1)))
-    gain = search._gain(full, less, candidates[2].part, 1.0)
-    fall = (less.fit.squares - full.fit.squares) / (less.errors + search.problem.floor)[:, None]
-    blocks = fall.mean(axis=0)
-    assert gain.improvement == pytest.approx(blocks.sum(), rel=1e-9)
-    assert gain.lasting == pytest.approx(gain.improvement - blocks.max(), rel=1e-9)
-    assert gain.lasting > 0.5 * gain.improvement
-    assert gain.error == pytest.approx(np.std(blocks, ddof=1) * np.sqrt(len(blocks)), rel=1e-9)
-
-
 def test_a_change_leaves_a_tenth_of_a_drive_on_either_side() -> None:
     search = one_drive(ROBOT, ("viscous_loss",))
-    drive = search.problem.drives[0]
+    drive = search.quick.problem.drives[0]
     late = drive.t > 0.94 * drive.t[-1]
     drive = replace(drive, power=drive.power * np.where(late, 1.5, 1.0))
     problem = Problem([drive], ROBOT.vehicle)
@@ -221,7 +137,7 @@ def test_a_change_leaves_a_tenth_of_a_drive_on_either_side() -> None:
 def test_values_between_those_of_a_grid_are_found_while_a_set_grows() -> None:
     warm = replace(WARM_UP, params={"time_constant": 57.0})
     search = one_drive(ROBOT.with_term(warm, 50.0), ("warm_up",))
-    candidates = search._candidates(None)
+    candidates = search.quick.candidates_for(None)
     sets = [(k,) for k in range(len(candidates))]
     weighed = {
         (frozenset(one), ON_TIME): search._posterior(one, candidates, ON_TIME) for one in sets
@@ -254,7 +170,7 @@ def bordered() -> Search:
 
 def test_a_border_is_found_that_no_line_of_the_grid_is_near() -> None:
     search = bordered()
-    candidates = search._candidates(None)
+    candidates = search.quick.candidates_for(None)
     one = search._evaluate((), candidates, ON_TIME)
     worst = min(candidates, key=lambda c: search.score(search._fitted(one.problem, [c.part])))
     found = dict(search._nearest([worst.part], 0, one).params)
@@ -264,29 +180,11 @@ def test_a_border_is_found_that_no_line_of_the_grid_is_near() -> None:
     assert way * found["offset"] == pytest.approx(0.2, abs=0.1)
 
 
-def test_a_line_is_looked_for_where_none_of_the_grid_tells_anything() -> None:
-    search = bordered()
-    place = catalogue()["surface_border"]
-    far = Part(place, (("direction", 2.0), ("offset", -1.0)))
-    candidates = [replace(search._candidates(None)[0], part=far)]
-    ((line,),) = search._with_lines((), candidates, ON_TIME)
-    near = candidates[line].part
-    assert near.params != far.params
-    alone, with_line = (
-        search.score(search._evaluate(some, candidates, ON_TIME)) for some in ((), (line,))
-    )
-    assert with_line > alone + 20.0
-    # Beside a line there is no other, and where nothing differs there is none.
-    assert search._with_lines((line,), candidates, ON_TIME) == []
-    level = one_drive(ROBOT, ("surface_border",))
-    assert level._with_lines((), level._candidates(None), ON_TIME) == []
-
-
 def test_a_loss_beyond_its_bound_is_fitted_from_the_other_side(
     search: Search, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parts = [Part(catalogue()[name]) for name in NAMES]
-    right = search._fitted(search.problem, parts)
+    right = search._fitted(search.quick.problem, parts)
     size = search._coefficients(right)["copper_loss"]
     assert size == pytest.approx(4e-4, rel=0.2)
     starts = []
@@ -298,21 +196,9 @@ def test_a_loss_beyond_its_bound_is_fitted_from_the_other_side(
         return replace(right, fit=replace(right.fit, values=values), sound=values[2] >= 0.0)
 
     monkeypatch.setattr(search, "_fitted_from", ends)
-    again = search._fitted(search.problem, parts, {"copper_loss": -size})
+    again = search._fitted(search.quick.problem, parts, {"copper_loss": -size})
     assert search._coefficients(again)["copper_loss"] == pytest.approx(size)
     assert [start["copper_loss"] for start in starts] == pytest.approx([-size, size])
-
-
-def test_a_loss_is_weighed_in_place_of_one_that_powers_cannot_tell_it_from() -> None:
-    model = ROBOT.with_term(DRIVE_LOSS, 0.5).with_term(HOTEL, 30.0)
-    search = one_drive(model, ("drive_efficiency", "hotel_load", "regeneration_efficiency"))
-    candidates = search._candidates(None)
-    assert search._other_losses((0, 1), candidates, ON_TIME) == [(1, 2)]
-    assert search._other_losses((1, 2), candidates, ON_TIME) == [(0, 1)]
-    assert search._other_losses((1,), candidates, ON_TIME) == []
-    # The current's square is no such loss: it explains much less.
-    other = one_drive(model, ("drive_efficiency", "hotel_load", "copper_loss"))
-    assert other._other_losses((0, 1), other._candidates(None), ON_TIME) == []
 
 
 def test_a_robot_that_hardly_moves_crosses_no_line() -> None:
@@ -401,8 +287,8 @@ def test_a_line_that_no_drive_crosses_stays_where_it_is_without_a_warning() -> N
 
     def made(values: FloatArray) -> tuple[list[Part], Problem]:
         params = zip(("direction", "offset"), values.tolist(), strict=True)
-        return [replace(far, params=tuple(params))], search.problem
+        return [replace(far, params=tuple(params))], search.quick.problem
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert settled(far, made, search.errors) is None
+        assert settled(far, made, search.quick.errors) is None

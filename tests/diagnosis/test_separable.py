@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.part import Part
+from energyplan.diagnosis.candidates import Part
 from energyplan.diagnosis.search import separable, varies
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.problem import Problem
+from energyplan.fit.drive import prepared
+from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power.effects import catalogue
 

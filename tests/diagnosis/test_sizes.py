@@ -9,16 +9,12 @@ import pytest
 from scipy.ndimage import maximum_filter1d
 
 from energyplan import DriveLog, PowerModel, Vehicle, diagnose, simulate
-from energyplan.diagnosis.joint_fit import least_known, size_spread
-from energyplan.diagnosis.part import Part
-from energyplan.diagnosis.plausible import likeness
+from energyplan.diagnosis.judge import _Case, size_spread
 from energyplan.diagnosis.result import Explanation
-from energyplan.diagnosis.wheel_fight import _Case
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.least_squares import Fit
-from energyplan.fit.problem import Problem
+from energyplan.fit.drive import prepared
+from energyplan.fit.estimate import Problem
 from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS
-from energyplan.power.effect_terms import ANGULAR_INERTIA, DRAGGING_LEFT, LINEAR_INERTIA, STRIBECK
+from energyplan.power.effect_terms import ANGULAR_INERTIA, DRAGGING_LEFT, LINEAR_INERTIA
 from energyplan.power.effects import COPPER_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
@@ -40,24 +36,6 @@ def test_the_error_of_a_size_holds_what_explanations_differ_in() -> None:
     assert spread == pytest.approx(np.sqrt(0.3 / 0.8) * 10.0)
     assert size_spread(DRAG, 40.0, told[:1]) == 0.0
     assert size_spread(catalogue()["time_offset"], 0.3, told) == 0.0
-
-
-def test_a_mass_that_noise_hides_tells_nothing() -> None:
-    part = Part(catalogue()["linear_inertia"])
-
-    def of(mass: float, error: float) -> float:
-        found = Fit(
-            np.array([0.5, 100.0, mass]), np.zeros(1), np.diag([0.0, 0.0, error**2]),
-            np.zeros((3, 1)), 9, np.zeros((9, 3)),
-        )  # fmt: skip
-        return likeness(ROBOT.vehicle, [part], found)
-
-    own = ROBOT.vehicle.mass
-    assert of(own, 0.0) == 1.0
-    assert of(0.5 * own, 0.01 * own) < 0.3
-    # Half of a mass is a vote of 20 to 1 where both are known, and next to none where neither is.
-    assert of(0.02 * own, 0.001 * own) > 20.0 * of(0.01 * own, 0.0005 * own)
-    assert of(0.02 * own, 0.1 * own) < 1.2 * of(0.01 * own, 0.05 * own)
 
 
 def test_a_load_at_rest_beside_losses_is_as_far_off_as_its_error_says() -> None:
@@ -91,19 +69,6 @@ def test_what_the_beginning_of_a_turn_costs_is_no_fight_of_the_sides() -> None:
     assert case.moment.any()
 
 
-def of_stribeck(size: float, error: float) -> PowerModel:
-    """A model whose drives tell Stribeck friction to an error."""
-    model = ROBOT.with_term(STRIBECK, size)
-    return replace(model, covariance=np.diag([0.0, 0.0, error**2]))
-
-
-def test_an_effect_whose_error_exceeds_its_size_is_least_known() -> None:
-    part = Part(catalogue()["stribeck_friction"], tuple(STRIBECK.params.items()))
-    assert least_known(of_stribeck(0.3, 0.2), [part]) is None
-    assert least_known(of_stribeck(-0.3, 0.4), [part]) is part
-    assert least_known(of_stribeck(0.3, 3.0), []) is None
-
-
 def test_no_effect_is_told_whose_size_is_anything() -> None:
     """Straight lines and turns at one speed each, read in steps of a twentieth of it."""
     vehicle = Vehicle.from_geometry(
@@ -127,8 +92,5 @@ def test_no_effect_is_told_whose_size_is_anything() -> None:
     searched = {name for name, entry in catalogue().items() if entry.grid}
     for effect in told.effects:
         assert effect.name not in searched or effect.std_error < abs(effect.value), effect
-    for name in told.withdrawn:
-        dropped = name.replace("_", " ") + " was dropped"
-        assert any(dropped in line and "to tell it" in line for line in told.advice)
     assert told.model.coefficient("slip_friction") == pytest.approx(0.64, abs=0.03)
     assert told.after.rmse <= told.before.rmse

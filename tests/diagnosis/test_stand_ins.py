@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from energyplan.diagnosis.stand_ins import chance_to_stand_in, followed
+from energyplan.diagnosis.search import chance_to_stand_in, followed
 
 
 def gram_of(*columns: np.ndarray) -> np.ndarray:

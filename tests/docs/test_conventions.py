@@ -169,7 +169,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 
 CHANGING = {
-    "demo._Demo", "diagnosis.explanations.Evaluated", "fleet.evaluation._Drive",
+    "demo._Demo", "diagnosis.search.Evaluated", "fleet.evaluation._Drive",
     "live.watcher._Drawn", "live.watcher._Ground", "output.report.Page",
     "planning.lattice.search.Search", "terrain.updates.Tables",
 }  # fmt: skip

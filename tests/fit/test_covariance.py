@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from energyplan.fit.covariance import (
+from energyplan.fit.solvers import (
     autocorrelation,
     correlation_time,
     innovation_share,

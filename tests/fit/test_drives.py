@@ -11,13 +11,16 @@ from numpy.testing import assert_allclose
 
 from energyplan import simulate
 from energyplan.fit import identify
-from energyplan.fit.drives.denoise import quiet
-from energyplan.fit.drives.drive import Drive, prepared
-from energyplan.fit.drives.late import Late
-from energyplan.fit.drives.linear import linearise_drive, power_of
-from energyplan.fit.drives.preload import _alone, _smoothed, at_rest, straights
-from energyplan.fit.least_squares import fit
-from energyplan.fit.problem import Problem
+from energyplan.fit.drive import Drive, Late, prepared, quiet
+from energyplan.fit.estimate import Problem, fit
+from energyplan.fit.regressors import (
+    _alone,
+    _smoothed,
+    at_rest,
+    linearise_drive,
+    power_of,
+    straights,
+)
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from energyplan.fit.drives.drive import Drive
-from energyplan.fit.drives.hold import Hold
-from energyplan.fit.drives.windows import BLOCK, SCALES, Windows
-from energyplan.fit.problem import Problem
+from energyplan.fit.drive import BLOCK, SCALES, Drive, Hold, Windows
+from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import PowerModel
 

@@ -10,7 +10,7 @@ import pytest
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import InvalidInputError, NotIdentifiableError
-from energyplan.fit.hoisted import doubts_off_the_ground, hoisted
+from energyplan.fit.identification import doubts_off_the_ground, hoisted
 from energyplan.logs import DriveLog
 
 FORCE, SLOPE, AT = 40.0, 8.0, 0.6

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, identify, simulate
-from energyplan.fit.drives.drive import Drive, prepared
-from energyplan.fit.drives.hold import Hold
+from energyplan.fit.drive import Drive, Hold, prepared
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 NOISE = 5.0

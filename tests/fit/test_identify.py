@@ -20,10 +20,10 @@ from energyplan.errors import (
     UnknownNameError,
 )
 from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify, solvers
-from energyplan.fit import covariance as _covariance
-from energyplan.fit.drives.drive import Drive
-from energyplan.fit.identifiability import check_identifiable
-from energyplan.fit.regression import PowerRegression
+from energyplan.fit import solvers as _covariance
+from energyplan.fit.doubts import check_identifiable
+from energyplan.fit.drive import Drive
+from energyplan.fit.identification import PowerRegression
 from energyplan.logs import DriveLog
 from energyplan.output import documents, text
 from energyplan.power import (

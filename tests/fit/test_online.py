@@ -10,8 +10,8 @@ import pytest
 
 from energyplan import simulate
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.fit import _online_kernel as kernel
 from energyplan.fit import fit_residual, identify
+from energyplan.fit import online as kernel
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.logs import DriveLog
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects

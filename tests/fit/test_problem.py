@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from energyplan import PowerModel, simulate
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.least_squares import fit
-from energyplan.fit.problem import PAPER, Problem, _instead
+from energyplan.fit.drive import prepared
+from energyplan.fit.estimate import PAPER, Problem, _instead, fit
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS
 from energyplan.power.effect_terms import COPPER_LOSS, STRIBECK
 

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, simulate
-from energyplan.fit.drives.denoise import Steps
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.drives.readings import _by_side, moved_by, reading_covariance
-from energyplan.fit.joint import joint_fit
-from energyplan.fit.least_squares import fit
-from energyplan.fit.problem import PAPER, Problem
+from energyplan.fit.drive import Steps, prepared
+from energyplan.fit.estimate import (
+    PAPER,
+    Problem,
+    _by_side,
+    fit,
+    joint_fit,
+    moved_by,
+    reading_covariance,
+)
 from energyplan.power import HOTEL
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")

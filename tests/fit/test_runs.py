@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from energyplan.fit.drives.drive import Drive
+from energyplan.fit.doubts import pieces_of, unfounded
+from energyplan.fit.drive import Drive
+from energyplan.fit.estimate import Problem, joint_fit
 from energyplan.fit.identification import _draw_at_rest
-from energyplan.fit.joint import joint_fit
-from energyplan.fit.problem import Problem
-from energyplan.fit.residuals import pieces_of, unfounded
 from energyplan.motion import Motion
 from energyplan.power import SLIP, TRACTION, PowerModel
 from energyplan.power.effects import COPPER_LOSS

@@ -9,10 +9,9 @@ import pytest
 
 from energyplan import PowerModel, diagnose, identify, simulate
 from energyplan.errors import DriveLogError
-from energyplan.fit.drives.drive import prepared
-from energyplan.fit.joint import joint_fit
-from energyplan.fit.problem import PAPER, Problem
-from energyplan.fit.usual import USUAL, with_usual
+from energyplan.fit.doubts import USUAL, with_usual
+from energyplan.fit.drive import prepared
+from energyplan.fit.estimate import PAPER, Problem, joint_fit
 from energyplan.io.husky import read_husky
 from energyplan.power import HOTEL, SLIP, TRACTION
 from energyplan.power.effect_terms import ANGULAR_INERTIA

@@ -9,15 +9,24 @@ import pytest
 from numpy.testing import assert_allclose
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.fit.drives import drive as drive_module
-from energyplan.fit.drives.columns import column, columns_of
-from energyplan.fit.drives.design import Design
-from energyplan.fit.drives.drive import Drive, channels_of, check_long_enough, prepared
-from energyplan.fit.drives.late import DELAYS, Clock, Late, least_late
-from energyplan.fit.drives.linear import held_loss, linearise_drive
-from energyplan.fit.drives.parting import split_drives
-from energyplan.fit.drives.preload import preload
-from energyplan.fit.drives.windows import BLOCK, SCALES, Windows
+from energyplan.fit import drive as drive_module
+from energyplan.fit.drive import (
+    BLOCK,
+    DELAYS,
+    SCALES,
+    Clock,
+    Drive,
+    Late,
+    Windows,
+    channels_of,
+    check_long_enough,
+    column,
+    columns_of,
+    least_late,
+    prepared,
+    split_drives,
+)
+from energyplan.fit.regressors import Design, held_loss, linearise_drive, preload
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (

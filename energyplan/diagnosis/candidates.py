@@ -1,30 +1,322 @@
 """Sets of effects worth a closer look: the quick half of the search (private).
 
-All candidates' columns go into one Gram matrix a fold; the cross-validated error of any set is then
-a few small linear solves. Every pair of the best is tried, and larger sets grow from the best
-smaller ones: effects mask each other, so that none can be judged alone (docs/theory, section 7).
+Effects vary in parameters that are not linear: when something changed, where a border lies. All
+variants' columns go into one Gram matrix a fold; the cross-validated error of any set is then a few
+small linear solves. Every pair of the best is tried, and larger sets grow from the best smaller
+ones: effects mask each other, so that none can be judged alone (docs/theory, section 7).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
+from numpy.typing import NDArray
 
-from energyplan.diagnosis.change_points import mark_changes
-from energyplan.diagnosis.ground import Ground
-from energyplan.diagnosis.part import Part
-from energyplan.fit.drives.design import Design
-from energyplan.fit.drives.drive import Drive, channels_of
-from energyplan.fit.drives.late import Late
-from energyplan.fit.least_squares import WEIGHTS, fit, solve, squared_errors
-from energyplan.fit.problem import PAPER, Problem
+from energyplan.fit.drive import Drive, Late, channels_of, column
+from energyplan.fit.estimate import PAPER, WEIGHTS, Problem, fit, solve, squared_errors
+from energyplan.fit.regressors import Design
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
+from energyplan.vehicle import Vehicle
+
+# -- an effect as it stands in a model -------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Part:
+    """An effect with the values of the parameters in which it is not linear."""
+
+    effect: Effect
+    params: tuple[tuple[str, float], ...] = ()
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """The effect's terms, with these parameters where they have them."""
+        chosen = dict(self.params)
+        return tuple(
+            replace(term, params={key: chosen.get(key, v) for key, v in term.params.items()})
+            for term in self.effect.terms
+        )
+
+    @property
+    def values(self) -> FloatArray:
+        """The values of its parameters."""
+        return np.array([value for _, value in self.params])
+
+    @property
+    def lossy(self) -> bool:
+        """Whether it takes a part of what the forces do."""
+        return any(term.kind == "loss" for term in self.effect.terms)
+
+
+# -- when a payload or a surface changed -----------------------------------------------------------
+
+_SWEEPS = 3
+_LEAST_SIDE = 0.1  # share of a drive before a change in it, and after
+
+
+def _window_grams(problem: Problem, terms: Sequence[Term], values: FloatArray) -> list[FloatArray]:
+    """Cumulative Gram matrices over half-second windows of [columns, paper's columns, power]."""
+    sums = []
+    about = problem.tables(terms, values)
+    for drive, table, target in zip(problem.drives, about.columns, about.targets, strict=True):
+        windows = drive.windows[0]
+        table, target = table[:, 0], target[:, 0]  # of the total
+        paper = [drive.seen(column(term, drive, problem.vehicle)) for term in PAPER]
+        rows = windows.mean(np.column_stack([table, *paper, target]))
+        products = np.einsum("ni,nj->nij", rows, rows)
+        sums.append(np.concatenate([np.zeros((1, *products.shape[1:])), np.cumsum(products, 0)]))
+    return sums
+
+
+def _masked(total: FloatArray, after: FloatArray, count: int) -> FloatArray:
+    """Gram matrix in which the last two columns count only in the windows `after`."""
+    gram = np.broadcast_to(total, after.shape).copy()
+    late = slice(count, count + 2)
+    gram[..., late, :] = after[..., late, :]
+    gram[..., :, late] = after[..., :, late]
+    return gram
+
+
+def _loss(gram: FloatArray) -> FloatArray:
+    return squared_errors(gram, solve(gram))
+
+
+def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) -> Problem:
+    """Find when each drive changed state, and give the drives the channel ``changed``."""
+    design = problem.design(terms, errors)
+    values = solve(design.grams.sum(axis=(0, 1)))
+    sums = _window_grams(problem, terms, values)
+    count = len(terms)
+    totals = [part[-1] for part in sums]
+    afters = [np.zeros_like(total) for total in totals]
+    splits: list[tuple[int, bool]] = [(len(part) - 1, True) for part in sums]
+    for _ in range(_SWEEPS):
+        settled = list(splits)
+        for k, part in enumerate(sums):
+            others_total = sum((totals[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
+            others_after = sum((afters[j] for j in range(len(sums)) if j != k), 0.0 * totals[k])
+            margin = int(np.ceil(_LEAST_SIDE * len(part)))
+            times = np.arange(margin, len(part) - margin)
+            if not len(times):
+                continue  # too short to have changed within
+            late = part[-1] - part[times]
+            options = [late] if k == 0 else [late, part[times], part[-1:], 0.0 * part[-1:]]
+            best = (np.inf, splits[k], afters[k])
+            for number, after in enumerate(options):
+                grams = _masked(others_total + totals[k], others_after + after, count)
+                losses = _loss(grams)
+                place = int(np.argmin(losses))
+                if losses[place] < best[0] * (1 - 1e-9):
+                    time = (int(times[place]), int(times[place]), 0, len(part) - 1)[number]
+                    best = (float(losses[place]), (time, number != 1), after[place])
+            splits[k], afters[k] = best[1], best[2]
+        if settled == splits:
+            break
+    return Problem(
+        [_marked(drive, *split) for drive, split in zip(problem.drives, splits, strict=True)],
+        problem.vehicle,
+        problem.memory,
+    )
+
+
+def _marked(drive: Drive, window: int, rising: bool) -> Drive:
+    starts = np.append(drive.windows[0].starts, len(drive.t))
+    after = np.arange(len(drive.t)) >= starts[window]
+    return drive.with_channels(changed=np.asarray(after if rising else ~after, float))
+
+
+def settle_change(
+    drive: Drive, base: FloatArray, terms: Sequence[Term], values: FloatArray, vehicle: Vehicle
+) -> Drive:
+    """Find when a drive changed state, its coefficients known."""
+    whole = drive.with_channels(changed=np.ones(len(drive.t)))
+    step = sum(
+        (column(term, whole, vehicle) * float(v)
+         for term, v in zip(terms, values, strict=True)),
+        np.zeros(len(drive.t)),
+    )  # fmt: skip
+    windows = drive.windows[0]
+    residual = windows.mean(drive.power - base)
+    shift = windows.mean(drive.seen(np.asarray(step)))
+    before, after = residual**2, (residual - shift) ** 2
+    early = np.concatenate([[0.0], np.cumsum(before - after)])
+    rising, falling = early, -early + early[-1]
+    # Sum of squares of changing at window k, less that of having changed all along.
+    k_up, k_down = int(np.argmin(rising)), int(np.argmin(falling))
+    if rising[k_up] <= falling[k_down]:
+        return _marked(drive, k_up, True)
+    return _marked(drive, k_down, False)
+
+
+def change_time(drive: Drive) -> dict[str, float]:
+    """Return when a drive changed state [s], by the words of a report; nothing where it did not."""
+    if "changed" not in drive.motion.channels:
+        return {}
+    changed = drive.motion.channels["changed"]
+    at = np.flatnonzero(np.diff(changed))
+    return {f"time in {drive.name}": float(drive.t[at[0] + 1])} if len(at) else {}
+
+
+# -- lines on the ground that a drive crossed, and those among them that may be a border -----------
+
+_SHARES = (0.2, 0.35, 0.5, 0.65, 0.8)  # of the time that contacts are on one side of a line
+_FINE_SHARES = tuple(np.linspace(0.03, 0.97, 17))
+_TURN = np.pi / 16  # between fine lines [rad]
+_CLOSE = 0.125  # distance of the closest lines over that of a contact from the robot's middle
+_LEAST_BEYOND = 0.1  # share of the time on either side of a line, of which it tells
+_LEAST_VISITED = 0.03  # of a side that was visited as often as this:
+_VISITS = 3
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Where the contacts of a robot were while it moved."""
+
+    drives: Sequence[Drive]  # drives with ``x`` and ``y``
+    vehicle: Vehicle  # tells where the contacts are
+
+    @cached_property
+    def places(self) -> tuple[FloatArray, ...]:
+        """Place of each contact on each drive, shape (n, contacts, 2) [m]; NaN at rest.
+
+        A robot that spins on the spot has its contacts on both sides of a line, and its middle on
+        none.
+        """
+        found = []
+        for drive in self.drives:
+            motion = drive.motion
+            at = np.column_stack([motion.channels[name] for name in "xy"])[:, None]
+            if "yaw" in motion.channels:
+                ahead, aside = (part(motion.channels["yaw"]) for part in (np.cos, np.sin))
+                x, y = self.vehicle.contacts.T
+                turned = [np.outer(ahead, x) - np.outer(aside, y)]
+                turned += [np.outer(aside, x) + np.outer(ahead, y)]
+                at = at + np.stack(turned, axis=-1)
+            moves = (motion.v_left != 0.0) | (motion.v_right != 0.0)
+            found.append(np.where(moves[:, None, None], at, np.nan))
+        return tuple(found)
+
+    @cached_property
+    def _visited(self) -> FloatArray:
+        """Places of all contacts while the robot moved, shape (m, 2) [m]."""
+        every = np.concatenate([place.reshape(-1, 2) for place in self.places])
+        return np.asarray(every[np.isfinite(every).all(axis=1)])
+
+    @cached_property
+    def middle(self) -> FloatArray:
+        """Mean place, shape (2,) [m]: lines turn about it, however far the map's origin is."""
+        return np.asarray(self._visited.mean(axis=0) if len(self._visited) else np.zeros(2))
+
+    def from_middle(self, line: FloatArray) -> FloatArray:
+        """Return a line's direction, and its offset from the middle [m]."""
+        direction, offset = line
+        return np.array([direction, offset - self.middle @ _normal(direction)])
+
+    def from_origin(self, line: FloatArray) -> FloatArray:
+        """Return a line's direction, and its offset from the origin, given that from the middle."""
+        direction, apart = line
+        return np.array([direction, apart + self.middle @ _normal(direction)])
+
+    def lines(self, effect: Effect, fine: bool = False) -> Iterator[Part]:
+        """Yield variants of an effect for lines that cross the ground driven on."""
+        count, shares = (16, _FINE_SHARES) if fine else (8, _SHARES)
+        for direction in np.arange(count) * np.pi / count:
+            along = self._visited @ _normal(direction)
+            for offset in np.quantile(along, shares) if len(along) else ():
+                line = np.array([direction, offset])
+                if not fine or self.crosses(line):
+                    yield _at(effect, line)
+
+    @cached_property
+    def _span(self) -> float:
+        """Length of the ground driven on, but for its fringes [m]."""
+        low, high = np.quantile(self._visited, (0.03, 0.97), axis=0)
+        return float(np.max(high - low))
+
+    @cached_property
+    def levels(self) -> int:
+        """How often fine lines are made closer until their ends are close, once at least."""
+        turns = 0.5 * _TURN * self._span / (_CLOSE * self._reach)
+        return int(np.ceil(np.log2(max(turns, 2.0))))
+
+    def about(self, parts: Sequence[Part], level: int) -> Iterator[Part]:
+        """Yield each of some lines, and up to eight about it, the closer the higher the level."""
+        steps = self._steps(level)
+        for part in parts:
+            middle = self.from_middle(part.values)
+            for away in product((0, -1, 1), repeat=2):
+                line = self.from_origin(middle + np.array(away) * steps)
+                if away == (0, 0) or self.crosses(line):
+                    yield _at(part.effect, line)
+
+    def apart(self, ranked: Sequence[Part], level: int) -> list[Part]:
+        """Return lines without those that are next to a better one, best first."""
+        steps = self._steps(level)
+        kept: list[Part] = []
+        for part in ranked:
+            gaps = (np.abs(self._gap(part, other)) for other in kept)
+            if all(np.any(gap > 1.5 * steps) for gap in gaps):
+                kept.append(part)
+        return kept
+
+    def crosses(self, line: FloatArray) -> bool:
+        """Tell whether contacts were on both sides of a line for long enough, or often enough."""
+        along = [place @ _normal(line[0]) - line[1] for place in self.places]
+        beyond = [each > 0.0 for each in along]
+        before = [each < 0.0 for each in along]
+        counts = [sum(int(np.count_nonzero(each)) for each in side) for side in (before, beyond)]
+        share = min(counts) / max(sum(counts), 1)
+        if share >= _LEAST_BEYOND or share < _LEAST_VISITED:
+            return share >= _LEAST_BEYOND
+        side = before if counts[0] < counts[1] else beyond
+        return sum(map(_visits, self.drives, side)) >= _VISITS
+
+    @cached_property
+    def _reach(self) -> float:
+        """Distance of the outermost contact from the robot's middle [m]."""
+        return float(np.hypot(*self.vehicle.contacts.T).max())
+
+    @property
+    def first_step(self) -> FloatArray:
+        """First step from a line that is close to the best one [rad] and [m]."""
+        return np.array([0.25 * _TURN, 2.0 * _CLOSE * self._reach])
+
+    def _steps(self, level: int) -> FloatArray:
+        """Distance of neighbouring lines [rad] and [m]: of fine ones first, and of close ones."""
+        close, fine = _CLOSE * self._reach, self._span / len(_FINE_SHARES)
+        share = level / self.levels
+        return np.array([_TURN / 2.0**level, fine ** (1.0 - share) * close**share])
+
+    def _gap(self, one: Part, other: Part) -> FloatArray:
+        return self.from_middle(one.values) - self.from_middle(other.values)
+
+
+def _normal(direction: float) -> FloatArray:
+    return np.array([np.cos(direction), np.sin(direction)])
+
+
+def _at(effect: Effect, line: FloatArray) -> Part:
+    return Part(effect, (("direction", float(line[0])), ("offset", float(line[1]))))
+
+
+def _visits(drive: Drive, there: NDArray[np.bool_]) -> int:
+    """Return how often half of the contacts came to a side of a line.
+
+    Half a second after they left it at least: a pose that is noisy seems to come and go while it
+    stands by the line.
+    """
+    half = there.mean(axis=1) >= 0.5
+    some = drive.windows[0].mean(half.astype(float)) > 0.0
+    return int(np.count_nonzero(np.diff(some, prepend=False) & some))
+
+
+# -- sets of effects worth a closer look: the quick half of the search -----------------------------
 
 RARE = -6.0
 """Logarithm of the odds of an effect before the data, against its absence."""
@@ -146,7 +438,8 @@ class Proposals:
             chosen = [(*before, (key, value)) for before in chosen for value in values]
         return [Part(effect, params) for params in chosen]
 
-    def _candidates(self, marked: Problem | None) -> list[Candidate]:
+    def candidates_for(self, marked: Problem | None) -> list[Candidate]:
+        """Return all effects with each of their variants; changes where their times are known."""
         found, first = [], len(PAPER)
         # Changes last: they are numbered only once their times are known.
         for effect in sorted(self.effects, key=lambda effect: effect.acts == "change"):
@@ -170,7 +463,7 @@ class Proposals:
                 found.append(Candidate(part, columns, float(prior), change))
         return found
 
-    def _table(self, problem: Problem, candidates: Sequence[Candidate], about: About) -> Design:
+    def table(self, problem: Problem, candidates: Sequence[Candidate], about: About) -> Design:
         """Columns of the paper's terms and of all candidates, linearised about coefficients."""
         terms = [*PAPER, *(term for one in candidates for term in one.part.terms)]
         values = np.array([about.get(_key(term), 0.0) for term in terms])
@@ -179,7 +472,7 @@ class Proposals:
             problem = with_changes(problem, marked)
         return problem.design_about(terms, values).with_folds(_FOLDS)
 
-    def _scores(
+    def scores(
         self,
         design: Design,
         candidates: Sequence[Candidate],
@@ -226,7 +519,8 @@ class Proposals:
                 rows.append((low, np.inf if term.kind == "loss" else high))
         return np.array(rows).T
 
-    def _compatible(self, candidates: Sequence[Candidate], chosen: Iterable[int]) -> bool:
+    def compatible(self, candidates: Sequence[Candidate], chosen: Iterable[int]) -> bool:
+        """Tell whether no two candidates share a term."""
         names = [name for one in chosen for name in candidates[one].terms]
         return len(set(names)) == len(names)
 
@@ -244,10 +538,10 @@ class Proposals:
         def score(sets: Iterable[Set]) -> None:
             fresh = [
                 one for one in dict.fromkeys(sets)
-                if one not in known and self._compatible(candidates, one)
+                if one not in known and self.compatible(candidates, one)
             ]  # fmt: skip
             if fresh:
-                values = self._scores(design, candidates, fresh, reference)
+                values = self.scores(design, candidates, fresh, reference)
                 known.update(zip(fresh, values.tolist(), strict=True))
 
         every = range(len(candidates))
@@ -274,13 +568,13 @@ class Proposals:
     def pool(self, late: Late, usual: Sequence[Part]) -> tuple[list[Candidate], list[Set]]:
         """Return the candidates at a time offset, and the best sets of them."""
         problem = self.problem.delayed(late)
-        about, marked = self._about(problem, usual, None), None
+        about, marked = self.about(problem, usual, None), None
         pooled: dict[frozenset[str], tuple[float, Labels]] = {}
         candidates: list[Candidate] = []
         for stage in range(2):
-            candidates = self._candidates(marked)
+            candidates = self.candidates_for(marked)
             start = tuple(k for k, one in enumerate(candidates) if one.part in usual)
-            design = self._table(problem, candidates, about)
+            design = self.table(problem, candidates, about)
             first = [*range(len(PAPER)), *(c for k in start for c in candidates[k].columns)]
             errors = problem.reference(design.picked(first))
             known = self._grow(design, candidates, start, errors, 2)
@@ -297,7 +591,7 @@ class Proposals:
             top = ranked[0]
             columns = [*range(len(PAPER)), *(c for k in top for c in candidates[k].columns)]
             parts = [candidates[k].part for k in top]
-            about = self._about(problem, parts, errors)
+            about = self.about(problem, parts, errors)
             if any(effect.acts == "change" for effect in self.effects):
                 marked = self._marked(problem, parts, errors)
             # Losses act on the forces: those of the best set show others than the usual ones do.
@@ -335,7 +629,7 @@ class Proposals:
         )
         return None if between - within < 0.5 * (base - within) else marked
 
-    def _about(self, problem: Problem, parts: Sequence[Part], errors: FloatArray | None) -> About:
+    def about(self, problem: Problem, parts: Sequence[Part], errors: FloatArray | None) -> About:
         """Return coefficients to linearise losses about: those of a model."""
         design = problem.design(terms_of(parts), errors)
         scale = problem.reference(design) if errors is None else errors
@@ -369,7 +663,7 @@ class Proposals:
         """Take out what lowers likelihood times prior."""
         while chosen:
             rest = [tuple(k for k in chosen if k != gone) for gone in chosen]
-            scores = self._scores(design, candidates, [chosen, *rest], errors)
+            scores = self.scores(design, candidates, [chosen, *rest], errors)
             best = int(np.argmax(scores))
             if best == 0:
                 break
@@ -385,10 +679,10 @@ class Proposals:
             for old in best for new in range(len(candidates))
             if new not in best and not candidates[old].always
         ]  # fmt: skip
-        trials = [one for one in dict.fromkeys(trials) if self._compatible(candidates, one)]
+        trials = [one for one in dict.fromkeys(trials) if self.compatible(candidates, one)]
         if not trials:
             return []
-        scores = self._scores(design, candidates, [best, *trials], errors)
+        scores = self.scores(design, candidates, [best, *trials], errors)
         near = np.flatnonzero(scores[1:] > scores[0] - _NEAR)
         order = near[np.argsort(-scores[1:][near], kind="stable")]
         return [trials[k] for k in order[:_EXACT]]

@@ -1,0 +1,709 @@
+"""A set of effects as a model, and whether it holds on drives that took no part (private).
+
+All parameters are fitted together, what the model leaves is tested, and errors and energies of
+other drives come with intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq, least_squares
+from scipy.stats import f as fisher
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from energyplan.diagnosis.candidates import Part, settle_change, terms_of
+from energyplan.diagnosis.residual import Dependence, dependences
+from energyplan.diagnosis.result import (
+    EnergyPrediction,
+    ErrorInterval,
+    Evidence,
+    Explanation,
+    FoundEffect,
+)
+from energyplan.diagnosis.search import SIGNIFICANCE, Presence, SearchResult, presence
+from energyplan.errors import VehicleError
+from energyplan.fit.doubts import Adequacy, adequacy, left_over, shown_of_contacts, statistics
+from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late
+from energyplan.fit.estimate import PAPER, Problem, RunSpread, joint_fit
+from energyplan.fit.regressors import (
+    equations_of,
+    held_forces,
+    is_lossy,
+    losses_of,
+    lost_power,
+    power_of,
+    preload,
+    slip_limit,
+    straights,
+)
+from energyplan.path import FloatArray
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual, Sides, Term
+from energyplan.power.effect_terms import WHEEL_FIGHT
+from energyplan.power.effects import Effect, empirical_term
+from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
+
+# -- errors on drives that were held out, with intervals -------------------------------------------
+
+_RESAMPLES = 400
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted power of a drive."""
+
+    drive: Drive  # the drive, its power freed of delay
+    power: FloatArray  # (n,): predicted power [W]
+    change: float | None = None  # when it changed state [s]
+
+
+def predict(
+    model: PowerModel, parts: Sequence[Part], drive: Drive, *, dated: bool = True
+) -> Prediction:
+    """Predict a drive; when it changed state is found on the drive itself."""
+    for part in parts:
+        if part.effect.name == "time_offset":
+            drive = replace(drive, late=Late.of(part.params))
+    whole = model.battery_side() if drive.battery else model
+    steps = [
+        k for k, term in enumerate(whole.terms) if term.name in ("slip_change", "traction_change")
+    ]
+    if not steps:
+        return Prediction(drive, drive.seen(power_of(whole, drive)))
+    if not dated:
+        after = drive.with_channels(changed=np.ones(len(drive.t)))
+        return Prediction(after, after.seen(power_of(whole, after)))
+    still = drive.with_channels(changed=np.zeros(len(drive.t)))
+    settled = settle_change(
+        drive,
+        drive.seen(power_of(whole, still)),
+        [whole.terms[k] for k in steps],
+        whole.coefficients[steps],
+        whole.vehicle,
+    )
+    changed = settled.motion.channels["changed"]
+    at = np.flatnonzero(np.diff(changed))
+    time = float(drive.t[at[0] + 1]) if len(at) else None
+    return Prediction(drive, drive.seen(power_of(whole, settled)), time)
+
+
+def score(predictions: Sequence[Prediction]) -> Residual:
+    """Return the statistics of measured minus predicted power."""
+    return statistics([one.drive for one in predictions], [one.power for one in predictions])
+
+
+def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:
+    """Return 95 % intervals of the statistics by resampling blocks of driving."""
+    rows = []
+    for one in predictions:
+        t = one.drive.t
+        block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
+        r = one.drive.power - one.power
+        dt = one.drive.weights
+        values = np.column_stack(
+            [np.ones(len(r)), r**2, np.abs(r), r, one.drive.power * dt, one.power * dt]
+        )
+        sums = np.zeros((int(block.max()) + 1, values.shape[1]))
+        np.add.at(sums, block, values)
+        rows.append(sums[sums[:, 0] > 0])  # none of a gap
+    table = np.concatenate(rows)
+    draws = np.random.default_rng(seed).integers(0, len(table), (_RESAMPLES, len(table)))
+    n, square, absolute, plain, measured, predicted = table[draws].sum(axis=1).T
+    with_energy = np.where(measured != 0, measured, 1.0)
+    samples = (np.sqrt(square / n), absolute / n, plain / n, predicted / with_energy - 1.0)
+    ends = [np.quantile(values, [0.025, 0.975]) for values in samples]
+    return ErrorInterval(*((float(low), float(high)) for low, high in ends))
+
+
+# -- centre of mass from the way the robot moves ---------------------------------------------------
+
+_MOST_SAMPLES = 500
+_ROUNDS = 40
+_SOFTENING = 1e-3  # slip speed below which friction is not fully developed [m/s]
+_LEAST_OFFSET = 0.01  # centre of mass that is as good as centred [m]
+
+
+@dataclass(frozen=True)
+class MassCentre:
+    """Centre of mass in the body frame."""
+
+    forward: float  # offset [m]
+    left: float  # offset [m]
+    covariance: FloatArray  # (2, 2): of both [m^2], allowing for correlation within blocks
+    improvement: float
+    improvement_error: float
+    p_value: float  # of a centred mass
+
+    def effect(self, entry: Effect) -> FoundEffect:
+        """Return it as an effect of a diagnosis."""
+        offset = np.array([self.forward, self.left])
+        size = float(np.hypot(*offset))
+        along = offset / size
+        return FoundEffect(
+            entry.name, entry.symbol, size, entry.unit,
+            float(np.sqrt(along @ self.covariance @ along)),
+            Evidence(self.improvement, self.improvement_error, self.p_value),
+            1.0 - self.p_value,
+            (),
+            {
+                "forward": self.forward, "left": self.left,
+                "forward_std_error": float(np.sqrt(self.covariance[0, 0])),
+                "left_std_error": float(np.sqrt(self.covariance[1, 1])),
+            },
+            entry.meaning, entry.planner,
+        )  # fmt: skip
+
+    @property
+    def found(self) -> bool:
+        """Whether the offset is real, matters, and explains how the robot moves."""
+        return (
+            self.p_value < 1e-3
+            and float(np.hypot(self.forward, self.left)) > _LEAST_OFFSET
+            and self.improvement > max(0.2, 2 * self.improvement_error)
+        )
+
+
+def twist(
+    vehicle: Vehicle, shares: FloatArray, left: FloatArray, right: FloatArray, lateral: FloatArray
+) -> FloatArray:
+    """Forward, sideways and yaw speed that lose the least power to friction."""
+    x, y = vehicle.contacts.T
+    tread = np.where(y > 0, left[:, None], right[:, None])
+    ahead = np.stack([np.ones_like(x), np.zeros_like(x), -y], axis=1)
+    aside = np.stack([np.zeros_like(x), np.ones_like(x), x], axis=1)
+    both = ahead[:, :, None] * ahead[:, None] + aside[:, :, None] * aside[:, None]
+    found = np.column_stack(
+        [0.5 * (left + right), 0.0 * left, (right - left) / vehicle.icr.slip_track]
+    )
+    for _ in range(_ROUNDS):
+        slip = np.hypot(found @ ahead.T - tread, found @ aside.T)
+        weight = shares / np.hypot(slip, _SOFTENING)
+        matrix = (weight @ both.reshape(-1, 9)).reshape(-1, 3, 3)
+        target = (weight * tread) @ ahead
+        target[:, 1] -= lateral
+        before, found = found, np.linalg.solve(matrix, target[..., None])[..., 0]
+        if np.max(np.abs(found - before)) < 1e-6:
+            break
+    return np.asarray(found)
+
+
+def find_mass_centre(drives: Sequence[Drive], vehicle: Vehicle, mu: float) -> MassCentre | None:
+    """Find the centre of mass from pose and tread speeds."""
+    if not all({"x", "y", "yaw"} <= set(drive.motion.channels) for drive in drives):
+        return None
+    data, blocks = _turning(drives)
+    if len(data) < 50:
+        return None
+    left, right, measured = data[:, 0], data[:, 1], data[:, 2:]
+    lateral = measured[:, 0] * measured[:, 2] / (max(mu, 0.05) * GRAVITY)
+
+    def residual(offset: FloatArray) -> FloatArray:
+        try:
+            loads = wheel_loads(vehicle.contacts, vehicle.mass, offset)
+        except VehicleError:
+            return np.full(measured.size, 10.0)  # a wheel would lift off: no such robot
+        shares = loads / loads.sum()
+        return np.ravel(twist(vehicle, shares, left, right, lateral) - measured)
+
+    fitted = least_squares(
+        residual, [0.01, 0.01], loss="soft_l1", f_scale=0.01, diff_step=(1e-3, 1e-3)
+    )
+    rows = np.reshape(np.asarray(fitted.jac), (len(data), 3, 2))
+    errors = residual(fitted.x).reshape(-1, 3)
+    scores = np.einsum("nki,nk->ni", rows, errors / np.sqrt(1 + (errors / 0.01) ** 2))
+    _, index = np.unique(blocks, return_inverse=True)
+    count = int(index.max()) + 1
+    sums = np.zeros((count, 2))
+    np.add.at(sums, index, scores)
+    bread = np.linalg.pinv(np.einsum("nki,nkj->ij", rows, rows))
+    covariance = bread @ (sums.T @ sums) @ bread * count / max(count - 2, 1)
+    squared = float(fitted.x @ np.linalg.pinv(covariance) @ fitted.x)
+    centred = _symmetric_error(left, right, measured)
+    gaps = np.zeros(count)
+    np.add.at(gaps, index, centred - np.sum(errors**2, axis=1))
+    total = float(np.sum(centred))
+    return MassCentre(
+        float(fitted.x[0]), float(fitted.x[1]), covariance,
+        float(gaps.sum()) / max(total, 1e-300),
+        float(np.sqrt(count) * gaps.std(ddof=1)) / max(total, 1e-300),
+        float(fisher.sf(squared / 2, 2, max(count - 2, 1))),
+    )  # fmt: skip
+
+
+def _symmetric_error(left: FloatArray, right: FloatArray, measured: FloatArray) -> FloatArray:
+    """Squared error of the twist of symmetric tread ICRs with the best slip track."""
+    difference = right - left
+    rate = difference * float(difference @ measured[:, 2]) / float(difference @ difference)
+    predicted = np.column_stack([0.5 * (left + right), 0.0 * left, rate])
+    return np.asarray(np.sum((predicted - measured) ** 2, axis=1))
+
+
+def _turning(drives: Sequence[Drive]) -> tuple[FloatArray, FloatArray]:
+    """Pick turning windows: tread speeds and body twist, and the block of each."""
+    rows, blocks, first = [], [], 0
+    for drive in drives:
+        motion, t = drive.motion, drive.t
+        yaw = np.unwrap(motion.channels["yaw"])
+        width = drive.windows[0]
+        speeds = np.column_stack(
+            [
+                motion.v_left, motion.v_right, np.gradient(motion.channels["x"], t),
+                np.gradient(motion.channels["y"], t), np.gradient(yaw, t),
+            ]
+        )  # fmt: skip
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        forward = cos * speeds[:, 2] + sin * speeds[:, 3]
+        aside = cos * speeds[:, 3] - sin * speeds[:, 2]
+        twist_ = np.column_stack([speeds[:, :2], forward, aside, speeds[:, 4]])
+        means = width.mean(twist_)
+        rows.append(means)
+        blocks.append(first + (t[width.starts] // BLOCK))
+        first += int(t[-1] // BLOCK) + 1
+    data, block = np.concatenate(rows), np.concatenate(blocks)
+    turning = np.abs(data[:, 1] - data[:, 0]) > 0.1
+    data, block = data[turning], block[turning]
+    step = max(len(data) // _MOST_SAMPLES, 1)
+    return data[::step], block[::step]
+
+
+# -- all parameters of an extended model fitted together, with their covariance --------------------
+
+_STEP = 0.02  # relative step of a parameter's derivative
+_MOMENT = 0.02  # step of a time offset [s]
+
+_LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
+"""Standard deviation of a delay anywhere among those looked for [s]: none is known less."""
+
+
+@dataclass(frozen=True)
+class FinalFit:
+    """A fitted model."""
+
+    model: PowerModel  # the model with its covariance
+    errors: Mapping[str, float]
+    run_spread: float | None = None  # relative standard deviation of the power between runs
+    run_error: float | None = None
+    assumed: tuple[str, ...] = ()  # terms of which the drives tell less than is known of any robot
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Terms of the model."""
+        return self.model.terms
+
+
+def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
+    """Fit the paper's terms and those of the parts together.
+
+    The covariance is the jackknife's over blocks, by Student's distribution. Where a part has a
+    parameter that was searched, such as a time constant, the derivative of its power by it joins
+    the columns, so that the standard errors allow for the search.
+    """
+    terms = [*PAPER, *(term for part in parts for term in part.terms)]
+    moved: dict[str, list[FloatArray]] = {}
+
+    def further(values: Mapping[str, float]) -> Sequence[Sequence[FloatArray]]:
+        moved.update(_derivatives(problem, parts, values))
+        return list(moved.values())
+
+    found = joint_fit(problem, terms, further)
+    names = [*moved]
+    variances = dict(zip(names, np.diag(found.further).tolist(), strict=True))
+    late = [k for k, name in enumerate(names) if name in Late._fields]
+    if late:
+        between = _between_samples(problem, moved[names[late[0]]])
+        variances["late"] = float(found.further[np.ix_(late, late)].sum()) + between
+        variances["delay"] += between
+    errors = {name: float(np.sqrt(max(value, 0.0))) for name, value in variances.items()}
+    for name in errors.keys() & {"delay", "late"}:
+        errors[name] = min(errors[name], _LOOKED_FOR)
+    return FinalFit(found.model, errors, found.run_spread, assumed=found.assumed)
+
+
+def _between_samples(problem: Problem, rise: Sequence[FloatArray]) -> float:
+    """Return the variance of a delay that is due to what happens between samples [s^2].
+
+    A change of the power happens at any time between two samples, and is taken for even over it.
+    The delay is a mean over all changes, each of which counts by the square of its size.
+    """
+    square = fourth = 0.0
+    for drive, power in zip(problem.drives, rise, strict=True):
+        size = power[:, 0] ** 2
+        square += float(size.sum())
+        fourth += float(np.sum((np.gradient(drive.t) * size) ** 2))
+    return fourth / max(12.0 * square**2, 1e-300)
+
+
+def _derivatives(
+    problem: Problem, parts: Sequence[Part], values: Mapping[str, float]
+) -> dict[str, list[FloatArray]]:
+    """Differentiate the power by each searched parameter, on each drive."""
+    found = {}
+    for part in parts:
+        if part.effect.name == "time_offset":
+            terms = [*PAPER, *(term for other in parts for term in other.terms)]
+            whole = PowerModel(
+                problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
+            )
+            late = Late.of(part.params)
+            for key, _ in late.params:
+                ahead, behind = (
+                    problem.delayed(late._replace(**{key: getattr(late, key) + step}))
+                    for step in (_MOMENT, -_MOMENT)
+                )
+                found[key] = [
+                    (equations_of(whole, a) - equations_of(whole, b)) / (2 * _MOMENT)
+                    for a, b in zip(ahead.drives, behind.drives, strict=True)
+                ]
+        for key, value in part.params:
+            if key not in part.effect.grid or not part.terms:
+                continue
+            step = _STEP * abs(value)
+            ends = []
+            for x in (value + step, value - step):
+                moved = replace(
+                    part, params=tuple((k, x if k == key else v) for k, v in part.params)
+                )
+                coefficients = np.array([values[term.name] for term in moved.terms])
+                model = PowerModel(problem.vehicle, moved.terms, coefficients)
+                ends.append([equations_of(model, drive) for drive in problem.drives])
+            found[key] = [(a - b) / (2 * step) for a, b in zip(*ends, strict=True)]
+    return found
+
+
+def size_error(effect: Effect, model: PowerModel) -> float:
+    """Return the standard error of an effect's size, from the covariance of the coefficients."""
+    if model.covariance is None:
+        return 0.0
+    values = np.array(model.coefficients)
+    gradient = np.zeros(len(values))
+    for k, value in enumerate(values):
+        step = 1e-5 * max(abs(float(value)), 1e-6)
+        ends = []
+        for x in (value + step, value - step):
+            moved = values.copy()
+            moved[k] = x
+            ends.append(effect.value(replace(model, coefficients=moved)))
+        gradient[k] = (ends[0] - ends[1]) / (2 * step)
+    return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
+
+
+def size_spread(effect: Effect, size: float, explanations: Sequence[Explanation]) -> float:
+    """Return by how much the size of an effect differs among explanations that have it.
+
+    Which of them is right is not known either: of two efficiencies that powers cannot tell apart,
+    one divides the sizes of all other effects (docs/theory, section 6).
+    """
+    some = [one for one in explanations if effect.name in one.effects]
+    share = np.array([one.probability for one in some])
+    if not effect.terms or effect.acts == "log" or not share.any():
+        return 0.0
+    apart = np.array([effect.value(one.model) - size for one in some])
+    return float(np.sqrt(share @ apart**2 / share.sum()))
+
+
+# -- what it costs that the sides push against each other on straights -----------------------------
+
+_WORTH = 0.01  # share of the energy that is worth naming
+_CHANCE = 0.01  # chance that none is there, from which on it is not named
+
+
+@dataclass(frozen=True)
+class WheelFight:
+    """The moment that contacts hold on straights, as one that costs as much at any time."""
+
+    size: float  # friction that it uses
+    std_error: float  # friction that it uses
+    share: float  # share of the drives' energy that it costs
+    p_value: float  # chance that another drive as long pays nothing for it, from blocks
+    model: PowerModel  # the model with the term
+
+    def effect(self, entry: Effect) -> FoundEffect:
+        """Return it as an effect of a diagnosis."""
+        return FoundEffect(
+            entry.name, entry.symbol, self.size, entry.unit, self.std_error,
+            Evidence(0.0, 0.0, self.p_value), 1.0 - self.p_value, (),
+            {"share of the energy": self.share}, entry.meaning, entry.planner,
+        )  # fmt: skip
+
+
+def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
+    """Find what the moment between the sides costs while contacts hold.
+
+    Without losses it costs nothing: what one side pushes the other gets back (docs/theory,
+    section 6). With them it does. The power of both sides shows it at each instant, a total what
+    it costs on each stretch.
+    """
+    if not all(is_lossy(drive, model.terms) for drive in problem.drives):
+        return None
+    cases = [_Case.of(drive, problem, model) for drive in problem.drives]
+    spent = np.concatenate([case.by_block(case.cost(case.moment)) for case in cases])
+    total = float(spent.sum())
+    energy = sum(float(drive.weights @ drive.power) for drive in problem.drives)
+    if not total > _WORTH * abs(energy):
+        return None
+
+    def steady(size: float) -> FloatArray:
+        parts = [case.by_block(case.cost(size * case.unit)) for case in cases]
+        return np.concatenate(parts)
+
+    most = max(slip_limit(model.terms, model.coefficients), 1e-6)
+    size = most
+    if steady(most).sum() > total:
+        size = float(brentq(lambda one: float(steady(one).sum()) - total, 0.0, most))
+    # The moment is not steady: blocks differ from what a steady one costs.
+    error = float(np.linalg.norm(spent - steady(size)))
+    low, high = 0.99 * size, 1.01 * size
+    slope = float((steady(high) - steady(low)).sum()) / (high - low)
+    if not slope > 0.0:
+        return None
+    deviation = error / slope
+    chance = float(norm.sf(total / max(error, 1e-12)))
+    if chance > _CHANCE:
+        return None
+    return WheelFight(size, deviation, total / energy, chance, _with_fight(model, size, deviation))
+
+
+def _with_fight(model: PowerModel, size: float, deviation: float) -> PowerModel:
+    extended = model.with_term(WHEEL_FIGHT, size)
+    if extended.covariance is None:
+        return extended
+    covariance = np.array(extended.covariance)
+    covariance[-1, -1] = deviation**2
+    return extended.with_coefficients(extended.coefficients, covariance)
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A drive, its losses, and the moment between its sides."""
+
+    drive: Drive
+    model: PowerModel
+    forces: Sides
+    moment: FloatArray
+    unit: FloatArray
+
+    @classmethod
+    def of(cls, drive: Drive, problem: Problem, model: PowerModel) -> _Case:
+        vehicle, terms, values = problem.vehicle, model.terms, model.coefficients
+        model = replace(model, vehicle=vehicle)
+        losses = losses_of(drive, vehicle, terms, values)
+        forces = held_forces(drive, vehicle, terms, values)
+        limit = vehicle.slip_moment * slip_limit(terms, values)
+        if drive.between is not None:
+            found = preload(drive, drive.between, vehicle, losses, forces, limit)
+            # Where contacts hardly hold, a turn begins or ends: that costs friction of turning.
+            moment = np.where(found.alone, 0.0, found.moment)
+            unit = vehicle.slip_moment * np.sign(moment)
+        else:
+            power = equations_of(model, replace(drive, fitted=False))[:, 0]
+            told = straights(drive, vehicle, losses, forces, limit, power)
+            moment = np.zeros(len(drive.t))
+            driven = drive.holds & (drive.held.v_left != 0.0)
+            if told is not None:
+                moment = np.where(driven, told.forces.right * drive.motion.icr.slip_track, 0.0)
+            # A steady moment that costs as much is one on all straights.
+            unit = vehicle.slip_moment * driven
+        return cls(drive, model, forces, moment, unit)
+
+    def cost(self, moment: FloatArray) -> FloatArray:
+        """Power that losses take because of a moment between the sides [W]."""
+        vehicle, track = self.model.vehicle, self.drive.motion.icr.slip_track
+        losses = losses_of(self.drive, vehicle, self.model.terms, self.model.coefficients)
+        push = Sides(-moment / track, moment / track)
+        with_it, without = (
+            lost_power(losses, self.drive.held, vehicle, forces).total
+            for forces in (self.forces + push, self.forces)
+        )
+        return np.asarray(with_it - without)
+
+    def by_block(self, power: FloatArray) -> FloatArray:
+        """Energy of each block [J]."""
+        t = self.drive.t
+        block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
+        return np.asarray(np.bincount(block, self.drive.weights * power), float)
+
+
+# -- a set of effects as a model, and what that leaves of the training drives ----------------------
+
+
+def smooth_part(found: Dependence) -> Part:
+    """Return the smooth term of a dependence as an effect."""
+    term = empirical_term(f"empirical_{found.carrier}_{found.channel}", found.knots, found.values)
+    return Part(Effect.of(term, planner="where it knows the channel"))
+
+
+_TELLING = 0.1
+"""Share of the error that a channel must explain to be called a reason."""
+
+_DOUBTED = 0.5
+"""Chance that an effect is there, below which a map of it is worth nothing elsewhere."""
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A set of effects as a model, and what that leaves."""
+
+    effects: tuple[Part, ...]  # the effects
+    added: Part | None  # A smooth term that the model has beside them
+    fitted: FinalFit  # the model
+    fight: WheelFight | None
+    quality: Adequacy  # what the model leaves, against noise
+    dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
+    left: list[Dependence]  # those that are reasons
+    present: Presence  # chances that the effects are there
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """All that the model has beside the paper's terms."""
+        return self.effects if self.added is None else (*self.effects, self.added)
+
+    @property
+    def first(self) -> Dependence | None:
+        """The reason that explains most; what differs from drive to drive hides no other one."""
+        return _first(self.left)
+
+    @property
+    def maps(self) -> tuple[Part, ...]:
+        """Effects of a place that probably stand in for something else.
+
+        What they follow on the ways of these drives, they do not follow on others.
+        """
+        return tuple(
+            part for part in self.effects
+            if part.effect.acts == "place" and self.present.of(part.effect.name) < _DOUBTED
+        )  # fmt: skip
+
+
+def _first(left: list[Dependence]) -> Dependence | None:
+    return next((one for one in left if one.channel != "drive"), None)
+
+
+def tested(
+    searched: SearchResult,
+    parts: tuple[Part, ...],
+    *,
+    plain: PowerModel | None,
+    fights: bool,
+    otherwise: bool,
+    smooth: Callable[[Part], bool],
+) -> Tested:
+    """Fit effects of the best explanation and test what they leave."""
+    problem = searched.best.problem
+    told = dependences(problem, terms_of(parts))
+    left = [
+        one for one in told
+        if one.p_value < SIGNIFICANCE and one.explained_variance > max(_TELLING, 2 * one.std_error)
+    ]  # fmt: skip
+    first = _first(left)
+    added = smooth_part(first) if first is not None and first.knots else None
+    if added is not None and not smooth(added):
+        added = None
+    fitted = final_fit(problem, parts if added is None else (*parts, added))
+    if not parts and added is None and plain is not None:
+        fitted = replace(fitted, model=plain, assumed=())
+    fight = find_wheel_fight(problem, fitted.model) if fights else None
+    if fight is not None:
+        fitted = replace(fitted, model=fight.model)
+    quality = adequacy(problem.drives, left_over(fitted.model, problem.drives))
+    present = presence(searched, parts, quality, left, otherwise or fight is not None)
+    return Tested(parts, added, fitted, fight, quality, told, left, present)
+
+
+# -- does what was found hold on other drives? Prediction intervals of energies --------------------
+
+_HOLDS = 1.5  # error on other drives, over that on the training drives, that is no surprise
+_GROSS = 4.0  # residual over noise from which most of it must be explained
+_EXPLAINED = 0.5  # error with what was found, over that without, that counts as most
+_LEVEL = 0.9  # of the intervals of energies
+_WITHIN = 30  # degrees of freedom of what is known from within runs
+_ASSUMED = 2  # of a spread that is assumed: robots and grounds differ much in it
+
+
+def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
+    """Return a prediction with what the drive's total shows of what contacts hold.
+
+    That is no prediction any more, but tells whether the model holds.
+    """
+    shown = shown_of_contacts(model, one.drive)
+    return one if shown is None else replace(one, power=one.power + shown)
+
+
+def holds(quality: Adequacy, error: float) -> bool:
+    """Tell whether what was found on the training drives holds on others."""
+    return error <= _HOLDS * max(quality.residual, quality.noise)
+
+
+def explains(quality: Adequacy, before: float, after: float, stranger: float = 0.0) -> bool:
+    """Tell whether what was found explains the error, where more is left than noise."""
+    strange = stranger > 0.5
+    if quality.adequate and not strange:
+        return True
+    gross = strange or quality.residual > _GROSS * quality.noise
+    return after <= (_EXPLAINED if gross else 1.0) * before
+
+
+def energies(
+    problem: Problem, fitted: FinalFit, predictions: Sequence[Prediction]
+) -> tuple[EnergyPrediction, ...]:
+    """Predict the energy of drives that took no part, with intervals.
+
+    Their variance is that of the coefficients, that of what is left within a run, and that of what
+    differs from run to run as a whole. Fewer than three training drives do not show the latter: it
+    is taken to be that of robots elsewhere, by a distribution that says how little is known of it.
+    Where runs were left out, one at a time, an interval is no narrower than what they were missed
+    by tells: runs that a model was fitted to differ less from it than others do.
+    """
+    model = fitted.model
+    plain = problem.as_predicted.with_factors([1.0] * len(problem.drives))
+    design = plain.design(fitted.terms, None, model_values(model))
+    values = np.array(model.coefficients)
+    spread = RunSpread.of(design, values)
+    table, owner = design.longest
+    factor = np.ones(len(problem.drives)) if spread is None else 1.0 + spread.excess
+    left = table[:, -1] - (table[:, :-1] @ values) * factor[owner]
+    length = problem.drives[0].windows[-1].length
+    density = float(np.mean(left**2)) * length  # of the residual's integral, by time [W^2 s]
+    count = len(problem.drives)
+    told = 0.5 + _LEVEL / 2
+    reach = float(student.ppf(told, count - 1 if spread else _WITHIN))
+    assumed = 0.0 if spread else USUAL_RUN_SPREAD * float(student.ppf(told, _ASSUMED))
+    found = []
+    for one in predictions:
+        weights = one.drive.weights
+        energy = float(weights @ one.power)
+        columns = plain_columns(plain, fitted, one.drive)
+        gradient = weights @ columns
+        variance = density * float(weights.sum())
+        if model.covariance is not None:
+            variance += float(gradient @ model.covariance @ gradient)
+        if spread is not None:
+            variance += (spread.deviation * energy) ** 2
+        half = float(np.hypot(reach * np.sqrt(variance), assumed * energy))
+        if fitted.run_error is not None:
+            half = max(half, reach * fitted.run_error * abs(energy))
+        found.append(
+            EnergyPrediction(
+                one.drive.name, energy, (energy - half, energy + half),
+                float(weights @ one.drive.power),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def model_values(model: PowerModel) -> dict[str, float]:
+    """Coefficients by name."""
+    return {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
+
+
+def plain_columns(problem: Problem, fitted: FinalFit, drive: Drive) -> FloatArray:
+    """Return the derivatives of a drive's power by the coefficients, shape (n, k)."""
+    if any(t.name in ("slip_change", "traction_change") for t in fitted.terms):
+        drive = drive.with_channels(
+            changed=drive.motion.channels.get("changed", np.ones(len(drive.t)))
+        )
+    one = Problem([replace(drive, between=None)], problem.vehicle)
+    about = one.tables(fitted.terms, np.array(fitted.model.coefficients))
+    return about.columns[0][:, 0]

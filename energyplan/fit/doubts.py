@@ -1,0 +1,667 @@
+"""What drives leave open of a model, and what is known of robots elsewhere (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import f as fisher
+
+from energyplan.errors import MissingChannelError, NotIdentifiableError
+from energyplan.fit.drive import SCALES, Drive, speed_noise
+from energyplan.fit.regressors import Linear, equations_of, is_lossy, linearise_drive, power_of
+from energyplan.fit.solvers import autocorrelation, column_scale, correlation_time
+from energyplan.html import number, unit
+from energyplan.motion import Motion
+from energyplan.path import FloatArray
+from energyplan.power import PowerModel, Residual, Term
+from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT
+from energyplan.power.effects import Effect, catalogue
+from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
+
+# -- what a model's prediction leaves of measured drives -------------------------------------------
+
+
+def pieces_of(drives: Sequence[Drive]) -> list[slice]:
+    """Stretches without a gap, all drives one below the other."""
+    starts = np.concatenate([[0], np.cumsum([len(drive.t) for drive in drives])[:-1]])
+    return [
+        slice(int(start) + run.start, int(start) + run.stop)
+        for start, drive in zip(starts, drives, strict=True)
+        for run in drive.runs
+    ]
+
+
+def energy_error(missing: float, measured: float) -> float:
+    """Return the error of a predicted energy, over the measured one."""
+    if measured == 0.0:
+        return 0.0 if missing == 0.0 else -float(np.copysign(np.inf, missing))
+    return -missing / measured
+
+
+def unfounded(model: PowerModel, confidence: float, spread: float) -> str:
+    """Tell why nothing can be said of a model's energies with a probability."""
+    if model.residual is not None and not np.isfinite(model.residual.energy_error):
+        return (
+            f"the model {model.name!r} missed all the energy of the drives that it was judged on, "
+            "which measured none; identify it from drives that do"
+        )
+    stated = confidence == 0.5 or spread > 0.0
+    if not stated and model.covariance is None and model.residual is None:
+        return (
+            f"the model {model.name!r} has neither a covariance nor a hold-out error, so no bound "
+            f"holds with confidence {confidence:g}; identify it from a log, state a coefficient "
+            "spread, or ask for confidence 0.5"
+        )
+    return ""
+
+
+def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residual:
+    """Return the statistics of measured minus predicted power."""
+    residual = np.concatenate([d.power - p for d, p in zip(drives, powers, strict=True)])
+    weights = np.concatenate([drive.weights for drive in drives])
+    measured = sum(float(drive.weights @ drive.power) for drive in drives)
+    missing = float(weights @ residual)
+    duration, pieces = float(weights.sum()), pieces_of(drives)
+    period = duration / max(len(residual) - len(pieces), 1)
+    return Residual(
+        rmse=float(np.sqrt(np.mean(residual**2))),
+        mae=float(np.mean(np.abs(residual))),
+        bias=float(np.mean(residual)),
+        energy_error=energy_error(missing, measured),
+        correlation_time=correlation_time(residual, period, pieces),
+        duration=duration,
+    )
+
+
+# -- what logs tell about a model's coefficients: linearisation and identifiability ----------------
+
+_NO_DATA = 0.01
+"""A regressor below this fraction of its size in common manoeuvres counts as zero."""
+
+COLLINEAR = 0.02
+"""Smallest singular value of the regressors, each of unit size: below, they are one another's
+combination but for what the noise of the speeds adds."""
+
+_NEARLY_COLLINEAR = 0.1
+"""Smallest singular value below which it is told that regressors hardly differ."""
+
+
+_SPIN = "a spin on the spot"
+_STRAIGHT = "straight lines at several constant speeds"
+
+
+def is_linear(model: PowerModel) -> bool:
+    """Tell whether the power is linear in the coefficients: no loss depends on the forces."""
+    return all(term.kind != "loss" for term in model.terms)
+
+
+def linearise(model: PowerModel, motion: Motion, battery: bool = False) -> Linear:
+    """Linearise a model's total power about its coefficients, instant by instant."""
+    drive = Drive.at(replace(motion, icr=model.vehicle.icr), battery)
+    return linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
+
+
+def signal_motion(drive: Drive, turning: bool = True) -> Motion:
+    """Return a drive's motion averaged over a second: what its manoeuvres tell.
+
+    Regressors of the motion itself are never quite proportional, for the noise of its speeds.
+    """
+    motion, window = drive.motion, min(drive.samples_in(1.0), max(len(drive.t) // 2, 1))
+    left, right = np.empty(len(drive.t)), np.empty(len(drive.t))
+    for run in drive.runs:
+        left[run] = uniform_filter1d(motion.v_left[run], window, mode="nearest")
+        right[run] = uniform_filter1d(motion.v_right[run], window, mode="nearest")
+    if not turning:
+        left = right = 0.5 * (left + right)
+    clean = replace(motion, v_left=left, v_right=right)
+    return clean.with_channels(
+        accel=np.gradient(clean.v, drive.t), yaw_accel=np.gradient(clean.omega, drive.t)
+    )
+
+
+# -- identifiability ----------------------------------------------------------------------------
+
+
+def _manoeuvres(icr: TreadICR) -> dict[str, Motion]:
+    """Manoeuvres that a test drive can add, each as a few instants."""
+    half = icr.half_track
+
+    def motion(left: object, right: object, **channels: object) -> Motion:
+        arrays = np.broadcast_arrays(np.asarray(left, float), np.asarray(right, float))
+        level = dict.fromkeys(("slope", "accel", "yaw_accel", "yaw"), 0.0)
+        given = {**level, "t": np.linspace(60.0, 120.0, arrays[0].size), **channels}
+        known = {name: np.asarray(value, float) for name, value in given.items()}
+        known["accel_x"] = known["accel"] + GRAVITY * np.sin(known["slope"])
+        return Motion(arrays[0], arrays[1], icr, known)
+
+    speeds, forth = np.array([0.25, 0.5, 0.75, 1.0]), np.array([0.5, -0.5, 0.8, -0.8])
+    ramp, change = np.array([0.3, 0.6, 0.6, 0.3]), np.array([0.5, 0.5, -0.5, -0.5])
+    return {
+        _SPIN: motion(-speeds, speeds),
+        _STRAIGHT: motion(speeds, speeds),
+        "a stop of some seconds with the drives on": motion(np.zeros(4), np.zeros(4)),
+        "arcs of several radii to both sides": motion([0.2, 0.4, 0.6, 0.8], [0.8, 0.6, 0.4, 0.2]),
+        "spins to both sides": motion(-forth, forth),
+        "straight lines forwards and backwards": motion(forth, forth),
+        "speeding up and braking on a straight line": motion(ramp, ramp, accel=change),
+        "spins that speed up and brake": motion(-ramp, ramp, yaw_accel=change / half),
+        "a slope driven up and down": motion(np.full(4, 0.5), np.full(4, 0.5), slope=0.2 * change),
+        "a straight line driven in four headings": motion(
+            np.full(4, 0.5), np.full(4, 0.5), yaw=0.5 * np.pi * np.arange(4)
+        ),
+    }
+
+
+def _columns(model: PowerModel, motion: Motion) -> FloatArray | None:
+    """Regressors on a manoeuvre; None where a term needs a channel that no manoeuvre sets."""
+    try:
+        return linearise(model, motion).columns[:, 0]
+    except MissingChannelError:
+        return None
+
+
+def _named(terms: list[Term]) -> str:
+    return " and ".join(f"{term.name} ({term.symbol})" for term in terms)
+
+
+def gap(gram: FloatArray) -> tuple[float, FloatArray]:
+    """Return the smallest singular value of regressors, by their Gram matrix, and its direction."""
+    value, vector = np.linalg.eigh(gram)
+    return float(np.sqrt(max(value[0], 0.0))), np.asarray(vector[:, 0])
+
+
+def _best(values: dict[str, float]) -> str:
+    """Name with the largest value; the first of those within a percent of it."""
+    most = max(values.values())
+    return next(name for name, value in values.items() if value >= 0.99 * most)
+
+
+def check_identifiable(
+    model: PowerModel, jacobian: FloatArray, turning: bool = True
+) -> tuple[str, ...]:
+    """Refuse data that cannot tell the coefficients."""
+    tests = {
+        name: columns
+        for name, motion in _manoeuvres(model.vehicle.icr).items()
+        if (columns := _columns(model, motion)) is not None
+    }
+    size = np.sqrt(np.mean(jacobian**2, axis=0))
+    for k, term in enumerate(model.terms):
+        common = {name: float(np.sqrt(np.mean(c[:, k] ** 2))) for name, c in tests.items()}
+        if size[k] <= _NO_DATA * max(common.values(), default=0.0) or size[k] == 0:
+            varied = f"drives in which {' and '.join(term.channels) or 'it acts'} vary"
+            remedy = _best(common) if any(common.values()) else varied
+            if not turning and not common.get(_STRAIGHT) and common.get(_SPIN):
+                raise NotIdentifiableError(
+                    f"{_named([term])} cannot be identified: by its yaw the robot did not turn "
+                    "where its treads did; if the wheels were off the ground, identify with "
+                    "--hoisted; if the yaw is dead, leave that channel out"
+                )
+            raise NotIdentifiableError(
+                f"{_named([term])} cannot be identified: what it multiplies is zero throughout "
+                f"these logs; add {remedy}, or leave the term out"
+            )
+    scaled = jacobian / (size * np.sqrt(len(jacobian)))
+    least, direction = gap(scaled.T @ scaled)
+    if len(model.terms) < 2 or least >= _NEARLY_COLLINEAR:
+        return ()
+    weight = np.abs(direction)
+    chosen = [term for term, w in zip(model.terms, weight, strict=True) if w > 0.2 * weight.max()]
+    gains = {
+        name: gap(rows.T @ rows)[0]
+        for name, c in tests.items()
+        for rows in [np.vstack([scaled, c / (size * np.sqrt(len(c)))])]
+    }
+    remedy = _best(gains) if gains else "drives in which they vary apart"
+    if least < COLLINEAR and gains and gains[remedy] < 2 * least:
+        raise NotIdentifiableError(
+            f"{_named(chosen)} cannot be separated, and no common manoeuvre would separate them: "
+            "leave one of the terms out, or measure it by other means"
+        )
+    if least < COLLINEAR:
+        raise NotIdentifiableError(
+            f"{_named(chosen)} cannot be separated: what they multiply is proportional throughout "
+            f"these logs; add {remedy}, or leave one of the terms out"
+        )
+    return (
+        f"{_named(chosen)} can hardly be separated by these logs (what they multiply differs by "
+        f"{100 * least:.0f} %); {remedy} would separate them",
+    )
+
+
+# -- what is known of a wheeled robot's friction before it drives ----------------------------------
+
+USUAL = {"slip_friction": (0.6, 0.3), "traction_resistance": (0.1, 0.05)}
+"""Mean and standard deviation: of mu, and of K over the robot's weight. They are those of the
+presets: from ice to asphalt, from 17 to 470 kg."""
+
+_UNTOLD = 1e3  # standard deviations of the usual, by which what drives do not tell is unknown
+_UNLIKE = 9.0  # mean square of standard deviations from the usual, beyond which a robot is unlike
+_WIDER = 1.5  # factor of the usual variance, in steps, for a robot which is unlike others
+
+
+class UsualFriction(NamedTuple):
+    """Mean and standard deviation of a coefficient over robots and grounds."""
+
+    mean: float
+    deviation: float
+
+
+def usual_friction(term: Term, vehicle: Vehicle) -> UsualFriction:
+    """Return what a coefficient of the paper usually is for a robot: mu, or K [N]."""
+    scale = vehicle.mass * GRAVITY if term.name == "traction_resistance" else 1.0
+    mean, deviation = USUAL[term.name]
+    return UsualFriction(scale * mean, scale * deviation)
+
+
+def leaves_open(model: PowerModel) -> bool:
+    """Whether a model's own errors of a friction are larger than robots elsewhere differ."""
+    return any(
+        (model.std_error(term.name) or 0.0) > usual_friction(term, model.vehicle).deviation
+        for term in model.terms if term.name in USUAL
+    )  # fmt: skip
+
+
+def with_usual(
+    values: FloatArray, covariance: FloatArray, terms: Sequence[Term], gram: FloatArray,
+    vehicle: Vehicle,
+) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:  # fmt: skip
+    """Return coefficients and their covariance with what is usual, where drives tell less than it.
+
+    A friction that no drive shows is not zero. Of two whose regressors are proportional, any share
+    fits, and no block tells another one. Both are taken to be as of robots elsewhere, as far as
+    drives leave that open; the other coefficients move with them. A robot that is unlike all of
+    them, by what its drives tell, is allowed as much as it differs.
+    """
+    which = [k for k, term in enumerate(terms) if term.name in USUAL]
+    known = [usual_friction(terms[k], vehicle) for k in which]
+    mean, error = np.array(known).reshape(-1, 2).T
+    values, covariance = np.array(values), np.array(covariance)
+    size = np.sqrt(np.diagonal(gram)[which])
+    for k, (place, shown) in enumerate(zip(which, size > 0.0, strict=True)):
+        if not shown:
+            covariance[place, place] += (_UNTOLD * error[k]) ** 2
+    if len(which) == 2 and np.all(size > 0.0):
+        least, along = gap(gram[np.ix_(which, which)] / np.outer(size, size))
+        if least < COLLINEAR:
+            along = along / size
+            along *= _UNTOLD / np.max(np.abs(along) / error)
+            covariance[np.ix_(which, which)] += np.outer(along, along)
+    loose = np.diagonal(covariance)[which] > error**2
+    taken = [place for place, one in zip(which, loose, strict=True) if one]
+    if taken:
+        away, total = mean[loose] - values[taken], covariance[np.ix_(taken, taken)]
+        usual = np.diag(error[loose] ** 2)
+        if _unlike(away, total + usual) > _UNLIKE:
+            while _unlike(away, total + usual) > 1.0:
+                usual *= _WIDER
+        gain = np.linalg.solve(total + usual, covariance[taken]).T
+        values = values + gain @ away
+        covariance = covariance - gain @ covariance[taken]
+    names = tuple(terms[k].name for k in taken)
+    return values, covariance, names
+
+
+def _unlike(away: FloatArray, covariance: FloatArray) -> float:
+    """Return the mean square of deviations, in units of their standard ones."""
+    return float(away @ np.linalg.solve(covariance, away)) / len(away)
+
+
+def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
+    """Say which frictions drives leave open, and what they are taken to be."""
+    return [
+        f"these drives leave {term.name} open; with what robots elsewhere have it is "
+        f"{term.symbol} = {number(model.coefficient(term.name))} +- "
+        f"{number(model.std_error(term.name) or 0.0, 2)} {unit(term.unit)}".rstrip()
+        for term in model.terms if term.name in names
+    ]  # fmt: skip
+
+
+def ends_in_words(model: PowerModel) -> list[str]:
+    """Say which coefficients are at an end of what is possible, or beyond what a robot weighs."""
+    found, weight = [], model.vehicle.mass * GRAVITY
+    for term, value in zip(model.terms, model.coefficients, strict=True):
+        if term.name == "traction_resistance" and 2.0 * value > weight:
+            found.append(
+                f"the traction resistance of both sides is {number(2.0 * value)} N, more than the "
+                f"robot weighs, {number(weight)} N: the vehicle's mass, or a unit of speeds or "
+                "powers, is wrong"
+            )
+        if term.bounds[0] < value < term.bounds[1]:
+            continue
+        shown = (
+            "more of it shows in these logs than is possible: the vehicle's mass or a unit"
+            if 0.0 < value >= term.bounds[1]
+            else "nothing of it shows in these logs, a sign"
+        )
+        found.append(
+            f"{term.name} ({term.symbol}) is at the end {value:g} of its possible range: "
+            f"{shown} is wrong, or a term is missing"
+        )
+    return found
+
+
+# -- whether what a model leaves of the drives that it was fitted to is no more than noise ---------
+
+_FLOOR = 0.01
+"""What is no more than this fraction of the root mean square power is as good as nothing."""
+_CHANCE = 1e-3  # that noise alone is called coloured, over all lengths of means
+_RESTING = 20  # samples at rest that tell the noise
+_STEADY = 3.0  # standard errors by which coefficients move where a model lacks nothing
+_MOVED = 0.01  # part of a coefficient by which it may move all the same
+_SIGMA = 4.0  # standard deviations that noise does not exceed
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Residual on the drives of a fit, beside the noise that no model can explain."""
+
+    noise: float  # of a sample [W]
+    residual: float  # root mean square residual of the model [W]
+    slow_noise: float  # the same of means over `time` [W]
+    slow_residual: float  # the same of means over `time` [W]
+    coloured: bool  # whether the residual lasts longer than noise would, by more than chance
+    time: float  # [s]
+    missing: tuple[float, ...] = (0.0, 0.0, 0.0)  # [W^2]
+
+    @property
+    def adequate(self) -> bool:
+        """Whether the model leaves no more than noise: less than twice its size, and no colour."""
+        return self.residual <= 2.0 * self.noise and not self.coloured
+
+    @property
+    def in_words(self) -> str:
+        """What is left, what noise makes, and how one differs from the other."""
+        what = "lasts longer than noise would" if self.coloured else "is larger than noise"
+        return (
+            f"{self.residual:.3g} W, where noise makes {self.noise:.3g} W, and in means over "
+            f"{self.time:.2g} s {self.slow_residual:.3g} W, where noise makes "
+            f"{self.slow_noise:.3g} W: what is left {'is noise' if self.adequate else what}"
+        )
+
+
+def predicted(model: PowerModel, drive: Drive) -> FloatArray:
+    """Power that a drive's log would show by a model [W]."""
+    whole = model.battery_side() if drive.battery else model
+    return drive.seen(power_of(whole, drive))
+
+
+def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
+    """Return what the powers of a drive show of what contacts hold, beyond a prediction [W].
+
+    None where they show nothing: without losses it costs nothing. Nor where nobody knows when the
+    robot changed. A model may have a term for its mean, which what they show replaces.
+    """
+    changes = any(term.name in (SLIP_CHANGE.name, TRACTION_CHANGE.name) for term in model.terms)
+    undated = changes and "changed" not in drive.motion.channels
+    if undated or not is_lossy(drive, model.terms):
+        return None
+    told = equations_of(_without_fight(model), replace(drive, fitted=True))[:, 0]
+    alone = equations_of(model, replace(drive, between=None, fitted=False))[:, 0]
+    return told - alone if np.any(told != alone) else None
+
+
+def _without_fight(model: PowerModel) -> PowerModel:
+    keep = [k for k, term in enumerate(model.terms) if term.name != WHEEL_FIGHT.name]
+    return PowerModel(model.vehicle, tuple(model.terms[k] for k in keep), model.coefficients[keep])
+
+
+def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
+    """Return what a model leaves of each drive's power, what contacts hold taken out [W]."""
+    left = []
+    for drive in drives:
+        shown = shown_of_contacts(model, drive)
+        residual = drive.power - predicted(model, drive)
+        left.append(residual if shown is None else residual - shown)
+    return left
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What further terms do to a fitted model."""
+
+    residuals: list[FloatArray]  # (n,): what is left of each drive [W]
+    moved: FloatArray  # (k,): by how much the model's own coefficients move
+    errors: FloatArray  # (k,)
+
+    def moves(self, model: PowerModel) -> list[str]:
+        """Name the coefficients that move by more than their standard errors admit."""
+        return [
+            f"{term.symbol} from {value:.4g} to {value + by:.4g}"
+            for term, value, by, error in zip(
+                model.terms, model.coefficients, self.moved, self.errors, strict=True
+            )
+            if abs(by) > _MOVED * abs(value)
+            and abs(by) > _STEADY * np.hypot(error, model.std_error(term.name) or 0.0)
+        ]
+
+
+def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
+    """Return what of some effects, or of all known ones, nearly every drive shows.
+
+    Such as need a channel of their own are left out.
+    """
+    every = catalogue().values() if entries is None else entries
+    return [effect for effect in every if effect.usual and not effect.channels]
+
+
+def usual_terms(terms: Sequence[Term]) -> list[Term]:
+    """Return the terms of what nearly every drive shows, beside those of a model."""
+    names = {term.name for term in terms}
+    return [
+        replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
+        for effect in usual_effects()
+        for values in product(*effect.grid.values())
+        for term in effect.terms
+        if term.name not in names
+    ]
+
+
+def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) -> Beside:
+    """Fit further terms beside those of a model.
+
+    One step of least squares, about the model's coefficients, of all that those terms and the
+    model's own can explain.
+    """
+    every, own = (*model.terms, *terms), len(model.terms)
+    about = np.append(model.coefficients, np.zeros(len(terms)))
+    tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
+    left = left_over(model, drives)
+    X, y = np.concatenate(tables), np.concatenate(left)
+    scale = column_scale(X)
+    inverse = np.linalg.pinv((X.T @ X) / np.outer(scale, scale), 1e-10, hermitian=True)
+    step = inverse @ (X.T @ y / scale) / scale
+    rest = y - X @ step
+    repeats = autocorrelation(rest, pieces_of(drives)).repeats
+    variance = float(rest @ rest) / len(y) * repeats * np.diag(inverse) / scale**2
+    residuals = [r - table @ step for r, table in zip(left, tables, strict=True)]
+    return Beside(residuals, step[:own], np.sqrt(variance[:own]))
+
+
+def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequacy:
+    """Compare what a model leaves of the drives that it was fitted to with their noise.
+
+    The noise of a sample is what neighbouring samples differ by beyond a smooth curve, or the
+    scatter at rest where that is larger; how much of it lasts is told by the samples at rest. The
+    residual is coloured where its means over half a second, two or eight seconds scatter by more
+    than noise would by chance (Fisher's distribution, of as many means as are independent, and of
+    as many samples as told the noise), and by more than is as good as nothing. What contacts hold
+    on a straight no model foretells: where losses make it cost, what the total shows of it is no
+    residual.
+    """
+    rests: list[FloatArray] = []
+    whites: list[float] = []
+    seldom: list[float] = []  # of readings between which the power really changes
+    for drive, residual in zip(drives, residuals, strict=True):
+        if len(residual) > 4:
+            readings = drive.power if drive.hold is None else drive.power[drive.hold.first]
+            (whites if drive.hold is None else seldom).append(speed_noise(readings))
+        if np.count_nonzero(drive.rests) >= _RESTING:
+            resting = residual[drive.rests]
+            rests.append(resting - np.median(resting))
+    every = np.concatenate(residuals)
+    size = float(np.sqrt(np.mean(np.concatenate([d.power for d in drives]) ** 2)))
+    known = whites or ([] if rests else seldom) or [0.0]
+    noise, repeats, told = float(np.median(known)), 1.0, float(len(every))
+    if rests:
+        rest = np.concatenate(rests)
+        # A load that comes and goes at rest is no noise: what most samples scatter by is.
+        spread = 1.4826 * float(np.median(np.abs(rest)))
+        if spread > 0:
+            stops = np.cumsum([len(part) for part in rests]).tolist()
+            pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+            usual = np.clip(rest, -_SIGMA * spread, _SIGMA * spread)
+            repeats = autocorrelation(usual, pieces).repeats if spread > 0.5 * noise else 1.0
+            # Noise that lasts is known by as many samples as are independent.
+            told = len(rest) / repeats if repeats > 1.0 else told
+        noise = max(noise, spread)
+    noise = max(noise, _FLOOR * size)
+    repeats = max(repeats, *(drive.hold.rows if drive.hold else 1.0 for drive in drives), 1.0)
+    slow = [
+        _means(drives, residuals, k, _Noise(noise, repeats, told), _FLOOR * size)
+        for k in range(len(SCALES))
+    ]
+    most = max(slow, key=lambda one: one.residual / one.limit)
+    return Adequacy(
+        noise, float(np.sqrt(np.mean(every**2))), most.noise, most.residual,
+        bool(most.residual > most.limit), most.time,
+        tuple(max(one.residual**2 - one.noise**2, 0.0) for one in slow),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Noise of a sample [W], how many samples repeat each other, and how many told it."""
+
+    deviation: float
+    repeats: float
+    told: float
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Scatter of means of a residual: what noise makes, what there is, what noise may make [W]."""
+
+    time: float
+    noise: float
+    residual: float
+    limit: float
+
+
+def _means(
+    drives: Sequence[Drive],
+    residuals: Sequence[FloatArray],
+    scale: int,
+    noise: _Noise,
+    nothing: float,
+) -> _Means:
+    """Compare means of a residual over one time with those of noise."""
+    windows = [drive.windows[scale] for drive in drives]
+    means = np.concatenate([w.mean(r) for w, r in zip(windows, residuals, strict=True)])
+    number = float(np.median(np.concatenate([w.counts for w in windows])))
+    own = noise.deviation * float(np.sqrt(min(noise.repeats / number, 1.0)))
+    independent = min(float(len(means)), sum(map(len, residuals)) / noise.repeats)
+    by_chance = float(fisher.isf(_CHANCE / len(SCALES), independent, noise.told))
+    limit = float(np.sqrt(own**2 * by_chance + nothing**2))
+    return _Means(windows[0].length, own, float(np.sqrt(np.mean(means**2))), limit)
+
+
+# -- how well a model foretells the energy of driving that it was not fitted to --------------------
+
+_FEWEST = 4
+"""Drives from which on whole ones are left out."""
+_STRETCHES = 5
+_LEAST = 0.1
+"""Share of the usual power that what is left out counts as taking at least."""
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """Errors of energies, each foretold from all other driving."""
+
+    left_out: Literal["drive", "stretch"]
+    count: int  # how many
+    duration: float  # their median length [s]
+    error: float  # mean and largest size of the relative error of their energies
+    largest: float  # mean and largest size of the relative error of their energies
+
+    @property
+    def in_words(self) -> str:
+        """What was left out, and how far its energy was missed."""
+        what = "drives" if self.left_out == "drive" else "stretches"
+        return (
+            f"{what} of {self.duration:.3g} s, each predicted from the others, miss their energy "
+            f"by {100 * self.error:.2g} %, at most {100 * self.largest:.2g} %"
+        )
+
+
+def foretold(
+    model: PowerModel, drives: Sequence[Drive], powers: Sequence[FloatArray]
+) -> Foretold | None:
+    """Leave out one drive after the other, or one stretch of few drives, and foretell its energy.
+
+    The coefficients without it are those of the fit, moved by one step of robust least squares of
+    all other samples: those that the fit misses by more than half of the samples count less, as in
+    Huber's estimate. What only the stretch itself shows is taken from it.
+    """
+    parts = _parts(drives)
+    table = np.concatenate(
+        [
+            linearise_drive(drive, model.vehicle, model.terms, model.coefficients).columns[:, 0]
+            for drive in drives
+        ]
+    )
+    power = np.concatenate([drive.power for drive in drives])
+    time = np.concatenate([drive.weights for drive in drives])
+    residual = power - np.concatenate(powers)
+    energy, seconds, missed = (
+        np.bincount(parts, values) for values in (time * power, time, time * residual)
+    )
+    count = len(energy)
+    if count < 2 or energy.sum() <= 0.0:
+        return None
+    size = np.maximum(np.abs(residual), np.median(np.abs(residual)))
+    weight = time / np.maximum(size, 1e-9 * float(np.abs(power).max()))
+    X = table / column_scale(table)
+    grams = np.array([_gram(X[parts == k], weight[parts == k]) for k in range(count)])
+    sums = np.array([(weight * residual)[parts == k] @ X[parts == k] for k in range(count)])
+    every = _step(grams.sum(axis=0), sums.sum(axis=0))
+    steps = np.array(
+        [_step(grams.sum(axis=0) - grams[k], sums.sum(axis=0) - sums[k]) for k in range(count)]
+    )
+    columns = np.array([time[parts == k] @ X[parts == k] for k in range(count)])
+    missed = missed - np.sum(columns * (steps - every), axis=1)
+    usual = energy.sum() / seconds.sum() * seconds
+    errors = np.abs(missed) / np.maximum(np.abs(energy), _LEAST * usual)
+    what: Literal["drive", "stretch"] = "drive" if len(drives) >= _FEWEST else "stretch"
+    return Foretold(
+        what, count, float(np.median(seconds)), float(errors.mean()), float(errors.max())
+    )
+
+
+def _parts(drives: Sequence[Drive]) -> NDArray[np.intp]:
+    """Return the number of the drive, or of the stretch of few drives, of each sample."""
+    whole = sum(float(drive.t[-1]) for drive in drives)
+    numbers: list[NDArray[np.intp]] = []
+    first = 0
+    for drive in drives:
+        share = float(drive.t[-1]) / whole if whole > 0 else 0.0
+        pieces = 1 if len(drives) >= _FEWEST else max(round(_STRETCHES * share), 1)
+        edges = np.linspace(0.0, float(drive.t[-1]), pieces + 1)[1:-1]
+        numbers.append(first + np.searchsorted(edges, drive.t, side="right"))
+        first += pieces
+    return np.unique(np.concatenate(numbers), return_inverse=True)[1]
+
+
+def _gram(X: FloatArray, weight: FloatArray) -> FloatArray:
+    return np.asarray(X.T @ (weight[:, None] * X))
+
+
+def _step(gram: FloatArray, sums: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.pinv(gram, 1e-10, hermitian=True) @ sums)

@@ -1,0 +1,919 @@
+"""Coefficients of power terms fitted to drives together, with covariance (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import fdtrc
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from energyplan.fit.doubts import with_usual
+from energyplan.fit.drive import SCALES, Drive, Late, Steps, columns_of, parted
+from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
+from energyplan.path import FloatArray
+from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
+from energyplan.power.effect_terms import COPPER_LOSS
+from energyplan.vehicle import Vehicle
+
+# -- fits of a sum of terms to drives, with cross-validation and jackknife -------------------------
+
+WEIGHTS = np.array([1.0, 2.0, 3.0]) / 6.0
+"""Say of each scale: what lasts adds up to energy."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Coefficients of a design, with what leaving out blocks or drives does to them."""
+
+    values: FloatArray  # (k,): coefficients
+    losses: FloatArray  # (b,): cross-validated loss of each block
+    covariance: FloatArray  # (k, k): jackknife over the blocks
+    squares: FloatArray  # (scales, b) [W^2]
+    blocks: int  # blocks that say something of the coefficients
+    deviations: FloatArray  # (b, k): the jackknife's coefficients, less their mean
+
+    @property
+    def reported(self) -> FloatArray:
+        """Covariance whose 95 % intervals are those of Student's distribution.
+
+        Of some coefficients few blocks tell nearly all, and a variance that comes from few is
+        itself uncertain. The degrees of freedom are Satterthwaite's: as many as there are blocks
+        where all tell alike.
+        """
+        square = np.sum(self.deviations**2, axis=0)
+        freedom = 3.0 * square**2 / np.maximum(np.sum(self.deviations**4, axis=0), 1e-300)
+        freedom = np.clip(freedom, 3.0, len(self.deviations)) - 1.0
+        stretch = student.ppf(0.975, freedom) / norm.ppf(0.975)
+        return np.asarray(self.covariance * np.outer(stretch, stretch))
+
+    @property
+    def errors(self) -> FloatArray:
+        """Cross-validated mean square error at each scale [W^2]."""
+        return np.asarray(self.squares.sum(axis=1))
+
+    @property
+    def loss(self) -> float:
+        """Cross-validated loss."""
+        return float(self.losses.sum())
+
+    def p_value(self, which: Sequence[int]) -> float:
+        """Probability of coefficients this far from zero by chance (Hotelling's T^2)."""
+        count, width = max(self.blocks, 2), len(which)
+        value = self.values[list(which)]
+        block = self.covariance[np.ix_(list(which), list(which))]
+        squared = float(value @ np.linalg.pinv(block, hermitian=True) @ value)
+        freedom = max(count - width, 1)
+        return float(fdtrc(width, freedom, squared * freedom / ((count - 1) * width)))
+
+
+def solve(gram: FloatArray) -> FloatArray:
+    """Least-squares coefficients from Gram matrices, shape (..., k+1, k+1)."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-300))[..., :-1]
+    normal = gram[..., :-1, :-1] / (scale[..., :, None] * scale[..., None, :])
+    moment = gram[..., :-1, -1] / scale
+    ridge = 1e-9 * np.eye(normal.shape[-1])
+    return np.asarray(np.linalg.solve(normal + ridge, moment[..., None])[..., 0] / scale)
+
+
+def squared_errors(grams: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what coefficients, shape (..., k), leave of Gram matrices, shape (..., k+1, k+1)."""
+    signed = np.concatenate([values, -np.ones((*values.shape[:-1], 1))], axis=-1)
+    products = signed[..., :, None] * signed[..., None, :]
+    flat = (*products.shape[:-2], -1)
+    rows = grams.reshape(*grams.shape[:-2], -1)
+    return np.asarray(np.einsum("...k,...k->...", rows, products.reshape(flat)))
+
+
+def evidence_of(windows: FloatArray) -> FloatArray:
+    """Return how many windows each scale counts for in a likelihood: a weighted mean over them."""
+    return np.asarray(np.tile(WEIGHTS, len(windows) // len(WEIGHTS)) * windows)
+
+
+def left_out(total: FloatArray, grams: FloatArray, fold: np.ndarray) -> FloatArray:
+    """Coefficients fitted without each fold, shape (folds, k)."""
+    count = int(fold.max()) + 1
+    sums = np.zeros((count, *total.shape))
+    np.add.at(sums, fold, grams)
+    return solve(total - sums)
+
+
+def weighted(design: Design, errors: FloatArray) -> FloatArray:
+    """Gram matrices of the blocks, summed over scales, each divided by its reference error."""
+    return np.asarray(np.tensordot(1.0 / (errors * design.counts), design.grams, 1))
+
+
+def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
+    """Fit a design and cross-validate it."""
+    grams = weighted(design, errors)
+    total = grams.sum(axis=0)
+    values = solve(total)
+    moved = 0.0 if design.ended is None else design.ended - values
+    values = values + moved
+    blocks = np.arange(len(grams))
+    jack = left_out(total, grams, blocks) + moved
+    centred = jack - jack.mean(axis=0)
+    covariance = (len(grams) - 1) / len(grams) * centred.T @ centred
+    by_drive = design.comparable and not by_block
+    held = left_out(total, grams, design.drives)[design.drives] + moved if by_drive else jack
+    losses, squares = squared_errors(grams, held), squared_errors(design.grams, held)
+    telling = int(np.count_nonzero(design.telling))
+    return Fit(
+        values, np.maximum(losses, 0.0), covariance, squares / design.counts[:, None], telling,
+        centred,
+    )  # fmt: skip
+
+
+def difference(one: FloatArray, other: FloatArray) -> tuple[float, float]:
+    """Sum of the paired differences of block losses, and its standard error."""
+    gap = one - other
+    return float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1))
+
+
+# -- how much runs differ as a whole, each by a factor of its power --------------------------------
+
+
+@dataclass(frozen=True)
+class RunSpread:
+    """How much runs differ as a whole, each by a factor of its power."""
+
+    deviation: float
+    factors: tuple[float, ...]
+    excess: FloatArray  # each run's own estimate of its factor, less 1, and the variance of that
+    variances: FloatArray  # each run's own estimate of its factor, less 1, and the variance of that
+
+    @classmethod
+    def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
+        """Compare runs by their longest windows (Paule's and Mandel's estimate).
+
+        Source: Paule and Mandel (1982), J. Res. NBS 87, 377-385.
+        """
+        table, owner = design.longest
+        count = int(owner.max()) + 1
+        if count < 3 or len(owner) == count:
+            return None
+        predicted, measured = table[:, :-1] @ values, table[:, -1]
+        square = np.bincount(owner, predicted**2, count)
+        product = np.bincount(owner, predicted * measured, count)
+        excess = product / np.maximum(square, 1e-300) - 1.0
+        scatter = measured - predicted * (1.0 + excess[owner])
+        windows = np.bincount(owner, minlength=count)
+        freedom = float(np.sum(np.maximum(windows - 1, 0)))
+        noise = float(scatter @ scatter) / freedom
+        variances = np.maximum(noise / np.maximum(square, 1e-300), 1e-12)
+
+        def misfit(between: float) -> float:
+            weight = 1.0 / (variances + between)
+            return float(weight @ (excess - weight @ excess / weight.sum()) ** 2) - (count - 1)
+
+        between = 0.0
+        if misfit(0.0) > 0.0:
+            most = 2.0 * float(np.var(excess, ddof=1)) + 1e-12
+            between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
+        shrunk = excess * between / (between + variances)
+        return cls(float(np.sqrt(between)), tuple((1.0 + shrunk).tolist()), excess, variances)
+
+
+# -- drives and the terms that are to explain them: their columns, losses linearised ---------------
+
+PAPER = (SLIP, TRACTION)
+
+FINE = 0.1
+"""Part of the floor that likelihoods count as nothing."""
+
+FLOOR = 0.01
+"""Error that is not worth an effect, as a fraction of the root mean square power."""
+
+ROUNDS = 20
+"""Most steps of a fit with losses."""
+
+_SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
+_KEPT = 0.1  # of friction and resistance in a step, at least
+_SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
+_SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better
+_PROMISED = 2.0  # by which a still shorter step is to lower that logarithm, to be tried
+
+_RUNS = 6  # drives from which on each has a factor before effects are looked for
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
+_LEVELLING = 4  # rounds in which factors of runs and coefficients settle
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Columns of terms on drives, linearised about coefficients."""
+
+    columns: list[FloatArray]  # (n, equations, k): of each drive
+    targets: list[FloatArray]  # (n, equations): power that they are to explain [W]
+    odds: float
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Coefficients that were tried: the design about them, and what it says of them.
+
+    `misfit` is the negative logarithm of their likelihood, `least` the coefficients that the design
+    takes for the most likely, `hoped` what it takes their misfit for. `drag` tells which are the
+    paper's, `loss` which are those of losses.
+    """
+
+    drag: NDArray[np.bool_]
+    loss: NDArray[np.bool_]
+    values: FloatArray
+    design: Design
+    gram: FloatArray
+    misfit: float
+    least: FloatArray
+    hoped: float
+
+    def step(self, to: FloatArray) -> FloatArray:
+        """Return coefficients to try next: the paper's, and losses, lose nine tenths at most.
+
+        A loss that multiplies all forces asks for so much less of them that they would push, and
+        forces that are too small for so much less of a loss that it would give.
+        """
+        kept = _KEPT * self.values
+        return np.where((self.drag | self.loss) & (kept > 0.0), np.maximum(to, kept), to)
+
+    @property
+    def promised(self) -> float:
+        """By how much a full step is to lower the misfit."""
+        return self.misfit - self.hoped
+
+    @property
+    def on(self) -> FloatArray:
+        """Coefficients that a full step leads to."""
+        return self.step(self.least)
+
+    @property
+    def rest(self) -> FloatArray:
+        """Coefficients that a step leads to which leaves losses as they are.
+
+        A loss multiplies the forces: the larger the one, the smaller the others. A full step along
+        a tangent leaves that valley, and this one leads back into it.
+        """
+        free = np.flatnonzero(~self.loss)
+        onto = np.zeros((len(self.values) + 1, len(free) + 1))
+        onto[free, np.arange(len(free))] = 1.0
+        onto[:-1, -1] = np.where(self.loss, -self.values, 0.0)
+        onto[-1, -1] = 1.0
+        to = self.values.copy()
+        to[free] = solve(onto.T @ self.gram @ onto)
+        return self.step(to)
+
+
+class Problem:
+    """Drives, vehicle, and the columns of terms on them."""
+
+    def __init__(
+        self, drives: Sequence[Drive], vehicle: Vehicle, memory: Mapping[str, float] | None = None
+    ) -> None:
+        both = all(drive.between is not None for drive in drives)
+        self.drives = tuple(
+            drive if both or drive.between is None else replace(drive, between=None)
+            for drive in drives
+        )
+        self.vehicle = vehicle
+        self.memory = dict(memory or {})
+        mean_square = np.mean(np.concatenate([drive.power**2 for drive in self.drives]))
+        self.floor = np.full(len(SCALES), FLOOR**2 * float(mean_square))
+        gaps = [drive.between * drive.slides for drive in self.drives if drive.between is not None]
+        if gaps:
+            allowed = _SLIP_LAW**2 * float(np.mean(np.concatenate(gaps) ** 2))
+            self.floor = np.append(self.floor, np.full(len(SCALES), allowed))
+
+    def without_transitions(self) -> Problem:
+        """Return the drives, each throughout in the state that it was in for longer."""
+        drives = []
+        for drive in self.drives:
+            state = round(float(np.mean(drive.motion.channels["changed"])))
+            drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
+        return Problem(drives, self.vehicle, self.memory)
+
+    def thinned(self, samples: int) -> Problem:
+        """Return the drives with so many samples in a shortest window, where they have more."""
+        period = max(drive.clock.period for drive in self.drives)
+        step = int(SCALES[0] / (samples * period))
+        few = [drive.thinned(step) for drive in self.drives] if step > 1 else self.drives
+        return Problem(few, self.vehicle, self.memory)
+
+    def averaged(self, period: float) -> Problem:
+        """Return means of the drives over a period [s], where they have more samples."""
+        drives = [drive.averaged(period) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def excerpt(self, samples: int, drives: int) -> Problem:
+        """Return some drives, evenly chosen, and pieces of them where they have more samples."""
+        some = list(self.drives)
+        if len(some) > drives:
+            some = [some[k] for k in np.linspace(0, len(some) - 1, drives).round().astype(int)]
+        total = sum(len(drive.t) for drive in some)
+        if total > samples:
+            turns = ((_GOLDEN * np.arange(len(some))) % 1.0).tolist()
+            share = samples / total
+            some = [drive.pieces(share, turn) for drive, turn in zip(some, turns, strict=True)]
+        elif len(some) == len(self.drives):
+            return self
+        return Problem(some, self.vehicle, self.memory)
+
+    def starting_from(self, known: Mapping[str, float]) -> Problem:
+        """Return the drives, for fits that begin with these coefficients, by name of their term."""
+        return Problem(self.drives, self.vehicle, known)
+
+    @cached_property
+    def of_totals(self) -> Problem:
+        """The drives with the power of both sides together alone."""
+        if self.drives[0].equations == 1:
+            return self
+        drives = [replace(drive, between=None) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    @property
+    def as_predicted(self) -> Problem:
+        """The totals of the drives as those to come are predicted: nothing known of contacts.
+
+        What contacts hold is told by the power of a drive, which a prediction does not know.
+        """
+        drives = [replace(drive, between=None, fitted=False) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def delayed(self, late: Late) -> Problem:
+        """Return the drives with their power taken to be logged late."""
+        drives = [replace(drive, late=late) for drive in self.drives]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def with_factors(self, factors: Sequence[float]) -> Problem:
+        """Return the drives, each with a factor of its power."""
+        drives = [replace(d, factor=f) for d, f in zip(self.drives, factors, strict=True)]
+        return Problem(drives, self.vehicle, self.memory)
+
+    def levelled(self, terms: Sequence[Term]) -> Problem:
+        """Return the drives, each with the factor by which it differs as a whole.
+
+        A random effect of each run, as far as it is more than the scatter within runs (Henderson's
+        equations, the model and the factors in turn). Without it long runs decide what all share.
+        """
+        problem = self
+        if len(self.drives) < _RUNS:
+            return self
+        for _ in range(_LEVELLING):
+            design = problem.design(terms)
+            values = fit(design, problem.reference(design)).values
+            plain = self.design(terms)
+            spread = RunSpread.of(plain, values)
+            if spread is None:
+                return self
+            problem = self.with_factors(spread.factors)
+        return problem
+
+    def likelihood(self, errors: FloatArray, windows: FloatArray) -> FloatArray:
+        """Return the logarithm of the likelihood of terms from their cross-validated errors."""
+        count = evidence_of(windows)
+        floor = (FINE * self.floor[: len(windows)]).reshape(-1, *[1] * (np.ndim(errors) - 1))
+        fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
+        return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
+
+    def tables(self, terms: Sequence[Term], values: FloatArray) -> Tables:
+        """Return, for each drive, the columns of the terms and the power they are to explain.
+
+        Where a loss depends on the forces, and so on the other coefficients, both are linearised
+        about `values`.
+        """
+        columns, targets, odds = [], [], 0.0
+        for drive in self.drives:
+            if is_lossy(drive, terms):
+                about = linearise_drive(drive, self.vehicle, terms, values)
+                columns.append(about.columns)
+                targets.append(drive.measured - about.power + about.columns @ values)
+                odds += about.odds
+            else:
+                found = np.stack([columns_of(t, drive, self.vehicle) for t in terms], axis=-1)
+                columns.append(drive.observed(found))
+                targets.append(drive.measured)
+        return Tables(columns, targets, odds)
+
+    def design_about(self, terms: Sequence[Term], values: FloatArray) -> Design:
+        """Return the design of some terms, losses linearised about `values`."""
+        about = self.tables(terms, values)
+        return Design.of(self.drives, about.columns, about.targets)
+
+    def odds(self, terms: Sequence[Term], values: FloatArray) -> float:
+        """Return what it took from the likelihood that what contacts hold was not known.
+
+        The sum, over stretches on which the total power told it, of the logarithm of the range of
+        powers that was possible over the error that it is known to (docs/theory, section 6).
+        """
+        lossy = [drive for drive in self.drives if is_lossy(drive, terms)]
+        return sum(linearise_drive(d, self.vehicle, terms, values, ()).odds for d in lossy)
+
+    def design(
+        self,
+        terms: Sequence[Term],
+        errors: FloatArray | None = None,
+        start: Mapping[str, float] | None = None,
+        rounds: int = ROUNDS,
+    ) -> Design:
+        """Return the design of some terms: Gauss-Newton where they are not linear.
+
+        What losses take bends where a side begins to return power, or a stretch to be held, and
+        multiplies the forces. A step that leads to nothing better is not undone at once: the other
+        coefficients are found for the losses that it led to, once and again. Then the same is tried
+        with shorter steps, as long as they promise something. What it takes from the likelihood
+        that what contacts hold is not known counts: else a loss that leaves more of it open would
+        seem to fit better.
+        """
+        if not any(is_lossy(drive, terms) for drive in self.drives):
+            return self.design_about(terms, np.zeros(len(terms)))
+        starts = self._starts(terms, errors) if start is None else [start]
+        begun = [
+            self._tried(terms, np.array([one.get(term.name, 0.0) for term in terms]), errors)
+            for one in starts
+        ]
+        best = min(begun, key=lambda one: one.misfit)
+        values, gain, instead = best.on, np.inf, _instead(best.promised)
+        for _ in range(rounds - 1):
+            if min(gain, best.promised) < _SETTLED and best.promised < _PROMISED:
+                break
+            if np.allclose(values, best.values, rtol=1e-4):
+                break
+            here = self._tried(terms, values, errors)
+            if here.misfit < best.misfit:
+                gain = best.misfit - here.misfit
+                best, values, instead = here, here.on, _instead(here.promised)
+            else:
+                part = next(instead, 0.0)
+                values = here.rest if part is None else best.values + part * (best.on - best.values)
+        self.memory |= {t.name: float(v) for t, v in zip(terms, best.values, strict=True)}
+        return replace(best.design, ended=best.values) if rounds > 1 else best.design
+
+    def _tried(
+        self, terms: Sequence[Term], values: FloatArray, errors: FloatArray | None
+    ) -> _Tried:
+        """Linearise losses about coefficients, and weigh these."""
+        about = self.tables(terms, values)
+        design = Design.of(self.drives, about.columns, about.targets)
+        scale = np.ones(len(design.rows)) if errors is None else errors
+        gram = weighted(design, scale).sum(axis=0)
+        least = solve(gram)
+        misfit, hoped = (
+            self._misfit(design, gram, scale, each) + about.odds for each in (values, least)
+        )
+        drag = np.array([term in PAPER for term in terms])
+        loss = np.array([term.kind == "loss" for term in terms])
+        return _Tried(drag, loss, values, design, gram, misfit, least, hoped)
+
+    def _misfit(
+        self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray
+    ) -> float:
+        """Return the negative logarithm of the likelihood of coefficients."""
+        signed = np.append(values, -1.0)
+        nothing = float(np.sum(FINE * self.floor[: len(scale)] / scale))
+        loss = max(float(signed @ gram @ signed), 0.0) + nothing + 1e-300
+        return 0.5 * float(evidence_of(design.evidence).sum()) * float(np.log(loss))
+
+    def _starts(
+        self, terms: Sequence[Term], errors: FloatArray | None
+    ) -> list[Mapping[str, float]]:
+        """Return coefficients to start from: found before, or of a fit without losses, too."""
+        if {term.name for term in terms} <= set(self.memory):
+            return [self.memory]
+        plain = self._start(terms, errors)
+        return [plain, self.memory] if self.memory else [plain]
+
+    def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
+        """Return coefficients of a fit without losses.
+
+        What losses take looks like other terms, of any size: those that it makes impossible are
+        left out.
+        """
+        linear = [term for term in terms if term.kind != "loss"]
+        if len(linear) == len(terms):
+            return {}
+        while True:
+            design = self.design(linear, errors, {})
+            scale = np.ones(len(design.rows)) if errors is None else errors
+            values = solve(weighted(design, scale).sum(axis=0))
+            found = {term.name: float(v) for term, v in zip(linear, values, strict=True)}
+            possible = [
+                term for term in linear
+                if term in PAPER or term.bounds[0] <= found[term.name] <= term.bounds[1]
+            ]  # fmt: skip
+            if len(possible) == len(linear):
+                return found
+            linear = possible
+
+    def means(
+        self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None
+    ) -> list[FloatArray]:
+        """Return window means of the columns of further terms beside a model's."""
+        columns = []
+        for drive in self.drives:
+            if values is not None and is_lossy(drive, terms):
+                whole = np.append(values, np.zeros(len(extra)))
+                wanted = range(len(terms), len(whole))
+                about = linearise_drive(drive, self.vehicle, [*terms, *extra], whole, wanted)
+                columns.append(about.columns)
+            else:
+                found = np.stack([columns_of(t, drive, self.vehicle) for t in extra], axis=-1)
+                columns.append(drive.observed(found))
+        return window_means(self.drives, columns)
+
+    def reference(self, design: Design) -> FloatArray:
+        """Return the cross-validated error of a design, plus the floor, at each scale [W^2]."""
+        errors = np.full(len(design.rows), 1.0)
+        for _ in range(2):
+            errors = fit(design, errors).errors + self.floor
+        return errors
+
+
+def _instead(promised: float) -> Iterator[float | None]:
+    """Yield what to try where a step has led to nothing better.
+
+    That is such a part of the step, or, where there is no number, `_Tried.rest`. A step that
+    promises much is made shorter and shorter.
+    """
+    part = _SHORTER
+    yield from (None, None, part, None)
+    while (part := _SHORTER * part) * promised > _PROMISED:
+        yield from (part, None)
+
+
+# -- the yaw rate up to which contacts hold, from the power of both sides --------------------------
+
+_SLIP_SPEEDS = np.geomspace(0.003, 0.15, 12)  # mean slip speeds at which classes end [m/s]
+_SCATTER = 0.4  # misfit of the moment between the sides, over it, from which they do not slide
+_LOST = 0.5  # such misfit at its least, from which the difference tells nothing
+_CLEAR = 3.0  # noise beyond which a side should return power
+_RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
+_LITTLE = 0.4  # of the resistance, with which sides return much
+_BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
+_TURNS = 20  # fits in which signs settle, at most
+_ENOUGH = 20  # samples that a class needs
+_LOSSES = (COPPER_LOSS, REGENERATION_LOSS)  # by which a total shows what contacts hold
+_CLEARLY = 5.0  # logarithm of the odds from which on they do
+_PERIOD, _SAMPLES, _DRIVES = 0.1, 20_000, 10  # of means, and of what is enough to tell that
+_LEFT = 0.1  # share of the samples that must slide
+
+
+def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
+    """Return the drives with the yaw rate up to which their contacts hold.
+
+    While contacts slide, the moment between the sides follows from the way the robot turns; while
+    they hold it is whatever steering built up (docs/theory, section 6). Classes of yaw rate in
+    which the moment scatters by more than noise, from the slowest on, are those that hold.
+    In the slowest one a fit takes contacts to hold in any case.
+    """
+    vehicle = problem.vehicle
+    edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
+    # In the slowest class steering drifts about a straight, and no sensor is sure which way.
+    drifting = [replace(drive, drift=float(edges[0]), fields={}) for drive in problem.drives]
+    problem = Problem(drifting, vehicle, problem.memory)
+    if problem.drives[0].equations == 1:
+        return _of_totals(problem, usual)
+    terms = [*PAPER, *usual]
+    sure = problem.of_totals
+    for edge in [*edges[::-1], 0.0]:
+        sure = _holding(problem, float(edge))
+        if sure.drives[0].equations == 2:
+            break
+    if sure.drives[0].equations == 1:
+        return _of_totals(problem, usual)
+    design = sure.design(terms)
+    values = fit(design, sure.reference(design)).values
+    scatter = _scatter(problem, terms, values, edges)
+    told = np.flatnonzero(np.isfinite(scatter))
+    if not len(told) or scatter[told].min() > _LOST or _unsigned(sure, terms, values):
+        return _of_totals(problem, usual)
+    # What is misfitted throughout is no matter of holding, but of what the model lacks.
+    usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
+    slides = told[scatter[told] < max(_SCATTER, 2.0 * usual_misfit)]
+    held = told[told < (slides[0] if len(slides) else len(edges))]
+    return _holding(problem, float(edges[held[-1]]) if len(held) else 0.0)
+
+
+def _of_totals(problem: Problem, usual: Sequence[Term]) -> Problem:
+    """Return the totals of drives, with contacts that hold where steering drifts, or do not.
+
+    If they hold, what is lost there follows from no motion, and no law of sliding explains it.
+    """
+    drives = problem.of_totals.drives
+    free, held = (
+        Problem(
+            [replace(one, breakaway=breakaway, drift=0.0, fields={}) for one in drives],
+            problem.vehicle, problem.memory,
+        )
+        for breakaway in (0.0, drives[0].drift)
+    )  # fmt: skip
+    drifting = (
+        one.holds & (one.motion.omega != 0.0) & (one.motion.v != 0.0) for one in held.drives
+    )
+    if not any(some.any() for some in drifting):
+        return free
+    slides, sticks = (
+        max(_likelihood(some, [*PAPER, *usual, HOTEL, loss]) for loss in _LOSSES)
+        for some in (one.averaged(_PERIOD).excerpt(_SAMPLES, _DRIVES) for one in (free, held))
+    )
+    return held if sticks > slides + _CLEARLY else free
+
+
+def _likelihood(problem: Problem, terms: Sequence[Term]) -> float:
+    """Logarithm of the likelihood of terms, with what it took that moments were not known."""
+    errors = problem.reference(problem.design(terms))
+    design = problem.design(terms, errors)
+    found = fit(design, errors)
+    likelihood = float(problem.likelihood(found.errors, design.evidence))
+    return likelihood - problem.odds(terms, found.values)
+
+
+def _holding(problem: Problem, breakaway: float) -> Problem:
+    """Return the drives with a breakaway; with the total alone where they hardly slide then."""
+    drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
+    held = Problem(drives, problem.vehicle, problem.memory)
+    share = np.mean(np.concatenate([drive.slides for drive in held.drives]))
+    return held if share > _LEFT else held.of_totals
+
+
+def _scatter(
+    problem: Problem, terms: Sequence[Term], values: FloatArray, edges: FloatArray
+) -> FloatArray:
+    """Misfit of the moment between the sides in classes of yaw rate, beyond that of noise.
+
+    As a fraction of the moment of sliding, with what a class has in common.
+    """
+    pushes, residuals, rates, noises = [], [], [], []
+    for drive in problem.drives:
+        columns = np.column_stack([columns_of(t, drive, problem.vehicle)[:, 1] for t in terms])
+        push = columns[:, terms.index(SLIP)] * values[terms.index(SLIP)]
+        if drive.between is not None:
+            pushes.append(push)
+            residuals.append(drive.between - columns @ values)
+            rates.append(np.abs(drive.motion.omega))
+            noises.append(np.full(len(push), drive.between_noise))
+    push, residual, rate, noise = (
+        np.concatenate(parts) for parts in (pushes, residuals, rates, noises)
+    )
+    found = np.full(len(edges), np.nan)
+    for k, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
+        mine = (rate > low) & (rate <= high) & (push != 0.0)
+        if np.count_nonzero(mine) < _ENOUGH:
+            continue
+        size = float(push[mine] @ push[mine])
+        beyond = float(residual[mine] @ residual[mine]) - float(noise[mine] @ noise[mine])
+        found[k] = np.sqrt(max(beyond, 0.0) / size)
+    return found
+
+
+def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
+    """Tell whether sensors show what sides return as if it were drawn.
+
+    A side that should return the more shows the more then. Of a motor that returns nothing, or less
+    than it should, what is shown is flat, or falls. Only where contacts slide is it known which
+    side should. Where none should, what it returns may be taken for resistance.
+    """
+    due, shown = [], []
+    faint, lowest = 0, np.inf
+    for drive in problem.drives:
+        if drive.between is None:
+            continue
+        for side, measured in _sides(drive, problem, terms, values):
+            returns = (side < -_CLEAR * drive.between_noise) & (drive.slides > 0.0)
+            faint += int(np.count_nonzero(side < 0.0))
+            lowest = min(lowest, float(measured.min()))
+            due.append(-side[returns])
+            shown.append(measured[returns])
+    expected, seen = np.concatenate(due), np.concatenate(shown)
+    if len(expected) < _ENOUGH:
+        never = lowest >= 0.0 and faint >= _ENOUGH
+        return never or _signs_lost(problem, terms, values)
+    return float(np.polyfit(expected, seen, 1)[0]) > _RISES
+
+
+def _signs_lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
+    """Tell whether the drives fit better with the signs given back that their model asks for.
+
+    Motors may return nothing or a part of what they should: those are fitted, too. From two starts
+    each, since resistance enough that no side returns power is a fit of both.
+    """
+    wide = [*terms, HOTEL]
+    found = dict(zip([term.name for term in terms], values.tolist(), strict=True))
+    little = {TRACTION.name: _LITTLE * found[TRACTION.name]}
+    errors = problem.reference(problem.design(terms))
+    plain, back = [], []
+    for start in (found, {**found, **little}):
+        held = Problem(problem.drives, problem.vehicle)
+        for share in (0.0, 1.0):
+            about = {**start, REGENERATION_LOSS.name: share}
+            plain.append(fit(held.design([*wide, REGENERATION_LOSS], errors, about), errors).loss)
+        now = np.array([start.get(term.name, 0.0) for term in wide])
+        for _ in range(_TURNS):
+            signed = _with_signs(held, wide, now)
+            one = fit(signed.design(wide, errors), errors)
+            settled = np.allclose(one.values, now, rtol=1e-3)
+            now = one.values
+            if settled:
+                break
+        back.append(one.loss)
+    return min(back) < _BETTER * min(plain)
+
+
+def _with_signs(problem: Problem, terms: Sequence[Term], values: FloatArray) -> Problem:
+    """Return the drives, the power of each side with the sign that a model has there."""
+    drives = []
+    for drive in problem.drives:
+        left, right = (
+            np.copysign(measured, side) for side, measured in _sides(drive, problem, terms, values)
+        )
+        drives.append(replace(drive, power=left + right, between=right - left))
+    return Problem(drives, problem.vehicle)
+
+
+def _sides(
+    drive: Drive, problem: Problem, terms: Sequence[Term], values: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the power of the left side and of the right one: by a model, and as measured [W]."""
+    table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
+    total, more = (table @ values).T
+    between = np.zeros(len(total)) if drive.between is None else drive.between
+    return list(zip(parted(total, more), parted(drive.power, between), strict=True))
+
+
+# -- what sensors that read in steps leave uncertain of coefficients -------------------------------
+
+_SHARE = 1e-3  # step of the logarithm of a speed
+
+
+def _covariance_of(sources: Sequence[tuple[NDArray[np.int64], FloatArray]]) -> FloatArray:
+    """Return the covariance of coefficients, each state of a sensor erring alike whenever it is.
+
+    Of each drive come the states of its samples, shape (n, m), and what the standard error of its
+    state, in that sample, does to the coefficients, shape (n, k).
+    """
+    _, state = np.unique(np.concatenate([one[0] for one in sources]), axis=0, return_inverse=True)
+    moved = np.concatenate([one[1] for one in sources])
+    sums = np.stack([np.bincount(state.ravel(), column) for column in moved.T], axis=-1)
+    return np.asarray(sums.T @ sums)
+
+
+def moved_by(drives: Sequence[Drive], design: Design, errors: FloatArray) -> list[FloatArray]:
+    """Return what one watt more in a sample of each equation does to the coefficients."""
+    normal = weighted(design, errors).sum(axis=0)[:-1, :-1]
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+    unit = np.linalg.pinv(normal * np.outer(scale, scale), 1e-12, hermitian=True)
+    inverse = unit * np.outer(scale, scale)
+    found = [np.zeros((len(drive.t), drive.equations, len(normal))) for drive in drives]
+    for k, (table, error, count) in enumerate(zip(design.rows, errors, design.counts, strict=True)):
+        step, first = table[:, :-1] @ inverse / (error * count), 0
+        for drive, table_of in zip(drives, found, strict=True):
+            windows = drive.windows[k % len(SCALES)]
+            own = step[first : first + len(windows.counts)] / windows.counts[:, None]
+            table_of[:, k // len(SCALES)] += np.repeat(own, windows.counts.astype(np.intp), axis=0)
+            first += len(windows.counts)
+    return found
+
+
+def reading_covariance(
+    problem: Problem, terms: Sequence[Term], values: FloatArray, design: Design, errors: FloatArray
+) -> FloatArray:
+    """Return the covariance of coefficients that the steps of sensors leave."""
+    width = design.rows[0].shape[1] - 1
+    found = np.zeros((width, width))
+    moved = moved_by(problem.drives, design, errors)
+    powers = [_powers(drive.power, drive.between) for drive in problem.drives]
+    expected = [_expected(drive, problem.vehicle, terms, values) for drive in problem.drives]
+    for side in range(problem.drives[0].equations):
+        steps = Steps.of(
+            np.concatenate([one[side] for one in powers]),
+            np.concatenate([one[side] for one in expected]),
+        )
+        if steps.error > 0.0:
+            found += _covariance_of(
+                [
+                    (steps.states(one[side])[:, None], steps.error * _by_side(drive, by, side))
+                    for drive, one, by in zip(problem.drives, powers, moved, strict=True)
+                ]
+            )  # fmt: skip
+    sources = []
+    for drive, by in zip(problem.drives, moved, strict=True):
+        if drive.steps.error <= 0.0:
+            continue
+        motion = drive.motion
+        speed = np.hypot(motion.v_left, motion.v_right) / np.sqrt(2.0)
+        share = np.divide(
+            drive.steps.error, speed, out=np.zeros(len(speed)), where=speed > drive.steps.size
+        )
+        late = round(drive.late.mean / drive.clock.period)
+        at = np.clip(np.arange(len(speed)) - late, 0, len(speed) - 1)
+        states = [drive.steps.states(v)[at] for v in (motion.v_left, motion.v_right)]
+        rise = _rise_with_speed(drive, problem.vehicle, terms, values)
+        sources.append(
+            (np.column_stack(states), np.einsum("te,tek->tk", rise * share[at, None], by))
+        )
+    return found + _covariance_of(sources) if sources else found
+
+
+def _powers(total: FloatArray, between: FloatArray | None) -> tuple[FloatArray, ...]:
+    """Return what each sensor of power reads: the total, or the left side and the right one."""
+    return (total,) if between is None else parted(total, between)
+
+
+def _expected(
+    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Return what each sensor of power should read."""
+    power = linearise_drive(drive, vehicle, terms, values, ()).power
+    return _powers(power[:, 0], None if drive.between is None else power[:, 1])
+
+
+def _by_side(drive: Drive, moved: FloatArray, side: int) -> FloatArray:
+    """Return what a watt more that one sensor of power reads does to the coefficients."""
+    if drive.between is None:
+        return moved[:, 0]
+    return np.asarray(moved[:, 0] + (-1.0, 1.0)[side] * drive.slides[:, None] * moved[:, 1])
+
+
+def _rise_with_speed(
+    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
+) -> FloatArray:
+    """Return by how much the power in each equation rises with the logarithm of the speed [W]."""
+    ends = []
+    for factor in (1.0 + _SHARE, 1.0 - _SHARE):
+        motion = drive.motion
+        faster = replace(motion, v_left=factor * motion.v_left, v_right=factor * motion.v_right)
+        moved = replace(
+            drive, motion=faster, breakaway=factor * drive.breakaway, drift=factor * drive.drift,
+            fitted=False, fields={},
+        )  # fmt: skip
+        ends.append(linearise_drive(moved, vehicle, terms, values, ()).power)
+    return np.asarray((ends[0] - ends[1]) / (2.0 * _SHARE))
+
+
+# -- all coefficients of a sum of terms, fitted together to window means of drives -----------------
+
+Further = Callable[[Mapping[str, float]], Sequence[Sequence[FloatArray]]]
+"""From coefficients by name to the derivatives of the power by further parameters, on each drive:
+shape (n, equations) each."""
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A sum of terms fitted to drives."""
+
+    model: PowerModel  # the model with its covariance
+    further: FloatArray  # covariance of further parameters, at whose values the terms were fitted
+    run_spread: float | None  # relative standard deviation of the power between runs
+    assumed: tuple[str, ...]  # terms of which drives tell less than is known of any robot
+
+
+def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
+    """Fit terms together."""
+    errors = problem.reference(problem.design(terms))
+    design = problem.design(terms, errors)
+    found, count = fit(design, errors), len(terms)
+    covariance = found.reported
+    usual = partial(
+        with_usual, terms=terms, gram=design.grams.sum(axis=(0, 1))[:count, :count],
+        vehicle=problem.vehicle,
+    )  # fmt: skip
+    values, _, assumed = usual(found.values, covariance)  # what was searched does not move with it
+    values = _within(problem, terms, errors, values, assumed)
+    names = [term.name for term in terms]
+    moved = further(dict(zip(names, values.tolist(), strict=True))) if further else ()
+    if moved:
+        columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
+        design = design.joined(window_means(problem.drives, columns))
+        covariance = fit(design, errors).reported
+    covariance = covariance + reading_covariance(problem, terms, values, design, errors)
+    covariance, rest = covariance[:count, :count], covariance[count:, count:]
+    plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
+    spread = RunSpread.of(plain.design(terms), values)
+    if spread is not None:
+        # What all runs share is known no better than the mean of runs that differ.
+        level = spread.deviation**2 / len(problem.drives)
+        covariance = covariance + level * np.outer(values, values)
+    if assumed:
+        covariance = usual(values, covariance)[1]
+    model = PowerModel(problem.vehicle, tuple(terms), values, 0.5 * (covariance + covariance.T))
+    return JointFit(model, rest, None if spread is None else spread.deviation, assumed)
+
+
+def _within(
+    problem: Problem, terms: Sequence[Term], errors: FloatArray, values: FloatArray,
+    assumed: Sequence[str],
+) -> FloatArray:  # fmt: skip
+    """Put coefficients that are beyond an end of their range there, and fit the others again.
+
+    Those that are assumed stay as they are.
+    """
+    least, most = np.array([term.bounds for term in terms]).T
+    fixed = np.array([term.name in assumed for term in terms])
+    while np.any(beyond := (values < least) | (values > most)):
+        fixed |= beyond
+        values = np.clip(values, least, most)
+        if not np.all(fixed):
+            about = problem.design_about(terms, values)
+            values[~fixed] = fit(about.fixed(fixed, values), errors).values
+    return values
