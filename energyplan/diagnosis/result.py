@@ -134,8 +134,7 @@ class Diagnosis(html.Readable):
     dependences_before, dependences_after : tuple of Dependence
         How the residual on the training drives depends on every signal, before and after.
     withdrawn : tuple of str
-        Effects that helped only as long as an unexplained channel was left out, and maps that
-        probably stand in for something else.
+        Borders that were removed, as they probably stand for something else.
     predictions_before, predictions_after : tuple of ndarray
         Predicted power of each hold-out drive [W].
     explanations : tuple of Explanation

@@ -45,11 +45,6 @@ def test_what_lasts_is_coloured_though_it_is_less_than_noise(period: float) -> N
     assert left.time < period
 
 
-def test_what_is_as_good_as_nothing_is_no_colour() -> None:
-    noise = np.random.default_rng(5).normal(0.0, 0.003 * SIZE, len(CLEAN))
-    assert judged(noise + 0.006 * SIZE * np.sin(2 * np.pi * CLEAN.t / 6.0)).adequate
-
-
 @pytest.mark.parametrize("measured", ["sides", "total"])
 def test_what_contacts_hold_on_straights_is_no_residual(
     measured: Literal["sides", "total"],

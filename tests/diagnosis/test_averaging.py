@@ -209,26 +209,6 @@ def test_a_run_at_rest_says_nothing_and_breaks_nothing() -> None:
     assert np.all(np.isfinite(told.fitted.model.coefficients))
 
 
-def test_runs_at_rest_are_no_runs_to_judge_by() -> None:
-    """One that drives and four at rest: nothing can be left out, so that two terms stay alone."""
-    logs = runs(1, 0.1, seed=20)
-    still = {name: 0.0 * values for name, values in logs[0].channels.items() if name != "t"}
-    logs += [DriveLog({"t": logs[0].t, **still}, f"rest {k}") for k in range(4)]
-    assert averaged(*fitted(logs, ()), (), 35, [term("viscous_loss")]) is None
-
-
-def test_the_diagnosis_says_what_its_model_is_made_of() -> None:
-    logs = runs(6, 0.2, seed=40)
-    told = diagnose(logs[:5], logs[5], VEHICLE, effects=[catalogue()["hotel_load"]])
-    assert any("the model averages" in line for line in told.advice)
-    (one,) = told.predictions
-    low, high = one.energy_interval
-    assert low < one.energy < high
-    power = told.predictions_after[0]
-    assert one.energy == pytest.approx(float(logs[5].weights @ power), rel=1e-9)
-    assert one.measured == pytest.approx(logs[5].energy, rel=1e-3)
-
-
 def straights(model: PowerModel, seed: int, wear: float) -> DriveLog:
     """Straight lines at many speeds, and a power that goes up and down with time."""
     rng = np.random.default_rng(seed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,8 @@ import pytest
 from by_day import by_day
 
 from energyplan import DriveLog, diagnose, simulate
-from energyplan.fit.drive import Drive, prepared
+from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem, fit, with_breakaway
-from energyplan.fit.regressors import linearise_drive
 from energyplan.motion import Motion
 from energyplan.power import (
     DRIVE_LOSS,
@@ -23,7 +21,7 @@ from energyplan.power import (
     TRACTION,
     PowerModel,
 )
-from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TURN_ASYMMETRY, WHEEL_FIGHT
+from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TURN_ASYMMETRY
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import Vehicle
 
@@ -240,41 +238,6 @@ def test_the_yaw_rate_up_to_which_contacts_hold_is_fitted() -> None:
     assert free.drives[0].breakaway == 0.0
 
 
-def test_what_is_misfitted_at_every_yaw_rate_is_not_taken_for_contacts_that_hold() -> None:
-    """Two grounds, on one of which the sides differ more: that is no matter of holding."""
-    model = PowerModel.preset("quadriga:full:concrete")
-    log = simulate.identification_drive(model, power_noise=3.0, seed=5)
-    sides = log.sides
-    assert sides is not None
-    more = np.where(np.floor(log.t / 20.0) % 2 == 0, -0.45, 0.45)
-    change = 0.5 * more * (sides.right - sides.left)
-    powers = {"p_left": sides.left - change, "p_right": sides.right + change}
-    two = DriveLog({**log.channels, **powers}, "two grounds")
-    (drive,) = with_breakaway(Problem(prepared([two], model.vehicle), model.vehicle), ()).drives
-    assert (drive.equations, drive.breakaway) == (2, 0.0)
-
-
-def test_the_moment_between_the_sides_is_read_off_their_difference() -> None:
-    log = _tracked(LOSSY, 7)
-    drive = replace(Drive.of(log, LOSSY.vehicle), breakaway=0.02)
-    about = linearise_drive(drive, LOSSY.vehicle, LOSSY.terms, LOSSY.coefficients)
-    late = drive.t > 155.0
-    residual = (drive.measured - about.power)[late, 0]
-    assert np.sqrt(np.mean(residual**2)) < 12.0  # 4 W are noise
-    plain = linearise_drive(
-        Drive.of(DriveLog(_summed(log), "sum"), LOSSY.vehicle),
-        LOSSY.vehicle, LOSSY.terms, LOSSY.coefficients,
-    )  # fmt: skip
-    blind = log.power[late] - plain.power[late, 0]
-    assert np.sqrt(np.mean(blind**2)) > 3 * np.sqrt(np.mean(residual**2))
-    assert WHEEL_FIGHT.function(Motion(0.0, 0.0, LOSSY.vehicle.icr), LOSSY.vehicle).right == 0.0
-
-
-def _summed(log: DriveLog) -> dict[str, np.ndarray]:
-    rest = {k: v for k, v in log.channels.items() if k not in ("p_left", "p_right")}
-    return {**rest, "power": log.power}
-
-
 def test_a_late_power_is_found_beside_strong_effects_at_two_readings_a_second() -> None:
     truth = PowerModel.preset("quadriga:full:concrete").with_term(TURN_ASYMMETRY, 0.12)
     options = {"rate": 2.0, "power_noise": 3.0, "measured": "total", "delays": {"power": 0.4}}
@@ -285,13 +248,6 @@ def test_a_late_power_is_found_beside_strong_effects_at_two_readings_a_second() 
     sizes = {effect.name: effect.value for effect in told.effects}
     assert {"turn_asymmetry", "time_offset"} <= set(sizes)
     assert sizes["time_offset"] == pytest.approx(0.4, abs=0.05)
-
-
-def test_drives_that_never_turn_have_one_equation() -> None:
-    model = PowerModel.preset("quadriga:full:concrete")
-    log = simulate.drive(model, [("straight", 60.0)], power_noise=3.0, seed=1)
-    case = Problem(prepared([log], model.vehicle), model.vehicle)
-    assert with_breakaway(case, ()).drives[0].equations == 1
 
 
 @pytest.mark.parametrize(
@@ -317,13 +273,3 @@ NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.002, "without": {"
 def _equations(log: DriveLog, vehicle: Vehicle) -> int:
     problem = Problem(prepared([log], vehicle), vehicle)
     return with_breakaway(problem, ()).drives[0].equations
-
-
-@pytest.mark.parametrize("seed", by_day(range(2), [0]))
-def test_motors_that_return_nothing_are_found_at_the_end_of_what_is_possible(seed: int) -> None:
-    model = PowerModel.preset("quadriga:full:concrete")
-    truth = model.with_term(REGENERATION_LOSS, 1.0)
-    train = simulate.identification_drive(truth, seed=seed, **NOISE)
-    told = diagnose(train, simulate.validation_drive(truth, seed=9, **NOISE), model.vehicle)
-    (value,) = (e.value for e in told.effects if e.name == "regeneration_efficiency")
-    assert 0.95 < value <= 1.0

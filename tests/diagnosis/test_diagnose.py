@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,15 +16,13 @@ from scipy.stats import kstest
 
 from energyplan import DriveLog, EnergyCost, diagnose, identify, simulate
 from energyplan.diagnosis import Dependence, Diagnosis, residual
-from energyplan.diagnosis import search as _search
 from energyplan.diagnosis.judge import find_mass_centre, twist
-from energyplan.diagnosis.residual import dependences, in_words
+from energyplan.diagnosis.residual import dependences
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.fit import drive as _drive
 from energyplan.fit import fit_residual
 from energyplan.fit.drive import Drive, quiet, speed_noise
-from energyplan.fit.estimate import Fit, Problem, fit, solve, weighted
-from energyplan.fit.regressors import Design, block_grams
+from energyplan.fit.estimate import Fit, Problem, fit
+from energyplan.fit.regressors import block_grams
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import (
@@ -325,20 +322,6 @@ def test_drives_and_their_errors_are_checked() -> None:
         diagnose(short, log, VEHICLE)
 
 
-def test_progress_rises_and_the_answer_is_reproducible() -> None:
-    model = PAPER.with_term(HOTEL, 25.0)
-    train = simulate.identification_drive(model, seed=1, **NOISE)
-    unseen = simulate.validation_drive(model, seed=2, **NOISE)
-    seen: list[float] = []
-    one = diagnose(
-        train, unseen, VEHICLE, effects=FEW, progress=lambda share, text: seen.append(share)
-    )
-    two = diagnose(train, unseen, VEHICLE, effects=FEW)
-    assert seen == sorted(seen) and seen[0] == 0.0 and seen[-1] == 1.0
-    assert one.effects == two.effects and one.after_interval == two.after_interval
-    assert pickle.loads(pickle.dumps(one.effects)) == one.effects
-
-
 def test_effects_that_are_told_go_in_whether_they_help_or_not() -> None:
     truth = PAPER.with_term(HOTEL, 25.0)
     train = simulate.identification_drive(truth, seed=1, **NOISE)
@@ -383,17 +366,6 @@ def test_drives_that_differ_as_a_whole_are_told_with_what_no_model_can_reach() -
     (line,) = (line for line in told.advice if line.startswith("drives differ as a whole"))
     average = float(line.split("at least ")[1].split(" %")[0])
     assert average == pytest.approx(100 * np.sqrt(2 / np.pi) * found.values[0], abs=0.3)
-
-
-@pytest.mark.parametrize("count", [6, pytest.param(12, marks=pytest.mark.nightly)])
-def test_drives_of_one_kind_are_not_said_to_differ(count: int) -> None:
-    p_values = []
-    for seed in range(count):
-        noise = {"power_noise": 8.0, "correlation_time": (0.0, 0.5, 1.5)[seed % 3]}
-        p_values.append(_between(_runs(0.0, seed, count=6, **noise)[0]).p_value)
-    # The least of twelve falls below 0.002 once in forty times, that of six once in eighty.
-    assert min(p_values) > 0.002
-    assert np.median(p_values) > 0.15
 
 
 def test_a_periodic_load_is_found_where_only_the_longest_drives_are_searched(
@@ -450,70 +422,6 @@ def test_compiled_sums_of_products_equal_plain_ones() -> None:
     assert block_grams(table, block, 10) == pytest.approx(plain, rel=1e-12, abs=1e-12)
 
 
-def test_a_design_of_some_drives_equals_one_of_these_drives_alone() -> None:
-    problem = _problem(duration=120.0)
-    terms = (SLIP, TRACTION)
-    part = problem.design(terms).of_drives(np.array([1]))
-    alone = Problem(problem.drives[1:], VEHICLE).design(terms)
-    assert part.grams == pytest.approx(alone.grams)
-    assert part.drives.tolist() == alone.drives.tolist()
-
-
-def test_windows_keep_the_energy() -> None:
-    problem = _problem(duration=120.0)
-    drive = problem.drives[0]
-    for windows in drive.windows:
-        total = float(windows.counts @ windows.mean(drive.power))
-        assert total == pytest.approx(float(drive.power.sum()))
-    design = Design.of([drive], [np.ones((len(drive.t), 1, 1))], [drive.power[:, None]])
-    assert solve(weighted(design, np.ones(3)).sum(axis=0)) == pytest.approx(
-        [float(drive.power.mean())], rel=0.05
-    )
-
-
-def test_very_many_samples_are_thinned_and_tell_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    truth = PAPER.with_term(HOTEL, 25.0)
-    train = simulate.identification_drive(truth, seed=1, rate=100.0, **NOISE)
-    unseen = simulate.validation_drive(truth, seed=2, **NOISE)
-    whole = diagnose(train, unseen, VEHICLE, effects=FEW).effects
-    monkeypatch.setattr(_drive, "_MANY", 4000)
-    (few,) = _drive.prepared([train], VEHICLE)
-    assert len(few.t) == -(-len(train) // 4)
-    thin = diagnose(train, unseen, VEHICLE, effects=FEW).effects
-    assert [effect.name for effect in whole] == [effect.name for effect in thin] == ["hotel_load"]
-    assert thin[0].value == pytest.approx(25.0, abs=3 * thin[0].std_error)
-
-
-@pytest.mark.parametrize("drawn", by_day([(1, 40), (6, 3)], [(6, 3)]))
-def test_excerpts_find_what_whole_drives_hold(
-    monkeypatch: pytest.MonkeyPatch, drawn: tuple[int, int]
-) -> None:
-    """Pieces of a drive, or some of the drives: sizes and times are those of all of them."""
-    count, most = drawn
-    lighter = PAPER.with_coefficients(PAPER.coefficients * [0.7, 0.85])
-    options: dict[str, Any] = {
-        "without": {"accel_x"},
-        "duration": max(600.0 / count, 150.0),
-        **NOISE,
-    }
-    at = [280.0] if count == 1 else [70.0 + 5.0 * k for k in range(count)]
-    train = [
-        simulate.identification_drive(
-            PAPER, seed=k, name=f"drive {k}", changes=[(time, lighter)], **options
-        )
-        for k, time in enumerate(at)
-    ]
-    unseen = simulate.validation_drive(lighter, seed=99, **options)
-    monkeypatch.setattr(_search, "_SAMPLES", 2000)
-    monkeypatch.setattr(_search, "_DRIVES", most)
-    told = diagnose(train, unseen, VEHICLE, effects=[*FEW, catalogue()["payload_change"]])
-    (first,) = told.effects
-    assert first.name == "payload_change"
-    assert first.value == pytest.approx(-0.3 * VEHICLE.mass, abs=3 * first.std_error + 1.0)
-    for k, time in enumerate(at):
-        assert first.details[f"time in drive {k}"] == pytest.approx(time, abs=1.5)
-
-
 def test_noise_is_measured_and_taken_out_without_moving_the_truth() -> None:
     options = {"seed": 3, "rate": 20.0}
     clean = simulate.identification_drive(PAPER, **options)
@@ -566,20 +474,6 @@ def test_the_centre_of_mass_is_found_from_the_motion() -> None:
     centred = simulate.identification_drive(PAPER, seed=1)
     none = find_mass_centre([Drive.of(centred, VEHICLE)], VEHICLE, mu=0.6)
     assert none is not None and not none.found
-
-
-@pytest.mark.parametrize(
-    ("shape", "words"),
-    [
-        ([0, 1, 2, 3, 4], "slip moment rises with c"),
-        ([4, 3, 2, 1, 0], "slip moment falls with c"),
-        ([0, 0, 0, 5, 5], "slip moment steps up at c = 2.5"),
-        ([4, 1, 0, 1, 4], "slip moment has a valley over c"),
-        ([0, 3, 4, 3, 0], "slip moment has a hump over c"),
-    ],
-)
-def test_shapes_are_put_into_words(shape: list[float], words: str) -> None:
-    assert in_words("c", "slip", np.arange(5.0), np.array(shape, float)) == words
 
 
 # -- recorded drives ------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.judge import _between_samples
-from energyplan.fit.drive import Clock, Drive, Late
+from energyplan.fit.drive import Clock, Drive
 from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import PowerModel
@@ -27,23 +27,6 @@ def test_a_ramp_lags_as_its_differential_equation_says(period: float) -> None:
     assert_allclose(Clock(t).lagged(t, lag), exact, atol=1e-12)
     both = Clock(t).lagged(np.stack([t, 2.0 * t], axis=-1), lag)
     assert_allclose(both[:, 1], 2.0 * exact, atol=1e-12)
-
-
-def test_a_constant_is_not_late() -> None:
-    t = np.linspace(0.0, 1.0, 11)
-    assert_allclose(Clock(t).lagged(np.full(11, 7.0), 1e-3), 7.0)
-    assert_allclose(Clock(t).lagged(np.full(11, 7.0), 1e3), 7.0)
-    after_a_gap = Clock(np.append(t, 60.0))
-    assert_allclose(after_a_gap.lagged(np.append(np.full(11, 7.0), 1.0), 0.1)[-1], 1.0)
-    for delay in (0.3, -0.3):
-        assert_allclose(after_a_gap.delayed(np.append(np.full(11, 7.0), 1.0), delay)[-1], 1.0)
-
-
-def test_what_is_late_is_told_by_its_parameters() -> None:
-    assert Late(0.3).params == (("delay", 0.3),)
-    assert Late.of(Late(0.1, 0.4).params) == Late(0.1, 0.4)
-    assert Late(0.1, 0.4).mean == pytest.approx(0.5)
-    assert Late.of((("delay", 0.1), ("lag", -0.2))).lag == 0.0
 
 
 @pytest.mark.parametrize("late_by", by_day([(0.4, 0.0), (0.1, 0.5)], [(0.1, 0.5)]))
@@ -129,16 +112,3 @@ def test_a_delay_that_nearly_nothing_tells_is_one_of_those_looked_for() -> None:
     (late,) = told.effects
     assert late.std_error == pytest.approx(2.0 / np.sqrt(12.0))
     assert late.std_error == late.details["delay_std_error"]
-
-
-@pytest.mark.usefixtures("few_effects")
-def test_of_a_moved_gyroscope_each_sample_of_the_drive_is_predicted() -> None:
-    truth = PowerModel.preset("quadriga:full:concrete")
-    late = {"delays": {"yaw_rate": 0.2, "accel_x": 0.2}, "power_noise": 5.0}
-    train = simulate.identification_drive(truth, seed=1, **late)
-    unseen = simulate.validation_drive(truth, seed=2, **late)
-    told = diagnose(train, unseen, truth.vehicle)
-    assert any("were moved" in note for note in told.advice)
-    for (predicted,) in (told.predictions_before, told.predictions_after):
-        expected = truth.power(unseen.motion(truth.vehicle.icr))
-        assert_allclose(predicted, expected, atol=0.05 * np.abs(expected).max())

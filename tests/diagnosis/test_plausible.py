@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from by_day import by_day
 
-from energyplan import diagnose, simulate
+from energyplan import simulate
 from energyplan.diagnosis.search import Rest, drags, drivable
 from energyplan.fit.drive import Late, prepared
 from energyplan.fit.estimate import Problem
@@ -19,7 +18,6 @@ from energyplan.power.effect_terms import (
     TRACTION_CHANGE,
     VISCOUS_LOSS,
 )
-from energyplan.power.effects import term
 from energyplan.vehicle import GRAVITY, MotorLimits, Vehicle
 
 
@@ -70,30 +68,6 @@ def test_friction_after_a_change_still_drags(slip: float, traction: float, possi
     terms = (SLIP, TRACTION, SLIP_CHANGE, TRACTION_CHANGE)
     assert drags(terms, np.array([0.7, 110.0, slip, traction])) is possible
     assert drags(terms[:2], np.array([0.7, 110.0]))
-
-
-LOSSES = {"drive_efficiency": 0.8, "regeneration_efficiency": 0.6}
-
-
-@pytest.mark.parametrize("loss", by_day(LOSSES, ["regeneration_efficiency"]))
-def test_the_robots_mass_tells_what_powers_cannot(loss: str) -> None:
-    """Both losses explain the powers; with the wrong one the robot would weigh half or twice."""
-    size = LOSSES[loss]
-    model = PowerModel.preset("quadriga:full:concrete")
-    mass = model.vehicle.mass
-    truth = model.with_term(term("linear_inertia"), mass).with_term(term(loss), size)
-    first, second = (
-        simulate.identification_drive(truth, power_noise=4.0, seed=seed) for seed in (1, 2)
-    )
-    told = diagnose(first, second, model.vehicle)
-    found = {effect.name: effect for effect in told.effects}
-    assert found[loss].value == pytest.approx(size, rel=0.05)
-    inertia = found.get("linear_inertia") or found["specific_force"]
-    assert inertia.value == pytest.approx(mass, rel=0.05)
-    other = {"drive_efficiency", "regeneration_efficiency"} - {loss}
-    alike = any(other & set(names) for names in told.explanations[0].alike)
-    # with a drive efficiency in its place the robot would weigh less than half of what it does
-    assert alike is (loss == "drive_efficiency")
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import math
 import sys
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -14,11 +13,10 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.candidates import Candidate, Part, mark_changes
-from energyplan.diagnosis.search import Search, settled
-from energyplan.fit.drive import ON_TIME, Late, prepared
+from energyplan.diagnosis.candidates import Part, mark_changes
+from energyplan.diagnosis.search import Search
+from energyplan.fit.drive import ON_TIME, prepared
 from energyplan.fit.estimate import PAPER, Problem
-from energyplan.path import FloatArray
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
 from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue
 
@@ -151,17 +149,6 @@ def test_values_between_those_of_a_grid_are_found_while_a_set_grows() -> None:
     assert len(candidates) == len(sets) + 1
 
 
-def test_a_time_offset_moves_with_the_best_set() -> None:
-    search = one_drive(ROBOT, ("time_offset",), late=0.3)
-    first = Late(0.25)
-    weighed = {(frozenset[int](), first): search._posterior((), [], first)}
-    pools: dict[Late, list[Candidate]] = {first: []}
-    search._settle_delay(weighed, pools)
-    (moved,) = set(pools) - {first}
-    assert moved.delay == pytest.approx(0.3, abs=0.02)  # a fifth of a sample
-    assert weighed[frozenset(), moved] > weighed[frozenset(), first]
-
-
 def bordered() -> Search:
     """A search on a drive that begins with spins whose wheels cross a border."""
     line = replace(SLIP_BEYOND, params={"direction": -1.0, "offset": 0.2})
@@ -279,16 +266,3 @@ def test_a_line_is_looked_for_again_with_what_was_found_after_it(calibration: Mo
     )
     assert found.after.rmse < 1.05 * given.after.rmse
     assert {effect.name for effect in found.effects} == set(made.sizes)
-
-
-def test_a_line_that_no_drive_crosses_stays_where_it_is_without_a_warning() -> None:
-    search = one_drive(ROBOT, ("viscous_loss",))
-    far = Part(catalogue()["surface_border"], (("direction", 0.0), ("offset", 1e4)))
-
-    def made(values: FloatArray) -> tuple[list[Part], Problem]:
-        params = zip(("direction", "offset"), values.tolist(), strict=True)
-        return [replace(far, params=tuple(params))], search.quick.problem
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert settled(far, made, search.quick.errors) is None

@@ -21,25 +21,6 @@ def test_an_effect_is_followed_as_well_as_it_correlates_beyond_the_base() -> Non
     assert shares == pytest.approx([0.64, 0.64])
 
 
-def test_an_effect_of_two_columns_follows_by_both() -> None:
-    rng = np.random.default_rng(1)
-    a, b, c = np.linalg.qr(rng.normal(size=(300, 3)))[0].T
-    mixed = 2.0 * a + b
-    shares = followed(gram_of(mixed, a, b, c), [], {"mixed": [(0,)], "pair": [(1, 2)], "c": [(3,)]})
-    # The pair follows the mixture whole; each of its columns is followed by 0.8 or 0.2.
-    assert shares == pytest.approx([0.0, 0.5, 1.0], abs=1e-9)
-
-
-def test_what_the_base_holds_is_followed_by_nothing_and_counts_for_nothing() -> None:
-    rng = np.random.default_rng(2)
-    base, a, b = rng.normal(size=(3, 200))
-    shares = followed(
-        gram_of(base, 2 * base, a, b), [0], {"base": [(1,)], "a": [(2,)], "b": [(3,)]}
-    )
-    assert len(shares) == 2
-    assert np.all(shares < 0.1)
-
-
 def test_the_chance_to_stand_in_falls_from_one_to_none() -> None:
     known = np.array([0.1, 0.4, 0.9])
     chances = [chance_to_stand_in(share, known) for share in (0.0, 0.1, 0.4, 0.65, 0.9, 1.0)]

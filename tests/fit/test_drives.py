@@ -14,9 +14,6 @@ from energyplan.fit import identify
 from energyplan.fit.drive import Drive, Late, prepared, quiet
 from energyplan.fit.estimate import Problem, fit
 from energyplan.fit.regressors import (
-    _alone,
-    _smoothed,
-    at_rest,
     linearise_drive,
     power_of,
     straights,
@@ -66,22 +63,6 @@ def test_a_drive_in_the_mirror_tells_the_same(seed: int) -> None:
         return identify(log, MODEL.vehicle, terms=(SLIP, TRACTION, HOTEL)).model.coefficients
 
     assert_allclose(told(1, 0, -1.0), told(0, 1, 1.0), rtol=1e-6)
-
-
-@pytest.mark.parametrize("samples", range(1, 12))
-def test_a_stretch_shorter_than_any_average_keeps_its_turn(samples: int) -> None:
-    """Before a gap of the clock lie few samples; beyond it, a drive with noise to be taken out."""
-    rng = np.random.default_rng(samples)
-    n = 400
-    t = PERIOD * np.arange(n)
-    t[samples:] += 5.0
-    left, right = np.full(n, 0.5), np.full(n, 0.5)
-    left[:samples], right[200:300] = 0.3, 0.9
-    left, right = (v + rng.normal(0.0, 0.01, n) for v in (left, right))
-    rate = (right - left) / ICR.slip_track + rng.normal(0.0, 0.01, n)
-    clean = quiet(Motion(left, right, ICR, {"yaw_rate": rate}), t)
-    assert np.all(clean.omega[:samples] > 0.0)
-    assert np.all(np.isfinite(clean.v))
 
 
 def test_a_gyroscope_without_noise_is_not_smoothed() -> None:
@@ -185,12 +166,6 @@ def test_a_fit_with_losses_that_starts_where_it_ends_is_settled() -> None:
         assert_allclose(one, other)
 
 
-def test_straight_lines_are_not_told_to_hold_anything() -> None:
-    problem, terms = _lossy(0.0, "copper_loss", wide=False)
-    true = PowerModel.preset("quadriga:full:concrete").coefficients
-    assert problem.odds(terms, np.array([*true, 4.5e-4])) == 0.0
-
-
 def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> None:
     """By copper's loss, which grows with the square: a quarter of the most is half the moment."""
     seconds, loss, limit = [6.0, 6.0, 30.0], 4.5e-4, 100.0
@@ -215,63 +190,6 @@ def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> N
     # a mean is known to what is missed on most windows, as a standard deviation, and to a hundredth
     error = np.hypot(1.4826, 0.01 * np.sqrt(np.mean(power**2)))
     assert found.odds == pytest.approx(2.0 * np.log(dearest / (np.sqrt(2.0 * np.pi) * error)))
-
-
-def test_where_steering_drifts_a_moment_is_held_for_four_seconds_at_most() -> None:
-    loss, limit, part = 4.5e-4, 100.0, np.repeat(range(3), round(4.0 / PERIOD))
-    v = np.full(len(part), 0.6)
-    push = 1.5 * limit / ICR.slip_track
-    share = np.array([0.5, 0.0, 0.8])[part]
-    power = 2.0 * loss * (share * push) ** 2
-    still, none = Motion(v, v, ICR), Sides(np.zeros(len(v)), np.zeros(len(v)))
-    for breakaway, wanted in ((0.01, share * push), (0.0, np.sqrt(np.mean(share**2)) * push)):
-        drive = Drive("long", PERIOD * np.arange(len(v)), still, power, breakaway=breakaway)
-        losses = [(COPPER_LOSS, loss)]
-        found = straights(drive, MODEL.vehicle, losses, none, limit, none.left)
-        assert found is not None
-        assert_allclose(found.forces.right, wanted, rtol=1e-2, atol=1e-2 * push)
-
-
-def test_rest_holds_what_is_drawn_beyond_noise_alone() -> None:
-    """One of three stretches of rest draws 8 W more than a model says, the others scatter."""
-    seconds = [40.0, 20.0, 40.0, 20.0, 40.0]
-    part = np.repeat(range(5), (np.array(seconds) / PERIOD).astype(int))
-    v = np.where(part % 2 == 0, 0.0, 0.5)
-    noise = np.random.default_rng(4).normal(0.0, 6.0, len(v))
-    power = 30.0 + 100.0 * v + noise + np.where(part == 2, 8.0, 0.0)
-    drive = Drive("rests", PERIOD * np.arange(len(v)), Motion(v, v, ICR), power)
-    known, taken = at_rest(drive, 30.0 + 100.0 * v, 25.0)
-    assert not known[part != 2].any()
-    assert not taken[part != 2].any()
-    assert known[part == 2].mean() > 0.9
-    assert taken[part == 2].mean() == pytest.approx(8.0, abs=0.6)
-    # Losses that take nothing at rest explain nothing there.
-    assert not at_rest(drive, 30.0 + 100.0 * v, 0.0)[0].any()
-
-
-def test_a_moment_is_taken_for_one_over_long_stretches_alone() -> None:
-    held = np.array([0, 0, 1, 1, 1, 1, 1, 1, 1, 0, 1, 1, 0, 1, 1, 1, 1, 1], bool)
-    alone = np.array([0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 1, 1, 0, 1, 0, 0, 0, 0], bool)
-    assert _alone(held, 5).tolist() == alone.tolist()
-    values = np.arange(18.0)
-    found = _smoothed(np.column_stack([values, 2.0 * values]), 5, alone)
-    assert_allclose(found[alone, 1], 2.0 * values[alone])
-    # what stands alone is no part of any mean
-    assert found[5, 0] == pytest.approx((3.0 + 4.0 + 5.0 + 6.0 + 7.0) / 5.0)
-    assert found[3, 0] == pytest.approx((0.0 + 1.0 + 3.0 + 4.0 + 5.0) / 5.0)
-
-
-def test_the_moment_of_a_short_stretch_between_turns_follows_each_sample() -> None:
-    """It passes from one limit of friction to the other, and costs as much as sliding does."""
-    model = PowerModel.preset("quadriga:full:concrete").with_term(COPPER_LOSS, 4e-4)
-    log = simulate.identification_drive(model, seed=1)
-    (drive,) = prepared([log], model.vehicle)
-    drive = replace(drive, drift=0.01, fields={})
-    about = linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
-    driven = drive.holds & (drive.motion.v_left != 0.0) & (drive.motion.v_right != 0.0)
-    assert np.count_nonzero(driven & (drive.motion.omega != 0.0)) > 5
-    left = (drive.measured - about.power)[driven, 0]
-    assert np.abs(left).max() < 0.01 * np.abs(drive.power).max()
 
 
 def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:

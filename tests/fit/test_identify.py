@@ -21,7 +21,6 @@ from energyplan.errors import (
 )
 from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify, solvers
 from energyplan.fit import solvers as _covariance
-from energyplan.fit.doubts import check_identifiable
 from energyplan.fit.drive import Drive
 from energyplan.fit.identification import PowerRegression
 from energyplan.logs import DriveLog
@@ -228,20 +227,6 @@ def test_standard_errors_are_those_of_many_drives(method: str, drives: int) -> N
     assert np.all(hits <= 0.99 * drives) or drives < 100
 
 
-def test_independent_samples_would_be_too_few(truth: PowerModel) -> None:
-    log = simulate.drive(truth, "spiral", seed=8, power_noise=10.0, correlation_time=1.0)
-    white = simulate.drive(truth, "spiral", seed=8, power_noise=10.0)
-    slow, fast = (identify(x, truth.vehicle, icr="vehicle") for x in (log, white))
-    ratio = slow.std_error["slip_friction"] / fast.std_error["slip_friction"]
-    # A Markov process of 20 samples' time constant repeats each sample 40 times; its signs, by the
-    # arcsine law, fewer times.
-    assert 3.0 < ratio < np.sqrt(40.0)
-    assert slow.effective_samples < 0.1 * fast.effective_samples
-    lower, upper = slow.interval("slip_friction", 0.95)
-    wider = slow.interval("slip_friction", 0.99)
-    assert wider[0] < lower < truth.coefficient("slip_friction") < upper < wider[1]
-
-
 def test_covariance_of_a_sum_is_the_double_sum() -> None:
     rng = np.random.default_rng(0)
     X, scale = rng.normal(size=(300, 2)), rng.uniform(0.5, 2.0, 300)
@@ -261,35 +246,6 @@ def test_correlation_time_of_a_markov_process(tau: float) -> None:
     exact = 0.05 * (0.5 + keep / (1 - keep))
     found = _covariance.correlation_time(series, 0.05, [slice(0, len(series))])
     assert found == pytest.approx(exact, rel=0.1)
-
-
-def test_autocorrelation_adds_back_what_the_fit_took() -> None:
-    """The mean over many short residuals is unbiased; without the correction it is not."""
-    rng, n, keep = np.random.default_rng(2), 400, 0.95
-    X = np.column_stack([np.ones(n), np.linspace(-1, 1, n)])
-    H = X @ np.linalg.pinv(X)
-    sums = np.zeros(2)
-    for _ in range(100):
-        noise = lfilter([1.0], [1.0, -keep], rng.normal(size=n + 200))[200:]
-        residual = noise - H @ noise
-        for k, regressors in enumerate((None, X)):
-            noise_model = _covariance.autocorrelation(residual, [slice(0, n)], regressors)
-            sums[k] += noise_model.repeats / 100
-    exact = (1 + keep) / (1 - keep)
-    assert sums[1] == pytest.approx(exact, rel=0.2)
-    assert sums[0] < sums[1]
-
-
-def test_autocorrelation_of_short_smooth_series_stays_one() -> None:
-    rng, t = np.random.default_rng(0), np.arange(361.0)
-    series = [lfilter(np.ones(10), [1.0], rng.normal(size=361)) for _ in range(30)]
-    series += [np.sin(t / 20.0), t, np.cumsum(rng.normal(size=361)), np.sign(np.sin(t / 7.0))]
-    for one in series:
-        for regressors in (None, np.column_stack([t, np.abs(t - 100.0)])):
-            found = _covariance.autocorrelation(one, [slice(0, 200), slice(200, 361)], regressors)
-            assert found.rho[0] == 1.0
-            assert np.max(np.abs(found.rho)) <= 1.0 + 1e-9
-            assert 0 < found.kept <= 1.0
 
 
 def test_error_of_the_tread_icrs_is_passed_on(truth: PowerModel) -> None:
@@ -385,15 +341,6 @@ def test_symmetric_fit_keeps_the_known_offset(truth: PowerModel) -> None:
     assert found.icr.longitudinal == 0.06
 
 
-def test_coarse_pose_tells_the_slip_track_only(truth: PowerModel) -> None:
-    log = simulate.drive(truth, "spiral", seed=1, noise={"x": 2.0, "y": 2.0}, **NOISE)
-    found = identify(log, truth.vehicle)
-    assert any("too coarse" in text for text in found.warnings)
-    assert found.icr.left == pytest.approx(found.icr.right)
-    assert found.icr.left == pytest.approx(0.47, abs=0.002)
-    np.testing.assert_allclose(found.model.coefficients, truth.coefficients, rtol=0.02)
-
-
 def test_an_icr_that_is_hardly_known_is_kept_and_said_so(truth: PowerModel) -> None:
     """Read once a second, where commands last as long, the slip track is 0.65 +- 0.69 m."""
     speeds = np.random.default_rng(3).uniform(-0.6, 0.6, (40, 2))
@@ -461,42 +408,11 @@ def test_one_radius_cannot_tell_slip_from_traction(truth: PowerModel, pattern: o
     )
 
 
-def test_constant_speed_with_a_hotel_load(truth: PowerModel) -> None:
-    model = truth.with_term(HOTEL, 40.0)
-    log = simulate.drive(model, [Setpoint(0.5, 0.5, 60.0)], seed=1, **NOISE).segment(3.0, 55.0)
-    with pytest.raises(NotIdentifiableError, match=r"traction_resistance.*hotel_load.*a stop"):
-        identify(log, truth.vehicle, terms=[TRACTION, HOTEL])
-    drive = simulate.identification_drive(model, seed=1, **NOISE)
-    found = identify(drive, truth.vehicle, terms=[SLIP, TRACTION, HOTEL])
-    assert found.model.coefficient("hotel_load") == pytest.approx(
-        40.0, abs=3 * found.std_error["hotel_load"]
-    )
-    missed = identify(drive, truth.vehicle)
-    assert any("at rest the robot draws" in text for text in missed.warnings)
-    assert not any("at rest" in text for text in found.warnings)
-
-
 def test_drive_efficiency_scales_all_and_is_refused(truth: PowerModel) -> None:
     """No motor generates in straight lines and spins, so that every power has the same factor."""
     log = simulate.drive(truth, ["spin", "straight"], seed=1, **NOISE)
     with pytest.raises(NotIdentifiableError, match="drive_efficiency"):
         identify(log, truth.vehicle, terms=[SLIP, TRACTION, DRIVE_LOSS])
-
-
-@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("column", [0, 1])
-def test_what_hardly_acts_is_not_identified(weight: float, column: int) -> None:
-    """A regressor counts as absent far below what a manoeuvre makes of it, on any robot."""
-    model = PowerModel.preset("quadriga:empty:marble")
-    vehicle = replace(model.vehicle, loads=weight * model.vehicle.loads)
-    model = replace(model, vehicle=vehicle)
-    left, right = np.random.default_rng(1).normal(0.0, 0.3, (2, 300))
-    turning = np.abs(right - left) / vehicle.icr.slip_track
-    jacobian = np.column_stack([vehicle.slip_moment * turning, np.abs(left) + np.abs(right)])
-    assert check_identifiable(model, jacobian) == ()
-    jacobian[:, column] *= 1e-4
-    with pytest.raises(NotIdentifiableError, match=f"{model.terms[column].name}.* zero throughout"):
-        check_identifiable(model, jacobian)
 
 
 def test_a_copy_of_a_log_is_learned_from_once(truth: PowerModel) -> None:
@@ -509,13 +425,6 @@ def test_a_copy_of_a_log_is_learned_from_once(truth: PowerModel) -> None:
         found = identify([log, second], truth.vehicle)
         assert any(f"{second.name} holds the same" in t for t in found.warnings) == twice
         assert np.array_equal(found.model.covariance, alone.model.covariance) == twice
-
-
-def test_hardly_known_is_said(truth: PowerModel) -> None:
-    log = simulate.identification_drive(truth, seed=1, **NOISE)
-    terms = [SLIP, TRACTION, effects.LINEAR_INERTIA]
-    found = identify(log, truth.vehicle, terms=terms)
-    assert any("linear_inertia" in text for text in found.warnings)
 
 
 def test_power_must_be_measured(truth: PowerModel, spiral: DriveLog) -> None:
@@ -552,16 +461,6 @@ def test_bad_requests(truth: PowerModel, spiral: DriveLog) -> None:
 
 
 # -- any terms ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["lad", "simplex", "huber"])
-def test_copper_loss_is_quadratic_in_the_forces(truth: PowerModel, method: str) -> None:
-    model = truth.with_term(effects.COPPER_LOSS, 2e-4)
-    log = simulate.identification_drive(model, seed=1, power_noise=5.0)
-    found = identify(log, truth.vehicle, terms=model.terms, method=method)
-    errors = np.array(list(found.std_error.values()))
-    assert np.all(np.abs(found.model.coefficients - model.coefficients) < 4 * errors)
-    np.testing.assert_allclose(found.model.coefficients, model.coefficients, rtol=0.03)
 
 
 def test_nonlinear_fit_of_exact_data_is_exact(truth: PowerModel) -> None:
@@ -602,34 +501,12 @@ def test_bounds_are_respected_and_reported(truth: PowerModel) -> None:
 # -- logs together, residuals -------------------------------------------------------------------
 
 
-def test_logs_together_are_worth_more(truth: PowerModel) -> None:
-    logs = [simulate.drive(truth, "spiral", seed=k, **NOISE) for k in range(4)]
-    one, all_four = identify(logs[0], truth.vehicle), identify(logs, truth.vehicle)
-    ratio = one.std_error["slip_friction"] / all_four.std_error["slip_friction"]
-    assert ratio == pytest.approx(2.0, rel=0.35)
-    parts = np.array([fit_residual(all_four.model, log).rmse for log in logs])
-    assert all_four.residual.rmse == pytest.approx(np.sqrt(np.mean(parts**2)), rel=1e-3)
-    assert all_four.residual.duration == pytest.approx(240.0)
-
-
 def test_a_gap_is_no_time_driven(truth: PowerModel, spiral: DriveLog) -> None:
     kept = (spiral.t < 20.0) | (spiral.t > 40.0)
     log = DriveLog({k: v[kept] for k, v in spiral.channels.items()})
     found = identify(log, truth.vehicle)
     np.testing.assert_allclose(found.model.coefficients, truth.coefficients, rtol=0.03)
     assert found.residual.duration == pytest.approx(40.0, abs=0.2)
-
-
-def test_the_time_scale_of_white_noise_is_half_a_period_in_any_number_of_logs() -> None:
-    model = PowerModel.preset("quadriga:empty:marble")
-    rng = np.random.default_rng(1)
-    t = 0.1 * np.arange(150)
-    logs = [
-        DriveLog({"t": t, "v_left": 0 * t + 0.5, "v_right": 0 * t + 0.5,
-                  "power": 90.0 + rng.normal(0.0, 5.0, 150)}) for _ in range(6)
-    ]  # fmt: skip
-    assert fit_residual(model, logs[0]).correlation_time == pytest.approx(0.05, rel=0.3)
-    assert fit_residual(model, logs).correlation_time == pytest.approx(0.05, rel=0.15)
 
 
 def test_an_error_of_energy_where_none_was_measured_has_its_sign() -> None:

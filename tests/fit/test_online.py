@@ -10,7 +10,7 @@ import pytest
 
 from energyplan import simulate
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.fit import fit_residual, identify
+from energyplan.fit import identify
 from energyplan.fit import online as kernel
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.logs import DriveLog
@@ -101,13 +101,6 @@ def test_compiled_kernel_is_the_plain_one() -> None:
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-12)
 
 
-def test_inverse() -> None:
-    root = np.random.default_rng(1).normal(size=(6, 6))
-    matrix, found = root @ root.T + np.eye(6), np.empty((6, 6))
-    kernel.inverse(matrix, found)
-    np.testing.assert_allclose(found @ matrix, np.eye(6), atol=1e-10)
-
-
 def test_statistic_of_a_known_change_has_its_expectation() -> None:
     """White noise and known coefficients: the 8 s window's statistic is non-central chi-squared."""
     rng, found = np.random.default_rng(4), []
@@ -193,17 +186,6 @@ def test_covariance_holds_on_correlated_noise() -> None:
     assert np.all(hits >= 0.88 * drives)
 
 
-def test_slow_drift_is_followed_without_alarm() -> None:
-    """A warming drive loses a fifth of its resistance over twenty minutes."""
-    count = 20
-    models = [CONCRETE.with_coefficients([0.627, 113.0 - k]) for k in range(count)]
-    changes = [(60.0 * k, model) for k, model in enumerate(models) if k]
-    log = simulate.drive(CONCRETE, "survey", duration=1200.0, changes=changes, seed=2, **NOISE)
-    online = OnlineIdentifier(CONCRETE, memory=120.0)
-    assert online.run(log) == ()
-    assert online.model.coefficient("traction_resistance") == pytest.approx(94.0, rel=0.04)
-
-
 def test_what_is_not_excited_becomes_uncertain_and_no_more() -> None:
     online = OnlineIdentifier(CONCRETE.vehicle)
     online.run(simulate.drive(CONCRETE, "survey", duration=120.0, seed=1, **NOISE))
@@ -257,32 +239,6 @@ def test_resumes_from_the_model_it_exports() -> None:
     )
 
 
-def test_residual_is_that_of_predictions() -> None:
-    log = simulate.drive(CONCRETE, "survey", duration=600.0, seed=3, power_noise=5.0)
-    online = OnlineIdentifier(CONCRETE)
-    online.run(log)
-    residual = online.model.residual
-    assert residual is not None
-    assert residual.rmse == pytest.approx(5.0 * np.sqrt(2.0), rel=0.05)
-    assert residual.mae == pytest.approx(np.sqrt(2 / np.pi) * residual.rmse, rel=0.05)
-    assert abs(residual.energy_error) < 0.01
-    assert residual.duration == pytest.approx(600.0, abs=0.2)
-    mean = float(np.trapezoid(log.power, log.t)) / log.duration
-    assert residual.bias == pytest.approx(-residual.energy_error * mean, rel=0.01)
-
-
-@pytest.mark.parametrize("speed", [0.5, 0.0])
-def test_an_error_of_energy_where_none_was_measured_is_that_of_a_fit(speed: float) -> None:
-    t = np.linspace(0.0, 20.0, 201)
-    log = DriveLog({"t": t, "v_left": 0 * t + speed, "v_right": 0 * t + speed, "power": 0 * t})
-    online = OnlineIdentifier(CONCRETE)
-    online.run(log)
-    residual = online.model.residual
-    assert residual is not None
-    assert residual.energy_error == fit_residual(CONCRETE, log).energy_error
-    assert residual.energy_error == (np.inf if speed else 0.0)
-
-
 def test_battery_power_with_losses() -> None:
 
     vehicle = replace(Vehicle.preset("quadriga:empty"), drive_efficiency=0.8, regen_efficiency=0.5)
@@ -308,19 +264,6 @@ def test_terms_with_channels() -> None:
     single.update(0.0, 0.5, 0.5, 100.0, slope=0.01)
     with pytest.raises(MissingChannelError, match="slope"):
         single.update(0.05, 0.5, 0.5, 100.0)
-
-
-def test_accelerations_follow_from_the_speeds() -> None:
-    truth = CONCRETE.with_term(effects.LINEAR_INERTIA, 83.1)
-    log = simulate.drive(truth, "stop_and_go", duration=240.0, seed=1, **NOISE)
-    single = OnlineIdentifier(CONCRETE.vehicle, terms=truth.terms)
-    for t, left, right, power in zip(
-        log.t, log.channel("v_left"), log.channel("v_right"), log.power, strict=True
-    ):
-        single.update(t, left, right, power)
-    found = single.model
-    np.testing.assert_allclose(found.coefficients[:2], truth.coefficients[:2], rtol=0.05)
-    assert found.coefficient("linear_inertia") == pytest.approx(83.1, rel=0.1)
 
 
 def test_bad_input() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from energyplan import PowerModel, simulate
 from energyplan.fit.drive import prepared
-from energyplan.fit.estimate import PAPER, Problem, _instead, fit
+from energyplan.fit.estimate import PAPER, Problem, fit
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS
 from energyplan.power.effect_terms import COPPER_LOSS, STRIBECK
 
@@ -42,14 +42,6 @@ def test_a_fit_with_losses_ends_at_coefficients_that_leave_what_it_says(
         assert left == pytest.approx(true[:, -1] - true[:, :-1] @ found.values, abs=1e-6)
     # Powers tell the round trip alone: the same share of it is lost while the robot draws.
     assert found.values[-1] == pytest.approx(1.0 / (1.0 - LOST) - 1.0, rel=0.02)
-
-
-def test_one_round_is_a_linearisation_about_the_start(returning: Problem) -> None:
-    values = np.array([0.3, 60.0, 1.0])
-    known = dict(zip((term.name for term in TERMS), values.tolist(), strict=True))
-    design = returning.design(TERMS, None, known, rounds=1)
-    assert design.ended is None
-    assert np.array_equal(design.rows[0], returning.design_about(TERMS, values).rows[0])
 
 
 @pytest.mark.parametrize("lost", [0.5, 0.9])
@@ -109,30 +101,6 @@ def test_a_fit_with_losses_comes_from_far_off(
         return fit(fresh.design(truth.terms, errors, start), errors).loss
 
     assert left(far) == pytest.approx(left((1.0, 1.0, 1.0, 1.0)), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("promised", "shorter"), [(0.0, []), (20.0, [0.16]), (40.0, [0.16, 0.064])]
-)
-def test_steps_are_made_shorter_as_long_as_they_promise_something(
-    promised: float, shorter: list[float]
-) -> None:
-    tried = list(_instead(promised))
-    assert tried[:4] == [None, None, 0.4, None]
-    assert tried[4::2] == pytest.approx(shorter)
-    assert tried[5::2] == [None] * len(shorter)
-
-
-def test_with_losses_as_they_are_the_rest_is_a_linear_fit(returning: Problem) -> None:
-    values = np.array([0.3, 60.0, 1.0])
-    tried = returning._tried(TERMS, values, None)
-    about = returning.design_about(TERMS, values)
-    tables = zip(about.rows, about.counts, strict=True)
-    rows = np.concatenate([table / np.sqrt(count) for table, count in tables])
-    rest = rows[:, -1] - rows[:, 2] * values[2]
-    wanted = np.linalg.lstsq(rows[:, :2], rest, rcond=None)[0]
-    assert tried.rest[:2] == pytest.approx(np.maximum(wanted, 0.1 * values[:2]), rel=1e-5)
-    assert tried.rest[2] == values[2]
 
 
 def test_what_counts_as_nothing_is_a_part_of_the_power_and_of_the_sides_difference() -> None:

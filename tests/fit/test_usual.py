@@ -145,30 +145,6 @@ def test_single_runs_on_sandy_loam_foretell_others_within_their_intervals(
     assert np.median(errors) < 0.15
 
 
-def test_a_log_of_noise_does_not_choose_a_friction() -> None:
-    """It is as usual, within what even noise tells of it; and that is said."""
-    manoeuvres = [("straight", 20.0), ("spin", 20.0)]
-    log = simulate.drive(MODEL, manoeuvres, seed=3, power_noise=4000.0, without={"accel_x"})
-    found = identify(log, MODEL.vehicle, method="windows")
-    said = [line for line in found.warnings if "robots elsewhere have" in line]
-    assert [line.split()[3] for line in said] == ["slip_friction", "traction_resistance"]
-    assert np.all(np.abs(found.model.coefficients - MEAN) < 2.0 * ERROR)
-    assert np.all(np.sqrt(np.diag(found.model.covariance)) <= ERROR)
-
-
-def test_a_diagnosis_without_effects_has_the_usual_friction_that_it_tells_of() -> None:
-    """Not what `identify` fits, which knows of no other robots."""
-    noise = {"power_noise": 4000.0, "without": {"accel_x"}}
-    manoeuvres = [("straight", 20.0), ("spin", 20.0)]
-    log = simulate.drive(MODEL, manoeuvres, seed=3, **noise)
-    found = diagnose(log, simulate.drive(MODEL, manoeuvres, seed=4, **noise), MODEL.vehicle)
-    assert found.effects == ()
-    said = [line for line in found.advice if "robots elsewhere have" in line]
-    assert [line.split()[3] for line in said] == ["slip_friction", "traction_resistance"]
-    assert np.all(np.abs(found.model.coefficients - MEAN) < 2.0 * ERROR)
-    assert np.all(np.sqrt(np.diag(found.model.covariance)) <= ERROR)
-
-
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_turns_on_the_spot_alone_are_fitted_whatever_share_each_friction_has(seed: int) -> None:
     """Noise of the speeds gives one of both a wrong sign, which the usual share of both has not."""

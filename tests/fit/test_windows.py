@@ -26,13 +26,11 @@ from energyplan.fit.drive import (
     prepared,
     split_drives,
 )
-from energyplan.fit.regressors import Design, held_loss, linearise_drive, preload
+from energyplan.fit.regressors import Design, linearise_drive, preload
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (
-    DRIVE_LOSS,
     HOTEL,
-    REGENERATION_LOSS,
     SLIP,
     TRACTION,
     PowerModel,
@@ -107,41 +105,11 @@ def test_a_lag_is_that_of_the_differential_equation() -> None:
     assert_allclose(shown[200:], Clock(one.t[200:]).lagged(one.power[200:], lag))
 
 
-def test_how_late_a_log_is_comes_and_goes_as_parameters() -> None:
-    assert Late(0.3, 0.2).mean == pytest.approx(0.5)
-    assert Late(0.3).params == (("delay", 0.3),)
-    assert Late.of(Late(0.3, 0.2).params) == Late(0.3, 0.2)
-    assert Late.of([("delay", 0.3), ("lag", -0.1)]) == Late(0.3)
-
-
 @pytest.mark.parametrize("truth", [-0.73, 0.0, 0.41, 1.4])
 def test_the_least_delay_is_found_to_a_fraction_of_a_step(truth: float) -> None:
     (found,) = least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
     assert found.lag == 0.0
     assert found.delay == pytest.approx(min(truth, DELAYS[-1]), abs=0.01)
-
-
-@pytest.mark.parametrize(("worth", "lag"), [(0.03, 0.4), (0.05, 0.0)])
-def test_a_lag_is_taken_where_it_is_worth_it(worth: float, lag: float) -> None:
-    """The loss falls by 0.04 with a lag of 0.4 s."""
-    (found,) = least_late(
-        lambda late: (late.mean - 0.5) ** 2 + 0.1 * abs(late.lag - 0.4), worth, 0.05
-    )
-    assert found.lag == lag
-    assert found.mean == pytest.approx(0.5, abs=0.01)
-
-
-def test_each_delay_that_is_better_than_those_near_it_is_found_the_best_one_first() -> None:
-    def loss(late: Late) -> float:
-        return min(abs(late.delay - 0.62), abs(late.delay + 0.33) + 0.1) + late.lag
-
-    assert [late.delay for late in least_late(loss, 0.0, 0.05)] == pytest.approx(
-        [0.62, -0.33], 0.02
-    )
-
-
-def test_where_no_delay_is_better_than_another_there_is_one() -> None:
-    assert len(least_late(lambda _: 0.0, 0.0, 0.05)) == 1
 
 
 def test_windows_are_means_over_their_time() -> None:
@@ -160,29 +128,6 @@ def test_windows_are_means_over_their_time() -> None:
             assert_allclose(cut.mean(values)[k], mine.mean(axis=0))
             assert cut.counts[k] == len(mine)
             assert cut.blocks[k] == min(int(t[edges[k]] / BLOCK + 1e-9), round(t[-1] / BLOCK) - 1)
-
-
-def test_the_difference_of_sides_counts_where_contacts_have_settled() -> None:
-    """At 20 Hz half a second is eleven samples: five on either side must turn the same way."""
-    omega = np.r_[np.full(20, 0.5), np.full(20, -0.5), np.zeros(20), np.full(20, 0.05)]
-    half = 0.5 * omega * ICR.slip_track
-    t = 0.05 * np.arange(80)
-    one = Drive("one", t, Motion(0.3 - half, 0.3 + half, ICR), np.ones(80), between=np.ones(80))
-    inside = np.zeros(80)
-    inside[:15] = inside[25:35] = inside[65:] = 1.0
-    assert one.samples_in(0.5) == 11
-    assert_allclose(one.slides, inside)
-    assert_allclose(one.measured, np.column_stack([np.ones(80), inside]))
-    assert_allclose(one.observed(np.full((80, 2, 3), 2.0))[:, 1, 1], 2.0 * inside)
-    # contacts that hold up to 0.1 rad/s
-    still = replace(one, breakaway=0.1)
-    assert_allclose(still.slides, np.r_[inside[:65], np.zeros(15)])
-    assert_allclose(still.held.v_left[60:], 0.3)
-    assert_allclose(still.held.v_right[:40], one.motion.v_right[:40])
-    assert len(still.holding.v_left) == 40
-    # a log that is late by 0.2 s shows it four samples later
-    late = replace(one, late=Late(0.1, 0.1))
-    assert_allclose(late.slides, np.r_[np.ones(4), inside[:-4]])
 
 
 def test_way_and_time_of_a_prepared_log() -> None:
@@ -234,32 +179,6 @@ def designed(lengths: list[int]) -> tuple[list[Drive], Design]:
     return drives, Design.of(drives, columns, targets)
 
 
-def test_a_design_of_some_drives_is_that_of_them_alone() -> None:
-    _, whole = designed([250, 400, 330, 260])
-    _, first = designed([250, 400])
-    part = whole.of_drives(np.array([0, 1]))
-    for rows, alone in zip(part.rows, first.rows, strict=True):
-        assert_allclose(rows, alone)
-    assert_allclose(part.grams, first.grams)
-    assert part.drives.tolist() == first.drives.tolist() == [0] * 3 + [1] * 5
-    # a product of columns summed over its blocks is that over all rows
-    assert_allclose(whole.grams.sum(axis=1), [rows.T @ rows for rows in whole.rows])
-    assert whole.longest[0] is whole.rows[2]
-    assert whole.longest[1].tolist() == whole.drives.tolist()
-
-
-def test_columns_of_a_design_are_picked_joined_and_held_fixed() -> None:
-    _, design = designed([250, 400])
-    some = design.picked([2, 0])
-    again = some.joined([rows[:, 1:2] for rows in design.rows])
-    for rows, back in zip(design.rows, again.rows, strict=True):
-        assert_allclose(back, rows[:, [2, 0, 1, 3]])
-    held = design.fixed(np.array([False, True, False]), np.array([9.0, 2.0, 9.0]))
-    for rows, rest in zip(design.rows, held.rows, strict=True):
-        by_hand = np.column_stack([rows[:, 0], rows[:, 2], rows[:, 3] - 2.0 * rows[:, 1]])
-        assert_allclose(rest, by_hand)
-
-
 @pytest.mark.parametrize(
     ("lengths", "comparable"),
     [
@@ -280,19 +199,6 @@ def test_folds_are_whole_drives_where_these_compare(lengths: list[int], comparab
     assert_allclose(few.grams.sum(axis=1), design.grams.sum(axis=1))
     if comparable:
         assert folds.drives.tolist() == [0, 1, 2, 3]
-
-
-def test_blocks_of_a_robot_at_rest_tell_nothing() -> None:
-    one = drive(480, 0.1)
-    columns = np.random.default_rng(4).normal(size=(480, 2, 3))
-    columns[160:240] = 0.0
-    columns[240:320] *= 0.05
-    target = np.column_stack([one.power, np.where(one.t < 16.0, one.power, 0.0)])
-    design = Design.of([one], [columns], [target])
-    assert design.telling.tolist() == [True, True, False, False, True, True]
-    # of the sides' difference, windows in which it is known: those of 16 s
-    assert design.counts.tolist() == [96, 24, 6, 32, 8, 2]
-    assert_allclose(design.evidence, design.counts * 4 / 6)
 
 
 @pytest.mark.parametrize("battery", [False, True])
@@ -342,14 +248,3 @@ def test_what_contacts_hold_is_told_by_the_difference_of_the_sides(
     most = preload(one, 1.2 * between, MODEL.vehicle, losses, Sides(pull, pull), 30.0)
     assert_allclose(most.moment, 30.0, rtol=1e-3)
     assert_allclose(most.followed(np.ones((n, 1)), np.zeros(1)), 0.0)
-
-
-def test_losses_at_rest_are_those_of_all_that_friction_holds() -> None:
-    vehicle = replace(MODEL.vehicle, drive_efficiency=0.8)
-    one = drive(battery=True)
-    push = 0.6 * vehicle.slip_moment / ICR.slip_track
-    terms = (SLIP, COPPER_LOSS, DRIVE_LOSS, REGENERATION_LOSS)
-    found = held_loss(vehicle, terms, np.array([0.6, 2e-4, 0.1, 0.3]), one)
-    assert found == pytest.approx(2 * 2e-4 * push**2)
-    assert held_loss(vehicle, terms, np.array([-0.6, 2e-4, 0.1, 0.3]), one) == 0.0
-    assert held_loss(vehicle, (COPPER_LOSS,), np.array([2e-4]), one) == 0.0
