@@ -31,10 +31,7 @@ from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.mission import MissionReport, evaluate
 from energyplan.output import plots
-from energyplan.output.pages import (
-    diagnosis_pictures,
-    mission_pictures,
-)
+from energyplan.output.pages import diagnosis_pictures, mission_pictures
 from energyplan.output.report import Page, png
 from energyplan.path import Pose
 from energyplan.physics import Effect, EngineDrives, Robot, close_loop
@@ -197,13 +194,6 @@ def _diagnosis(demo: _Demo) -> None:
     page.table(
         ("effect found", "symbol", "size"),
         [(words(e.name), e.symbol, quantity(e.value, e.std_error, e.unit)) for e in told.effects],
-    )
-    page.table(
-        ("on the hold-out drive", "rmse [W]", "mae [W]", "bias [W]", "energy error"),
-        [
-            (name, r.rmse, r.mae, r.bias, f"{100 * r.energy_error:+.2f} %")
-            for name, r in (("before", told.before), ("after", told.after))
-        ],
     )
     for name, figure, caption in diagnosis_pictures(told, [unseen]):
         demo.picture(f"diagnosis-{name}.png", figure, caption)

@@ -146,7 +146,11 @@ class Ground:
 
     model: ModelName
     surfaces: Annotated[
-        Path | None, Option(help="Areas of other ground: GeoJSON polygons, each with a model.")
+        Path | None,
+        Option(help="Areas of other ground: GeoJSON polygons, each with a model, a speed or both."),
+    ] = None
+    speed_mask: Annotated[
+        Path | None, Option(help="Speed limits: a mask of Nav2's speed filter, with its type.")
     ] = None
     heights: Annotated[
         Path | None, Option(help="Heights of the ground: .asc, GeoTIFF, YAML with a PNG, or a bag.")

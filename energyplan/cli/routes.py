@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel
-    from energyplan.terrain import HeightMap, SurfaceMap
+    from energyplan.terrain import HeightMap, SpeedLimit, SurfaceMap
     from energyplan.terrain import Site as Place
     from energyplan.vehicle import Vehicle
 
@@ -77,12 +77,21 @@ class PricedGround(NamedTuple):
 def site_of(site: Site, ground: Ground) -> Place:
     """Return the site that options name; what an option gives takes the place of the file's."""
     from energyplan.io.maps import PARTS, read_site
+    from energyplan.terrain import with_limits
 
     files = {"surfaces": ground.surfaces, "heights": ground.heights, "keepout": site.keepout}
     parts: dict[str, Any] = {key: PARTS[key](file) for key, file in files.items() if file}
     if site.clearance is not None:
         parts["clearance"] = site.clearance
-    return replace(read_site(site.map_file), **parts)
+    place = replace(read_site(site.map_file), **parts)
+    return replace(place, surfaces=with_limits(place.surfaces, _speed_mask(ground)))
+
+
+def _speed_mask(ground: Ground) -> tuple[SpeedLimit, ...]:
+    """Return the speed limits of the mask that options name."""
+    from energyplan.io.maps import read_speed_mask
+
+    return read_speed_mask(ground.speed_mask) if ground.speed_mask else ()
 
 
 def priced_ground(drive: Drive, place: Place | None = None) -> PricedGround:
@@ -93,7 +102,7 @@ def priced_ground(drive: Drive, place: Place | None = None) -> PricedGround:
     from energyplan.io.geojson import read_surfaces
     from energyplan.io.maps import read_heights
     from energyplan.power.effects import reads_slope, with_weight
-    from energyplan.terrain import knows_ground, with_weights
+    from energyplan.terrain import knows_ground, with_limits, with_weights
 
     power = read_model(drive.model)
     if drive.tolerance is not None:
@@ -104,6 +113,7 @@ def priced_ground(drive: Drive, place: Place | None = None) -> PricedGround:
     else:
         surfaces = read_surfaces(drive.surfaces) if drive.surfaces else None
         heights = read_heights(drive.heights) if drive.heights else None
+        surfaces = with_limits(surfaces, _speed_mask(drive))
     warn_of_surfaces(power.vehicle, surfaces)
     if knows_ground(power):
         warn(
@@ -201,7 +211,7 @@ def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
 def _writable(out: Path | None) -> None:
     """Refuse a recording that could not be written, before any work."""
     if out and out.suffix == RECORDING:
-        from energyplan.ros.recording import need_rosbags
+        from energyplan.ros.messages import need_rosbags
 
         need_rosbags()
 
@@ -216,7 +226,7 @@ def _write(
     from energyplan.output.report import image
 
     if out and out.suffix == RECORDING:
-        from energyplan.ros.recording import write_recording
+        from energyplan.ros.messages import write_recording
 
         topics = {f"/{name.replace(' ', '_')}": made.path for name, made in plans.items()}
         write_recording(topics, out, problem.map)

@@ -303,14 +303,8 @@ def _static_model(
     treads = icr if isinstance(icr, TreadICR) else TreadICR.symmetric(icr)
     width = treads.slip_track
     vehicle = Vehicle.from_geometry(
-        "coefficients",
-        mass=1.0,
-        wheelbase=width,
-        track=width,
-        length=2 * width,
-        width=2 * width,
-        icr=treads,
-        motor=MotorLimits(speed=speed),
-    )
+        "coefficients", mass=1.0, wheelbase=width, track=width, length=2 * width, width=2 * width,
+        icr=treads, motor=MotorLimits(speed=speed),
+    )  # fmt: skip
     mu = per_radian / vehicle.slip_moment
     return PowerModel(vehicle, (SLIP, TRACTION), np.array([mu, per_metre / 2]), name="coefficients")

@@ -39,14 +39,10 @@ def polygon_steering(table: DirectionTable, corners: Corners, icr: TreadICR) -> 
     C, x, y = map(float, (icr.half_track, *icr.centre))
     ahead, behind = float(table.special[0]) * C, float(table.special[1]) * C
     return PolygonSteering(
-        half_track=C,
-        longitudinal=x,
-        lateral=y,
-        ahead=ahead,
-        behind=behind,
+        half_track=C, longitudinal=x, lateral=y, ahead=ahead, behind=behind,
         left=_turn_table(corners.left, C, ahead),
         right=_turn_table(corners.right * [1.0, -1.0], C, ahead),
-    )
+    )  # fmt: skip
 
 
 Steering = StaticSteering | PolygonSteering

@@ -16,7 +16,7 @@ from energyplan.io.documents import beside, read_features
 from energyplan.io.files import atomic_write
 from energyplan.kinds import checked
 from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain import OccupancyGrid, SpeedLimit, Surface, SurfaceMap
 from energyplan.terrain.grid import FARTHEST
 
 KEEP_OUT = ("keep_out", "keep-out", "keepout")
@@ -41,7 +41,9 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     Each feature is a Polygon or MultiPolygon in the map's frame [m]. Its property ``model``, or
     ``surface`` where there is no ``model``, names a power model: a preset, a YAML file beside the
     GeoJSON, or a key of `models`; ``keep_out`` stands for an area that the robot must not enter.
-    ``surface`` or ``name`` labels it. Where surfaces overlap, the last one counts.
+    ``surface`` or ``name`` labels it. Where surfaces overlap, the last one counts. ``speed``
+    limits the robot's speed there, in m/s or as ``"50 %"`` of its top speed; a feature with a
+    speed needs no model.
 
     Parameters
     ----------
@@ -74,6 +76,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
         raise MapError(f"{file}: no features; draw a polygon for each ground, or leave it out")
     surfaces: list[Surface] = []
     keep_out: list[BaseGeometry] = []
+    limits: list[SpeedLimit] = []
     total = 0
     for k, feature in enumerate(features):
         place = f"{file}: feature {k}"
@@ -83,6 +86,10 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
             raise MapError(f"{place}: more than {MAX_COORDINATES} coordinates; simplify the areas")
         properties = feature["properties"]
         name = properties.get("model", properties.get("surface"))
+        if properties.get("speed") is not None:
+            limits.append(_speed_limit(area, properties["speed"], place))
+            if name is None:
+                continue
         if not isinstance(name, str) or not name:
             raise MapError(
                 f"{place}: no property 'model' or 'surface'; name a power model, or 'keep_out'"
@@ -94,8 +101,9 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
             known[name] = _model(file, k, name)
         label = properties.get("surface", properties.get("name", name))
         surfaces.append(Surface(area, known[name], str(label)))
-    check_metres(file, [*(surface.area for surface in surfaces), *keep_out])
-    return SurfaceMap(tuple(surfaces), tuple(keep_out))
+    areas = [surface.area for surface in surfaces] + [limit.area for limit in limits]
+    check_metres(file, areas + keep_out)
+    return SurfaceMap(tuple(surfaces), tuple(keep_out), tuple(limits))
 
 
 def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
@@ -147,6 +155,20 @@ def check_metres(file: Path, shapes: Sequence[BaseGeometry]) -> None:
         )
 
 
+def _speed_limit(area: BaseGeometry, value: object, place: str) -> SpeedLimit:
+    """Return the speed limit of a feature: metres a second, or a text such as ``"50 %"``."""
+    percent = isinstance(value, str) and value.strip().endswith("%")
+    text = str(value).strip().removesuffix("%") if percent else value
+    try:
+        if isinstance(text, bool) or not isinstance(text, (int, float, str)):
+            raise ValueError
+        return SpeedLimit(area, float(text) / (100 if percent else 1), percent)
+    except MapError as error:
+        raise MapError(f"{place}: {error}") from None
+    except ValueError:
+        raise MapError(f"{place}: speed is {value!r}; give m/s, such as 0.4, or '50 %'") from None
+
+
 def _shape(geometry: Mapping[str, Any], place: str, kinds: Sequence[str]) -> BaseGeometry:
     """Return a geometry of one of these kinds, checked."""
     kind = geometry.get("type")
@@ -185,11 +207,15 @@ def write_surfaces(surfaces: SurfaceMap, path: str | Path) -> None:
         _feature(s.area, {"model": s.model.name, "surface": s.name}) for s in surfaces.surfaces
     ]
     features += [_feature(area, {"surface": KEEP_OUT[0]}) for area in surfaces.keep_out]
+    features += [
+        _feature(one.area, {"speed": f"{100 * one.speed!r} %" if one.relative else one.speed})
+        for one in surfaces.speed_limits
+    ]
     document = {"type": "FeatureCollection", "features": features}
     atomic_write(Path(path), json.dumps(document, indent=1) + "\n")
 
 
-def _feature(area: BaseGeometry, properties: dict[str, str]) -> dict[str, Any]:
+def _feature(area: BaseGeometry, properties: Mapping[str, str | float]) -> dict[str, Any]:
     return {
         "type": "Feature",
         "properties": properties,

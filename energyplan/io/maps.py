@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
+import shapely
 import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
@@ -26,7 +27,7 @@ from energyplan.io.files import atomic_write, is_file
 from energyplan.io.geojson import read_obstacles, read_surfaces
 from energyplan.kinds import checked
 from energyplan.path import Pose
-from energyplan.terrain import CostMap, Site
+from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid, from_raster
 from energyplan.terrain.heights import HeightMap
 
@@ -73,26 +74,42 @@ class _MapHeader(Checked, BaseModel):
         return self
 
 
-def _header(file: Path, *, costs: bool = False) -> _MapHeader:
+class _SpeedMaskHeader(_MapHeader):
+    """The YAML of a speed mask: that of a map, with what Nav2's costmap filter info says of it."""
+
+    type: Literal[1, 2]  # percent of the top speed, or m/s
+    base: float = 0.0
+    multiplier: float = 1.0
+
+
+Header = TypeVar("Header", bound=_MapHeader)
+
+
+def _header(file: Path, kind: type[Header], *, costs: bool = False) -> Header:
     """Read the YAML of a map; other files, and keys that are misspelt, are refused by name.
 
     Raw costs need no thresholds.
     """
     document = load(file, MapError)
-    kind = document.kind
-    if kind not in (None, MAP) and "image" not in document.data:
+    if document.kind not in (None, MAP) and "image" not in document.data:
         raise MapError(
-            f"{file.name} seems to be {kind}, not a map of map_server; give the YAML file "
+            f"{file.name} seems to be {document.kind}, not a map of map_server; give the YAML file "
             "with the map's image, resolution and origin"
         )
-    keys = list(_MapHeader.model_fields)
+    keys = list(kind.model_fields)
     for key in document.data:
         near = get_close_matches(str(key).lower(), keys, 1, ALIKE)
         if near and near[0] not in document.data:
             raise document.fail((key,), f"there is no such key; write it {near[0]}")
     if costs and _lower(document.data.get("mode")) == "raw":
         document.data.update(occupied_thresh=1.0, free_thresh=0.0)
-    return document.check(_MapHeader)
+    if kind is _SpeedMaskHeader and "type" not in document.data:
+        raise document.fail(
+            ("type",),
+            "is missing; write what Nav2's costmap_filter_info_server has: type 1 for percent of "
+            "the top speed or 2 for m/s, base and multiplier",
+        )
+    return document.check(kind)
 
 
 @checked(MapError)
@@ -141,7 +158,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
             f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml, a MovingAI "
             ".map or a .geojson"
         )
-    header = _header(file)
+    header = _header(file, _MapHeader)
     values = _values(file, header)
     # between free and occupied nothing is certain
     free = values <= LETHAL * header.free_thresh if header.mode == "raw" else values == 0
@@ -162,7 +179,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
 def read_costmap(path: str | Path) -> CostMap:
     """Read the soft costs of a map_server YAML with an image of costs."""
     file = Path(path)
-    header = _header(file, costs=True)
+    header = _header(file, _MapHeader, costs=True)
     if header.mode == "raw":
         grey = _pixels(_image(file, header.image)).grey
         most = LETHAL if not np.any((grey > LETHAL) & (grey < 255)) else 254
@@ -173,6 +190,38 @@ def read_costmap(path: str | Path) -> CostMap:
         return CostMap(costs[::-1], header.resolution, Pose(*header.origin))
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
+
+
+@checked(MapError)
+def read_speed_mask(path: str | Path) -> tuple[SpeedLimit, ...]:
+    """Read a mask of Nav2's speed filter: a map_server YAML with `type`, `base` and `multiplier`.
+
+    A cell of value 1 to 100 limits the speed to ``base + multiplier * value``: percent of the
+    robot's top speed where `type` is 1, m/s where it is 2. As in Nav2, the value 0 and results
+    outside the range (0, 100] %, or not above 0 m/s, are no limit. Unknown cells are none either.
+
+    References
+    ----------
+    Nav2, nav2_costmap_2d/plugins/costmap_filters/speed_filter.cpp.
+    """
+    file = Path(path)
+    header = _header(file, _SpeedMaskHeader)
+    values = _values(file, header)[::-1]
+    limits = []
+    for value in np.unique(values[values > 0]):
+        limit = header.base + header.multiplier * float(value)
+        if limit <= 0 or (header.type == 1 and limit > 100):
+            continue
+        row, first = np.nonzero(np.diff(values == value, axis=1, prepend=False) & (values == value))
+        _, last = np.nonzero(np.diff(values == value, axis=1, append=False) & (values == value))
+        boxes = shapely.box(first, row, last + 1, row + 1)
+        area = shapely.transform(
+            shapely.union_all(boxes),
+            lambda at: from_raster(at, Pose(*header.origin), header.resolution),
+        )
+        relative = header.type == 1
+        limits.append(SpeedLimit(area, limit / 100 if relative else limit, relative))
+    return tuple(limits)
 
 
 def _values(file: Path, header: _MapHeader) -> NDArray[np.int16]:
@@ -620,6 +669,7 @@ class SiteFile(Checked, BaseModel):
     heights: str | None = None  # heights of the ground: whatever `read_heights` takes
     keepout: str | None = None  # a second map: the robot stays out of its occupied cells
     costmap: str | None = None  # a map of soft costs
+    speed_mask: str | None = None  # a mask of Nav2's speed filter: see `read_speed_mask`
     clearance: Annotated[
         float, BeforeValidator(partial(amount, "length")), Field(ge=0, allow_inf_nan=False)
     ] = 0.0  # [m]
@@ -636,9 +686,10 @@ PARTS: dict[str, Callable[[Path], Any]] = {
 def read_site(path: str | Path, *, inside: bool = False) -> Site:
     """Read a site: a YAML file that names its map and what else there is; or a map alone.
 
-    The keys are ``map`` (required), ``surfaces``, ``heights``, ``keepout`` and ``costmap``, names
-    of files relative to this one, and ``clearance``, a distance such as ``0.2`` or ``20 cm``. As a
-    service asks, no file is read that is not `inside` the site's folder. Errors name the line.
+    The keys are ``map`` (required), ``surfaces``, ``heights``, ``keepout``, ``costmap`` and
+    ``speed_mask``, names of files relative to this one, and ``clearance``, a distance such as
+    ``0.2`` or ``20 cm``. As a service asks, no file is read that is not `inside` the site's
+    folder. Errors name the line.
     """
     file = Path(path)
     document = load(file, MapError) if file.suffix in {".yaml", ".yml"} and is_file(file) else None
@@ -646,11 +697,13 @@ def read_site(path: str | Path, *, inside: bool = False) -> Site:
         return Site(read_map(file))
     spec = document.check(SiteFile)
     parts: dict[str, Any] = {}
-    for key, read in {"map": read_map, **PARTS}.items():
+    for key, read in {"map": read_map, **PARTS, "speed_mask": read_speed_mask}.items():
         name = getattr(spec, key)
         if name is not None:
             try:
                 parts[key] = read(beside(file, key, name) if inside else file.parent / name)
             except EnergyPlanError as problem:
                 raise document.fail((key,), str(problem)) from None
+    limits = parts.pop("speed_mask", ())
+    parts["surfaces"] = with_limits(parts.get("surfaces"), limits)
     return Site(**parts, clearance=spec.clearance)

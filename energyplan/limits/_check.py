@@ -112,6 +112,11 @@ class LimitedDrive:
             loads = self.loads(pieces, scale)
             for bound, value in zip(self.limits.bounds, loads.values, strict=True):
                 watch.see(bound, t, value.reshape(-1))
+            if drive.ground.has_speed_limits:
+                limits, speeds = drive.speed_limits(pieces), drive.speeds(pieces, scale)
+                for limit in np.unique(limits[np.isfinite(limits)]):
+                    bound = Limit("ground_speed", "both", float(limit))
+                    watch.see(bound, t, np.where(limits == limit, speeds, 0.0).reshape(-1))
             self._see_acceleration(watch, pieces, scale)
             if np.isfinite(self.limits.motor.continuous_power):
                 sides = np.stack([loads.left, loads.right])
@@ -147,14 +152,6 @@ class LimitedDrive:
                 row[part.which] = value
         return PieceLoads(out[0], out[1], out[2], list(out[3:]))
 
-    def use(self, k: int, scale: float) -> float:
-        """Return the largest load over limit in the k-th block, without what needs a past."""
-        pieces = self.drive.pieces(k)
-        return max(
-            float(np.max(self.limits.use(part.model, part.motion)))
-            for part in self.drive.parts(pieces, scale)
-        )
-
     def _see_acceleration(self, watch: _Watch, pieces: Pieces, scale: float) -> None:
         if not np.isfinite(self.limits.motor.acceleration):
             return
@@ -174,26 +171,25 @@ class _Watch:
     """Collects peaks and excesses, joining intervals that meet where two blocks do."""
 
     def __init__(self) -> None:
-        self.peaks: dict[tuple[str, str], Peak] = {}
+        self.peaks: dict[Limit, Peak] = {}
         self.excesses: list[Excess] = []
-        self._latest: dict[tuple[str, str], int] = {}
+        self._latest: dict[Limit, int] = {}
 
     def see(self, bound: Limit, t: FloatArray, value: FloatArray) -> None:
-        key = bound.kind, bound.side
         k = int(np.argmax(value))
         top = float(value[k])
-        if key not in self.peaks or top > self.peaks[key].value:
-            self.peaks[key] = Peak(bound, float(t[k]), top, _use(top, bound.limit))
+        if bound not in self.peaks or top > self.peaks[bound].value:
+            self.peaks[bound] = Peak(bound, float(t[k]), top, _use(top, bound.limit))
         tolerance = ROUNDING * max(bound.limit, 1.0)
         if top <= bound.limit + tolerance:
             return
         for start, end, peak, _ in zip(*intervals(t, value, bound.limit, tolerance), strict=True):
-            last = self._latest.get(key)
+            last = self._latest.get(bound)
             if last is not None and self.excesses[last].end == start:
                 old = self.excesses[last]
                 self.excesses[last] = Excess(bound, old.start, float(end), max(old.peak, peak))
             else:
-                self._latest[key] = len(self.excesses)
+                self._latest[bound] = len(self.excesses)
                 self.excesses.append(Excess(bound, float(start), float(end), float(peak)))
 
 
@@ -206,7 +202,9 @@ def _use(value: float, limit: float) -> float:
 SLOWEST, FASTEST, STEP = 1e-4, 1e6, 1.1
 """Range of speed scales that the search tries, and the ratio of neighbouring ones."""
 
-KINEMATIC = {"speed": 1, "yaw_rate": 1, "acceleration": 2, "lateral_acceleration": 2}
+KINEMATIC = {
+    "speed": 1, "ground_speed": 1, "yaw_rate": 1, "acceleration": 2, "lateral_acceleration": 2,
+}  # fmt: skip
 """Power of the speed scale with which a limited quantity grows, whatever the model."""
 
 STATIC = {"peak_power": 1, "regeneration": 1, "force": 0, "battery_power": 1, "battery_return": 1}
@@ -275,17 +273,20 @@ def _search(drive: LimitedDrive, ceiling: float) -> float:
         return 0.0
     bounded = np.isfinite(ceiling)
     high = ceiling if bounded else FASTEST
-    order = _Order(drive)
-    if not order.exceeded(high):
+
+    def exceeded(scale: float) -> bool:
+        return max(peak.use for peak in drive.survey(scale).peaks) > 1 + ROUNDING
+
+    if not exceeded(high):
         return high if bounded else np.inf
     low = _below(high)
-    while order.exceeded(low):
+    while exceeded(low):
         high, low = low, _below(low)
         if low < SLOWEST:
             return 0.0
     while high / low > 1 + ROUNDING:
         middle = np.sqrt(low * high)
-        if order.exceeded(middle):
+        if exceeded(middle):
             high = middle
         else:
             low = middle
@@ -296,25 +297,6 @@ def _below(scale: float) -> float:
     """Return the next scale to try; the trajectory as it is always is one."""
     lower = scale / STEP
     return 1.0 if lower < 1.0 < scale else lower
-
-
-class _Order:
-    """Tells whether a scale is infeasible, asking first the block that last said so."""
-
-    def __init__(self, drive: LimitedDrive) -> None:
-        self._drive = drive
-        self._suspect = 0
-
-    def exceeded(self, scale: float) -> bool:
-        drive = self._drive
-        if drive.use(self._suspect, scale) > 1 + ROUNDING:
-            return True
-        survey = drive.survey(scale)
-        worst = max(survey.peaks, key=lambda peak: peak.use)
-        if worst.use <= 1 + ROUNDING:
-            return False
-        self._suspect = drive.drive.block_at(worst.t, scale)
-        return True
 
 
 def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:

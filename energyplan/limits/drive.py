@@ -56,6 +56,11 @@ class Ground:
             )
 
     @property
+    def has_speed_limits(self) -> bool:
+        """Whether the robot must drive slowly somewhere."""
+        return self.surfaces is not None and bool(self.surfaces.speed_limits)
+
+    @property
     def models(self) -> tuple[PowerModel, ...]:
         """The models, that of no surface first."""
         if self.others is not None:
@@ -85,6 +90,12 @@ class Ground:
         if self.heights is None:
             return np.zeros(poses.shape[:-1])
         return self.heights.slope(self._reference(poses))
+
+    def top_speed(self, poses: FloatArray) -> FloatArray:
+        """Largest speed that the ground allows at poses (..., 3) [m/s]; infinite where any."""
+        if self.surfaces is None:
+            return np.full(poses.shape[:-1], np.inf)
+        return self.surfaces.top_speed(self._reference(poses)[..., :2], self.model.vehicle)
 
     def _reference(self, poses: FloatArray) -> FloatArray:
         lever = self.model.vehicle.icr.longitudinal
@@ -162,12 +173,6 @@ class Drive:
         """Number of blocks."""
         return -(-(len(self.trajectory) - 1) // BLOCK)
 
-    def block_at(self, t: float, scale: float = 1.0) -> int:
-        """Return the block that holds the instant `t` of the scaled trajectory."""
-        since = (t - self.trajectory.t[0]) * scale + self.trajectory.t[0]
-        k = int(np.searchsorted(self.trajectory.t, since)) - 1
-        return int(np.clip(k // BLOCK, 0, self.block_count - 1))
-
     def pieces(self, k: int) -> Pieces:
         """Return the k-th block of intervals, cut where something comes to a standstill."""
         path, icr = self.trajectory, self.ground.model.vehicle.icr
@@ -195,6 +200,14 @@ class Drive:
         t = self.trajectory.t
         step = t[pieces.interval + 1] - t[pieces.interval]
         return np.asarray((pieces.end - pieces.begin) * step / scale)
+
+    def speed_limits(self, pieces: Pieces) -> FloatArray:
+        """Largest speed that the ground allows at begin, middle and end of pieces [m/s], (m, 3)."""
+        return self.ground.top_speed(self._poses(pieces))
+
+    def speeds(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
+        """Size of the speed along the heading at begin, middle and end of pieces [m/s], (m, 3)."""
+        return np.abs(self._between(scale * self.trajectory.v, pieces))
 
     def parts(self, pieces: Pieces, scale: float = 1.0) -> Iterator[Part]:
         """Yield the motion of pieces, driven `scale` times as fast, ground by ground."""

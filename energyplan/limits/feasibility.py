@@ -40,8 +40,8 @@ class Violation:
     ----------
     kind : str
         ``"peak_power"``, ``"continuous_power"``, ``"regeneration"``, ``"force"``, ``"speed"``,
-        ``"acceleration"``, ``"yaw_rate"``, ``"lateral_acceleration"``, ``"battery_power"`` or
-        ``"battery_return"``.
+        ``"ground_speed"``, ``"acceleration"``, ``"yaw_rate"``, ``"lateral_acceleration"``,
+        ``"battery_power"`` or ``"battery_return"``.
     side : str
         ``"left"``, ``"right"`` or ``"both"``.
     start, end : float
@@ -207,7 +207,7 @@ def check(
     channels : mapping of str to array_like, shape () or (n,)
         Further channels that the model's terms read, one value per sample or one for all.
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own; `model` holds elsewhere.
+        Grounds with power models of their own, and speed limits; `model` holds elsewhere.
     heights : HeightMap, optional
         Heights of the ground; level where not given. A model without a term that reads the slope
         does not feel them (`energyplan.power.effects.with_weight`).
@@ -391,17 +391,12 @@ def feasible_region(
         kinds = np.where(kinds == "peak_power", "continuous_power", kinds)
     top = np.full(kappa.shape, v.max())
     return FeasibleRegion(
-        curvature=kappa,
-        speed=v,
-        sustained=always.use <= 1 + ROUNDING,
-        brief=awhile.use <= 1 + ROUNDING,
-        limiting=kinds,
-        side=always.side,
-        use=always.use,
+        curvature=kappa, speed=v, sustained=always.use <= 1 + ROUNDING,
+        brief=awhile.use <= 1 + ROUNDING, limiting=kinds, side=always.side, use=always.use,
         limiting_brief=awhile.kind,
         max_speed=largest_within(lambda speeds: sustained.use(model, motion(speeds)), top),
         max_speed_brief=largest_within(lambda speeds: brief.use(model, motion(speeds)), top),
-    )
+    )  # fmt: skip
 
 
 class _Nearest(NamedTuple):

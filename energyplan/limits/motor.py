@@ -31,6 +31,7 @@ UNITS = {
     "regeneration": "W",
     "force": "N",
     "speed": "m/s",
+    "ground_speed": "m/s",
     "acceleration": "m/s^2",
     "yaw_rate": "rad/s",
     "lateral_acceleration": "m/s^2",
@@ -64,6 +65,7 @@ class Limits:
     lateral_acceleration: float = np.inf  # largest ``|v omega|`` [m/s^2]
     battery_power: float = np.inf  # largest power that the battery delivers, and takes back [W]
     battery_return: float = np.inf  # largest power that the battery delivers, and takes back [W]
+    ground_speed: float = 1.0  # part of the ground's speed limits that may be driven [1]
 
     def __post_init__(self) -> None:
         for name in ("yaw_rate", "lateral_acceleration", "battery_power", "battery_return"):

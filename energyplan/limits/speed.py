@@ -26,10 +26,13 @@ from energyplan.limits.course import SETTINGS, Course, Points, Sampled, times
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.motor import ROUNDING, Limits
 from energyplan.limits.reach import UNLIMITED, Reach
-from energyplan.path import FloatArray, Path, Trajectory
+from energyplan.path import FloatArray, Path, Pose, Trajectory
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import Vehicle
+
+GROUND_SPEED = "ground_speed"
+"""Channel that holds the speed limit of the ground under a segment [m/s]; 0 where there is none."""
 
 
 class Rounding(NamedTuple):
@@ -116,7 +119,8 @@ def profile(
         for all, such as the ``slope`` along each segment [rad].
     surfaces : SurfaceMap, optional
         Grounds with power models of their own; `model` holds elsewhere. The speed is that of the
-        most demanding ground on the path.
+        most demanding ground on the path, and keeps the surfaces' speed limits: none is exceeded
+        by the speed along the heading while the reference point (see `Path`) lies in its area.
     heights : HeightMap, optional
         Heights of the ground; level where not given.
     period : float
@@ -182,16 +186,25 @@ def profile(
     )
     model, surfaces, heights = laid_out(model, _about(path), surfaces, heights)
     known, ground = dict(channels or {}), Ground(model, surfaces, heights)
-    if heights is not None:
-        most = max(SETTINGS.sloped, 0.5 * heights.resolution), 0.2
+    if heights is not None or ground.has_speed_limits:
+        part = _divided(path, surfaces, heights)
+        count = [len(piece) for piece in part]
         if rounded.ndim:
-            each = zip(path.ds, path.dtheta, strict=True)
-            parts = [len(Path(path.start, ds, turn).subdivide(*most)) for ds, turn in each]
-            rounded = np.repeat(np.append(rounded, 0.0), parts)[:-1]
-            last = np.cumsum(parts)[:-1] - 1
-            rounded[last] = np.asarray(smooth, float)
-        path = path.subdivide(*most)
+            rounded = np.repeat(np.append(rounded, 0.0), count)[:-1]
+            rounded[np.cumsum(count)[:-1] - 1] = np.asarray(smooth, float)
+        whole: tuple[int, ...] = (len(path),)
+        for name in [name for name, value in known.items() if np.shape(value) == whole]:
+            known[name] = np.repeat(np.asarray(known[name]), count)
+        ds, dtheta = (np.concatenate([getattr(p, of) for p in part]) for of in ("ds", "dtheta"))
+        path = Path(path.start, ds, dtheta, path.longitudinal)
+    if heights is not None:
         known["slope"] = heights.slopes(path)
+    if ground.has_speed_limits:
+        halves = Path(
+            path.start, np.repeat(path.ds / 2, 2), np.repeat(path.dtheta / 2, 2), path.longitudinal
+        )
+        top_speed = ground.top_speed(halves.vertices[1::2])
+        known[GROUND_SPEED] = np.where(np.isfinite(top_speed), top_speed, 0.0)
     speeds = start_speed, end_speed
     gain = min(limits.motor.acceleration, UNLIMITED)
     course = Course.of(
@@ -203,14 +216,27 @@ def profile(
 
     def survey(sampled: Sampled) -> Survey:
         along = {name: value[sampled.run] for name, value in course.channels.items()}
-        if heights is not None:
-            del along["slope"]
+        for name in ("slope", GROUND_SPEED) if heights is not None else (GROUND_SPEED,):
+            along.pop(name, None)
         return LimitedDrive(Drive(sampled.trajectory, ground, along), limits).survey()
 
     found = _within(partial(task.solved, objective, duration, period), survey, limits)
     if found.hot:
         found = _within(partial(task.cooled, duration, period, survey), survey, found.limits)
     return found.sampled.trajectory
+
+
+def _divided(path: Path, surfaces: SurfaceMap | None, heights: HeightMap | None) -> list[Path]:
+    """Cut each segment of a path at the borders of speed limits, and so that its slope is one."""
+    parts = []
+    for pose, ds, turn in zip(path.vertices, path.ds, path.dtheta, strict=False):
+        part = Path(Pose(*pose), np.array([ds]), np.array([turn]), path.longitudinal)
+        if surfaces is not None and surfaces.speed_limits:
+            part = surfaces.cut_at_limits(part)
+        if heights is not None:
+            part = part.subdivide(max(SETTINGS.sloped, 0.5 * heights.resolution), 0.2)
+        parts.append(part)
+    return parts
 
 
 def _about(path: Path) -> FloatArray:
@@ -233,7 +259,23 @@ class _Task:
         stops = np.flatnonzero(self.points.cell == 0)
         corner[stops] = corner[stops + 1] = 0.0
         corner[[0, -1]] = self.ends
+        if GROUND_SPEED in self.points.channels:
+            np.minimum(corner, limits.ground_speed * self._ground_speed(), out=corner)
         return Reach(self.points, self.model, limits, corner)
+
+    def _ground_speed(self) -> FloatArray:
+        """Largest rate at each point that the ground under both of its cells allows [m/s]."""
+        points = self.points
+        here = np.asarray(points.channels[GROUND_SPEED])
+        here = np.where(here > 0, here, np.inf)
+        # A cell lies on the run of its end; one that bends from run to run lies on both.
+        cell = np.where(points.bent, np.minimum(here[:-1], here[1:]), here[1:])
+        least: FloatArray = np.minimum(np.append(here[0], cell), np.append(cell, here[-1]))
+        forward = np.abs(points.forward)
+        rate: FloatArray = np.divide(
+            least, forward, out=np.full_like(least, np.inf), where=forward > 0
+        )
+        return rate
 
     def duration(self, rate: FloatArray) -> float:
         """Time that the path takes at given rates [s]."""

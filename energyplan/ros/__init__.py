@@ -1,13 +1,10 @@
 """ROS messages to the library and back, and Nav2's planning actions, without importing ROS.
 
 A message is anything with the fields of the ROS message: what rclpy hands over, what rosbags reads,
-or an object of one's own. `energyplan.ros.messages` converts maps, poses, footprints and paths;
-`energyplan.ros.nav2` answers the requests that Nav2's ``planner_server`` answers;
-`energyplan.ros.reports` tells energies and missions; `energyplan.ros.online` identifies a model
-while driving.
+or an object of one's own. `energyplan.ros.messages` converts maps, poses, footprints, paths and
+whole plans; `energyplan.ros.nav2` answers what a node is asked.
 """
 
-from energyplan.ros.codes import ThroughPosesError, ToPoseError, error_code
 from energyplan.ros.messages import (
     costs_from_message,
     footprint_from_message,
@@ -16,47 +13,30 @@ from energyplan.ros.messages import (
     pose_from_message,
     pose_from_transform,
     updated_grid,
-)
+    write_recording,
+)  # fmt: skip
 from energyplan.ros.nav2 import (
     Answer,
+    DriveFeed,
+    ThroughPosesError,
+    ToPoseError,
     aborted,
     answer,
     blocked_poses,
-    fill_result,
-    request_to_problems,
-    warm_up,
-)
-from energyplan.ros.online import DriveFeed
-from energyplan.ros.recording import write_recording
-from energyplan.ros.reports import (
     diagnostics_message,
+    error_code,
+    fill_result,
     mission_answer,
     model_values,
     plan_values,
-)
+    request_to_problems,
+    warm_up,
+)  # fmt: skip
 
 __all__ = [
-    "Answer",
-    "DriveFeed",
-    "ThroughPosesError",
-    "ToPoseError",
-    "aborted",
-    "answer",
-    "blocked_poses",
-    "costs_from_message",
-    "diagnostics_message",
-    "error_code",
-    "fill_result",
-    "footprint_from_message",
-    "grid_from_message",
-    "mission_answer",
-    "model_values",
-    "path_to_message",
-    "plan_values",
-    "pose_from_message",
-    "pose_from_transform",
-    "request_to_problems",
-    "updated_grid",
-    "warm_up",
-    "write_recording",
-]
+    "Answer", "DriveFeed", "ThroughPosesError", "ToPoseError", "aborted", "answer",
+    "blocked_poses", "costs_from_message", "diagnostics_message", "error_code", "fill_result",
+    "footprint_from_message", "grid_from_message", "mission_answer", "model_values",
+    "path_to_message", "plan_values", "pose_from_message", "pose_from_transform",
+    "request_to_problems", "updated_grid", "warm_up", "write_recording",
+]  # fmt: skip

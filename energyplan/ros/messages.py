@@ -1,15 +1,18 @@
-"""Maps, poses, footprints and paths from message-like objects and back."""
+"""Maps, poses, footprints and paths from message-like objects and back; recordings of plans."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.errors import FrameError, InvalidInputError, MessageError
+from energyplan.errors import FrameError, InvalidInputError, MessageError, MissingDependencyError
+from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.terrain import CostMap, OccupancyGrid
 from energyplan.vehicle import Vehicle
@@ -28,19 +31,7 @@ _TILT = 1e-3  # cosine lost by a map's tilt: 2.6 deg
 
 
 def field(message: Any, name: str) -> Any:
-    """Return a field of a message by its dotted name.
-
-    Raises
-    ------
-    MessageError
-        If the message has no such field.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> field(Message(header=Message(frame_id="map")), "header.frame_id")
-    'map'
-    """
+    """Return a field of a message by its dotted name."""
     value = message
     for part in name.split("."):
         if not hasattr(value, part):
@@ -86,34 +77,7 @@ def _same_frame(one: str, other: str) -> bool:
 
 
 def pose_from_message(message: Any, frame: str | None = None) -> Pose:
-    """Return the planar pose of a geometry_msgs Pose or PoseStamped; height and tilt are left out.
-
-    Parameters
-    ----------
-    message : object
-        The message.
-    frame : str, optional
-        Frame that a stamped pose must be in; any if left out.
-
-    Returns
-    -------
-    Pose
-        Position [m] and heading [rad].
-
-    Raises
-    ------
-    FrameError
-        If a stamped pose is in another frame.
-    MessageError
-        If a field is missing, not finite, or the quaternion is not of length 1.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> turned = Message(x=0.0, y=0.0, z=0.0, w=1.0)
-    >>> pose_from_message(Message(position=Message(x=1.0, y=2.0, z=0.0), orientation=turned))
-    Pose(x=1.0, y=2.0, yaw=0.0)
-    """
+    """Return the planar pose of a geometry_msgs Pose or PoseStamped, without its tilt."""
     stamped = hasattr(message, "pose")
     if stamped and frame is not None:
         name = str(field(message, "header.frame_id"))
@@ -127,21 +91,7 @@ def pose_from_message(message: Any, frame: str | None = None) -> Pose:
 
 
 def pose_from_transform(message: Any) -> Pose:
-    """Return a geometry_msgs Transform or TransformStamped as the pose of the child in the parent.
-
-    Raises
-    ------
-    MessageError
-        If a field is missing, not finite, or the quaternion is not of length 1.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> turned = Message(x=0.0, y=0.0, z=1.0, w=0.0)
-    >>> transform = Message(translation=Message(x=2.0, y=1.0, z=0.0), rotation=turned)
-    >>> [round(value, 3) for value in pose_from_transform(transform)]
-    [2.0, 1.0, 3.142]
-    """
+    """Return a geometry_msgs Transform or TransformStamped as the child's pose in the parent."""
     body = message.transform if hasattr(message, "transform") else message
     x, y = _numbers(body, "translation.x", "translation.y")
     return Pose(float(x), float(y), _yaw(_rotation(body, "rotation")))
@@ -150,128 +100,26 @@ def pose_from_transform(message: Any) -> Pose:
 def grid_from_message(
     message: Any, *, occupied_from: int | None = None, unknown_is_free: bool = False
 ) -> OccupancyGrid:
-    """Return the map of a nav_msgs/OccupancyGrid or nav2_msgs/Costmap.
-
-    Parameters
-    ----------
-    message : object
-        The message. Its origin may be turned about the vertical.
-    occupied_from : int, optional
-        Least value that counts as occupied; lower ones are free to enter. If left out, 65 for an
-        OccupancyGrid (percent) and 254, lethal, for a Costmap. A costmap that Nav2 publishes as
-        an OccupancyGrid needs 100: what is below comes from inflation, and the planner tests the
-        footprint itself.
-    unknown_is_free : bool
-        Whether the robot may enter cells of which nothing is known: -1, or 255 in a Costmap.
-
-    Returns
-    -------
-    OccupancyGrid
-        The map, in the frame of the message.
-
-    Raises
-    ------
-    MessageError
-        If a field is missing, sizes and data do not fit, a value is out of range, or the origin
-        is tilted.
-    MapError
-        If the map has too many cells or no sensible resolution.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> origin = Message(
-    ...     position=Message(x=0.0, y=0.0, z=0.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0)
-    ... )
-    >>> info = Message(resolution=0.1, width=3, height=2, origin=origin)
-    >>> grid = grid_from_message(Message(info=info, data=[0, 0, 100, 0, 0, -1]))
-    >>> grid.shape, int(grid.blocked.sum())  # the unknown cell is blocked too
-    ((2, 3), 2)
-    """
+    """Return the map of a nav_msgs/OccupancyGrid or nav2_msgs/Costmap."""
     cells = _cells(message, occupied_from)
     place = _placed(message)
     return OccupancyGrid(
-        occupied=cells.occupied,
-        resolution=place.resolution,
-        origin=place.origin,
-        unknown=cells.unknown,
-        unknown_is_free=unknown_is_free,
-    )
+        occupied=cells.occupied, resolution=place.resolution, origin=place.origin,
+        unknown=cells.unknown, unknown_is_free=unknown_is_free,
+    )  # fmt: skip
 
 
 def updated_grid(
     grid: OccupancyGrid, message: Any, *, occupied_from: int | None = None
 ) -> OccupancyGrid:
-    """Return a map with the patch of a map_msgs/OccupancyGridUpdate; see `OccupancyGrid.updated`.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map before.
-    message : object
-        The message: `x` and `y` are the column and the row of its first cell.
-    occupied_from : int, optional
-        As for `grid_from_message`.
-
-    Returns
-    -------
-    OccupancyGrid
-        The map now.
-
-    Raises
-    ------
-    MessageError
-        As for `grid_from_message`.
-    MapError
-        If the patch does not lie on the map.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> origin = Message(
-    ...     position=Message(x=0.0, y=0.0, z=0.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0)
-    ... )
-    >>> info = Message(resolution=0.1, width=3, height=2, origin=origin)
-    >>> grid = grid_from_message(Message(info=info, data=[0, 0, 100, 0, 0, -1]))
-    >>> patch = Message(x=0, y=1, width=1, height=1, data=[100])
-    >>> int(updated_grid(grid, patch).blocked.sum())
-    3
-    """
+    """Return a map with the patch of a map_msgs/OccupancyGridUpdate."""
     cells = _cells(message, occupied_from)
     column, row = _numbers(message, "x", "y")
     return grid.updated(cells.occupied, int(row), int(column), cells.unknown)
 
 
 def costs_from_message(message: Any) -> CostMap:
-    """Return the soft costs of a nav2_msgs/Costmap, or of a costmap as nav_msgs/OccupancyGrid.
-
-    Parameters
-    ----------
-    message : object
-        The message. Costs count from 0 to 254 in a Costmap, to 100 in an OccupancyGrid; what is
-        unknown costs nothing.
-
-    Returns
-    -------
-    CostMap
-        The costs from 0 to 1, for `PlanningProblem`.
-
-    Raises
-    ------
-    MessageError
-        As for `grid_from_message`.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> origin = Message(
-    ...     position=Message(x=0.0, y=0.0, z=0.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0)
-    ... )
-    >>> info = Message(resolution=0.1, width=3, height=2, origin=origin)
-    >>> costs = costs_from_message(Message(info=info, data=[0, 50, 100, 0, 0, -1]))
-    >>> costs.at([0.15, 0.05]).item()
-    0.5
-    """
+    """Return the soft costs of a nav2_msgs/Costmap, or of a costmap as nav_msgs/OccupancyGrid."""
     cells, place = _cells(message, None), _placed(message)
     most = LETHAL if hasattr(message, "metadata") else 100
     costs = np.where(cells.unknown, 0.0, cells.values / most)
@@ -344,39 +192,6 @@ def footprint_from_message(message: Any, vehicle: Vehicle, frame: str | None = N
 
     A vehicle's footprint is a rectangle along its axes, so it gets the smallest one that holds
     the polygon: plans keep clear of more ground than the polygon covers, never of less.
-
-    Parameters
-    ----------
-    message : object
-        The corners in the body frame [m].
-    vehicle : Vehicle
-        The vehicle.
-    frame : str, optional
-        The body frame's name. Nav2's ``published_footprint`` is in the map's frame and is refused
-        if this is given.
-
-    Returns
-    -------
-    Vehicle
-        The vehicle with that footprint.
-
-    Raises
-    ------
-    FrameError
-        If a stamped polygon is in another frame.
-    MessageError
-        If there are fewer than three corners, or one is not finite.
-    VehicleError
-        If the polygon has no area.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Message
-    >>> corners = [(0.5, 0.3), (0.5, -0.3), (-0.5, -0.3), (-0.5, 0.3)]
-    >>> polygon = Message(points=[Message(x=x, y=y, z=0.0) for x, y in corners])
-    >>> from energyplan.vehicle import Vehicle
-    >>> footprint_from_message(polygon, Vehicle.preset("quadriga")).footprint.tolist()
-    [[-0.5, -0.3], [0.5, 0.3]]
     """
     if hasattr(message, "polygon"):
         name = str(field(message, "header.frame_id"))
@@ -405,35 +220,6 @@ def path_to_message(
 
     Every pose has the robot's heading as its orientation, also where it drives backwards or turns
     on the spot.
-
-    Parameters
-    ----------
-    paths : Path or sequence of Path
-        What to drive; ``plan.path`` of a plan. None at all makes a message without poses.
-    frame : str
-        Frame of the map.
-    stamp : object
-        A builtin_interfaces/Time.
-    factory : callable
-        Gives a message's class by its name: ``rosidl_runtime_py.utilities.get_message`` under ROS,
-        ``typestore.types.__getitem__`` with rosbags.
-    max_ds, max_dtheta : float
-        Largest step between two poses [m], [rad].
-
-    Returns
-    -------
-    object
-        The message.
-
-    Examples
-    --------
-    >>> from rosbags.typesys import Stores, get_typestore
-    >>> factory = get_typestore(Stores.ROS2_HUMBLE).types.__getitem__
-    >>> stamp = factory("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
-    >>> path = Path(Pose(1, 2, 0), ds=[1.0], dtheta=[0.0])
-    >>> message = path_to_message(path, "map", stamp, factory)
-    >>> message.header.frame_id, message.poses[-1].pose.position.x
-    ('map', 2.0)
     """
     legs = [paths] if isinstance(paths, Path) else list(paths)
     rows = [leg.poses(max_ds, max_dtheta)[min(k, 1) :] for k, leg in enumerate(legs)]
@@ -453,3 +239,67 @@ def path_to_message(
         for x, y, yaw in (row for leg in rows for row in leg.tolist())
     ]
     return factory("nav_msgs/msg/Path")(header=header, poses=poses)
+
+
+FRAME = "map"
+"""Frame of all messages."""
+
+
+def need_rosbags() -> None:
+    """Check that recordings can be written."""
+    try:
+        import rosbags.rosbag2  # noqa: F401
+    except ImportError as error:
+        raise MissingDependencyError(
+            "writing .mcap needs rosbags; install it with pip install 'energyplan[bags]'"
+        ) from error
+
+
+def write_recording(
+    paths: Mapping[str, Path], file: str | File, grid: OccupancyGrid | None = None
+) -> None:
+    """Write paths, and the map that they lie on, as messages of ROS 2 in an MCAP file.
+
+    Each path is a nav_msgs/Path on the topic of its name, the map a nav_msgs/OccupancyGrid on
+    ``/map``. All have the time 0, so the same plan makes the same file.
+    """
+    need_rosbags()
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    make = store.types.__getitem__
+    stamp = make("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
+    messages: dict[str, Any] = {} if grid is None else {"/map": _grid_message(grid, stamp, make)}
+    messages |= {name: path_to_message(path, FRAME, stamp, make) for name, path in paths.items()}
+    with tempfile.TemporaryDirectory() as folder:
+        bag = File(folder) / "bag"
+        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            for name, message in messages.items():
+                kind = message.__msgtype__
+                topic = writer.add_connection(name, kind, typestore=store)
+                writer.write(topic, 0, store.serialize_cdr(message, kind))
+        (made,) = bag.glob("*.mcap")
+        atomic_write(file, made.read_bytes())
+
+
+def _grid_message(grid: OccupancyGrid, stamp: Any, make: Any) -> Any:
+    rows, columns = grid.occupied.shape
+    x, y, yaw = (float(value) for value in grid.origin)
+    origin = make("geometry_msgs/msg/Pose")(
+        position=make("geometry_msgs/msg/Point")(x=x, y=y, z=0.0),
+        orientation=make("geometry_msgs/msg/Quaternion")(
+            x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2))
+        ),
+    )
+    cells = np.where(grid.occupied, 100, 0)
+    if grid.unknown is not None:
+        cells = np.where(grid.unknown & ~grid.occupied, -1, cells)
+    return make("nav_msgs/msg/OccupancyGrid")(
+        header=make("std_msgs/msg/Header")(stamp=stamp, frame_id=FRAME),
+        info=make("nav_msgs/msg/MapMetaData")(
+            map_load_time=stamp, resolution=grid.resolution, width=columns, height=rows,
+            origin=origin,
+        ),
+        data=cells.astype(np.int8).ravel(),
+    )  # fmt: skip

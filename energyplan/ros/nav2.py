@@ -1,15 +1,20 @@
-"""Nav2's actions ComputePathToPose and ComputePathThroughPoses: requests and answers.
+"""What the nodes answer: Nav2's planning actions, diagnostics, missions, a model while driving.
 
-Humble's results have no error code; what a result does not have is not filled in.
+The actions are ComputePathToPose and ComputePathThroughPoses, with the error codes that nav2_msgs
+has since Iron. Humble's results have no error code; what a result does not have is not filled in.
 """
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
 from itertools import pairwise
+from math import isfinite
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,25 +24,84 @@ from energyplan.errors import (
     CancelledError,
     EnergyPlanError,
     FrameError,
+    GoalInCollisionError,
     MessageError,
+    NoPathError,
     NoViapointsError,
+    OutsideMapError,
+    StartInCollisionError,
+    TimeLimitError,
     UnsupportedPlannerError,
-)
+)  # fmt: skip
+from energyplan.fit.online import OnlineIdentifier
+from energyplan.io.bags import TopicMap
+from energyplan.io.mission import mission_from
+from energyplan.mission import evaluate
+from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.planning.ends import checked_ends
 from energyplan.planning.ready import compiled as compile_kernels
 from energyplan.planning.replanning import replan
-from energyplan.ros.codes import ThroughPosesError, ToPoseError, codes_of, error_code
+from energyplan.power import PowerModel
 from energyplan.ros.messages import (
     Factory,
     field,
     path_to_message,
     pose_from_message,
     pose_from_transform,
-)
+)  # fmt: skip
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
+
+
+class ToPoseError(IntEnum):
+    """Error codes of nav2_msgs/action/ComputePathToPose."""
+
+    NONE, UNKNOWN, INVALID_PLANNER, TF_ERROR = 0, 200, 201, 202
+    START_OUTSIDE_MAP, GOAL_OUTSIDE_MAP, START_OCCUPIED, GOAL_OCCUPIED = 203, 204, 205, 206
+    TIMEOUT, NO_VALID_PATH = 207, 208
+
+
+class ThroughPosesError(IntEnum):
+    """Error codes of nav2_msgs/action/ComputePathThroughPoses."""
+
+    NONE, UNKNOWN, INVALID_PLANNER, TF_ERROR = 0, 300, 301, 302
+    START_OUTSIDE_MAP, GOAL_OUTSIDE_MAP, START_OCCUPIED, GOAL_OCCUPIED = 303, 304, 305, 306
+    TIMEOUT, NO_VALID_PATH = 307, 308
+    NO_VIAPOINTS_GIVEN = 309
+
+
+Codes = type[ToPoseError] | type[ThroughPosesError]
+
+_NAMES: tuple[tuple[type[EnergyPlanError], str], ...] = (
+    (NoViapointsError, "NO_VIAPOINTS_GIVEN"),
+    (UnsupportedPlannerError, "INVALID_PLANNER"),
+    (FrameError, "TF_ERROR"),
+    (StartInCollisionError, "START_OCCUPIED"),
+    (GoalInCollisionError, "GOAL_OCCUPIED"),
+    (TimeLimitError, "TIMEOUT"),
+    (NoPathError, "NO_VALID_PATH"),
+)
+
+
+def codes_of(request: Any) -> Codes:
+    """Return the error codes of the action that a goal belongs to."""
+    return ThroughPosesError if hasattr(request, "goals") else ToPoseError
+
+
+def error_code(
+    error: EnergyPlanError, codes: Codes, problem: PlanningProblem | None = None
+) -> ToPoseError | ThroughPosesError:
+    """Return the code of Nav2's planner server for an error of the library."""
+    if isinstance(error, OutsideMapError) and problem is not None:
+        on_map = problem.terrain.obstacles.inside(problem.start[:2])
+        return codes["GOAL_OUTSIDE_MAP" if bool(on_map) else "START_OUTSIDE_MAP"]
+    for kind, name in _NAMES:
+        if isinstance(error, kind):
+            return codes[name]
+    return codes["UNKNOWN"]
+
 
 _SHARED = ("cost", "surfaces", "vehicle", "heights", "costmap")
 _EQUAL = ("goal", "objective", "clearance", "costmap_weight")
@@ -53,60 +117,7 @@ def request_to_problems(
     lookup: Callable[[str], Any] | None = None,
     **options: Any,
 ) -> tuple[PlanningProblem, ...]:
-    """Return what a goal of ComputePathToPose or ComputePathThroughPoses asks for.
-
-    Parameters
-    ----------
-    request : object
-        The action's goal, of Humble or newer. ``goals`` may be a list or a nav_msgs/Goals;
-        ``viapoints`` of newer goals of ComputePathToPose are driven through in order.
-    grid : OccupancyGrid
-        The map.
-    cost : EnergyCost
-        Cost of motions.
-    frame : str
-        Frame of the map.
-    base : str
-        Frame of the robot's body, whose pose is the start where the request does not bring one.
-    lookup : callable, optional
-        Takes a frame's name, and returns the geometry_msgs/TransformStamped that brings what is in
-        it into the map's frame; raises FrameError where it cannot. For poses in other frames, and
-        for the robot's own.
-    **options : object
-        Further fields of `PlanningProblem`.
-
-    Returns
-    -------
-    tuple of PlanningProblem
-        One problem for each leg, in order.
-
-    Raises
-    ------
-    FrameError
-        If a pose cannot be brought into the map's frame, or the robot's pose is not known.
-    NoViapointsError
-        If a request through poses has no goals.
-    MessageError
-        If a field is missing or malformed.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> from types import SimpleNamespace as Message
-    >>> turned = Message(x=0.0, y=0.0, z=0.0, w=1.0)
-    >>> def stamped(x, y):
-    ...     place = Message(position=Message(x=x, y=y, z=0.0), orientation=turned)
-    ...     return Message(header=Message(frame_id="map"), pose=place)
-    ...
-    >>> start, there = stamped(1.0, 2.0), stamped(4.0, 2.0)
-    >>> goal = Message(start=start, goal=there, use_start=True, planner_id="")
-    >>> (problem,) = request_to_problems(goal, hall, ep.EnergyCost(model))
-    >>> problem.goal.x
-    4.0
-    """
+    """Return what a goal of ComputePathToPose or ComputePathThroughPoses asks for."""
 
     def pose(message: Any) -> Pose:
         name = str(field(message, "header.frame_id"))
@@ -140,30 +151,7 @@ def request_to_problems(
 
 
 def planner_of(planner_id: str, default: str = "lattice") -> str:
-    """Return the library's planner for Nav2's ``planner_id``.
-
-    Parameters
-    ----------
-    planner_id : str
-        A planner's name, or empty or ``"GridBased"``, which is what Nav2 asks for by default.
-    default : str
-        Planner for these two.
-
-    Returns
-    -------
-    str
-        Name of the planner.
-
-    Raises
-    ------
-    UnsupportedPlannerError
-        If there is no such planner.
-
-    Examples
-    --------
-    >>> planner_of("GridBased"), planner_of("roadmap")
-    ('lattice', 'roadmap')
-    """
+    """Return the library's planner for Nav2's ``planner_id``."""
     name = default if planner_id in ("", "GridBased") else planner_id
     if name not in planners():
         raise UnsupportedPlannerError(
@@ -174,39 +162,7 @@ def planner_of(planner_id: str, default: str = "lattice") -> str:
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of a request.
-
-    Attributes
-    ----------
-    plans : tuple of Plan
-        A plan for each leg; none after an error.
-    code : ToPoseError or ThroughPosesError
-        Nav2's error code.
-    message : str
-        What went wrong, and what helps; empty if nothing did.
-    planning_time : float
-        Time spent [s].
-    problems : tuple of PlanningProblem
-        What each leg asked for; none after an error.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> from types import SimpleNamespace as Message
-    >>> turned = Message(x=0.0, y=0.0, z=0.0, w=1.0)
-    >>> def stamped(x, y):
-    ...     place = Message(position=Message(x=x, y=y, z=0.0), orientation=turned)
-    ...     return Message(header=Message(frame_id="map"), pose=place)
-    ...
-    >>> start, there = stamped(1.0, 2.0), stamped(4.0, 2.0)
-    >>> goal = Message(start=start, goal=there, use_start=True, planner_id="")
-    >>> told = answer(goal, hall, ep.EnergyCost(model), effort=1000)
-    >>> told.code.name, round(told.energy), told.lower_bound <= told.energy
-    ('NONE', 540, True)
-    """
+    """What became of a request."""
 
     plans: tuple[Plan, ...]
     code: ToPoseError | ThroughPosesError
@@ -242,59 +198,7 @@ def answer(
     former: Answer | None = None,
     **options: Any,
 ) -> Answer:
-    """Plan what a request asks for; every error of the library becomes a code and a message.
-
-    Parameters
-    ----------
-    request : object
-        Goal of ComputePathToPose or ComputePathThroughPoses.
-    grid : OccupancyGrid, optional
-        The map; None where none has come yet, which is an error of the answer.
-    cost : EnergyCost
-        Cost of motions.
-    planner : str
-        Planner where the request names none.
-    time_limit : float
-        Time for all legs together [s].
-    effort : int, optional
-        Units of work for all legs together, in place of the time limit.
-    unwanted : callable
-        Tells whether the goal was cancelled; asked often.
-    former : Answer, optional
-        The answer before. Where it led to the same goals, what is left of its plans is where to
-        start from: while that is free it is returned at once, see `replan`.
-    **options : object
-        What `request_to_problems` takes besides.
-
-    Returns
-    -------
-    Answer
-        The plans, or why there are none.
-
-    Raises
-    ------
-    CancelledError
-        If the goal was cancelled.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> from types import SimpleNamespace as Message
-    >>> turned = Message(x=0.0, y=0.0, z=0.0, w=1.0)
-    >>> def stamped(x, y):
-    ...     place = Message(position=Message(x=x, y=y, z=0.0), orientation=turned)
-    ...     return Message(header=Message(frame_id="map"), pose=place)
-    ...
-    >>> start, there = stamped(1.0, 2.0), stamped(4.0, 2.0)
-    >>> goal = Message(start=start, goal=there, use_start=True, planner_id="")
-    >>> answer(goal, hall, ep.EnergyCost(model), effort=1000).code.name
-    'NONE'
-    >>> answer(goal, None, ep.EnergyCost(model)).message
-    'no map has come yet; publish one, or name its topic'
-    """
+    """Plan what a request asks for; every error of the library becomes a code and a message."""
     began = time.perf_counter()
     codes = codes_of(request)
     problem = None
@@ -379,38 +283,7 @@ def _known(
 
 
 def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Factory) -> Any:
-    """Fill in the result of an action.
-
-    Parameters
-    ----------
-    result : object
-        The result; of its fields ``path``, ``planning_time``, ``error_code`` and ``error_msg``
-        those are set that it has.
-    answer : Answer
-        What became of the request.
-    frame : str
-        Frame of the map.
-    stamp : object
-        A builtin_interfaces/Time.
-    factory : callable
-        Gives a message's class by its name, see `path_to_message`.
-
-    Returns
-    -------
-    object
-        The same result.
-
-    Examples
-    --------
-    >>> from rosbags.typesys import Stores, get_typestore
-    >>> factory = get_typestore(Stores.ROS2_HUMBLE).types.__getitem__
-    >>> stamp = factory("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
-    >>> nothing = Answer((), ToPoseError.TIMEOUT, "no path was found in time", 1.5)
-    >>> from types import SimpleNamespace
-    >>> result = SimpleNamespace(path=None, planning_time=None, error_code=0, error_msg="")
-    >>> fill_result(result, nothing, "map", stamp, factory).error_code
-    207
-    """
+    """Fill in the result of an action."""
     seconds = int(answer.planning_time)
     rest = min(round((answer.planning_time - seconds) * 1e9), 10**9 - 1)
     duration = factory("builtin_interfaces/msg/Duration")
@@ -425,3 +298,129 @@ def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Fa
         if hasattr(result, name):
             setattr(result, name, value)
     return result
+
+
+STALE = 1.0
+"""Age at which the last value of a channel is no longer taken for the present one [s]."""
+
+_POWERS: tuple[tuple[str, ...], ...] = (("power",), ("p_left", "p_right"), ("voltage", "current"))
+
+
+class DriveFeed:
+    """Feeds an `OnlineIdentifier` from the messages of several topics.
+
+    A sample is made at every message that brings the power. Channels that came more often since
+    the sample before are averaged; the last value of one that came less often is kept for a
+    second. Nothing is fed while a channel is missing.
+    """
+
+    def __init__(self, identifier: OnlineIdentifier, topics: TopicMap) -> None:
+        channels = topics.channels
+        found = [names for names in _POWERS if set(names) <= set(channels)]
+        missing = [name for name in ("v_left", "v_right") if name not in channels]
+        if missing or not found:
+            raise MessageError(
+                f"the topic map {topics.name!r} names no {' and '.join(missing or ['power'])}; "
+                "name v_left, v_right, and power, p_left and p_right, or voltage and current"
+            )
+        self._power = found[0]
+        self.identifier = identifier
+        self.samples = 0
+        """Samples fed so far."""
+        self._topics = topics
+        self._sums: dict[str, tuple[float, int]] = {}
+        self._last: dict[str, tuple[float, float]] = {}
+        self._t = float("-inf")
+
+    @property
+    def topics(self) -> Sequence[str]:
+        """Names of the topics to listen to."""
+        sources = (one for many in self._topics.channels.values() for one in many)
+        return tuple(dict.fromkeys(source.topic for source in sources))
+
+    def take(self, topic: str, message: Any, t: float) -> bool:
+        """Take a message."""
+        fresh = set()
+        for name, sources in self._topics.channels.items():
+            for source in sources:
+                if not source.matches(topic):
+                    continue
+                value = source.value(message)
+                if isfinite(value):
+                    total, count = self._sums.get(name, (0.0, 0))
+                    self._sums[name] = total + value, count + 1
+                    self._last[name] = value, t
+                    fresh.add(name)
+                    break
+        if self._power[-1] not in fresh or not t > self._t:
+            return False
+        return self._feed(t)
+
+    def _feed(self, t: float) -> bool:
+        """Feed what has come since the last sample, if it is all there."""
+        known = {}
+        for name, (value, at) in self._last.items():
+            total, count = self._sums.get(name, (0.0, 0))
+            if count:
+                known[name] = total / count
+            elif t - at <= STALE:
+                known[name] = value
+        self._sums.clear()
+        if not {"v_left", "v_right", *self._power} <= set(known):
+            return False
+        parts = [known.pop(name) for name in self._power]
+        power = parts[0] * parts[1] if self._power[0] == "voltage" else sum(parts)
+        needed = {name for term in self.identifier.model.terms for name in term.channels}
+        more = {name: value for name, value in known.items() if name in needed}
+        left, right = known["v_left"], known["v_right"]
+        changed = self.identifier.update(t, left, right, power, **more)
+        self._t = t
+        self.samples += 1
+        return changed
+
+
+def plan_values(answer: Answer) -> dict[str, str]:
+    """Return the values of a plan for diagnostics: energy, bound [J] and the time it took [s]."""
+    if not answer.plans:
+        return {"error": answer.message}
+    return {
+        "energy [J]": f"{answer.energy:.6g}",
+        "lower bound [J]": f"{answer.lower_bound:.6g}",
+        "length [m]": f"{sum(plan.length for plan in answer.plans):.6g}",
+        "planning time [s]": f"{answer.planning_time:.3g}",
+        **{f"note {k}": note for k, note in enumerate(answer.notes, start=1)},
+    }
+
+
+def model_values(model: PowerModel) -> dict[str, str]:
+    """Return the values of a model for diagnostics: each coefficient, with its standard error."""
+    values = {}
+    for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
+        error = model.std_error(term.name)
+        told = f"{value:.5g}" + ("" if error is None else f" +- {error:.2g}")
+        values[f"{term.name} [{term.unit}]"] = told
+    return values
+
+
+def diagnostics_message(
+    name: str, message: str, values: Mapping[str, str], stamp: Any, factory: Factory,
+    *, error: bool = False,
+) -> Any:  # fmt: skip
+    """Return a diagnostic_msgs/DiagnosticArray with one status."""
+    status = factory("diagnostic_msgs/msg/DiagnosticStatus")
+    pair = factory("diagnostic_msgs/msg/KeyValue")
+    level: Any = getattr(status, "ERROR" if error else "OK")
+    one = status(
+        level=level, name=name, message=message, hardware_id="",
+        values=[pair(key=key, value=value) for key, value in values.items()],
+    )  # fmt: skip
+    header = factory("std_msgs/msg/Header")(stamp=stamp, frame_id="")
+    return factory("diagnostic_msgs/msg/DiagnosticArray")(header=header, status=[one])
+
+
+def mission_answer(text: str, folder: str | Path) -> str:
+    """Tell whether a mission can be done, text in and text out."""
+    try:
+        return json.dumps(documents.mission(evaluate(mission_from(text, folder))))
+    except EnergyPlanError as error:
+        return json.dumps({"error": " ".join(str(error).split())})

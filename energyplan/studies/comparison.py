@@ -161,14 +161,9 @@ def compare(
     driven = stops_count(cheapest) and _can_be_driven(shortest) and _can_be_driven(best)
     if _spent(best, driven).energy > _spent(shortest, driven).energy:
         best = priced_plan(
-            CompiledProblem(cheapest),
-            shortest.path,
-            best.lower_bound,
-            best.planner,
-            planning_time=best.planning_time,
-            first_time=best.first_time,
-            effort=best.effort,
-        )
+            CompiledProblem(cheapest), shortest.path, best.lower_bound, best.planner,
+            planning_time=best.planning_time, first_time=best.first_time, effort=best.effort,
+        )  # fmt: skip
     least, most = _spent(best, driven), _spent(shortest, driven)
     spent = max(most.energy, most.energy - best.potential)
     return Comparison(
@@ -200,10 +195,6 @@ def energy_along(path: Path, problem: PlanningProblem) -> Along:
     each = np.zeros(len(fine))
     for piece in terrain.pieces(path, problem.cost):
         each += piece.cost.segment_energy(piece.path.ds, piece.path.dtheta, piece.slope)
-    return _along(fine, each)
-
-
-def _along(fine: Path, each: FloatArray) -> Along:
     joules = np.concatenate([[0.0], np.cumsum(each)])
     metres = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
     return Along(metres, joules, fine.vertices)

@@ -344,14 +344,10 @@ def energy_map(
     if cut or np.isfinite(complete):
         complete = min(complete, energy)
     return EnergyMap(
-        energy=np.where(energies <= energy, energies, np.inf),
-        resolution=spacing,
-        origin=there.grid.origin,
-        start=problem.start,
-        back=target,
-        complete_to=complete,
+        energy=np.where(energies <= energy, energies, np.inf), resolution=spacing,
+        origin=there.grid.origin, start=problem.start, back=target, complete_to=complete,
         confidence=confidence,
-    )
+    )  # fmt: skip
 
 
 def _search(setting: KernelProblem, lattice: kernels.Lattice, limit: float, effort: int) -> Search:

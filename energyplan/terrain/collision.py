@@ -168,14 +168,10 @@ def _box_free(space: Space, box: Body, x: float, y: float, yaw: float) -> bool:
     mid_x = 0.5 * (box.x_min + box.x_max)
     mid_y = 0.5 * (box.y_min + box.y_max)
     return _rectangle_free(
-        space,
-        here.column + (c * mid_x - s * mid_y) * scale,
-        here.row + (s * mid_x + c * mid_y) * scale,
-        c,
-        s,
-        0.5 * (box.x_max - box.x_min) * scale,
+        space, here.column + (c * mid_x - s * mid_y) * scale,
+        here.row + (s * mid_x + c * mid_y) * scale, c, s, 0.5 * (box.x_max - box.x_min) * scale,
         0.5 * (box.y_max - box.y_min) * scale,
-    )
+    )  # fmt: skip
 
 
 @njit
@@ -334,13 +330,6 @@ def motions_free(
     out = np.empty(len(starts), np.bool_)
     for k in range(len(starts)):
         out[k] = motion_free(
-            space,
-            body,
-            starts[k, 0],
-            starts[k, 1],
-            starts[k, 2],
-            ds[k],
-            dtheta[k],
-            longitudinal,
-        )
+            space, body, starts[k, 0], starts[k, 1], starts[k, 2], ds[k], dtheta[k], longitudinal,
+        )  # fmt: skip
     return out

@@ -56,7 +56,7 @@ def laid_out(
     if heights is not None and not reads_slope(plain):
         plain = with_weight(plain)
     beyond = [term for term in model.terms if term.name in _BEYOND]
-    if beyond and surfaces is None:
+    if beyond and (surfaces is None or not surfaces.surfaces):
         more = {
             "slip_friction": values.get(SLIP_BEYOND.name, 0.0),
             "traction_resistance": values.get(TRACTION_BEYOND.name, 0.0),
@@ -66,7 +66,8 @@ def laid_out(
         )
         area = _half_plane(corners, beyond[0].params["direction"], beyond[0].params["offset"])
         if area is not None:
-            surfaces = SurfaceMap((Surface(area, replace(there, name="found beyond a line")),))
+            found = Surface(area, replace(there, name="found beyond a line"))
+            surfaces = replace(surfaces or SurfaceMap(()), surfaces=(found,))
     if surfaces is not None and heights is not None:
         surfaces = with_weights(surfaces)
     return LaidGround(plain, surfaces, heights)

@@ -87,13 +87,7 @@ class HeightMap(ReadOnly):
         return extent_in_words(width, height, self.origin)
 
     def height(self, points: ArrayLike) -> FloatArray:
-        """Return the height at world points (..., 2) [m].
-
-        Raises
-        ------
-        MapError
-            If a point lies off the raster.
-        """
+        """Return the height at world points (..., 2) [m]."""
         (j, i), (x, y) = self._locate(points)
         h = self.heights
         low = h[i, j] * (1 - x) + h[i, j + 1] * x
@@ -101,13 +95,7 @@ class HeightMap(ReadOnly):
         return np.asarray(low * (1 - y) + high * y)
 
     def gradient(self, points: ArrayLike) -> FloatArray:
-        """Return the gradient of the height at world points, shape (..., 2).
-
-        Raises
-        ------
-        MapError
-            If a point lies off the raster.
-        """
+        """Return the gradient of the height at world points, shape (..., 2)."""
         (j, i), (x, y) = self._locate(points)
         h = self.heights
         along = (h[i, j + 1] - h[i, j]) * (1 - y) + (h[i + 1, j + 1] - h[i + 1, j]) * y
@@ -117,23 +105,7 @@ class HeightMap(ReadOnly):
         return np.asarray(turned / self.resolution)
 
     def slope(self, poses: ArrayLike) -> FloatArray:
-        """Return the slope along the heading, positive uphill ahead.
-
-        Parameters
-        ----------
-        poses : array_like, shape (..., 3)
-            Poses x, y [m], yaw [rad].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Slope [rad].
-
-        Raises
-        ------
-        MapError
-            If a pose lies off the raster.
-        """
+        """Return the slope along the heading, positive uphill ahead."""
         rows = numbers(poses, "poses", MapError, last=3, words="x, y [m], yaw [rad]")
         steep = self.gradient(rows[..., :2])
         yaw = rows[..., 2]
@@ -151,11 +123,6 @@ class HeightMap(ReadOnly):
 
         It is the rise of the reference point (see `Path`) over the arc length, so that rises add
         up exactly; where the robot turns on the spot, it is the slope at the middle of the turn.
-
-        Raises
-        ------
-        MapError
-            If the path leaves the raster.
         """
         yaw = path.vertices[:, 2]
         point = path.points

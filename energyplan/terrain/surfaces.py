@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil, floor
@@ -20,6 +20,7 @@ from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.terrain.grid import FARTHEST, OccupancyGrid
+from energyplan.vehicle import Vehicle
 
 _STRAIGHT = 1e-6
 """Turns below this are clipped as straight lines [rad]."""
@@ -53,12 +54,42 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class SpeedLimit:
+    """An area in which the robot's reference point moves no faster than a speed."""
+
+    area: BaseGeometry  # where the limit holds, its border included, in the world [m]
+    speed: float  # largest speed [m/s], or share of the robot's top speed [1]
+    relative: bool = False  # whether `speed` is a share
+
+    def __post_init__(self) -> None:
+        check_fields(self, MapError, "speed limit: ")
+        _area(self.area, "the area of a speed limit")
+        if not 0 < self.speed < np.inf or (self.relative and self.speed > 1):
+            what = f"{100 * self.speed:g} %" if self.relative else f"{self.speed:g} m/s"
+            raise MapError(
+                f"a speed limit is {what}; give a positive speed [m/s], or at most 100 % of the "
+                "robot's top speed, and keep the robot out where it must not drive"
+            )
+
+    def of(self, vehicle: Vehicle) -> float:
+        """Return the limit for a vehicle [m/s]."""
+        if not self.relative:
+            return self.speed
+        if not np.isfinite(vehicle.motor.speed):
+            raise MapError(
+                f"a speed limit is {100 * self.speed:g} % of the top speed, which vehicle "
+                f"{vehicle.name!r} does not state; give its motor a speed, or the limit in m/s"
+            )
+        return self.speed * vehicle.motor.speed
+
+
+@dataclass(frozen=True)
 class SurfaceMap:
-    """Surfaces, each with a power model, and areas to keep out of.
+    """Surfaces, each with a power model, areas to keep out of, and speed limits.
 
     Where surfaces overlap, the last one counts. Outside all of them the cost at hand applies:
     region 0. Region ``k`` is ``surfaces[k - 1]``. The robot is on the surface that lies under its
-    reference point (see `Path`).
+    reference point (see `Path`). Where speed limits overlap, the lowest counts.
 
     Parameters
     ----------
@@ -66,6 +97,8 @@ class SurfaceMap:
         The surfaces.
     keep_out : sequence of shapely Polygon or MultiPolygon
         Areas that the robot must not enter.
+    speed_limits : sequence of SpeedLimit
+        Where the robot drives slowly.
 
     Raises
     ------
@@ -82,6 +115,7 @@ class SurfaceMap:
 
     surfaces: tuple[Surface, ...]
     keep_out: tuple[BaseGeometry, ...] = ()
+    speed_limits: tuple[SpeedLimit, ...] = ()
     _last: list[tuple[EnergyCost, ...]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
@@ -91,7 +125,9 @@ class SurfaceMap:
         object.__setattr__(self, "surfaces", tuple(self.surfaces))
         keep_out = tuple(_area(a, f"keep-out area {k}") for k, a in enumerate(self.keep_out))
         object.__setattr__(self, "keep_out", keep_out)
-        for area in (*(s.area for s in self.surfaces), *keep_out):
+        object.__setattr__(self, "speed_limits", tuple(self.speed_limits))
+        limits = (limit.area for limit in self.speed_limits)
+        for area in (*(s.area for s in self.surfaces), *keep_out, *limits):
             shapely.prepare(area)
 
     @property
@@ -103,9 +139,13 @@ class SurfaceMap:
         )
 
     def notes_on(self, grid: OccupancyGrid) -> tuple[str, ...]:
-        """Say of which kind of area, surfaces or those to keep out of, none lies on a map."""
+        """Say of which kind of area none lies on a map."""
         extent = shapely.Polygon(grid.corners)
-        kinds = {"surfaces": [s.area for s in self.surfaces], "keep-out areas": [*self.keep_out]}
+        kinds = {
+            "surfaces": [s.area for s in self.surfaces],
+            "keep-out areas": [*self.keep_out],
+            "speed limits": [s.area for s in self.speed_limits],
+        }
         return tuple(
             f"none of the {kind} lies on the map, which covers {grid.describe_extent()}; give them "
             "in the map's frame"
@@ -114,25 +154,7 @@ class SurfaceMap:
         )
 
     def costs(self, cost: EnergyCost) -> tuple[EnergyCost, ...]:
-        """Return the cost of every region, by its number.
-
-        Parameters
-        ----------
-        cost : EnergyCost
-            Cost outside the surfaces; its further options hold on the surfaces too.
-
-        Returns
-        -------
-        tuple of EnergyCost
-            `cost`, then one for each surface. Those of the last `cost` are remembered, because
-            the tables of a model that depends on speed take a while.
-
-        Raises
-        ------
-        MapError
-            If a surface's model was identified with another longitudinal ICR, so
-            that one path cannot be priced by both.
-        """
+        """Return the cost of every region, by its number."""
         if self._last and self._last[0][0] is cost:
             return self._last[0]
         for surface in self.surfaces:
@@ -151,18 +173,7 @@ class SurfaceMap:
         return found
 
     def region_at(self, points: ArrayLike) -> NDArray[np.intp]:
-        """Return the region of each world point (..., 2) [m].
-
-        Parameters
-        ----------
-        points : array_like, shape (..., 2)
-            Points in the world [m].
-
-        Returns
-        -------
-        ndarray of int, shape (...)
-            0 outside all surfaces, ``k`` on ``surfaces[k - 1]``.
-        """
+        """Return the region of each world point (..., 2) [m]."""
         rows = np.asarray(points, float)
         region = np.zeros(rows.shape[:-1], np.intp)
         for k, surface in enumerate(self.surfaces, start=1):
@@ -186,13 +197,28 @@ class SurfaceMap:
 
     @cached_property
     def _edges(self) -> tuple[FloatArray, FloatArray]:
-        """Starts and directions of all edges of all surfaces, each of shape (n, 2)."""
-        rims = [_rim(surface.area) for surface in self.surfaces]
-        nothing = np.empty((0, 2))
-        return (
-            np.concatenate([nothing, *(a for a, _ in rims)]),
-            np.concatenate([nothing, *(e for _, e in rims)]),
-        )
+        return _edges(surface.area for surface in self.surfaces)
+
+    @cached_property
+    def _limit_edges(self) -> tuple[FloatArray, FloatArray]:
+        return _edges(limit.area for limit in self.speed_limits)
+
+    def top_speed(self, points: ArrayLike, vehicle: Vehicle) -> FloatArray:
+        """Return the lowest speed limit at world points (..., 2) [m/s]; infinite where none is."""
+        rows = np.asarray(points, float)
+        top = np.full(rows.shape[:-1], np.inf)
+        for limit in self.speed_limits:
+            here = shapely.intersects_xy(limit.area, rows[..., 0], rows[..., 1])
+            top[here] = np.minimum(top[here], limit.of(vehicle))
+        return top
+
+    def cut_at_limits(self, path: Path) -> Path:
+        """Return a path cut where its reference point crosses the border of a speed limit."""
+        parts = [np.diff(cuts) for _, cuts in _cuts(path, *self._limit_edges)]
+        count = [len(part) for part in parts]
+        share = np.concatenate([np.empty(0), *parts])
+        ds, dtheta = (np.repeat(column, count) * share for column in (path.ds, path.dtheta))
+        return Path(path.start, ds, dtheta, path.longitudinal)
 
     def edge_points(self, spacing: float) -> Iterable[FloatArray]:
         """Yield points along each edge of the surfaces, at most `spacing` [m] apart, (n, 2)."""
@@ -205,40 +231,15 @@ class SurfaceMap:
 
         The crossings of the reference point's lines and arcs with the surfaces' edges are solved
         for, so that the shares are exact to rounding.
-
-        Parameters
-        ----------
-        path : Path
-            The path.
-
-        Returns
-        -------
-        ndarray, shape (segments, regions)
-            Share of the segment's length, or of its turn where it stands still, in each region;
-            rows add up to 1.
         """
         out = np.zeros((len(path), len(self.surfaces) + 1))
-        points, yaw = path.points, path.vertices[:, 2]
-        for k, (ds, dtheta) in enumerate(zip(path.ds, path.dtheta, strict=True)):
-            arc = _Arc(points[k], float(yaw[k]), float(ds), float(dtheta))
-            cuts = np.unique(np.concatenate([[0.0, 1.0], arc.crossings(*self._edges)]))
+        for k, (arc, cuts) in enumerate(_cuts(path, *self._edges)):
             regions = self.region_at(arc.points(0.5 * (cuts[:-1] + cuts[1:])))
             np.add.at(out[k], regions, np.diff(cuts))
         return out
 
     def line_shares(self, starts: ArrayLike, ends: ArrayLike) -> FloatArray:
-        """Return how straight lines divide over the regions, as `shares` does for segments.
-
-        Parameters
-        ----------
-        starts, ends : array_like, shape (n, 2)
-            Ends of the lines in the world [m].
-
-        Returns
-        -------
-        ndarray, shape (n, regions)
-            Share of each line in each region; rows add up to 1.
-        """
+        """Return how straight lines divide over the regions, as `shares` does for segments."""
         p, q = np.asarray(starts, float), np.asarray(ends, float)
         out = np.zeros((len(p), len(self.surfaces) + 1))
         a, e = self._edges
@@ -258,6 +259,14 @@ class SurfaceMap:
         return out
 
 
+def with_limits(surfaces: SurfaceMap | None, limits: Sequence[SpeedLimit]) -> SurfaceMap | None:
+    """Return surfaces with further speed limits."""
+    if not limits:
+        return surfaces
+    known = SurfaceMap(()) if surfaces is None else surfaces
+    return replace(known, speed_limits=(*known.speed_limits, *limits))
+
+
 def with_weights(surfaces: SurfaceMap) -> SurfaceMap:
     """Return surfaces whose models hold their vehicle's weight; see `effects.with_weight`."""
     heavy = (replace(s, model=with_weight(s.model)) for s in surfaces.surfaces)
@@ -273,6 +282,21 @@ def _rim(area: BaseGeometry) -> tuple[FloatArray, FloatArray]:
     ]
     starts = np.concatenate([ring[:-1] for ring in rings])
     return starts, np.concatenate([np.diff(ring, axis=0) for ring in rings])
+
+
+def _edges(areas: Iterable[BaseGeometry]) -> tuple[FloatArray, FloatArray]:
+    """Return starts and directions of the edges of all areas, each of shape (n, 2)."""
+    rims = [(np.empty((0, 2)), np.empty((0, 2))), *(_rim(area) for area in areas)]
+    return np.concatenate([a for a, _ in rims]), np.concatenate([e for _, e in rims])
+
+
+def _cuts(path: Path, a: FloatArray, e: FloatArray) -> Iterator[tuple[_Arc, FloatArray]]:
+    """Yield each segment with the parameters at which it begins, crosses an edge, and ends."""
+    for point, yaw, ds, dtheta in zip(
+        path.points[:-1], path.vertices[:-1, 2], path.ds, path.dtheta, strict=True
+    ):
+        arc = _Arc(point, float(yaw), float(ds), float(dtheta))
+        yield arc, np.unique(np.concatenate([[0.0, 1.0], arc.crossings(a, e)]))
 
 
 @njit

@@ -212,20 +212,7 @@ class Terrain:
         return ground
 
     def remember(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return a table of this ground, made when it is first asked for.
-
-        Parameters
-        ----------
-        key : hashable
-            What tells the table from all others: who makes it, and from what.
-        make : callable
-            Makes it.
-
-        Returns
-        -------
-        object
-            The table.
-        """
+        """Return a table of this ground, made when it is first asked for."""
         with suppress(KeyError):
             known: Made = self._tables[key]
             return known
@@ -238,18 +225,7 @@ class Terrain:
     def updated(
         self, occupied: ArrayLike, row: int, column: int, unknown: ArrayLike | None = None
     ) -> Terrain:
-        """Return this ground with a patch of its map replaced; see `OccupancyGrid.updated`.
-
-        Parameters
-        ----------
-        occupied, row, column, unknown
-            As for `OccupancyGrid.updated`.
-
-        Returns
-        -------
-        Terrain
-            The ground as it is now. What was made of this one is kept where nothing changes.
-        """
+        """Return this ground with a patch of its map replaced; see `OccupancyGrid.updated`."""
         new = Terrain.of(
             self.grid.updated(occupied, row, column, unknown), self.surfaces, self.heights
         )
@@ -301,18 +277,7 @@ class Terrain:
         return {}
 
     def dearest(self, prices: ArrayLike) -> NDArray[np.uint8]:
-        """Return a region of each cell: of those that share it the dearest.
-
-        Parameters
-        ----------
-        prices : array_like, shape (regions,)
-            Which regions are dearer.
-
-        Returns
-        -------
-        ndarray of uint8, shape (rows, columns) or (1, 1)
-            The regions; a single one where there are no surfaces.
-        """
+        """Return a region of each cell: of those that share it the dearest."""
         if not self.ground.surfaces:
             return self.regions
         rank = np.argsort(np.argsort(prices, kind="stable"))

@@ -4,20 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from by_day import by_day
 from limits.fine_integral import fine_energy, random_case
 
 from energyplan.cost import EnergyCost
-from energyplan.cost.least import least_energy
 from energyplan.errors import InvalidInputError
-from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
 from energyplan.path import Path, Pose, Trajectory
-from energyplan.planning.driven import counted
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
-from energyplan.vehicle import MotorLimits, Vehicle
+from energyplan.vehicle import MotorLimits
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -40,40 +36,6 @@ def test_every_profile_is_accepted_and_its_energy_is_the_integral(seed):
         )
 
 
-@pytest.mark.parametrize("drawn", by_day([(0, 6), (0, 12), (1, 12)], [(0, 6)]))
-def test_no_drive_from_stop_to_stop_takes_less_than_the_infimum_over_all_speeds(drawn):
-    seed, cases = drawn
-    rng = np.random.default_rng([22, seed])
-    close = np.inf
-    for k in range(cases):
-        case = random_case(rng)
-        model = replace(case.model, vehicle=case.vehicle)
-        cost = EnergyCost(model, battery=bool(k % 3))
-        law = counted(cost).model
-        least = least_energy(case.path, cost)
-        objective = ("time", "energy")[k % 2]
-        made = profile(case.path, law, vehicle=case.vehicle, objective=objective)
-        taken = check(made, law, case.vehicle).energy
-        assert taken >= least * (1 - 1e-6), (k, objective)
-        close = min(close, taken / least)
-    assert close < 1.03
-
-
-def test_the_infimum_over_all_speeds_is_known_in_closed_form():
-    base = PowerModel.preset("quadriga:empty:concrete")
-    model = base.with_term(term("viscous_loss"), 40.0).with_term(term("hotel_load"), 20.0)
-    straight = Path(Pose(0, 0, 0), [3.0], [0.0])
-    # 226 + 2 * 40 v + 20 / v joules a metre: least at 0.5 m/s.
-    assert least_energy(straight, EnergyCost(model, speed=1.0)) == pytest.approx(3 * 306, rel=1e-9)
-    creeping = base.with_term(term("viscous_loss"), 40.0)
-    assert least_energy(straight, EnergyCost(creeping)) == pytest.approx(3 * 226, rel=1e-6)
-    # Continuous power for 0.2 m/s: a short drive can be faster, and computers run for less long.
-    slow = replace(base.vehicle, motor=MotorLimits(speed=1.0, continuous_power=113 * 0.2))
-    hungry = replace(base, vehicle=slow).with_term(term("hotel_load"), 20.0)
-    assert EnergyCost(hungry).energy(straight) == pytest.approx(3 * (226 + 100), rel=1e-9)
-    assert least_energy(straight, EnergyCost(hungry)) == pytest.approx(3 * (226 + 20), rel=1e-9)
-
-
 def test_energy_is_exact_where_a_drive_brakes_and_turns_round_between_two_samples():
     # Two samples, 4 s apart: forwards at 1 m/s, then backwards; the power jumps in between.
     model = PowerModel.preset("quadriga:empty:concrete").with_term(term("hotel_load"), 7.0)
@@ -89,30 +51,6 @@ def test_energy_is_exact_where_a_drive_brakes_and_turns_round_between_two_sample
     # Braking from 1 m/s in 0.1 s returns 830 - 226 N over 0.05 m, which is lost.
     expected = (830.0 + 226.0) * 0.05 + 7.0 * 0.2
     assert check(hard, lossy).energy == pytest.approx(expected, rel=1e-7)
-
-
-def test_interval_energies_and_the_breakdown_add_up():
-    case = random_case(np.random.default_rng(5))
-    made = profile(case.path, case.model, vehicle=case.vehicle)
-    drive = Drive(made, Ground(case.model))
-    whole = check(made, case.model).energy
-    assert drive.energy() == pytest.approx(whole, rel=1e-9)
-    assert drive.interval_energies().shape == (len(made) - 1,)
-    assert sum(drive.breakdown().values()) == pytest.approx(whole, rel=1e-9)
-    assert set(drive.breakdown()) == set(case.size)
-
-
-def test_a_vehicle_without_an_acceleration_limit_gets_the_default():
-    vehicle = Vehicle.from_geometry(
-        "starter", mass=30.0, wheelbase=0.4, track=0.4, length=0.6, width=0.5,
-        motor=MotorLimits(continuous_power=400, peak_power=800, speed=1.2),
-    )  # fmt: skip
-    model = PowerModel.paper(vehicle, K=15.0, mu=0.5)
-    path = Path(Pose(0, 0, 0), [1.0, 0.0, 2.0, 0.5], [0.0, 1.5, 0.0, 0.5])
-    made = profile(path, model)
-    reached = np.abs(np.diff(made.v) / np.diff(made.t)).max()
-    assert reached == pytest.approx(1.0, rel=1e-6)
-    assert check(made, model).feasible
 
 
 def test_the_battery_of_the_vehicle_limits_profile_and_check():

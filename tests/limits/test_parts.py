@@ -8,9 +8,8 @@ from limits.test_speed import INERTIA, PAPER
 from numpy.testing import assert_allclose
 
 from energyplan.limits.feasibility import check, feasible_region
-from energyplan.limits.motor import largest_within
 from energyplan.limits.speed import profile
-from energyplan.path import FloatArray, Path, Pose
+from energyplan.path import Path, Pose
 from energyplan.power.effects import term
 from energyplan.terrain import HeightMap
 from energyplan.vehicle import GRAVITY
@@ -36,20 +35,3 @@ def test_energy_up_a_slope_is_that_of_the_longer_way_and_the_climb() -> None:
     found = check(trajectory, model, heights=ground).energy
     resistance = 2.0 * model.coefficient("traction_resistance") * 6.0 * np.hypot(1.0, rise)
     assert found == pytest.approx(resistance + 50.0 * GRAVITY * rise * 6.0, rel=1e-3)
-
-
-def test_values_are_sought_only_where_some_are_within_and_some_are_not() -> None:
-    """Of five elements one ends within, one is beyond at once, and three are within throughout."""
-    first = np.array([0.3, 0.0, 2.0, np.inf, 1.0])
-    tried = []
-
-    def use(values: FloatArray) -> FloatArray:
-        tried.append(values.shape)
-        return np.where(values > first, 2.0, 0.5)
-
-    top = np.array([1.0, 1.0, 1.0, 3.0, 1.0])
-    assert_allclose(largest_within(use, top), [0.3, 0.0, 1.0, 3.0, 1.0], rtol=1e-12)
-    tried.clear()
-    first = np.array([1.0, 0.0])
-    assert largest_within(use, np.ones(2)).tolist() == [1.0, 0.0]
-    assert len(tried) == 1

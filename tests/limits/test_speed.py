@@ -16,7 +16,7 @@ from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import term, with_weight
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
-from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
+from energyplan.vehicle import MotorLimits, TreadICR
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")
 INERTIA = PAPER.with_term(term("linear_inertia"), 83.0).with_term(term("angular_inertia"), 7.5)
@@ -187,21 +187,6 @@ def test_every_profile_is_within_all_limits(model, objective, paths):
         assert np.allclose(found.poses[-1], path.end, atol=1e-12)
 
 
-def test_a_tighter_limit_never_makes_it_faster():
-    path = random_path(np.random.default_rng(11), 5)
-    for name, values in (
-        ("peak_power", (500, 300, 200)), ("acceleration", (3, 1, 0.3)),
-        ("speed", (1.2, 0.8, 0.4)), ("regeneration", (400, 50, 20)),
-    ):  # fmt: skip
-        times = [
-            profile(
-                path, INERTIA, vehicle=with_motor(**({"continuous_power": np.inf} | {name: value}))
-            ).duration
-            for value in values
-        ]
-        assert times == sorted(times), name
-
-
 def test_asymmetric_treads_and_offset_reference_point():
     vehicle = PAPER.vehicle.with_icr(TreadICR(0.3, 0.6, 0.1))
     model = replace(PAPER, vehicle=vehicle)
@@ -229,21 +214,6 @@ def test_it_stops_exactly_where_the_curvature_jumps():
         k = int(np.argmin(np.abs(found.poses - vertex).sum(axis=1)))
         assert np.allclose(found.poses[k], vertex, atol=1e-12)
         assert found.v[k] == found.omega[k] == 0.0
-
-
-def test_splitting_a_segment_changes_nothing():
-    path = Path(START, [2.0, 1.5], [0.0, 1.0])
-    whole, parts = profile(path, LOSSY), profile(path.subdivide(0.1, 0.1), LOSSY)
-    assert parts.duration == pytest.approx(whole.duration, rel=1e-9)
-
-
-def test_without_an_acceleration_limit_the_profile_is_length_over_speed():
-    path = Path(START, [2.0, 1.5, 0.0], [0.0, 1.0, 1.0])
-    vehicle = replace(PAPER.vehicle, motor=MotorLimits(speed=0.8, acceleration=np.inf))
-    length, _, _ = tread_length(path, vehicle.icr)
-    assert profile(path, PAPER, vehicle=vehicle).duration == pytest.approx(
-        length.sum() / 0.8, rel=1e-5
-    )
 
 
 def wave(step):
@@ -354,16 +324,6 @@ def test_start_and_end_speed():
 # -- thermal, channels, errors ------------------------------------------------------------------
 
 
-def test_the_continuous_power_holds_over_every_window():
-    path = Path(START, [0.0], [20.0])
-    cool = with_motor(continuous_power=120.0, thermal_time=2.0)
-    free = with_motor(continuous_power=np.inf)
-    slow, fast = profile(path, PAPER, vehicle=cool), profile(path, PAPER, vehicle=free)
-    assert slow.duration > 1.5 * fast.duration
-    assert check(slow, PAPER, cool).feasible
-    assert not check(fast, PAPER, cool).feasible
-
-
 def test_a_given_duration_keeps_the_motors_cool():
     path = Path(START, [0.0, 1.0], [12.0, 0.0])
     cool = with_motor(continuous_power=120.0, thermal_time=1.2)
@@ -435,13 +395,6 @@ def test_a_path_that_leads_nowhere_is_refused_on_any_ground(segments, surfaces, 
             Path(START, segments, segments), model, surfaces=surfaces, heights=heights,
             smooth=np.full(max(len(segments) - 1, 0), 0.1),
         )  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ["husky_a200", "jackal"])
-def test_other_vehicles(name):
-    model = PowerModel.paper(Vehicle.preset(name), K=30.0, mu=0.5)
-    found = profile(random_path(np.random.default_rng(2), 6), model)
-    assert check(found, model).feasible
 
 
 @pytest.mark.parametrize("objective", ["time", "energy"])

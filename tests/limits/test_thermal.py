@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from by_day import by_day
 from limits.test_chain import smooth_curve
-from limits.test_speed import INERTIA, PAPER, START, random_path
+from limits.test_speed import PAPER, START, random_path
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, diags_array, vstack
 
@@ -100,12 +100,3 @@ def test_the_motors_cool_down_in_little_more_time_than_a_linear_program_says(dra
         )
     assert warm >= least_warm
     assert np.median(excess) <= 0.2
-
-
-def test_inertia_counts_towards_the_heat():
-    rng = np.random.default_rng(4)
-    for _ in range(3):
-        path, vehicle = warm_path(rng, False), warm_vehicle(rng)
-        made = profile(path, INERTIA, vehicle=vehicle)
-        assert check(made, INERTIA, vehicle).feasible
-        assert made.duration >= profile(path, PAPER, vehicle=vehicle).duration * 0.99

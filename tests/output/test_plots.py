@@ -8,7 +8,6 @@ import pytest
 import shapely
 from matplotlib.axes import Axes
 from matplotlib.quiver import Quiver
-from matplotlib.text import Annotation, Text
 
 from energyplan import (
     Battery,
@@ -113,30 +112,22 @@ def crowded() -> MissionReport:
     )
 
 
-def test_names_on_a_map_stay_apart_and_within(crowded: MissionReport) -> None:
-    figure = plots.mission_map(crowded)
-    figure.draw_without_rendering()
-    ax = figure.axes[0]
-    frame = ax.get_window_extent().padded(1.0)
-    boxes = [Text.get_window_extent(note) for note in ax.texts]
-    assert len(boxes) == 6
-    for k, box in enumerate(boxes):
-        assert frame.x0 <= box.x0 and box.x1 <= frame.x1
-        assert frame.y0 <= box.y0 and box.y1 <= frame.y1
-        assert not any(box.overlaps(other) for other in boxes[:k])
-
-
-def test_names_on_a_map_leave_its_marks_free(crowded: MissionReport) -> None:
-    figure = plots.mission_map(crowded)
-    figure.draw_without_rendering()
-    ax = figure.axes[0]
-    for note in ax.texts:
-        box = Text.get_window_extent(note)
-        for other in ax.texts:
-            assert isinstance(other, Annotation)
-            x, y = ax.transData.transform(other.xy)
-            away = max(box.x0 - x, x - box.x1, box.y0 - y, y - box.y1)
-            assert away * 72 / figure.dpi > 5.0  # half of a mark and its edge [points]
+def test_places_have_the_numbers_under_which_the_legend_names_them(crowded: MissionReport) -> None:
+    tasks = (*crowded.mission.tasks, replace(crowded.mission.tasks[0], name="again"))
+    again = replace(crowded.tasks[0], name="again", verdict="unreachable")
+    mission = replace(crowded.mission, tasks=tasks)
+    figure = plots.mission_map(replace(crowded, mission=mission, tasks=(*crowded.tasks, again)))
+    (legend,) = figure.legends
+    names = [text.get_text().split(maxsplit=1) for text in legend.get_texts()]
+    stops = [stop.name for stop in crowded.route if stop.kind == "task"]
+    assert [name for _, name in names] == ["start", *stops, "again (out of reach)"]
+    signs = {note.xy: note.get_text() for note in figure.axes[0].texts}
+    at = {task.name: (task.pose.x, task.pose.y) for task in tasks}
+    for sign, name in names[1:]:
+        assert sign in signs[at[name.removesuffix(" (out of reach)")]].split(",")
+    image(figure, ".png")
+    box = legend.get_window_extent()
+    assert box.x1 <= figure.bbox.x1 and box.y0 >= figure.bbox.y0 - 1.0
 
 
 @pytest.mark.parametrize("sides", [(16, 24), (24, 16), (8, 40)])

@@ -70,33 +70,3 @@ def test_the_examples_set_parameters_that_the_nodes_declare(name: str) -> None:
     assert set(given) <= set(table)
     for key, value in given.items():
         assert type(value) is type(table[key]), key
-
-
-def test_the_mission_service_holds_a_text_either_way() -> None:
-    text = (ROOT.parent / "energyplan_interfaces" / "srv" / "EvaluateMission.srv").read_text()
-    sides = [
-        [line for line in side.splitlines() if line and not line.startswith("#")]
-        for side in text.split("---")
-    ]
-    assert sides == [["string mission"], ["string answer"]]
-    assert {"mission", "answer"} <= {
-        node.attr for node in ast.walk(NODES["planner"]) if isinstance(node, ast.Attribute)
-    }
-
-
-@pytest.mark.parametrize("claim", ["not run under ROS 2", "Nothing is known of how"])
-def test_the_readme_says_what_was_not_tested(claim: str) -> None:
-    assert claim in " ".join((ROOT / "README.md").read_text().split())
-
-
-def test_the_launch_file_starts_what_is_there() -> None:
-    text = (ROOT / "launch" / "planner.launch.py").read_text()
-    setup = (ROOT / "setup.py").read_text()
-    assert "launch/planner.launch.py" in setup
-    for name in ("package", "executable"):
-        assert f'{name}="' in text
-    assert 'executable="planner", name="planner_server"' in text
-    assert '"node_names": ["planner_server"]' in text
-    depends = (ROOT / "package.xml").read_text()
-    for package in ("launch", "launch_ros", "nav2_lifecycle_manager"):
-        assert f"<exec_depend>{package}</exec_depend>" in depends

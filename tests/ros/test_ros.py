@@ -15,17 +15,10 @@ import energyplan as ep
 from energyplan import ros
 from energyplan.errors import (
     CancelledError,
-    EnergyPlanError,
     FrameError,
-    GoalInCollisionError,
     InvalidInputError,
     MapError,
     MessageError,
-    NoPathError,
-    OutsideMapError,
-    StartInCollisionError,
-    TimeLimitError,
-    UnsupportedPlannerError,
     VehicleError,
 )
 from energyplan.fit.online import OnlineIdentifier
@@ -153,16 +146,6 @@ def test_a_costmap_is_blocked_where_lethal_alone(wire: Wire) -> None:
     np.testing.assert_array_equal(grid.unknown, [[False, False, False, False, True]])
     inscribed = ros.grid_from_message(message, occupied_from=253)
     np.testing.assert_array_equal(inscribed.occupied, [[False, False, True, True, False]])
-
-
-def test_lists_and_arrays_are_data_too(jazzy: Wire) -> None:
-    import array
-
-    message = jazzy.map([[0, 100], [-1, 0]])
-    whole = ros.grid_from_message(message)
-    for data in ([0, 100, -1, 0], array.array("b", [0, 100, -1, 0])):
-        message.data = data
-        np.testing.assert_array_equal(ros.grid_from_message(message).blocked, whole.blocked)
 
 
 @pytest.mark.parametrize(
@@ -367,19 +350,6 @@ def test_a_wall_leaves_no_valid_path(jazzy: Wire) -> None:
     grid = ros.grid_from_message(jazzy.map(walled))
     request = jazzy.to_pose(jazzy.stamped(6, 2, 0), jazzy.stamped(2, 2, 0))
     assert ros.answer(request, grid, COST, effort=50_000).code == 208
-
-
-@pytest.mark.parametrize("codes", [ros.ToPoseError, ros.ThroughPosesError])
-def test_every_error_has_a_code(codes: Any) -> None:
-    base = codes.UNKNOWN
-    for error, code in (
-        (EnergyPlanError("?"), base), (MessageError("?"), base),
-        (UnsupportedPlannerError("?"), base + 1), (FrameError("?"), base + 2),
-        (StartInCollisionError("?"), base + 5), (GoalInCollisionError("?"), base + 6),
-        (TimeLimitError("?"), base + 7), (NoPathError("?"), base + 8),
-    ):  # fmt: skip
-        assert ros.error_code(error, codes) == code
-    assert ros.error_code(OutsideMapError("?"), codes) == base
 
 
 @pytest.mark.parametrize(("last", "code"), [((9, 2, 0), 304), ((7.7, 2, 0), 306)])

@@ -31,7 +31,7 @@ from energyplan.errors import (
 from energyplan.io.tables import write_contours, write_energies
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import Residual
-from energyplan.studies.energy_map import most_power, upper_prices
+from energyplan.studies.energy_map import upper_prices
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 
@@ -92,15 +92,6 @@ def test_there_and_back_takes_more_and_a_limit_cuts_off(found):
     assert np.array_equal(np.isfinite(near.energy), found.energy <= 1500.0)
     assert near.complete_to == 1500.0
     assert near.reachable(1500.0) == found.reachable(1500.0) < found.reachable(3000.0)
-
-
-def test_driving_backwards_counts_where_it_costs_more():
-    model = PowerModel.preset("quadriga:empty:concrete")
-    problem = PlanningProblem(hall(), EnergyCost(model), (3, 6, 0.0), (3, 6, 0.0))
-    home = energy_map(problem, back=(3, 2, 0.0))
-    away = energy_map(problem)
-    # from a place on the way home there is not much to add
-    assert home.energy_at((3, 4)) < away.energy_at((3, 2)) * 1.25 + 300.0
 
 
 def test_contours_hold_one_another_and_their_places():
@@ -166,13 +157,6 @@ def test_one_unknown_scales_all_prices():
     assert sure.confidence == 0.95
 
 
-def test_half_of_the_drives_take_less_than_expected():
-    cost = doubtful(np.diag((0.1 * COST.model.coefficients) ** 2))
-    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
-    half, expected = energy_map(problem, confidence=0.5), energy_map(problem)
-    assert np.array_equal(half.energy, expected.energy)
-
-
 @pytest.mark.parametrize("goal", [(10.5, 7.5), (8.0, 1.0)])
 def test_told_with_confidence_is_what_so_many_robots_take_at_most(goal):
     rng = np.random.default_rng(5)
@@ -214,10 +198,3 @@ def test_nothing_known_of_a_model_is_nothing_told_with_confidence():
         energy_map(problem, confidence=95, coefficient_spread=0.1)
     spread = energy_map(problem, confidence=0.95, coefficient_spread=0.1)
     assert spread.energy_at((8, 1)) > energy_map(problem).energy_at((8, 1))
-
-
-def test_no_motion_takes_more_than_the_most_power():
-    most = most_power(COST)
-    rates = np.linspace(-1, 1, 21)
-    powers = COST.segment_energy(rates, 1.0) / COST.segment_duration(rates, 1.0)
-    assert powers.max() <= most * (1 + 1e-3)

@@ -14,7 +14,7 @@ from energyplan.output.plots.drives import (
     residual_against,
     rounds,
     tread_speeds,
-)
+)  # fmt: skip
 from energyplan.output.plots.routes import (
     energy_map,
     mission_charge,
@@ -23,7 +23,7 @@ from energyplan.output.plots.routes import (
     route,
     routes,
     state_of_charge,
-)
+)  # fmt: skip
 from energyplan.output.plots.style import (
     BLACK,
     BLUE,
@@ -36,34 +36,11 @@ from energyplan.output.plots.style import (
     YELLOW,
     figure,
     legend,
-)
+)  # fmt: skip
 
 __all__ = [
-    "BLACK",
-    "BLUE",
-    "GREEN",
-    "ORANGE",
-    "PURPLE",
-    "RED",
-    "SKY",
-    "WIDTH",
-    "YELLOW",
-    "bin_means",
-    "breakdown",
-    "energy_map",
-    "energy_over_time",
-    "feasible_region",
-    "figure",
-    "legend",
-    "mission_charge",
-    "mission_map",
-    "occupancy",
-    "power_over_time",
-    "prediction",
-    "residual_against",
-    "rounds",
-    "route",
-    "routes",
-    "state_of_charge",
-    "tread_speeds",
-]
+    "BLACK", "BLUE", "GREEN", "ORANGE", "PURPLE", "RED", "SKY", "WIDTH", "YELLOW", "bin_means",
+    "breakdown", "energy_map", "energy_over_time", "feasible_region", "figure", "legend",
+    "mission_charge", "mission_map", "occupancy", "power_over_time", "prediction",
+    "residual_against", "rounds", "route", "routes", "state_of_charge", "tread_speeds",
+]  # fmt: skip

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import matplotlib.collections
-import matplotlib.colors
+import matplotlib.lines
 import matplotlib.patches
 import matplotlib.path
 import matplotlib.transforms
@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 from matplotlib.figure import Figure
 
+from energyplan.output.plots import style
 from energyplan.path import Path
 
 if TYPE_CHECKING:
@@ -25,21 +26,6 @@ if TYPE_CHECKING:
     from energyplan.studies.energy_map import EnergyMap
     from energyplan.terrain import OccupancyGrid
 
-from energyplan.output.plots.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    LINES,
-    ORANGE,
-    PURPLE,
-    RED,
-    SKY,
-    WIDTH,
-    YELLOW,
-    figure,
-    legend,
-)
-from energyplan.output.plots.style import label as style_label
 
 TOP = (0.5, 1.0)
 """Where a map lies in the room left by a bar of colours: else no room is made for what is above."""
@@ -47,21 +33,12 @@ TOP = (0.5, 1.0)
 OCCUPIED, UNKNOWN = 0.25, 0.85
 """Greys of cells, from black to white."""
 
-MARK = 5.0
-"""Half of the room that the mark of a place takes, its edge included [points]."""
+MARK = 6.0
+"""Half of the size of the mark of a place [points]."""
 
 
 def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
-    """Draw a map's occupied cells, and those of which it knows nothing in a light grey.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> [float(x) for x in occupancy(figure().axes[0], hall).get_xlim()]
-    [0.0, 6.0]
-    """
+    """Draw a map's occupied cells, and those of which it knows nothing in a light grey."""
     x, y, yaw = (float(v) for v in grid.origin)
     rows, columns = grid.occupied.shape
     shade = np.where(grid.occupied, OCCUPIED, np.nan)
@@ -84,20 +61,8 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
 
 
 def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure:
-    """Draw the energy that each place takes, over its map.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> made = energy_map(ep.energy_map(problem), hall)
-    >>> made.axes[-1].get_xlabel()
-    'energy to get there [kJ]'
-    """
-    made = figure(size=(WIDTH, 4.4))
+    """Draw the energy that each place takes, over its map."""
+    made = style.figure(size=(style.WIDTH, 4.4))
     ax = occupancy(made.axes[0], grid)
     energy = np.ma.masked_invalid(found.energy / 1e3)
     rows, columns = energy.shape
@@ -115,9 +80,9 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
             along, up, energy, most * np.arange(1, levels) / levels, colors="white",
             linewidths=0.8, zorder=3, transform=turn + ax.transData,
         )  # fmt: skip
-    ax.plot(found.start.x, found.start.y, "o", color=ORANGE, ms=7, zorder=4)
+    ax.plot(found.start.x, found.start.y, "o", color=style.ORANGE, ms=7, zorder=4)
     if found.back is not None and found.back != found.start:
-        ax.plot(found.back.x, found.back.y, "s", color=RED, ms=7, zorder=4)
+        ax.plot(found.back.x, found.back.y, "s", color=style.RED, ms=7, zorder=4)
     ways = "to get there" if found.back is None else "to get there and back"
     sure = "" if found.confidence is None else f", with {100 * found.confidence:g} %"
     label = f"energy {ways}{sure} [kJ]"
@@ -126,19 +91,9 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
 
 
 def route(
-    ax: Axes, path: Path, label: str, color: str = BLUE, dash: str = "-", arrows: bool = True
+    ax: Axes, path: Path, label: str, color: str = style.BLUE, dash: str = "-", arrows: bool = True
 ) -> Axes:
-    """Draw a path, its start and, with `arrows`, its headings.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> path = ep.Path(ep.Pose(1, 2, 0), ds=[3.0], dtheta=[0.0])
-    >>> route(occupancy(figure().axes[0], hall), path, "straight on").get_ylabel()
-    'y [m]'
-    """
+    """Draw a path, its start and, with `arrows`, its headings."""
     poses = path.poses()
     ax.plot(poses[:, 0], poses[:, 1], color=color, ls=dash, lw=2, label=label, zorder=3)
     ax.plot(*poses[0, :2], "o", color=color, ms=5, zorder=3)
@@ -159,49 +114,22 @@ def routes(
     title: str = "",
     surfaces: Sequence[tuple[str, BaseGeometry]] = (),
 ) -> Figure:
-    """Draw routes on a map.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    paths : mapping of str to Path
-        Routes by label.
-    title : str
-        Title of the figure.
-    surfaces : sequence of (name, shapely polygon)
-        Ground to colour.
-
-    Returns
-    -------
-    Figure
-        One axes.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> path = ep.Path(ep.Pose(1, 2, 0), ds=[3.0], dtheta=[0.0])
-    >>> made = routes(hall, {"straight on": path})
-    >>> [text.get_text() for text in made.axes[0].get_legend().get_texts()]
-    ['straight on']
-    """
+    """Draw routes on a map."""
     rows, columns = grid.occupied.shape
-    height = float(np.clip((WIDTH - 0.7) * rows / columns + 1.0, 2.4, 7.5))
-    made = figure(size=(WIDTH, height))
+    height = float(np.clip((style.WIDTH - 0.7) * rows / columns + 1.0, 2.4, 7.5))
+    made = style.figure(size=(style.WIDTH, height))
     ax = occupancy(made.axes[0], grid)
     _surfaces(ax, surfaces)
-    for (label, path), (color, dash) in zip(paths.items(), LINES, strict=False):
+    for (label, path), (color, dash) in zip(paths.items(), style.LINES, strict=False):
         route(ax, path, label, color, dash)
     made.suptitle(title, x=0.01, ha="left", fontsize="large")
     if paths or surfaces:
-        legend(ax, above=True)
+        style.legend(ax, above=True)
     return made
 
 
 def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
-    tints = (SKY, ORANGE, GREEN, PURPLE, YELLOW)
+    tints = (style.SKY, style.ORANGE, style.GREEN, style.PURPLE, style.YELLOW)
     names = list(dict.fromkeys(name for name, _ in surfaces))
     for name, area in surfaces:
         outline = mpl.path.Path.make_compound_path(
@@ -211,28 +139,12 @@ def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
                 for ring in (part.exterior, *part.interiors)
             )
         )
-        tint = RED if name == "keep-out" else tints[names.index(name) % len(tints)]
+        tint = style.RED if name == "keep-out" else tints[names.index(name) % len(tints)]
         ax.add_patch(mpl.patches.PathPatch(outline, color=tint, alpha=0.2, lw=0, label=name))
 
 
 def mission_map(report: MissionReport) -> Figure:
-    """Draw a mission's route, coloured by power, and its tasks: crossed where unreachable.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> mission = ep.Mission(
-    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
-    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
-    ...     planning_effort=1000, coefficient_spread=0.05,
-    ... )
-    >>> report = ep.evaluate(mission)
-    >>> mission_map(report).axes[-1].get_xlabel()
-    'power [W]'
-    """
+    """Draw a mission's route, coloured by power, and its tasks: crossed where unreachable."""
     mission, line = report.mission, report.timeline
     areas = mission.surfaces.polygons if mission.surfaces else ()
     made = routes(mission.map, {}, surfaces=areas)
@@ -247,15 +159,40 @@ def mission_map(report: MissionReport) -> Figure:
     ax.add_collection(drawn)
     made.set_figheight(made.get_figheight() + 0.7)
     made.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40, panchor=TOP)
-    verdicts = {task.name: task.verdict == "reachable" for task in report.tasks}
-    places = [("start", mission.start, "s", BLACK)]
-    for task in mission.tasks:
-        good = verdicts[task.name]
-        places.append((task.name, task.pose, "o" if good else "X", GREEN if good else RED))
-    places += [(charger.name, charger.pose, "P", BLUE) for charger in mission.chargers]
-    for _, pose, marker, color in places:
-        ax.plot(pose.x, pose.y, marker, color=color, ms=2 * MARK - 2, mec="white", zorder=5)
-    _name_places(made, {name: (pose.x, pose.y) for name, pose, *_ in places}, points)
+    stops = [stop.name for stop in report.route]
+    good = {task.name for task in report.tasks if task.verdict == "reachable"}
+    ordered = sorted(
+        mission.tasks, key=lambda task: stops.index(task.name) if task.name in stops else len(stops)
+    )
+    places = [("S", "start", mission.start, "s", style.BLACK)]
+    places += [
+        (
+            str(k),
+            task.name,
+            task.pose,
+            *(("o", style.GREEN) if task.name in good else ("X", style.RED)),
+        )
+        for k, task in enumerate(ordered, start=1)
+    ]
+    places += [("C", charger.name, charger.pose, "P", style.BLUE) for charger in mission.chargers]
+    signs: dict[tuple[float, float], list[str]] = {}
+    for sign, _, pose, marker, color in places:
+        ax.plot(pose.x, pose.y, marker, color=color, ms=2 * MARK, mec="white", zorder=5)
+        signs.setdefault((pose.x, pose.y), []).append(sign)
+    for at, names in signs.items():
+        ax.annotate(
+            ",".join(names), at, ha="center", va="center_baseline", color="white", zorder=6,
+            fontsize="x-small", fontweight="bold",
+        )  # fmt: skip
+    handles = [
+        mpl.lines.Line2D(
+            [], [], marker=marker, color=color, ls="none", mec="white", ms=2 * MARK - 2,
+            label=f"{sign}  {_short(name)}" + ("" if marker != "X" else " (out of reach)"),
+        )
+        for sign, name, _, marker, color in places
+    ]  # fmt: skip
+    made.legend(handles=handles, loc="outside lower left", ncols=2, frameon=False, fontsize="small")
+    made.set_figheight(made.get_figheight() + 0.2 * -(-len(handles) // 2))
     return made
 
 
@@ -264,105 +201,27 @@ def _short(name: str) -> str:
     return name if len(name) <= 28 else f"{name[:27]}…"
 
 
-def _name_places(figure: Figure, places: Mapping[str, tuple[float, float]], line: Any) -> None:
-    """Write names beside places: off marks, lines and each other, within the axes if possible."""
-    ax = figure.axes[0]
-    marks = list(places.values())
-    notes = [
-        ax.annotate(
-            _short(name), at, xytext=(0, 0), textcoords="offset points", fontsize="small", zorder=6,
-            va="bottom",
-            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
-            arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "0.4", "shrinkA": 0},
-        )
-        for name, at in places.items()
-    ]  # fmt: skip
-    for note in notes:
-        note.set_in_layout(False)  # names must not move the map that they are placed on
-    figure.draw_without_rendering()
-    scale = figure.dpi / 72
-    frame = ax.get_window_extent()
-    drawn = ax.transData.transform(line)
-    steps = np.linspace(0.0, 1.0, 50)[:, None, None]  # closer than a name is high
-    between = drawn[:-1] + steps * np.diff(drawn, axis=0)
-    busy_x, busy_y = np.vstack([between.reshape(-1, 2), ax.transData.transform(marks)]).T.copy()
-    half = MARK * scale
-    taken: list[Any] = [(at - half, at + half) for at in ax.transData.transform(marks)]
-    turns = np.arange(16) * np.pi / 8 + np.pi / 4
-    for note, at in zip(notes, marks, strict=True):
-        box = note.get_window_extent()
-        wide, high = box.width + 2 * scale, box.height + 2 * scale
-        centre = ax.transData.transform(at)
-        best, least = (0.0, 0.0), np.inf
-        for gap in (7.0, 16.0, 28.0):
-            for turn in turns:
-                way = np.array([np.cos(turn), np.sin(turn)])
-                middle = centre + way * (gap * scale + 0.5 * np.abs(way) * (wide, high))
-                low, top = (
-                    middle - 0.5 * np.array([wide, high]),
-                    middle + 0.5 * np.array([wide, high]),
-                )
-                out = np.any(low < frame.min) or np.any(top > frame.max)
-                hit = sum(bool(np.all(low < b) and np.all(a < top)) for a, b in taken)
-                price = 1e6 * out + 1e4 * hit + gap
-                if price < least:
-                    beside = (busy_x > low[0]) & (busy_x < top[0])
-                    over = beside & (busy_y > low[1]) & (busy_y < top[1])
-                    price += 10.0 * np.count_nonzero(over)
-                if price < least:
-                    best, least, place = tuple((low - centre) / scale + 1), price, (low, top)
-        note.set_position(best)
-        taken.append(place)
-
-
 def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
-    """Draw the state of charge over a mission, its band at the mission's confidence, the reserve.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    report : MissionReport
-        The mission's evaluation.
-
-    Returns
-    -------
-    Axes
-        `ax`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> mission = ep.Mission(
-    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
-    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
-    ...     planning_effort=1000, coefficient_spread=0.05,
-    ... )
-    >>> report = ep.evaluate(mission)
-    >>> state_of_charge(figure().axes[0], report).get_ylabel()
-    'state of charge [%]'
-    """
+    """Draw the state of charge over a mission, its band, and the reserve."""
     line, mission = report.timeline, report.mission
     minutes = line.t / 60
-    band = f"{100 * mission.confidence:.0f} % on either side"
+    band = f"{100 * mission.confidence:.0f} % band"
     ax.fill_between(
-        minutes, 100 * line.soc_lower, 100 * line.soc_upper, color=SKY, alpha=0.5, lw=0, label=band
-    )
-    ax.plot(minutes, 100 * line.soc, color=BLUE, lw=1.5, label="expected")
-    ax.axhline(100 * mission.reserve, color=RED, ls="--", lw=1.2, label="reserve")
-    style_label(ax, "time [min]", "state of charge [%]", "")
+        minutes, 100 * line.soc_lower, 100 * line.soc_upper, color=style.SKY, alpha=0.5, lw=0,
+        label=band,
+    )  # fmt: skip
+    ax.plot(minutes, 100 * line.soc, color=style.BLUE, lw=1.5, label="expected")
+    ax.axhline(100 * mission.reserve, color=style.RED, ls="--", lw=1.2, label="reserve")
+    style.label(ax, "time [min]", "state of charge [%]", "")
     ax.set_ylim(0, 105)
-    legend(ax, above=True)
+    style.legend(ax, above=True)
     return ax
 
 
 def visits(ax: Axes, report: MissionReport) -> Axes:
     """Draw when the robot is where: a bar for each stop, with its name beside the axis."""
     names = list(dict.fromkeys(stop.name for stop in report.route))
-    colors = {"charge": BLUE, "task": GREEN, "start": BLACK, "end": BLACK}
+    colors = {"charge": style.BLUE, "task": style.GREEN, "start": style.BLACK, "end": style.BLACK}
     for stop in report.route:
         begin, stay = stop.arrival / 60, (stop.departure - stop.arrival) / 60
         row = names.index(stop.name)
@@ -370,30 +229,14 @@ def visits(ax: Axes, report: MissionReport) -> Axes:
         ax.plot(begin, row, "|", color=colors[stop.kind], ms=8)
     ax.set_yticks(range(len(names)), [_short(name) for name in names], fontsize="small")
     ax.set_ylim(len(names) - 0.5, -0.5)
-    style_label(ax, "time [min]", "", "")
+    style.label(ax, "time [min]", "", "")
     return ax
 
 
 def mission_charge(report: MissionReport) -> Figure:
-    """Draw charge over a mission, where the robot is, and the power at the battery.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> mission = ep.Mission(
-    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
-    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
-    ...     planning_effort=1000, coefficient_spread=0.05,
-    ... )
-    >>> report = ep.evaluate(mission)
-    >>> [ax.get_ylabel() for ax in mission_charge(report).axes]
-    ['state of charge [%]', '', 'power [W]']
-    """
+    """Draw charge over a mission, where the robot is, and the power at the battery."""
     count = len({stop.name for stop in report.route})
-    made = Figure(figsize=(WIDTH, 4.2 + 0.22 * count), layout="constrained")
+    made = Figure(figsize=(style.WIDTH, 4.2 + 0.22 * count), layout="constrained")
     charge, where, power = made.subplots(
         3, 1, sharex=True, height_ratios=(2.2, 0.3 + 0.22 * count, 1.4)
     )
@@ -403,8 +246,19 @@ def mission_charge(report: MissionReport) -> Figure:
     state_of_charge(charge, report)
     visits(where, report)
     line = report.timeline
-    power.step(line.t / 60, line.power, color=BLACK, lw=0.8, where="post", rasterized=True)
-    style_label(power, "time [min]", "power [W]", "")
+    minutes = line.t / 60
+    moved = np.any(np.diff(np.column_stack([line.x, line.y, line.yaw]), axis=0) != 0, axis=1)
+    driving = np.append(moved, False)
+    for which, color, name in (
+        (driving, style.BLUE, "driving"),
+        (~driving, style.GREEN, "standing"),
+    ):
+        power.fill_between(
+            minutes, np.where(which, line.power, 0.0), step="post", color=color, lw=0.4,
+            label=name, rasterized=True,
+        )  # fmt: skip
+    style.label(power, "time [min]", "power [W]", "")
+    style.legend(power, above=True)
     for ax in (charge, where):
         ax.set_xlabel("")
     return made
