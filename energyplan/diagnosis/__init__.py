@@ -32,6 +32,7 @@ from energyplan.diagnosis.judge import (
     size_spread,
     tested,
     with_contacts,
+    without_mimics,
 )
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
@@ -290,7 +291,11 @@ class _Case:
             )  # fmt: skip
 
         outcome = test(parts)
+        mimics: list[str] = []
         maps: tuple[Part, ...] = ()
+        if choose and outcome.doubtful:
+            parts, mimics = without_mimics(best.problem, parts)
+            outcome = test(parts) if mimics else outcome
         if choose and outcome.maps:
             maps = outcome.maps
             outcome = test(tuple(part for part in parts if part not in maps))
@@ -330,7 +335,7 @@ class _Case:
             *self.limits,
             *open_in_words(told.model, told.assumed),
             *ends_in_words(told.model),
-            *_advice.residual_advice(left, names),
+            *_advice.residual_advice(left, names, mimics),
             *_advice.map_advice([part.effect.name for part in maps]),
             *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
@@ -369,7 +374,7 @@ class _Case:
             paper=replace(self.paper, residual=errors[0]),
             dependences_before=told_before,
             dependences_after=outcome.dependences,
-            withdrawn=tuple(part.effect.name for part in maps),
+            withdrawn=(*mimics, *(part.effect.name for part in maps)),
             predictions_before=self._on_given_samples(before),
             predictions_after=self._on_given_samples(after),
             explanations=others,

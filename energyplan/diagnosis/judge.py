@@ -24,11 +24,11 @@ from energyplan.diagnosis.result import (
     Explanation,
     FoundEffect,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, Presence, SearchResult, presence
+from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, Presence, SearchResult, presence
 from energyplan.errors import VehicleError
 from energyplan.fit.doubts import Adequacy, adequacy, left_over, shown_of_contacts, statistics
 from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late
-from energyplan.fit.estimate import PAPER, Problem, RunSpread, joint_fit
+from energyplan.fit.estimate import PAPER, Fit, Problem, RunSpread, difference, fit, joint_fit
 from energyplan.fit.regressors import (
     equations_of,
     held_forces,
@@ -529,10 +529,48 @@ class _Case:
 # -- a set of effects as a model, and what that leaves of the training drives ----------------------
 
 
+_MOSTLY = 0.3
+"""Share of the error from which on a channel is asked whether it makes effects unnecessary."""
+
+
 def smooth_part(found: Dependence) -> Part:
     """Return the smooth term of a dependence as an effect."""
     term = empirical_term(f"empirical_{found.carrier}_{found.channel}", found.knots, found.values)
     return Part(Effect.of(term, planner="where it knows the channel"))
+
+
+def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], list[str]]:
+    """Take out effects that only stand in for what the catalogue does not have.
+
+    A smooth term of the channel that explains most without them is what they may stand in for.
+    """
+    usual = [part for part in parts if part.effect.usual or not part.terms]
+    if not any(part.terms and not part.effect.usual for part in parts):
+        return parts, []
+    shapes = dependences(problem, terms_of(usual))
+    best = next((one for one in shapes if one.knots), None)
+    if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
+        return parts, []
+    smooth = smooth_part(best)
+    others = [part for part in parts if part not in usual]
+    errors = problem.reference(problem.design(terms_of(parts)))
+
+    def loss(some: Sequence[Part]) -> Fit:
+        return fit(problem.design(terms_of(some), errors), errors)
+
+    gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
+    model = final_fit(problem, parts).model
+    adequate = adequacy(problem.drives, left_over(model, problem.drives)).adequate
+    if gap <= (max(error, WORTHWHILE * len(errors)) if adequate else -error):
+        return parts, []
+    kept, gone = list(parts), list[str]()
+    for part in [*others, *(part for part in usual if part.terms)]:
+        rest = [other for other in kept if other is not part]
+        gap, error = difference(loss([*rest, smooth]).losses, loss([*kept, smooth]).losses)
+        if gap <= max(error, WORTHWHILE * len(errors)):
+            kept = rest
+            gone.append(part.effect.name)
+    return tuple(kept), gone
 
 
 _TELLING = 0.1
@@ -564,6 +602,19 @@ class Tested:
     def first(self) -> Dependence | None:
         """The reason that explains most; what differs from drive to drive hides no other one."""
         return _first(self.left)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether effects may only stand in for a smooth dependence.
+
+        What was looked for at any time or place fits anything. What has a constant that was looked
+        for, such as a time constant, fits much: it is doubted where the rest still depends on a
+        channel. Other effects of the motion foretell other drives, whatever is behind them.
+        """
+        kinds = {part.effect.acts for part in self.effects}
+        searched = any(p.terms and p.effect.grid and not p.effect.usual for p in self.effects)
+        rest = self.first is not None and bool(self.first.knots)
+        return bool(kinds & {"change", "place"}) or (searched and rest)
 
     @property
     def maps(self) -> tuple[Part, ...]:

@@ -134,7 +134,8 @@ class Diagnosis(html.Readable):
     dependences_before, dependences_after : tuple of Dependence
         How the residual on the training drives depends on every signal, before and after.
     withdrawn : tuple of str
-        Borders that were removed, as they probably stand for something else.
+        Effects that helped only as long as an unexplained channel was left out, and borders that
+        probably stand for something else.
     predictions_before, predictions_after : tuple of ndarray
         Predicted power of each hold-out drive [W].
     explanations : tuple of Explanation
@@ -329,7 +330,9 @@ def mass_advice(model: PowerModel, effects: Sequence[str]) -> list[str]:
     return lines
 
 
-def residual_advice(unexplained: Sequence[Dependence], effects: Sequence[str]) -> list[str]:
+def residual_advice(
+    unexplained: Sequence[Dependence], effects: Sequence[str], mimics: Sequence[str] = ()
+) -> list[str]:
     """Say that what was found may stand for something the catalogue does not have."""
     if not unexplained:
         return []
@@ -342,9 +345,15 @@ def residual_advice(unexplained: Sequence[Dependence], effects: Sequence[str]) -
             f"the residual still depends on {first.channel} ({first.shape}): {names} may stand in "
             "for something that the catalogue does not have"
         ]
-    return [
+    lines = [
         f"no effect of the catalogue fits; look at what changes with {first.channel}: {first.shape}"
     ]
+    if mimics:
+        names = ", ".join(_plain(name) for name in mimics)
+        lines.append(
+            f"{names} helped only as long as {first.channel} was left out, and was dropped"
+        )
+    return lines
 
 
 def map_advice(maps: Sequence[str]) -> list[str]:

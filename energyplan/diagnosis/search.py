@@ -879,9 +879,7 @@ class Search:
     def _classed(self, ranked: Sequence[EffectSet]) -> list[EffectSet]:
         """Say of each explanation which others these drives cannot tell it from.
 
-        Of those the one is first whose masses are most like the vehicle's; where these hardly tell
-        either, the one whose effects the catalogue has first: losses while returning power stand
-        before those while drawing, which divide all other sizes.
+        Of equally probable ones the one is first whose effects the catalogue has first.
         """
         compared = [one for one in ranked if one.probability > _COMPARED]
         accounts = []
@@ -893,8 +891,7 @@ class Search:
         told = list(ranked)
         for k, one in enumerate(compared):
             alike = (j for j in range(len(compared)) if j != k and number[j] == number[k])
-            names = tuple(compared[j].names for j in alike)
-            told[k] = replace(one, alike=names)
+            told[k] = replace(one, alike=tuple(compared[j].names for j in alike))
         order = {effect.name: k for k, effect in enumerate(self.quick.effects)}
         places = [sorted(order.get(name, -1) for name in one.names) for one in told]
         shares = [-round(one.probability, 3) for one in told]
@@ -925,7 +922,7 @@ class Search:
         full = self._fitted(problem, parts)
         for k, part in enumerate(parts):
             if part.effect.acts == "place":
-                parts[k] = self._nearest(parts, k, full) or part
+                parts[k] = self._nearest(parts, k, full)
                 full = self._fitted(problem, parts)
         gains = []
         for part in parts:
@@ -1019,23 +1016,13 @@ class Search:
 
         What a value of the grid beside the true one leaves would look like one effect or another.
         """
-        self._settle_some(weighed, pools, lambda one: bool(one.part.params) and not one.settled)
-
-    def _settle_some(
-        self,
-        weighed: Weighed,
-        pools: Mapping[Late, list[Candidate]],
-        which: Callable[[Candidate], bool],
-        kept: int = _KEPT,
-    ) -> None:
-        """Weigh the best set with the parameters of some of its effects where it fits best."""
         chosen, late = most_probable(weighed)
         candidates, now = pools[late], tuple(sorted(chosen))
         one = self._evaluate(now, candidates, late)
         moved: Set | None = None
         for k in now:
-            if which(candidates[k]):
-                moved = self._settle(k, moved or now, candidates, one, kept) or moved
+            if candidates[k].part.params and not candidates[k].settled:
+                moved = self._settle(k, moved or now, candidates, one) or moved
         if moved is not None:
             self._weigh(weighed, moved, candidates, late)
 
@@ -1062,20 +1049,15 @@ class Search:
             self._weigh(weighed, tuple(sorted(chosen)), pools[moved], moved)
 
     def _settle(
-        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated, kept: int = _KEPT,
-        least: float = -np.inf,
-    ) -> Set | None:  # fmt: skip
+        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
+    ) -> Set | None:
         """Return a set with a candidate's parameters moved to where it fits best, if it does.
 
-        What is moved becomes a further candidate, as probable before the data as it was. A line
-        has to raise the logarithm of the likelihood by `least`.
+        What is moved becomes a further candidate, as probable before the data as it was.
         """
         parts, at = [candidates[j].part for j in chosen], chosen.index(k)
         if parts[at].effect.acts == "place":
-            line = self._nearest(parts, at, now, kept, least)
-            if line is None:
-                return None
-            parts[at] = line
+            parts[at] = self._nearest(parts, at, now, _KEPT)
         part, made = parts[at], self._moved(parts, at, now.problem)
         better = settled(part, made, now.errors)
         if better is None:
@@ -1089,14 +1071,13 @@ class Search:
         return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
 
     def _nearest(
-        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST,
-        least: float = -np.inf,
-    ) -> Part | None:  # fmt: skip
+        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST
+    ) -> Part:
         """Return the line with which a set fits best, of many: the nearest to start from.
 
         Wheels cross a border one after the other, so that lines beside the best one are worse than
         others that are far from it. About the best of a grid further ones are tried, closer and
-        closer to each other. None where none of that grid tells as much as `least`.
+        closer to each other.
         """
         problem = now.problem.thinned(_SAMPLES)
         about = self.quick.about(now.problem, now.parts, now.errors)
@@ -1106,13 +1087,12 @@ class Search:
         for level in range(ground.levels + 1):
             if level:
                 best = list(ground.about(best, level))
-            tables = [
-                self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
-                for k in range(0, len(best), _TOGETHER)
-            ]
-            scores = np.concatenate([table[1:] for table in tables])
-            if scores.max() < tables[0][0] + least:
-                return None
+            scores = np.concatenate(
+                [
+                    self._alone(rest, best[k : k + _TOGETHER], problem, about, now.errors)
+                    for k in range(0, len(best), _TOGETHER)
+                ]
+            )
             ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
             best = ground.apart(ranked, level)[:kept]
         return best[0]
@@ -1121,7 +1101,7 @@ class Search:
         self, rest: Sequence[Part], new: Sequence[Part], problem: Problem, about: About,
         errors: FloatArray,
     ) -> FloatArray:  # fmt: skip
-        """Score a set, and the set with one of several further parts each."""
+        """Score a set with one of several further parts each."""
         candidates, first = [], len(PAPER)
         for part in (*rest, *new):
             columns = tuple(range(first, first + len(part.terms)))
@@ -1129,7 +1109,7 @@ class Search:
             candidates.append(Candidate(part, columns, 0.0))
         design = self.quick.table(problem, candidates, about)
         own = tuple(range(len(rest)))
-        sets = [own, *((*own, len(rest) + k) for k in range(len(new)))]
+        sets = [(*own, len(rest) + k) for k in range(len(new))]
         return self.quick.scores(design, candidates, sets, errors)
 
     def _settled_lines(
