@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
+from pydantic import BaseModel, ValidationInfo, field_validator
 
 
 def _plain(value: Any) -> Any:
@@ -83,3 +84,20 @@ class ByValue(ReadOnly):
 
     def __hash__(self) -> int:
         return hash(tuple(map(_key, _compared(self))))
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+class Checked(BaseModel):
+    """What a mapping holds: no number is written as true or false."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth(cls, value: Any, info: ValidationInfo) -> Any:
+        parts = value if isinstance(value, list) else [value]
+        kind = cls.model_fields[info.field_name or ""].annotation
+        allowed = kind in (Any, bool) or bool in get_args(kind)
+        if not allowed and any(isinstance(part, bool) for part in parts):
+            raise ValueError("Input should be a number or a text")
+        return value

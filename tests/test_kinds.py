@@ -280,7 +280,7 @@ HELD: list[Callable[[], object]] = [
         "hotel_load", "P_0", 40.2, "W", 0.6, Evidence(0.42, 0.06, 1e-8), details={"phase": 0.1}
     ),
     lambda: Effect.parse("tilted_plane=0.05,direction=1.57"),
-    lambda: Project("a", VEHICLE, {"t": Column("time")}, defaults={"mass": 3.0}),
+    lambda: Project("a", VEHICLE, {"t": Column(field="time")}, defaults={"mass": 3.0}),
 ]
 COPIES: dict[str, Callable[[Any], Any]] = {
     "copy": copy.copy,

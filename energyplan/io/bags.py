@@ -23,7 +23,7 @@ from types import MappingProxyType, SimpleNamespace, TracebackType
 from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, field_validator
 
 from energyplan.errors import (
     ConfigError,
@@ -32,12 +32,13 @@ from energyplan.errors import (
     MissingDependencyError,
     UnknownNameError,
 )
-from energyplan.io.documents import Checked, Document, Loc, load
+from energyplan.io.documents import Document, Loc, load
 from energyplan.io.files import is_file
 from energyplan.logs import DriveLog
 from energyplan.logs.align import AS_LOGGED, Series, align
 from energyplan.logs.clean import SetAside
 from energyplan.logs.guess import guess, side_of, words
+from energyplan.logs.mapping import UNITS, Column
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
 
@@ -58,23 +59,24 @@ _TERM = re.compile(
 )
 
 
-@lru_cache(maxsize=256)
-def _parse(formula: str) -> tuple[tuple[float, _Place], ...]:
+def _parse(formula: str) -> list[tuple[float, str]]:
     """Read a field, or a sum of fields with factors such as ``a.b-0.25*c.d``."""
-    terms: list[tuple[float, _Place]] = []
+    terms: list[tuple[float, str]] = []
     at = 0
     while at < len(formula.rstrip()):
         match = _TERM.match(formula, at)
         if match is None or (terms and not match[1]):
             raise ValueError(_FIELDS)
         weight = float(match[2] or 1.0)
-        terms.append((-weight if match[1] == "-" else weight, _place(match[3])))
+        _place(match[3])
+        terms.append((-weight if match[1] == "-" else weight, match[3].strip()))
         at = match.end()
     if not terms:
         raise ValueError(_FIELDS)
-    return tuple(terms)
+    return terms
 
 
+@lru_cache(maxsize=256)
 def _place(field: str) -> _Place:
     text = field.strip()
     heading = text.startswith("yaw(") and text.endswith(")")
@@ -82,11 +84,6 @@ def _place(field: str) -> _Place:
     if match is None:
         raise ValueError(_FIELDS)
     return _Place(tuple(match[1].split(".")), match[2], heading)
-
-
-def _read(message: Any, field: str) -> float:
-    """Return a number from a message; NaN where there is none."""
-    return sum(weight * _number(message, place) for weight, place in _parse(field))
 
 
 def _number(message: Any, place: _Place) -> float:
@@ -110,32 +107,28 @@ def _number(message: Any, place: _Place) -> float:
     return sum(found) / len(found) if found else nan
 
 
-class TopicSource(Checked, BaseModel):
-    """A message field that serves as a channel."""
+def _readable(column: Column) -> Column:
+    """Return a message's field, or a sum of fields with factors, as what serves as a channel."""
+    if not column.topic:
+        raise ValueError(f"give the topic of {column.field}")
+    if column.times is not None:
+        _place(column.times)
+    terms = _parse(column.written if column.plus else column.field)
+    weights = tuple(weight for weight, _ in terms)
+    first, *rest = (name for _, name in terms)
+    plain = all(weight == 1.0 for weight in weights)
+    parts = {"field": first, "plus": tuple(rest), "weights": () if plain else weights}
+    return column.model_copy(update=parts)
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
-    topic: str  # topic
-    field: str  # field of the message, such as ``angular_velocity.z``
-    scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
-    times: str | None = None  # A further field of the same message to multiply by
+def source(channel: str, topic: str, field: str) -> Column:
+    """Return what serves as a channel."""
+    return _readable(Column(topic=topic, field=field, channel=channel))
 
-    @field_validator("field", "times")
-    @classmethod
-    def _readable(cls, text: str | None) -> str | None:
-        if text is not None:
-            _parse(text)
-        return text
 
-    def matches(self, topic: str) -> bool:
-        """Tell whether a bag's topic is meant."""
-        wanted = self.topic.strip("/")
-        return topic.strip("/") == wanted or topic.endswith(f"/{wanted}")
-
-    def value(self, message: Any) -> float:
-        """Return the channel's value from a message; NaN where the field holds none."""
-        found = self.scale * _read(message, self.field)
-        return found if self.times is None else found * _read(message, self.times)
+def read_message(column: Column, message: Any) -> float:
+    """Return a channel's value from a message; NaN where the field holds none."""
+    return float(column.value(lambda field: _number(message, _place(field))))
 
 
 class TopicMap(BaseModel):
@@ -145,7 +138,7 @@ class TopicMap(BaseModel):
 
     kind: Literal["topics"] = "topics"  # what a YAML file of a topic map says it is
     name: str = "topics"  # what to call it
-    channels: dict[str, list[TopicSource]]  # the sources by channel
+    channels: dict[str, list[Annotated[Column, AfterValidator(_readable)]]]  # by channel
 
     @field_validator("channels", mode="before")
     @classmethod
@@ -153,6 +146,16 @@ class TopicMap(BaseModel):
         if not isinstance(value, dict):
             return value
         return {key: item if isinstance(item, list) else [item] for key, item in value.items()}
+
+    @field_validator("channels")
+    @classmethod
+    def _named(cls, value: dict[str, list[Column]]) -> dict[str, list[Column]]:
+        return {key: [one.changed(channel=key) for one in many] for key, many in value.items()}
+
+    def described(self) -> dict[str, Any]:
+        """Return the map as its file holds it."""
+        channels = {key: [one.described() for one in many] for key, many in self.channels.items()}
+        return {"name": self.name, "channels": channels}
 
     @classmethod
     def read(cls, source: str | Path) -> TopicMap:
@@ -287,14 +290,14 @@ _UNSOUND = (
 
 
 @dataclass(frozen=True)
-class BagTopic:
-    """A topic of a bag."""
+class LogEntry:
+    """A column of a table or a topic of a bag."""
 
-    name: str  # topic and message type
-    type: str  # topic and message type
-    count: int  # number of messages
-    rate: float  # messages per second over the bag's length [Hz]
-    serves: str  # channels that it could serve for
+    name: str  # its name
+    type: str  # type of the messages, or of the cells
+    count: int  # number of readings
+    rate: float  # readings per second [Hz]
+    serves: str  # channels that it serves for or could serve for
 
 
 @dataclass(frozen=True)
@@ -303,7 +306,7 @@ class BagInfo:
 
     name: str  # name of the file or folder
     duration: float  # time from the first to the last message [s]
-    topics: tuple[BagTopic, ...]  # the topics
+    topics: tuple[LogEntry, ...]  # the topics
 
 
 def is_bag(path: str | Path) -> bool:
@@ -317,7 +320,7 @@ def bag_info(path: str | Path) -> BagInfo:
     with opened_bag(Path(path)) as reader:
         duration = max(reader.duration, 1) * 1e-9
         topics = tuple(
-            BagTopic(
+            LogEntry(
                 name,
                 str(topic.msgtype or "several types"),
                 topic.msgcount,
@@ -365,8 +368,7 @@ def read_bag(
     for name, one in series.items():
         aligned = align(one, clock)
         channels[name] = aligned.values
-        source = chosen[name]
-        told = f"{name} is {source.topic} {source.source.field}"
+        told = f"{name} is {chosen[name].topic} {chosen[name].written}"
         if aligned.error is None and aligned.how == AS_LOGGED:
             plain.append(told)
             continue
@@ -378,22 +380,14 @@ def read_bag(
     return replace(log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings))
 
 
-@dataclass(frozen=True)
-class _Chosen:
-    """A bag's topic that serves as a channel."""
-
-    topic: str
-    source: TopicSource
-
-
-def _choose(mapping: TopicMap, names: list[str]) -> dict[str, _Chosen]:
+def _choose(mapping: TopicMap, names: list[str]) -> dict[str, Column]:
     """Pick each channel's first source that the bag has; of several topics the shortest."""
-    chosen: dict[str, _Chosen] = {}
+    chosen: dict[str, Column] = {}
     for channel, sources in mapping.channels.items():
-        for source in sources:
-            matching = sorted((n for n in names if source.matches(n)), key=len)
+        for one in sources:
+            matching = sorted((n for n in names if one.matches(n)), key=len)
             if matching:
-                chosen[channel] = _Chosen(matching[0], source)
+                chosen[channel] = one.changed(topic=matching[0])
                 break
     return chosen
 
@@ -406,7 +400,7 @@ def channels_served(mapping: TopicMap, names: list[str]) -> tuple[str, ...]:
 
 def _collect(
     reader: Any,
-    chosen: Mapping[str, _Chosen],
+    chosen: Mapping[str, Column],
     name: str,
     progress: Callable[[float], None] | None,
 ) -> tuple[dict[str, Series], list[SetAside], list[str]]:
@@ -425,7 +419,7 @@ def _collect(
                 arrivals[channel].append((arrival - start) * 1e-9)
                 stamp = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
                 stamps[channel].append((stamp - start) * 1e-9 if stamp else np.nan)
-                values[channel].append(choice.source.value(message))
+                values[channel].append(read_message(choice, message))
         if progress is not None and number % 1000 == 0:
             progress((arrival - start) / span)
     if progress is not None:
@@ -519,132 +513,120 @@ def _database_errors() -> tuple[type[Exception], ...]:
 _DEEPEST = 6
 _LONGEST = 16  # elements of an array that are looked at
 _SIDES = ("v_left", "v_right")
+_JOINTS, _ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
+_MEANING = {
+    ("sensor_msgs/msg/BatteryState", "voltage"): "voltage",
+    ("sensor_msgs/msg/BatteryState", "current"): "current",
+    ("sensor_msgs/msg/Imu", "angular_velocity.z"): "yaw_rate",
+    ("sensor_msgs/msg/Imu", "linear_acceleration.x"): "accel_x",
+    **{
+        (kind, f"{prefix}{field}"): channel
+        for kind, prefix in ((_ODOMETRY, "pose.pose."), ("geometry_msgs/msg/PoseStamped", "pose."))
+        for field, channel in (("position.x", "x"), ("position.y", "y"))
+    },
+    (_ODOMETRY, "yaw(pose.pose.orientation)"): "yaw",
+    ("geometry_msgs/msg/PoseStamped", "yaw(pose.orientation)"): "yaw",
+}
+"""Channels of the fields of message types, by type and field."""
 _ROLLING = {"wheel", "wheels", "track", "tread", "drivewhl", "drive", "whl"}
-
-
-class Number(NamedTuple):
-    """A number of a message: its topic, the message's type, the field, and a name for it."""
-
-    topic: str
-    type: str
-    field: str
-    label: str
 
 
 @dataclass(frozen=True)
 class BagFields:
     """Fields of a bag's messages that hold numbers, by a name that tells topic and field."""
 
-    fields: dict[str, Number]
+    fields: dict[str, Column]
+    types: dict[str, str]  # type of each topic's messages
 
-    def names(self) -> list[str]:
-        """Return the fields' names."""
-        return list(self.fields)
-
-    def channels(self) -> dict[str, list[Number]]:
-        """Guess the fields that make each channel; two of them are multiplied."""
-        found: dict[str, list[Number]] = {}
-        for rule in (self._typed, self._named):
-            for channel, sources in rule().items():
-                found.setdefault(channel, sources)
-        if {"voltage", "current"} <= set(self._typed()):
+    def channels(self) -> dict[str, Column]:
+        """Guess the field that makes each channel."""
+        typed = self._typed()
+        found = {**self._named(), **typed}
+        if {"voltage", "current"} <= set(typed):
             found.pop("power", None)  # a battery's own readings are surer than a name
-        if {"p_left", "p_right"} & set(found) and not {"p_left", "p_right"} <= set(found):
+        if not {"p_left", "p_right"} <= set(found):
             found = {k: v for k, v in found.items() if k not in ("p_left", "p_right")}
         return found
 
-    def twist(self, track: float) -> dict[str, list[Number]]:
+    def twist(self, track: float) -> dict[str, Column]:
         """Return tread speeds made from speed and turn rate of the body, of a track [m]."""
+        ahead, turn = "twist.twist.linear.x", "twist.twist.angular.z"
         for one in self.fields.values():
-            ahead, turn = "twist.twist.linear.x", "twist.twist.angular.z"
-            if one.type == "nav_msgs/msg/Odometry" and one.field == ahead:
+            if self.types[one.topic] == _ODOMETRY and one.field == ahead:
                 return {
-                    channel: [one._replace(field=f"{ahead}{sign}{0.5 * track:.6g}*{turn}",
-                                           label=f"{one.topic}.twist")]
+                    channel: source(channel, one.topic, f"{ahead}{sign}{0.5 * track:.6g}*{turn}")
                     for channel, sign in (("v_left", "-"), ("v_right", "+"))
-                }  # fmt: skip
+                }
         return {}
 
-    def _typed(self) -> dict[str, list[Number]]:
+    def _typed(self) -> dict[str, Column]:
         """Channels of the message types that ROS gives a meaning."""
-        found: dict[str, list[Number]] = {}
-        meaning = {
-            ("sensor_msgs/msg/BatteryState", "voltage"): "voltage",
-            ("sensor_msgs/msg/BatteryState", "current"): "current",
-            ("sensor_msgs/msg/Imu", "angular_velocity.z"): "yaw_rate",
-            ("sensor_msgs/msg/Imu", "linear_acceleration.x"): "accel_x",
-            ("nav_msgs/msg/Odometry", "pose.pose.position.x"): "x",
-            ("nav_msgs/msg/Odometry", "pose.pose.position.y"): "y",
-            ("nav_msgs/msg/Odometry", "yaw(pose.pose.orientation)"): "yaw",
-            ("geometry_msgs/msg/PoseStamped", "pose.position.x"): "x",
-            ("geometry_msgs/msg/PoseStamped", "pose.position.y"): "y",
-            ("geometry_msgs/msg/PoseStamped", "yaw(pose.orientation)"): "yaw",
-        }
-        for one in self.fields.values():
-            channel = meaning.get((one.type, one.field))
+        found: dict[str, Column] = {}
+        joints: dict[tuple[str, str], list[tuple[str, str]]] = {}
+        for label, one in self.fields.items():
+            kind = self.types[one.topic]
+            channel = _MEANING.get((kind, one.field))
             if channel is not None:
-                found.setdefault(channel, [one])
-            if one.type == "sensor_msgs/msg/JointState" and one.field.startswith("velocity["):
-                side = side_of(one.label)
-                if side:
-                    found.setdefault(f"v_{side}", []).append(one)
-        for channel in _SIDES:
+                unit = "-A" if channel == "current" else ""
+                found.setdefault(channel, one.changed(channel=channel, unit=unit))
+            if kind == _JOINTS and one.field.startswith("velocity[") and side_of(label):
+                joint = one.field.removeprefix("velocity[")[:-1]
+                joints.setdefault((side_of(label), one.topic), []).append((label, joint))
+        for (side, topic), every in joints.items():
             # Arms and steering have joints, too.
-            rolling = [one for one in found.get(channel, []) if _ROLLING & set(words(one.label))]
-            if rolling:
-                found[channel] = rolling
+            rolling = [joint for label, joint in every if _ROLLING & set(words(label))]
+            names = "|".join(rolling or [joint for _, joint in every])
+            channel = f"v_{side}"
+            found.setdefault(
+                channel, Column(topic=topic, field=f"velocity[{names}]", channel=channel)
+            )
         return found
 
-    def _named(self) -> dict[str, list[Number]]:
+    def _named(self) -> dict[str, Column]:
         """Channels that the names of topics and fields tell."""
         others = [
-            label
-            for label, one in self.fields.items()
-            if one.type not in ("sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry")
-        ]
+            label for label, one in self.fields.items()
+            if self.types[one.topic] not in (_JOINTS, _ODOMETRY)
+        ]  # fmt: skip
+        found = {
+            channel: self.fields[one.field].changed(channel=channel, unit="")
+            for channel, one in guess(others).items() if channel in UNITS and channel != "t"
+        }  # fmt: skip
         guesses = guess(others)
-        found = {channel: [self.fields[one.name]] for channel, one in guesses.items()}
         for side in ("left", "right"):
-            current = found.pop(f"current_{side}", None)
-            voltage = found.pop(f"voltage_{side}", None)
-            if f"p_{side}" in found or current is None:
+            channel, parts = (
+                f"p_{side}",
+                [guesses.get(f"{n}_{side}") for n in ("current", "voltage")],
+            )
+            if channel in found or None in parts:
                 continue
-            if voltage is not None and voltage[0].topic == current[0].topic:
-                found[f"p_{side}"] = [current[0], voltage[0]]
-        found.pop("t", None)
+            current, voltage = (self.fields[part.field] for part in parts if part is not None)
+            if voltage.topic == current.topic:
+                found[channel] = current.changed(channel=channel, times=voltage.field)
         return found
 
-    def wheel_rates(self, sources: dict[str, list[Number]]) -> bool:
+    def wheel_rates(self, sources: Mapping[str, Column]) -> bool:
         """Tell whether the tread speeds are rates of joints, which take a wheel radius."""
-        first = sources["v_left"][0]
-        said = set(words(first.label))
-        return first.type == "sensor_msgs/msg/JointState" or bool(
-            said & {"rate", "omega", "angular", "rpm", "joint"}
-        )
+        one = sources["v_left"]
+        rates = {"rate", "omega", "angular", "rpm", "joint"}
+        named = set(words(f"{one.topic}.{one.field}")) & rates if not one.plus else ()
+        return self.types[one.topic] == _JOINTS or bool(named)
 
-    def topic_map(self, sources: dict[str, list[Number]], radius: float, name: str) -> TopicMap:
+    def topic_map(self, sources: Mapping[str, Column], radius: float, name: str) -> TopicMap:
         """Return the topic map that reads these fields."""
-        channels: dict[str, list[dict[str, Any]]] = {}
-        for channel, fields in sources.items():
-            first = fields[0]
-            entry: dict[str, Any] = {"topic": first.topic, "field": first.field}
-            if channel in _SIDES:
-                if first.type == "sensor_msgs/msg/JointState" and len(fields) > 1:
-                    joints = (one.field.removeprefix("velocity[")[:-1] for one in fields)
-                    entry["field"] = f"velocity[{'|'.join(joints)}]"
-                if radius != 1.0:
-                    entry["scale"] = radius
-            elif len(fields) == 2:
-                entry["times"] = fields[1].field
-            if channel == "current" and first.type == "sensor_msgs/msg/BatteryState":
-                entry["scale"] = -1.0
-            channels[channel] = [entry]
-        return TopicMap.model_validate({"name": name, "channels": channels})
+        channels = {
+            channel: [
+                one.changed(unit=f"*{radius!r}") if channel in _SIDES and radius != 1.0 else one
+            ]
+            for channel, one in sources.items()
+        }
+        return TopicMap(name=name, channels=channels)
 
 
 def bag_fields(path: str | Path) -> BagFields:
     """List the numbers in the first message of each topic of a bag."""
-    fields: dict[str, Number] = {}
+    fields: dict[str, Column] = {}
+    types: dict[str, str] = {}
     with opened_bag(Path(path)) as reader:
         for name, topic in sorted(reader.topics.items()):
             connections = [one for one in reader.connections if one.topic == name]
@@ -653,10 +635,11 @@ def bag_fields(path: str | Path) -> BagFields:
                 continue
             connection, _, raw = first
             message = reader.deserialize(raw, connection.msgtype)
+            types[name] = str(topic.msgtype)
             for field in _numbers(message, "", 0):
                 label = re.sub(r"[\[\]()]+", ".", f"{name}.{field}").strip("/.")
-                fields[label] = Number(name, str(topic.msgtype), field, label)
-    return BagFields(fields)
+                fields[label] = Column(topic=name, field=field)
+    return BagFields(fields, types)
 
 
 def _numbers(message: Any, prefix: str, depth: int) -> Iterator[str]:

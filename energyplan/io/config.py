@@ -97,14 +97,6 @@ class _Vehicle(_Strict):
     tracking_tolerance: Number | None = None
 
 
-class _Column(_Strict):
-    column: str
-    unit: str | None = None
-    times: str | None = None
-    plus: list[str] = []
-    weights: list[Number] = []
-
-
 class ProjectFile(_Strict):
     """What a project's file holds; `energyplan.io.config` reads it."""
 
@@ -112,7 +104,7 @@ class ProjectFile(_Strict):
     name: str = "project"
     log: str | None = None
     vehicle: _Vehicle
-    columns: dict[str, _Column | str] = {}
+    columns: dict[str, Column | str] = {}
     topics: dict[str, Any] | None = None
     defaults: dict[str, Any] = {}
 
@@ -461,9 +453,11 @@ def read_project(path: str | Path) -> Project:
     spec = document.check(ProjectFile)
     columns: dict[str, Column] = {}
     for channel, item in spec.columns.items():
-        told = {"column": item} if isinstance(item, str) else item.model_dump()
+        one = Column(field=item) if isinstance(item, str) else item
         try:
-            columns[channel] = column_from(channel, **told)
+            columns[channel] = column_from(
+                channel, one.field, one.unit, one.times, one.plus, one.weights
+            )
         except DriveLogError as problem:
             raise document.fail(("columns", channel), str(problem)) from None
     topics = None
@@ -489,11 +483,10 @@ def write_project(project: Project, path: str | Path) -> Path:
     data["vehicle"] = plain_vehicle(project.vehicle)
     if project.columns:
         data["columns"] = {
-            channel: {key: value for key, value in column.described().items() if value}
-            for channel, column in project.columns.items()
+            channel: column.described() for channel, column in project.columns.items()
         }
     if project.topics is not None:
-        data["topics"] = project.topics.model_dump(exclude_defaults=True)
+        data["topics"] = project.topics.described()
     if project.defaults:
         data["defaults"] = dict(project.defaults)
     return atomic_write(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))

@@ -11,14 +11,15 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from math import isfinite, radians
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
 from energyplan.path import Pose
+from energyplan.records import Checked as Checked
 
 MAX_JSON = 2**26
 """Largest JSON file that is read [bytes]."""
@@ -119,20 +120,6 @@ NO_CONFIGURATION = "that is no configuration"
 
 Loc = tuple[int | str, ...]
 M = TypeVar("M", bound=BaseModel)
-
-
-class Checked(BaseModel):
-    """What a mapping holds: no number is written as true or false."""
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _no_truth(cls, value: Any, info: ValidationInfo) -> Any:
-        parts = value if isinstance(value, list) else [value]
-        kind = cls.model_fields[info.field_name or ""].annotation
-        allowed = kind in (Any, bool) or bool in get_args(kind)
-        if not allowed and any(isinstance(part, bool) for part in parts):
-            raise ValueError("Input should be a number or a text")
-        return value
 
 
 @dataclass(frozen=True)

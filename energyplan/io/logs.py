@@ -11,6 +11,7 @@ import numpy as np
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.io.bags import (
     TOPIC_MAPS,
+    LogEntry,
     TopicMap,
     bag_info,
     channels_served,
@@ -23,22 +24,11 @@ from energyplan.io.files import same_file
 from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import LONGEST_STEP
-from energyplan.logs.guess import Guess, guess
+from energyplan.logs.guess import guess
 from energyplan.logs.mapping import UNITS, Column
 from energyplan.logs.tables import Table, read_table
 
 _RESTARTS = 0.01  # share of steps back in time, below which each begins another recording
-
-
-@dataclass(frozen=True)
-class LogEntry:
-    """A column of a table or a topic of a bag."""
-
-    name: str  # its name
-    type: str  # its name
-    count: int  # number of readings
-    rate: float  # readings per second [Hz]
-    serves: str  # channels that it serves for or could serve for
 
 
 @dataclass(frozen=True)
@@ -115,7 +105,7 @@ def describe_log(path: str | Path) -> LogInfo:
 
 def _describe_bag(file: Path) -> LogInfo:
     bag = bag_info(file)
-    entries = tuple(LogEntry(t.name, t.type, t.count, t.rate, t.serves) for t in bag.topics)
+    entries = bag.topics
     names = [entry.name for entry in entries if entry.count]
     channels = {name: channels_served(mapping, names) for name, mapping in TOPIC_MAPS.items()}
     fitting = [name for name, found in channels.items() if not _missing(found)]
@@ -132,14 +122,12 @@ def _describe_bag(file: Path) -> LogInfo:
 
 
 def _describe_table(file: Path) -> LogInfo:
-    table = read_table(file, DriveLogError).unchanged_held()
+    table = read_table(file, DriveLogError)
     husky = is_husky(file)
     seems = {} if husky else guess([name for name in table.columns if name not in UNITS])
     seems = {channel: one for channel, one in seems.items() if channel not in table.columns}
     duration = _duration(table, "time" if husky else "t", seems.get("t"))
-    by_name = {
-        name: (channel, one) for channel, one in seems.items() for name in (one.name, *one.fellows)
-    }
+    by_name = {name: (channel, one) for channel, one in seems.items() for name in one.names}
     entries = []
     for name, values in table.columns.items():
         count = int(np.count_nonzero(np.isfinite(values)))
@@ -173,11 +161,11 @@ def _describe_table(file: Path) -> LogInfo:
     return LogInfo(file.name, kind, duration, tuple(entries), {"columns": found}, notes)
 
 
-def _duration(table: Table, name: str, seems: Guess | None) -> float:
+def _duration(table: Table, name: str, seems: Column | None) -> float:
     """Return how long a table lasts [s]; 0 where its time, or the unit of it, is not known."""
     unit = 1.0
     if seems is not None:
-        name, unit = seems.name, UNITS["t"].get(seems.unit, 1.0)
+        name, unit = seems.field, UNITS["t"].get(seems.unit, 1.0)
     times = unit * table.columns.get(name, np.zeros(0))
     times = times[np.isfinite(times)]
     steps = np.diff(times)

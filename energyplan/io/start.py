@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite, nan, pi
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -20,25 +20,21 @@ from energyplan.io.logs import read_log
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
 from energyplan.logs.checks import FAR, find_checks, grows, mirrored_side
-from energyplan.logs.clean import RECORDING, join_rows, possible, spread_bursts
+from energyplan.logs.clean import RECORDING, join_rows, possible
 from energyplan.logs.consistency import (
     Check,
     Evidence,
     Measures,
     check_consistency,
     correlation,
-    distance_ratio,
     gather,
     strain,
-    yaw_rates,
 )
 from energyplan.logs.guess import (
     ENCODER,
-    Guess,
     guess,
     guess_ahead,
     guess_encoders,
-    guess_position,
     guess_turns,
     halves,
     numbered_speeds,
@@ -200,7 +196,7 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
     for channel in needed:
         ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
         for one in (text[way] for way in ways if way in text):
-            table.column(one.name)  # says which cell is no number
+            table.column(one.field)  # says which cell is no number
     names = (*table.columns, *table.text)
     hint = ""
     if {"v_left", "v_right"} & set(needed):
@@ -246,8 +242,7 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
     ]  # fmt: skip
     if "power" in needed and used:
         name, channel, unit = used[0]
-        named = unit_in(channel, name)
-        unit = named.unit if named is not None else unit
+        unit = unit_in(channel, name).unit or unit
         hint += (
             f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
             f"{channel}={name}[{unit}]"
@@ -269,7 +264,7 @@ def counts_rows(values: FloatArray) -> bool:
     return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
-def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) -> None:
+def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str]) -> None:
     """Refuse to take one of two columns that are named alike, and differ, for the whole power.
 
     They may be those of two sides in words that nobody knows here: half of the power would be lost.
@@ -278,11 +273,11 @@ def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) 
     if one is None or {"p_left", "p_right"} <= channels:
         return
     volts = found.get("voltage")
-    if "power" not in channels and volts is not None and not one.fellows:
-        _refuse_packs(table, volts.name)
-    used = {name for other in found.values() for name in (other.name, *other.fellows)}
-    for name in halves(one.name, [other for other in table.columns if other not in used]):
-        pair = np.array([table.columns[each] for each in (one.name, name)], float)
+    if "power" not in channels and volts is not None and not one.plus:
+        _refuse_packs(table, volts.field)
+    used = {name for other in found.values() for name in other.names}
+    for name in halves(one.field, [other for other in table.columns if other not in used]):
+        pair = np.array([table.columns[each] for each in (one.field, name)], float)
         pair = pair[:, np.isfinite(pair).all(axis=0)]
         if not pair.size or np.ptp(pair, axis=1).min() == 0.0:
             continue
@@ -290,10 +285,10 @@ def refuse_halves(table: Table, found: Mapping[str, Guess], channels: set[str]) 
         sizes = np.abs(pair).mean(axis=1)
         if alike < _ALIKE and sizes.min() > _HALF * sizes.max():
             raise DriveLogError(
-                f"{table.source}: {one.name} and {name} could each be the power or current of the "
+                f"{table.source}: {one.field} and {name} could each be the power or current of the "
                 "whole robot, and differ; where they are those of two sides say so, as in "
-                f"--columns 'p_left={one.name},p_right={name}' for powers, else name the whole, as "
-                f"in --columns 'power={one.name}'"
+                f"--columns 'p_left={one.field},p_right={name}' for powers, else name the "
+                f"whole, as in --columns 'power={one.field}'"
             )
 
 
@@ -310,7 +305,7 @@ def _refuse_packs(table: Table, name: str) -> None:
         )
 
 
-def refuse_unlike(table: Table, found: Mapping[str, Guess]) -> None:
+def refuse_unlike(table: Table, found: Mapping[str, Column]) -> None:
     """Refuse to take the mean of one side's wheels where these do not go alike.
 
     One may be dead or count the other way, or they may be of two robots.
@@ -319,8 +314,8 @@ def refuse_unlike(table: Table, found: Mapping[str, Guess]) -> None:
         one = found.get(channel)
         if one is None:
             continue
-        for name in one.fellows:
-            first, second = (table.columns[each] for each in (one.name, name))
+        for name in one.plus:
+            first, second = (table.columns[each] for each in (one.field, name))
             both = np.isfinite(first) & np.isfinite(second)
             if not np.any(first[both]) and not np.any(second[both]):
                 continue
@@ -328,149 +323,11 @@ def refuse_unlike(table: Table, found: Mapping[str, Guess]) -> None:
             if alike < _ONE_SIDE:
                 way = "go opposite ways" if alike < -_ONE_SIDE else "do not go alike"
                 raise DriveLogError(
-                    f"{table.source}: {one.name} and {name} seem to be speeds of the same side, "
+                    f"{table.source}: {one.field} and {name} seem to be speeds of the same side, "
                     f"and {way} (correlation {alike:.2f}): one is dead or counts the other way, or "
                     "they are of two robots; name those that are right, the power among them, as "
-                    f"in --columns '{channel}={one.name}'"
+                    f"in --columns '{channel}={one.field}'"
                 )
-
-
-_ENOUGH = 20  # of them
-_ONE_WAY = 0.9  # mean sign of the steps of readings that go one way
-_AS_AHEAD = 0.9  # correlation from which a speed of the robot is that of its treads
-_BETTER = 0.05  # share of what is explained, from which on another direction is believed
-_EARTH = 6_371_008.8  # mean radius [m]
-_AHEAD = "ahead"
-
-
-class Counted(NamedTuple):
-    """Columns with the speeds of encoders, and what was taken for what nobody gave."""
-
-    columns: dict[str, Column]
-    assumed: dict[str, str]
-
-
-def position_columns(table: Table, taken: set[str]) -> dict[str, Column]:
-    """Return latitude and longitude as ``y`` and ``x`` on a plane; none where there are none."""
-    named = guess_position([name for name in table.columns if name not in taken])
-    if named is None:
-        return {}
-    lat = table.columns[named[0]][:_SOME]
-    lat = lat[np.isfinite(lat) & (lat != 0.0)]
-    if not len(lat):
-        return {}
-    north = float(np.median(lat))
-    degree = next((size for size in (1.0, 1e-7) if abs(north * size) <= 90.0), nan)
-    if not isfinite(degree):
-        return {}
-    metres = degree * _EARTH * pi / 180
-    east = metres * float(np.cos(np.radians(north * degree)))
-    return {
-        "x": column_from("x", named[1], f"*{east:.9g}"),
-        "y": column_from("y", named[0], f"*{metres:.9g}"),
-    }
-
-
-def counted_columns(
-    table: Table, columns: Mapping[str, Column], encoders: Mapping[str, Guess], known: Given
-) -> Counted:
-    """Find out how encoders count and how far a count goes."""
-    others = dict(columns)
-    taken = {name for one in columns.values() for name in one.names}
-    ahead = guess_ahead(name for name in table.columns if name not in taken)
-    if ahead:
-        unit = unit_in("v_left", ahead[0])
-        others[_AHEAD] = column_from("v_left", ahead[0], unit.unit if unit else None)
-    named = encoders["v_left"].unit
-    kinds = (named,) if named else (TOTAL, SINCE if _whole(table, encoders) else RATE)
-    if not named and all(_goes_on(table.columns[one.name]) for one in encoders.values()):
-        kinds = (TOTAL,)
-    read = {kind: _read(table, others, encoders, kind) for kind in kinds}
-    kind = max(kinds, key=lambda one: _likeness(read[one]))
-    channels = _turned(read[kind])
-    signs = {
-        name: -1.0 if float(np.sum(channels[name] * read[kind][name])) < 0 else 1.0
-        for name in ("v_left", "v_right")
-    }
-    metres, why = _metres(channels, others, known)
-    name = encoders["v_left"].name
-    if not isfinite(metres):
-        other = encoders["v_right"].name
-        raise DriveLogError(
-            f"{table.source}: {name!r} is an encoder's, and nothing in the log says how far a "
-            "count goes: no pose, no position by satellite, no speed of the robot; give "
-            "--counts-per-revolution with --wheel-radius, or the metres per count, as in "
-            f'--columns "v_left={name}[{kind}*0.0001],v_right={other}[{kind}*0.0001]"'
-        )
-    made = dict(columns)
-    for channel, one in encoders.items():
-        factor = metres / (1 + len(one.fellows))
-        written = f"{'-' if signs[channel] < 0 else ''}{kind}*{factor:.6g}"
-        made[channel] = column_from(channel, one.name, written, None, one.fellows)
-    assumed = {"count": f"{metres:.4g} m a count, {why}"} if why else {}
-    turned = [encoders[channel].name for channel, sign in signs.items() if sign < 0]
-    if turned:
-        assumed["direction"] = f"{' and '.join(turned)} count backwards"
-    return Counted(made, assumed)
-
-
-def _goes_on(values: FloatArray) -> bool:
-    """Tell whether readings go one way all along, as no speed does: those of a counter."""
-    steps = np.diff(values[np.isfinite(values)][:_SOME])
-    steps = steps[steps != 0.0]
-    return len(steps) >= _ENOUGH and abs(float(np.mean(np.sign(steps)))) > _ONE_WAY
-
-
-def _whole(table: Table, encoders: Mapping[str, Guess]) -> bool:
-    """Tell whether an encoder's readings are whole numbers."""
-    values = table.columns[encoders["v_left"].name][:_SOME]
-    return bool(np.all(np.mod(values[np.isfinite(values)], 1.0) == 0.0))
-
-
-def _read(
-    table: Table, others: Mapping[str, Column], encoders: Mapping[str, Guess], kind: str
-) -> dict[str, FloatArray]:
-    """Read the channels, each encoder in counts a second, on one clock."""
-    columns = dict(others)
-    for channel, one in encoders.items():
-        unit = f"{kind}*{1 / (1 + len(one.fellows)):.6g}"
-        columns[channel] = column_from(channel, one.name, unit, None, one.fellows)
-
-    def reading(name: str) -> FloatArray:
-        return table.column(name)[:_SOME]
-
-    t = np.asarray(columns["t"].value(reading))
-    raw = {channel: column.over(t, reading) for channel, column in columns.items()}
-    joined = join_rows(raw, [name for name in raw if name not in ("x", "y", "yaw", _AHEAD)])
-    raw = raw if joined is None else joined.channels
-    sound = np.isfinite(raw["t"]) & np.isfinite(raw["v_left"]) & np.isfinite(raw["v_right"])
-    clock = np.where(sound, raw["t"], -np.inf)
-    sound &= np.append(True, np.diff(np.maximum.accumulate(clock)) > 0)
-    return {name: values[sound] for name, values in raw.items()}
-
-
-def _likeness(channels: Mapping[str, FloatArray]) -> float:
-    """How well power and turning follow from what the encoders would be the speeds of."""
-    left, right, power = channels["v_left"], channels["v_right"], total_power(channels)
-    turns = [correlation(rate, right - left) ** 2 for rate in _rates(channels)]
-    known = np.isfinite(power)
-    spread = float(np.var(power[known])) if np.count_nonzero(known) >= _ENOUGH else 0.0
-    if spread == 0.0:
-        return float(np.sum(turns))
-    effort, turning = np.abs(left) + np.abs(right), np.abs(right - left)
-    X = np.stack([effort, turning, np.ones(len(left))], axis=1)[known]
-    X /= np.maximum(np.abs(X).max(axis=0), 1e-300)
-    rest = power[known] - X @ np.linalg.lstsq(X, power[known], rcond=None)[0]
-    return float(np.sum(turns)) + 1.0 - float(np.var(rest)) / spread
-
-
-def _rates(channels: Mapping[str, FloatArray]) -> list[FloatArray]:
-    """Return the yaw rates that are known throughout."""
-    sound = {
-        name: values for name, values in channels.items()
-        if name in ("t", "yaw", "yaw_rate") and np.all(np.isfinite(values))
-    }  # fmt: skip
-    return list(yaw_rates(sound, find_runs(channels["t"])).values())
 
 
 def total_power(channels: Mapping[str, FloatArray]) -> FloatArray:
@@ -482,45 +339,6 @@ def total_power(channels: Mapping[str, FloatArray]) -> FloatArray:
     return channels["voltage"] * channels["current"]
 
 
-def _turned(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Turn the encoder round that counts down on the way ahead, as of a motor that faces back."""
-    as_they_are = dict(channels)
-    left = {**channels, "v_left": -channels["v_left"]}
-    if _likeness(left) < _likeness(as_they_are) + _BETTER:
-        return as_they_are
-    right = {**channels, "v_right": -channels["v_right"]}
-    rates = _rates(channels)
-    turn = sum(correlation(rate, left["v_right"] - left["v_left"]) for rate in rates)
-    way = float(np.sum(left["v_left"] + left["v_right"]))
-    return left if (turn > 0 if rates else way > 0) else right
-
-
-def _metres(
-    channels: Mapping[str, FloatArray], columns: Mapping[str, Column], known: Given
-) -> tuple[float, str]:
-    """Return metres per count, and where they come from; empty where they were given."""
-    if isfinite(known.counts_per_revolution) and isfinite(known.wheel_radius):
-        return 2 * pi * known.wheel_radius / known.counts_per_revolution, ""
-    placed = {
-        name: values for name, values in channels.items()
-        if name in ("t", "v_left", "v_right", "x", "y")
-    }  # fmt: skip
-    sound = np.all([np.isfinite(values) for values in placed.values()], axis=0)
-    if {"x", "y"} <= set(placed) and np.count_nonzero(sound) >= _ENOUGH:
-        placed = {name: values[sound] for name, values in placed.items()}
-        counts = distance_ratio(placed, find_runs(placed["t"]))
-        if isfinite(counts) and counts > 0:
-            return 1.0 / counts, f"from {columns['x'].source} and {columns['y'].source}"
-    if _AHEAD in channels:
-        mean, speed = 0.5 * (channels["v_left"] + channels["v_right"]), channels[_AHEAD]
-        sound = np.isfinite(speed)
-        mean, speed = mean[sound], speed[sound]
-        if len(mean) >= _ENOUGH and abs(correlation(np.abs(mean), np.abs(speed))) > _AS_AHEAD:
-            ratio = float(np.abs(mean) @ np.abs(speed)) / float(mean @ mean)
-            return ratio, f"from {columns[_AHEAD].source}"
-    return nan, ""
-
-
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
@@ -529,6 +347,8 @@ _VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # us
 _HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
 _USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
+POWER_WAYS = (("p_left", "p_right"), ("power",), ("voltage", "current"))
+_CHARGE = {"percentage", "percent", "soc", "pct"}  # words of how full a battery is
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
 
@@ -566,66 +386,85 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 # -- tables -------------------------------------------------------------------------------------
 
 
-class _Choice(NamedTuple):
-    """Units that readings could be in, the likeliest first."""
-
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-
-
 def _start_table(file: Path, known: Given) -> Start:
-    table = read_table(file, DriveLogError).unchanged_held()
-    names = (*table.columns, *table.text)
-    columns = parse_columns(known.columns, names)
+    table = read_table(file, DriveLogError)
+    columns = parse_columns(known.columns, (*table.columns, *table.text))
     # A factor of a power, such as a wheel's rate, may serve for itself too.
-    taken = {name for one in columns.values() for name in (one.source, *one.plus)}
-    guesses = _guesses(table, taken, columns)
-    _powers(columns, guesses)
-    found = {channel: one for channel, one in guesses.items() if channel not in columns}
+    taken = {name for one in columns.values() for name in (one.field, *one.plus)}
+    found = _guesses(table, taken, columns)
+    _powers(columns, found)
+    found = {channel: one for channel, one in found.items() if channel not in columns}
     if "t" not in columns and "t" not in found:
-        clock = _clock(table, taken.union(*((one.name, *one.fellows) for one in found.values())))
+        clock = _clock(table, taken.union(*(one.names for one in found.values())))
         if clock is not None:
-            columns["t"] = Column(clock)
+            columns["t"] = Column(field=clock, channel="t")
+    _refuse_percentages(table, {*columns, *found})
     encoders = {name: found.pop(name) for name in [*found] if is_count(found[name].unit)}
-    if not {"v_left", "v_right"} & {*columns, *found, *encoders}:
-        used = {name for one in columns.values() for name in one.names}
-        used |= {name for one in found.values() for name in (one.name, *one.fellows)}
-        encoders = guess_encoders(name for name in table.columns if name not in used)
+    speeds = {"v_left", "v_right"}
     notes: list[str] = []
-    if not {"v_left", "v_right"} & {*columns, *found, *encoders}:
+    used = {name for one in (*columns.values(), *found.values()) for name in one.names}
+    if not speeds & {*columns, *found, *encoders}:
+        encoders = guess_encoders(name for name in table.columns if name not in used)
+    if encoders:
+        columns |= _counted(table, encoders, known)
+    elif not speeds & {*columns, *found}:
         notes = _from_twist(table, columns, found, known)
-    speeds = {*columns, *found, *encoders}
-    needed = [name for name in ("t", "v_left", "v_right") if name not in speeds]
-    powers = {*columns, *found}
-    ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
-    if not any(way <= powers for way in ways):
+    there = {*columns, *found}
+    needed = [name for name in ("t", "v_left", "v_right") if name not in there]
+    if not any(set(way) <= there for way in POWER_WAYS):
         needed.append("power")
     if needed:
         refuse(table, needed)
-    refuse_halves(table, found, {*columns, *found})
+    refuse_halves(table, found, there)
     refuse_unlike(table, found)
     for channel, one in found.items():
-        unit = one.unit
-        if is_wheel_rate(unit) and channel.startswith("v_"):
-            unit = ""  # takes a radius, below
-        columns[channel] = _column(channel, one.name, unit, one.fellows)
+        bare = is_wheel_rate(one.unit) and channel in speeds  # takes a radius, below
+        columns[channel] = _mean(one.model_copy(update={"unit": "" if bare else one.unit}))
     for channel in ("slope", "temperature", "payload"):
         if channel in table.columns and channel not in columns:
-            columns[channel] = Column(channel)
-    if not {"x", "y"} & set(columns):
-        columns |= position_columns(table, {n for one in columns.values() for n in one.names})
-    assumed: dict[str, str] = {}
-    if len(encoders) == 2:
-        if not (found.get("t") and found["t"].unit) and columns["t"].scale.factor == 1.0:
-            columns["t"] = _timed(table, columns["t"])
-        columns, assumed = counted_columns(table, columns, encoders, known)
+            columns[channel] = Column(field=channel, channel=channel)
     columns = _with_units(table, columns, found, known)
     log = read_signed(file, columns)
     used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
     notes += [f"columns that serve for nothing: {', '.join(idle[:20])}"] if idle else []
-    told = _finish(file, log.log, known, log.columns, None, assumed)
-    return replace(told, notes=(*notes, *log.notes, *told.notes))
+    made = _finish(file, log.log, known, log.columns, None, {})
+    return replace(made, notes=(*notes, *log.notes, *made.notes))
+
+
+def _refuse_percentages(table: Table, there: Collection[str]) -> None:
+    """Refuse a log whose battery tells its charge alone, of which no power comes."""
+    if any(set(way) <= {*there} for way in POWER_WAYS):
+        return
+    names = [name for name in table.columns if _CHARGE & set(words(name)) or "%" in name]
+    if names:
+        raise DriveLogError(
+            f"{table.source}: {names[0]!r} tells how full the battery is, which is no power: log "
+            "its voltage and current, or what it counts in Wh or mAh"
+        )
+
+
+def _counted(table: Table, encoders: Mapping[str, Column], known: Given) -> dict[str, Column]:
+    """Return the speeds of encoders whose way of counting and metres per count are known."""
+    metres = 2 * pi * known.wheel_radius / known.counts_per_revolution
+    if isfinite(metres) and all(one.unit for one in encoders.values()):
+        return {
+            channel: _mean(one.changed(unit=f"{one.unit}*{metres:.8g}"))
+            for channel, one in encoders.items()
+        }
+    size = f"{metres / (1 + len(encoders['v_left'].plus)):.6g}" if isfinite(metres) else "0.0001"
+    told = ",".join(
+        f"{channel}={one.written}[{one.unit or TOTAL}*{size}]" for channel, one in encoders.items()
+    )
+    ways = "" if encoders["v_left"].unit else (
+        f" where they count on, {SINCE} where they count from row to row, {RATE} where they count "
+        "in a second"
+    )  # fmt: skip
+    raise DriveLogError(
+        f"{table.source}: {encoders['v_left'].field!r} is an encoder's, and how far a count goes "
+        f"is not known: give --counts-per-revolution with --wheel-radius, or the metres per count "
+        f'(1 if it counts metres) and, in brackets, how it counts, as in --columns "{told}"{ways}'
+    )
 
 
 _ELECTRIC = ("power", "p_left", "p_right", "current", "current_left", "current_right")
@@ -633,20 +472,20 @@ _ELECTRIC = ("power", "p_left", "p_right", "current", "current_left", "current_r
 
 def _guesses(
     table: Table, taken: Collection[str], columns: Mapping[str, Column]
-) -> dict[str, Guess]:
+) -> dict[str, Column]:
     """Guess which column is which channel; a counter of energy or charge is no power of its own.
 
     Its rate is one, where its name tells the unit and nothing else does.
     """
     names = [name for name in table.columns if name not in taken]
     counters = {name for name in names if grows(table.columns[name][:_SOME])}
-    kept: dict[str, Guess] = {}
+    kept: dict[str, Column] = {}
     grown = ""
     while True:
         found = guess(names)
         other = next(
             (c for c in _ELECTRIC if c in found
-             and (found[c].name in counters or counting(c, found[c].unit))), None
+             and (found[c].field in counters or counting(c, found[c].unit))), None
         )  # fmt: skip
         if other is None:
             break
@@ -654,15 +493,10 @@ def _guesses(
         if counting(other, one.unit):
             kept.setdefault(other, one)
         else:
-            grown = one.name
-        names = [name for name in names if name not in (one.name, *one.fellows)]
-    powers = {*found, *columns}
-    if not (
-        {"power"} <= powers
-        or {"voltage", "current"} <= powers
-        or {"p_left", "p_right"} <= powers
-        or {"current_left", "current_right"} <= powers
-    ):
+            grown = one.field
+        names = [name for name in names if name not in one.names]
+    ways = (*POWER_WAYS, ("current_left", "current_right"))
+    if not any(set(way) <= {*found, *columns} for way in ways):
         found |= {c: one for c, one in kept.items() if c not in columns}
         if grown and not kept:
             raise DriveLogError(
@@ -674,7 +508,7 @@ def _guesses(
 
 
 def _from_twist(
-    table: Table, columns: dict[str, Column], found: dict[str, Guess], known: Given
+    table: Table, columns: dict[str, Column], found: dict[str, Column], known: Given
 ) -> list[str]:
     """Make tread speeds from the speed and the turn rate of the body, where a log has no others."""
     used = {name for one in columns.values() for name in one.names}
@@ -685,9 +519,8 @@ def _from_twist(
     turn = max(turns, key=lambda name: len(set(words(name)) & set(words(ahead))))
     note = _of_body(known, f"{ahead} and {turn}")
     track = known_measures(known).track
-    speed, rate = unit_in("v_left", ahead), unit_in("yaw_rate", turn)
-    speed_scale = scale_of("v_left", speed.unit).factor if speed else 1.0
-    rate_scale = scale_of("yaw_rate", rate.unit).factor if rate else 1.0
+    speed_scale = scale_of("v_left", unit_in("v_left", ahead).unit).factor
+    rate_scale = scale_of("yaw_rate", unit_in("yaw_rate", turn).unit).factor
     half = 0.5 * track * rate_scale
     for channel, sign in (("v_left", -1.0), ("v_right", 1.0)):
         columns[channel] = column_from(
@@ -715,17 +548,16 @@ def _of_body(known: Given, what: str) -> str:
     )
 
 
-def _column(
-    channel: str, name: str, unit: str, fellows: tuple[str, ...], times: str | None = None
-) -> Column:
+def _mean(one: Column) -> Column:
     """Return a column; of a side's wheels the mean speed, and all that their motors draw."""
-    if fellows and channel.startswith("v_"):
+    unit = one.unit
+    if one.plus and one.channel.startswith("v_"):
         bare, _, factor = unit.rpartition("*") if "*" in unit else (unit, "", "1")
-        unit = f"{bare}*{float(factor) / (1 + len(fellows)):.6g}"
-    return column_from(channel, name, unit or None, times, fellows)
+        unit = f"{bare}*{float(factor) / (1 + len(one.plus)):.6g}"
+    return one.changed(unit=unit)
 
 
-def _powers(columns: dict[str, Column], guesses: dict[str, Any]) -> None:
+def _powers(columns: dict[str, Column], guesses: dict[str, Column]) -> None:
     """Take each side's power, or its voltage times its current, or the battery's."""
     for side in ("left", "right"):
         power = f"p_{side}"
@@ -736,10 +568,9 @@ def _powers(columns: dict[str, Column], guesses: dict[str, Any]) -> None:
         volts = voltage or guesses.get("voltage")
         if volts is None:
             continue
-        factor = scale_of("current", current.unit).factor if current.unit else 1.0
-        factor *= scale_of("voltage", volts.unit).factor if volts.unit else 1.0
+        factor = scale_of("current", current.unit).factor * scale_of("voltage", volts.unit).factor
         unit = "" if factor == 1.0 else f"*{factor:g}"
-        columns[power] = _column(power, current.name, unit, current.fellows, volts.name)
+        columns[power] = current.changed(channel=power, unit=unit, times=volts.field)
     sides = {"p_left", "p_right"} <= {*columns, *guesses}
     if not sides:
         for side in ("p_left", "p_right"):
@@ -758,7 +589,7 @@ def _clock(table: Table, taken: set[str]) -> str | None:
 
 
 def _with_units(
-    table: Table, columns: dict[str, Column], found: Mapping[str, Any], known: Given
+    table: Table, columns: dict[str, Column], found: Mapping[str, Column], known: Given
 ) -> dict[str, Column]:
     """Choose the units that nobody told, so that all that a log tells twice agrees."""
     # A speed or a place that bears the channel's own name is in its unit; angles often are not.
@@ -766,39 +597,39 @@ def _with_units(
     told = {
         channel
         for channel, one in found.items()
-        if one.unit or (one.name == channel and channel in sure)
+        if one.unit or (one.field == channel and channel in sure)
     }
     free = {channel for channel in found if channel not in told}
-    choices: list[_Choice] = []
+    choices: list[tuple[tuple[str, ...], tuple[str, ...]]] = []  # channels, and units
     radius = known.wheel_radius
     if {"v_left", "v_right"} & set(found):
         rates = [found[name].unit for name in ("v_left", "v_right") if name in found]
         named = next((unit for unit in rates if is_wheel_rate(unit)), "")
         if named:
-            choices.append(_Choice(("v_left", "v_right"), (f"{named}*",)))
+            choices.append((("v_left", "v_right"), (f"{named}*",)))
         elif {"v_left", "v_right"} <= free:
             wheels = ("rad/s*", "rpm*", "rev/s*") if isfinite(radius) else ()
             units = ("m/s", *wheels, "km/h", "mm/s", "cm/s")
-            choices.append(_Choice(("v_left", "v_right"), units))
+            choices.append((("v_left", "v_right"), units))
     if "yaw_rate" in free and _size(table, columns["yaw_rate"]) > _FASTEST_TURN:
-        choices.append(_Choice(("yaw_rate",), ("rad/s", "deg/s")))
+        choices.append((("yaw_rate",), ("rad/s", "deg/s")))
     heading = _size(table, columns["yaw"]) if "yaw" in free else 0.0
     if heading > _FULL_TURN:  # else these are no degrees
         likely = ("deg", "rad") if heading > _TURNS else ("rad", "deg")
-        choices.append(_Choice(("yaw",), likely))
+        choices.append((("yaw",), likely))
     if "voltage" in free and _size(table, columns["voltage"]) > _HIGHEST_VOLTAGE:
-        choices.append(_Choice(("voltage",), (_unit_of_voltage(table, columns["voltage"]),)))
+        choices.append((("voltage",), (_unit_of_voltage(table, columns["voltage"]),)))
     # A thousand is more than robots' resistances differ by: their weight tells which it is.
     electric = (("current",), ("power",), ("p_left", "p_right"))
     choices += [
-        _Choice(channels, ("A", "mA") if channels == ("current",) else ("W", "mW", "kW"))
+        (channels, ("A", "mA") if channels == ("current",) else ("W", "mW", "kW"))
         for channels in electric
         if set(channels) <= free
     ]
     if {"x", "y"} <= free:
-        choices.append(_Choice(("x", "y"), ("m", "mm", "cm")))
+        choices.append((("x", "y"), ("m", "mm", "cm")))
     clock = columns["t"]
-    if "t" not in told and clock.scale.factor == 1.0 and not table.joined:
+    if "t" not in told and not clock.unit:
         columns = {**columns, "t": _timed(table, clock)}
     t = _some(table, columns["t"])
     raw = {channel: _some(table, column, t) for channel, column in columns.items()}
@@ -808,14 +639,14 @@ def _with_units(
     mirrored = mirrored_side(raw, find_runs(raw["t"])) if len(raw["t"]) >= RECORDING else ""
     raw |= {mirrored: -raw[mirrored]} if mirrored else {}  # `read_signed` turns it round
     measures = known_measures(known)
-    first = {channel: choice.units[0] for choice in choices for channel in choice.channels}
+    first = {channel: units[0] for channels, units in choices for channel in channels}
     rolling = {channel for channel, unit in first.items() if unit.endswith("*")}
     best: tuple[float, dict[str, str], Evidence] | None = None
-    for each in product(*(choice.units for choice in choices)):
+    for each in product(*(units for _, units in choices)):
         chosen = {
             channel: unit
-            for choice, unit in zip(choices, each, strict=True)
-            for channel in choice.channels
+            for (channels, _), unit in zip(choices, each, strict=True)
+            for channel in channels
         }
         trial = {
             channel: values * _factor(channel, chosen.get(channel, ""), known)
@@ -825,7 +656,7 @@ def _with_units(
         if len(trial["t"]) < RECORDING or not possible(sized):
             continue
         evidence = gather(trial, total_power(trial), find_runs(trial["t"]))
-        rank = sum(choice.units.index(unit) for choice, unit in zip(choices, each, strict=True))
+        rank = sum(units.index(u) for (_, units), u in zip(choices, each, strict=True))
         # The measures may be what is wrong: they only decide where the log alone does not.
         cost = strain(evidence, Measures()) + 0.2 * strain(evidence, measures) + 0.01 * rank
         # A heading in another unit does not turn with the treads, or a gyroscope, at all.
@@ -836,7 +667,8 @@ def _with_units(
     chosen = best[1] if best else first
     if best:
         _sure_of_current(table, columns, chosen, best[2].force / (measures.mass * GRAVITY))
-        _sure_of_speeds(table, columns, choices, chosen, best[2], known)
+        units = next((units for channels, units in choices if "v_left" in channels), ())
+        _sure_of_speeds(table, columns, units, chosen, best[2], known)
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
         radius = _radius_from(raw, chosen)
         if not isfinite(radius):
@@ -845,14 +677,9 @@ def _with_units(
     for channel, unit in chosen.items():
         if channel not in made:
             continue
-        one = made[channel]
         written = f"{unit}{radius:.6g}" if unit.endswith("*") else unit
-        plain = written in ("m/s", "rad", "rad/s", "m", "A", "W") and channel not in (
-            "v_left",
-            "v_right",
-        )
-        plain = plain or written == "m/s"
-        made[channel] = _column(channel, one.source, "" if plain else written, one.plus, one.times)
+        plain = written in ("m/s", "rad", "rad/s", "m", "A", "W")
+        made[channel] = _mean(made[channel].model_copy(update={"unit": "" if plain else written}))
     return made
 
 
@@ -864,11 +691,11 @@ def _unit_of_voltage(table: Table, column: Column) -> str:
     if could == ["mV"]:
         return "mV"
     made = [
-        f"{size * scale_of('voltage', u).factor:.3g} V by voltage={column.source}[{u}]"
+        f"{size * scale_of('voltage', u).factor:.3g} V by voltage={column.field}[{u}]"
         for u in could
     ]
     raise DriveLogError(
-        f"{table.source}: {column.source} is up to {size:.6g}, which is no voltage of a robot in V"
+        f"{table.source}: {column.field} is up to {size:.6g}, which is no voltage of a robot in V"
         + (f"; it would be {' or '.join(made)}" if made else "")
         + "; give its unit with --columns, and that of a current, which may be the same"
     )
@@ -878,11 +705,10 @@ _NEAR = 1.35  # ratio of two units up to which turning does not tell one from th
 
 
 def _sure_of_speeds(
-    table: Table, columns: Mapping[str, Column], choices: Sequence[_Choice],
+    table: Table, columns: Mapping[str, Column], units: Sequence[str],
     chosen: Mapping[str, str], evidence: Evidence, known: Given,
 ) -> None:  # fmt: skip
     """Refuse a unit of speeds that is nearly another one, where no pose tells which it is."""
-    units = next((one.units for one in choices if "v_left" in one.channels), ())
     if len(units) < 2 or isfinite(evidence.distance):
         return
     size = _factor("v_left", chosen["v_left"], known)
@@ -890,7 +716,7 @@ def _sure_of_speeds(
         unit for unit in units if abs(np.log(_factor("v_left", unit, known) / size)) < np.log(_NEAR)
     ]
     if len(near) > 1:
-        name = columns["v_left"].source
+        name = columns["v_left"].field
         told = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u for u in near]
         raise DriveLogError(
             f"{table.source}: {name} could be in {' or '.join(told)}, which are nearly the same; "
@@ -913,7 +739,7 @@ def _sure_of_current(
         fits = {u: raw * f for u, f in (("*0.1", 0.1), ("*0.01", 0.01), (unit, 1e-3))
                 if _USUAL_FORCE[0] <= raw * f <= _USUAL_FORCE[1]}  # fmt: skip
         if set(fits) - {unit}:
-            name = columns[channel].source
+            name = columns[channel].field
             told = " or ".join(f"{channel}={name}[{u}]" for u in ("*0.1", "*0.01", unit))
             raise DriveLogError(
                 f"{table.source}: {name} comes in whole numbers, whose unit their size does not "
@@ -929,9 +755,7 @@ def _whole_rows(raw: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     while True:
         whole = clock & np.all(list(known.values()), axis=0)
         if np.count_nonzero(whole) >= RECORDING or not others:
-            rows = {channel: raw[channel][whole] for channel in known}
-            times = spread_bursts(rows["t"], np.stack([rows["v_left"], rows["v_right"]]))
-            return rows if times is None else {**rows, "t": times}
+            return {channel: raw[channel][whole] for channel in known}
         del known[others.pop(0)]
 
 
@@ -949,7 +773,7 @@ def _some(table: Table, column: Column, t: FloatArray | None = None) -> FloatArr
 
 def _timed(table: Table, clock: Column) -> Column:
     """Return a clock in the unit in which a drive log's step is usual."""
-    return column_from("t", clock.source, time_unit(table.column(clock.source)[:_SOME]) or None)
+    return clock.changed(unit=time_unit(table.column(clock.field)[:_SOME]))
 
 
 def _factor(channel: str, unit: str, known: Given) -> float:
@@ -1002,15 +826,14 @@ def _start_bag(file: Path, known: Given) -> Start:
     made = {} if {"v_left", "v_right"} & set(sources) else fields.twist(known_measures(known).track)
     if made:
         sources = {c: one for c, one in sources.items() if c not in ("yaw", "yaw_rate")} | made
-        notes = (_of_body(known, f"those of {made['v_left'][0].topic}"),)
+        notes = (_of_body(known, f"those of {made['v_left'].topic}"),)
     lacks = [name for name in ("v_left", "v_right") if name not in sources]
-    ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
-    if not any(way <= set(sources) for way in ways):
+    if not any(set(way) <= set(sources) for way in POWER_WAYS):
         lacks.append("power")
     if lacks:
         raise DriveLogError(
             f"{file.name}: no field of a message seems to be {' or '.join(lacks)}; the fields are "
-            f"{', '.join(fields.names()[:30])}; write a topic map and read with --topics FILE.yaml"
+            f"{', '.join([*fields.fields][:30])}; write a topic map and give --topics FILE.yaml"
         )
     rates = fields.wheel_rates(sources)
     radius = known.wheel_radius

@@ -94,7 +94,7 @@ def _check_kind(table: Table, needed: Sequence[str]) -> None:
     if not missing:
         return
     found = guess(names)
-    logged = [one.name for channel, one in found.items() if channel in _LOGGED]
+    logged = [one.field for channel, one in found.items() if channel in _LOGGED]
     what = (
         f"{table.source} has no column {', '.join(map(repr, missing))}; a path has "
         f"{','.join(_PATH)}, a trajectory {','.join(_TRAJECTORY)}"

@@ -260,7 +260,7 @@ def _table(
     for channel, column in chosen.items():
         if column.counts:
             raise DriveLogError(
-                f"{label}: {channel} comes from {column.source}, which counts on: a drive as it "
+                f"{label}: {channel} comes from {column.field}, which counts on: a drive as it "
                 "happens is read from rates alone; give a column of speed, power or current"
             )
     basic = needed_channels(chosen, label)

@@ -26,9 +26,9 @@ from energyplan.logs.align import (
     time_weights,
 )
 from energyplan.logs.checks import find_checks
-from energyplan.logs.clean import Place, SetAside, clean, needed_channels, unchanged
+from energyplan.logs.clean import Place, SetAside, clean, needed_channels
 from energyplan.logs.consistency import Check
-from energyplan.logs.mapping import Column, choose_columns, parse_columns
+from energyplan.logs.mapping import UNITS, Column, own_columns, parse_columns
 from energyplan.logs.tables import read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -190,13 +190,20 @@ class DriveLog(ReadOnly, html.Readable):
         120.0
         """
         read = read_table if isinstance(source, str | PathLike) else table_of
-        table = read(source, DriveLogError).unchanged_held()  # type: ignore[arg-type]
-        chosen = choose_columns(table, columns, others)
-        log = cls.from_columns(chosen.channels, table.source, table.place)
-        aside = (*unchanged(table.held, chosen.used, table.place), *log.set_aside)
-        unread = ", ".join(chosen.unread[:10])
+        table = read(source, DriveLogError)  # type: ignore[arg-type]
+        names = (*table.columns, *table.text)
+        wanted = parse_columns(columns, names)
+        if others:
+            own = own_columns(names, wanted)
+            wanted |= {k: c for k, c in own.items() if k in UNITS or c.field in table.columns}
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
+            t = wanted["t"].value(table.column) if "t" in wanted else None
+            channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
+        log = cls.from_columns(channels, table.source, table.place)
+        used = {name for column in wanted.values() for name in column.names}
+        unread = ", ".join([name for name in table.text if others and name not in used][:10])
         told = [f"columns of text are left out: {unread}"] if unread else []
-        return replace(log, set_aside=aside, warnings=(*log.warnings, *told))
+        return replace(log, warnings=(*log.warnings, *told))
 
     @classmethod
     def from_columns(

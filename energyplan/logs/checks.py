@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.logs.align import Offset, derivative, find_offset, gap_limit
 from energyplan.logs.consistency import Check, correlation, distance_ratio, lasts, yaw_rates
-from energyplan.logs.mapping import UNITS
+from energyplan.logs.mapping import ROW, UNITS
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
@@ -32,6 +32,7 @@ _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 _USUAL_STEP = 0.05  # of logs of drives [s]
+_PAUSE, _BURSTS = 10.0, 0.05  # usual steps, and share of the rows, that tell rows in bursts
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,15 @@ def _time(drive: _Drive) -> _Found:
         yield Check(
             f"the time step of t is {step:g} s; between 0.1 ms and {LONGEST_STEP:g} s is possible",
             remedy=f"name its unit, as in t=NAME[{unit}]", refuses="reading",
+        )  # fmt: skip
+    steps = np.diff(t)
+    if np.mean(steps > _PAUSE * step) > _BURSTS:
+        yield Check(
+            f"t jumps by more than {_PAUSE:g} usual steps in {np.mean(steps > _PAUSE * step):.0%} "
+            "of the rows: rows that were buffered bear the time of their arrival, or the logger "
+            "sleeps",
+            remedy=f"of readings at a steady rate, map t={ROW}[*PERIOD] with the time from row to "
+            "row [s]", refuses="trust",
         )  # fmt: skip
     if len(runs) < 2:
         return

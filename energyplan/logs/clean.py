@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from math import nan
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described, numbers
 from energyplan.logs.align import Series, align, gap_limit
+from energyplan.logs.mapping import ROW
 from energyplan.path import FloatArray
 
 LIMITS = {
@@ -111,61 +112,6 @@ def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
     return lost
 
 
-_FEWEST = 20  # bursts below which nothing is concluded
-_ROWS = 3  # of a burst, at least
-_APART = 10.0  # times the usual step, from which on a step is one between bursts
-_REGULAR = 0.9  # share of bursts that come with the clock
-_CHANGING = 0.6  # share of the steps within bursts in which readings change
-_ALIKE = 3.0  # times a change within a burst that one between bursts is at most
-_ROUNDS = tuple(2.0**bits * unit for bits in (16, 31, 32) for unit in (1.0, 1e-3, 1e-6))
-"""Times after which counters of seconds, their thousandths or millionths overflow [s]."""
-_NEAR = 10.0  # usual steps within which a counter that overflowed goes on
-
-
-def unwrap_clock(t: FloatArray) -> FloatArray | None:
-    """Return the times of a counter that overflowed and went on from zero."""
-    steps = np.diff(t)
-    back = steps < 0.0
-    usual = float(np.median(steps))
-    for whole in _ROUNDS:
-        over = steps[back] + whole
-        if np.any(back) and np.all((over > 0.0) & (over <= _NEAR * usual)):
-            return np.asarray(t + whole * np.append(0.0, np.cumsum(back)))
-    return None
-
-
-def spread_bursts(t: FloatArray, readings: FloatArray) -> FloatArray | None:
-    """Return the times of rows that were buffered, and written several at once.
-
-    Such rows are readings of a steady rate: they change from row to row as they do from burst to
-    burst. Bursts of a quick sensor that sleeps in between change far more from one to the next, and
-    rows for each message repeat what others brought.
-    """
-    steps = np.diff(t)
-    if len(t) < _ROWS * _FEWEST:
-        return None
-    between = steps > _APART * float(np.median(steps))
-    starts = np.append(0, np.flatnonzero(between) + 1)
-    sizes = np.diff(np.append(starts, len(t)))
-    if len(starts) < _FEWEST or np.median(sizes) < _ROWS:
-        return None
-    ends = t[starts + sizes - 1]
-    usual = float(np.median(np.diff(ends)))
-    waits = np.append(usual, np.diff(ends))
-    if np.mean(np.abs(waits - usual) < 0.5 * usual) < _REGULAR:
-        return None
-    changes = np.abs(np.diff(readings, axis=1))
-    if np.mean(np.any(changes[:, ~between] > 0.0, axis=0)) < _CHANGING:
-        return None
-    sizes_of = [np.sqrt(np.mean(changes[:, some] ** 2)) for some in (between, ~between)]
-    if sizes_of[0] > _ALIKE * sizes_of[1]:
-        return None
-    behind = np.repeat(starts + sizes - 1, sizes) - np.arange(len(t))
-    return np.asarray(
-        np.repeat(ends, sizes) - behind * np.repeat(np.minimum(waits, 1.5 * usual) / sizes, sizes)
-    )
-
-
 RECORDING = 20
 """Rows from which a stretch counts as a recording of its own."""
 
@@ -175,59 +121,23 @@ _TOGETHER = 0.8
 _EXPECTED = 5.0
 """Repeated readings that must be expected, were readings written whatever they are."""
 
-_FEW_REPEATS = 0.2
-"""Part of the repeats to expect up to which a logger writes only what changed."""
 
-
-class Held(NamedTuple):
-    """Columns with the readings that held, and the rows of each in which a blank was filled."""
-
-    columns: dict[str, FloatArray]
-    rows: dict[str, NDArray[np.intp]]
-
-
-def hold_unchanged(columns: Mapping[str, FloatArray]) -> Held:
-    """Fill the blanks of a table whose logger writes a reading only where it differs.
+def writes_changes(values: FloatArray) -> bool:
+    """Tell whether a logger wrote a reading only where it differs from the one before.
 
     Such a column never repeats the reading before, though it has few values: of `n` readings, drawn
-    in any order, ``n`` times the sum of the squared shares of its values would. Where readings are
-    left out for another reason, or come more seldom than rows, they do repeat.
+    in any order, ``n`` times the sum of the squared shares of its values would.
     """
-    blanks = {name: np.isnan(values) for name, values in columns.items()}
-    found, changing = [], False
-    for name, blank in blanks.items():
-        readings = columns[name][~blank]
-        if len(readings) < 2 or not np.any(blank):
-            continue
-        counts = np.unique(readings, return_counts=True)[1]
-        expected = float(np.sum(counts * (counts - 1.0))) / len(readings)
-        if np.count_nonzero(np.diff(readings) == 0.0) > _FEW_REPEATS * expected:
-            continue
-        changing |= expected >= _EXPECTED
-        between = np.diff(np.flatnonzero(~blank))
-        usual = int(np.median(between))
-        if usual == 1 or np.mean(between == usual) < _REGULAR:
-            found.append(name)
-    if not changing:
-        return Held(dict(columns), {})
-    whole = [values for name, values in columns.items() if not np.any(blanks[name])]
-    ends = _instants(whole, len(next(iter(columns.values()))))
-    made, rows = dict(columns), {}
-    for name in found:
-        blank, values = blanks[name], columns[name]
-        last = np.maximum.accumulate(np.where(blank, -1, np.arange(len(blank))))[ends]
-        made[name] = np.where(last >= 0, values[last], np.nan)
-        rows[name] = np.flatnonzero(blank & (last >= 0))
-    return Held(made, rows)
-
-
-def _instants(whole: Sequence[FloatArray], count: int) -> NDArray[np.intp]:
-    """Return the last row of each row's instant: rows alike in the columns without a blank."""
-    if not whole:
-        return np.arange(count)
-    ends = np.append(np.any([np.diff(values) != 0.0 for values in whole], axis=0), True)
-    at = np.flatnonzero(ends)
-    return np.asarray(np.repeat(at, np.diff(at, prepend=-1)))
+    known = np.flatnonzero(np.isfinite(values))
+    readings = values[known]
+    if len(readings) in (0, len(values)):
+        return False
+    counts = np.unique(readings, return_counts=True)[1]
+    expected = float(np.sum(counts * (counts - 1.0))) / len(readings)
+    repeats = np.count_nonzero(np.diff(readings) == 0.0)
+    between = np.diff(known)  # readings of a slow sensor come at a steady rate
+    slow = len(between) and np.median(between) > 1 and np.mean(between == np.median(between)) > 0.9
+    return bool(expected >= _EXPECTED and repeats <= 0.2 * expected and not slow)
 
 
 class Joined(NamedTuple):
@@ -268,9 +178,10 @@ Place = Callable[[int], str]
 
 _STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
 _BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
-_PAUSE = 10.0  # time between recordings whose clocks begin anew [s]
 _LATE = 0.01  # share of the rows that may come late
 _LATEST = 5.0  # how late they may come [s]
+_SHARED = 0.2  # share of the rows that may have the time of another
+_ONE_TIME = 8  # rows of one time, at most
 _FAR = 0.01  # share of the steps in which a heading may change by more than a third of a turn
 _SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
 
@@ -285,19 +196,6 @@ class SetAside:
 
     def __str__(self) -> str:
         return f"{self.count} samples: {self.reason} ({self.where})"
-
-
-def unchanged(
-    held: Mapping[str, NDArray[np.intp]], used: Collection[str], place: Place
-) -> list[SetAside]:
-    """Count the cells of columns in use that are blank because the reading before still holds."""
-    return [
-        SetAside(
-            f"{name} is blank, as what did not change is in this log; it holds",
-            len(rows), ", ".join(place(int(row)) for row in rows[:3]),
-        )
-        for name, rows in held.items() if name in used
-    ]  # fmt: skip
 
 
 class _Cleaned(Protocol):
@@ -363,6 +261,7 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
         raise DriveLogError(f"{label}: channels have shapes {shapes}; give rows of equal length")
     cleaner = _Cleaner(channels, label, place)
     for name in channels:
+        cleaner.hold(name)
         if cleaner.many_strays(name):
             cleaner.blank_glitches(name)  # several in a short log are no other unit
         cleaner.blank_strays(name)
@@ -443,6 +342,15 @@ class _Cleaner:
         self.note(lost, f"{name} stands out for one reading or two; blanked")
         self.channels[name][lost] = np.nan
 
+    def hold(self, name: str) -> None:
+        """Fill the blanks of a channel whose logger writes what changes alone."""
+        values = self.channels[name]
+        if name == "t" or not writes_changes(values):
+            return
+        last = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(len(values))))
+        self.note(np.isnan(values) & (last >= 0), f"{name} is blank, as what does not change; held")
+        self.channels[name] = np.where(last >= 0, values[last], np.nan)
+
     def join(self, needed: Collection[str]) -> None:
         """Bring channels that stand in rows of their own to those of the left tread speed."""
         joined = join_rows(self.channels, needed)
@@ -453,40 +361,55 @@ class _Cleaner:
         self.warnings.append(f"each row holds some of the channels; at the times of v_left: {told}")
 
     def order(self) -> None:
-        """Put rows in the order of time, and average those of one time."""
-        if len(self.rows) < 2:
-            return
-        again = np.ones(len(self.rows) - 1, bool)
+        """Sort a few late rows, average those of one time, and refuse what is out of order."""
+        again = np.ones(len(self.rows) - 1, bool) if len(self.rows) else np.zeros(0, bool)
         for values in self.channels.values():
             again &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-        self.drop(np.append(False, again), "the row repeats the one before; left out")
-        if len(self.rows) >= RECORDING and np.mean(np.diff(self.channels["t"]) < 0) > 0.9:
+        self.drop(
+            np.append(False, again)[: len(self.rows)], "the row repeats the one before; left out"
+        )
+        steps = np.diff(self.channels["t"])
+        if len(steps) >= RECORDING and np.mean(steps < 0) > 0.9:
             self.pick(np.arange(len(self.rows))[::-1])
             self.warnings.append("the rows stand newest first; they are read backwards")
-        if np.any(np.diff(self.channels["t"]) < 0):
-            again = self.seen_before()
-            if np.all(np.diff(self.channels["t"][~again]) > 0):
-                self.drop(again, "the row repeats an earlier one; left out")
-        if np.any(np.diff(self.channels["t"]) < 0):
-            self.unwrap()
-        if np.any(np.diff(self.channels["t"]) < 0):
-            self.restart()
-        if np.any(np.diff(self.channels["t"]) < 0):
-            self.sort()
-        if np.any(np.diff(self.channels["t"]) == 0):
-            self.average()
-        if np.all(np.diff(self.channels["t"]) > 0):
-            self.spread()
+        elif np.any(steps < 0):
+            self.drop(self.seen_before(), "the row repeats an earlier one; left out")
+        self.sort()
+        self.average()
         t = self.channels["t"]
-        back = np.append(False, np.diff(t) <= 0)
-        if np.any(back):
-            k = int(np.flatnonzero(back)[0])
-            raise DriveLogError(
-                f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
-                f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps in all); if several "
-                "recordings follow each other, or the clock was set back, give each part a file of "
-                "its own; else sort the rows by time, and drop those with a time of another row"
-            )
+        back = np.append(False, np.diff(t) <= 0)[: len(t)]
+        if not np.any(back):
+            return
+        k = int(np.flatnonzero(back)[0])
+        steps = np.diff(t)
+        usual = float(np.median(np.abs(steps[steps != 0.0]))) if np.any(steps) else nan
+        steady = f"of rows at a steady rate, map t={ROW}[*PERIOD] with the time from row to row [s]"
+        why = (
+            "recordings follow each other, a part stands twice, or the clock was set back or ran "
+            f"over: give each recording a file of its own; or, {steady}"
+        )
+        if not np.any(steps < 0.0):
+            why = f"the clock counts in steps of {usual:.3g} s, or stood still: {steady}"
+        raise DriveLogError(
+            f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
+            f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps in all): {why}"
+        )
+
+    def sort(self) -> None:
+        """Sort rows of which a few came late."""
+        t = self.channels["t"]
+        late = np.append(False, np.diff(t) < 0)[: len(t)]
+        if not np.any(late):
+            return
+        if np.mean(late) > _LATE or np.max(np.maximum.accumulate(t) - t) > _LATEST:
+            return
+        self.note(late, "the row is older than the one before; sorted by time")
+        self.pick(np.argsort(t, kind="stable"))
+
+    def pick(self, rows: NDArray[np.intp]) -> None:
+        """Keep some rows, in their order."""
+        self.channels = {name: values[rows] for name, values in self.channels.items()}
+        self.rows = self.rows[rows]
 
     def seen_before(self) -> NDArray[np.bool_]:
         """Tell which rows repeat an earlier one with its time, as where a part stands twice."""
@@ -496,74 +419,23 @@ class _Cleaner:
         again[first] = False
         return again
 
-    def pick(self, rows: NDArray[np.intp]) -> None:
-        """Keep some rows, in their order."""
-        self.channels = {name: values[rows] for name, values in self.channels.items()}
-        self.rows = self.rows[rows]
-
-    def unwrap(self) -> None:
-        """Let a clock go on that overflowed."""
-        t = self.channels["t"]
-        times = unwrap_clock(t)
-        if times is not None:
-            where = self.where(np.append(False, np.diff(t) < 0))
-            self.channels["t"] = times
-            self.warnings.append(f"t overflows at {where}, as a counter does, and goes on")
-
-    def restart(self) -> None:
-        """Put recordings one after the other that were appended to each other."""
-        t = self.channels["t"]
-        cuts = np.flatnonzero(np.diff(t) < 0) + 1
-        bounds = [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)])]
-        parts = [t[one] for one in bounds]
-        if min(map(len, parts)) < RECORDING:
-            return
-        place = ", ".join(self.place(int(self.rows[cut])) for cut in cuts[:3])
-        first = sorted(range(len(parts)), key=lambda k: float(parts[k][0]))
-        if all(parts[a][-1] < parts[b][0] for a, b in pairwise(first)):
-            self.pick(np.concatenate([np.arange(bounds[k].start, bounds[k].stop) for k in first]))
-            self.warnings.append(f"t goes back at {place}: recordings were put in their order")
-            return
-        begins = np.array([part[0] for part in parts])
-        shortest = min(float(np.ptp(part)) for part in parts)
-        if np.ptp(begins) > max(5.0, 0.1 * shortest):
-            return  # no clock that begins anew
-        step = float(np.median(np.diff(t)))
-        pause = max(_PAUSE, 10 * step)
-        counted = t.copy()
-        for before, one in pairwise(bounds):
-            counted[one] += counted[before][-1] + pause - t[one][0]
-        self.channels["t"] = counted
-        told = f"{len(parts)} recordings in one file, which are taken as one drive with gaps of"
-        more = f"{pause:g} s; separate files tell diagnose more"
-        self.warnings.append(f"t begins anew at {place}: {told} {more}")
-
-    def sort(self) -> None:
-        """Sort rows of which a few came late."""
-        t = self.channels["t"]
-        late = np.append(False, np.diff(t) < 0)
-        if np.mean(late) > _LATE or np.max(np.maximum.accumulate(t) - t) > _LATEST:
-            return
-        self.note(late, "the row is older than the one before; sorted by time")
-        self.pick(np.argsort(t, kind="stable"))
-
     def average(self) -> None:
-        """Average rows of one time, unless they come so evenly that their times are known."""
+        """Average rows of one time, if there are few; spread those of a clock of whole steps."""
         t = self.channels["t"]
-        if np.any(np.diff(t) < 0):
+        steps = np.diff(t)
+        if not np.any(steps == 0) or np.any(steps < 0):
             return
-        first = np.flatnonzero(np.append(True, np.diff(t) > 0))
+        first = np.flatnonzero(np.append(True, steps > 0))
         sizes = np.diff(np.append(first, len(t)))
         if len(first) >= RECORDING and np.median(sizes) > 1:
-            # Of stamps in whole seconds: rows of a steady rate lie on a line.
             rows, step = np.arange(len(t)), float(np.median(np.diff(t[first])))
             line = np.polynomial.Polynomial.fit(rows, t, 1)(rows)
-            if np.max(np.abs(line - t)) < step:
+            if np.max(np.abs(line - t)) < step:  # rows of a steady rate lie on a line
                 self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; spread")
                 self.channels["t"] = line
                 return
-        if len(first) < RECORDING or np.max(sizes) > max(8, 8 * float(np.median(sizes))):
-            return  # the clock stood still
+        if np.mean(steps == 0) > _SHARED or np.max(sizes) > _ONE_TIME:
+            return  # the clock stood still, or is too coarse
         self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; averaged")
         for name, values in self.channels.items():
             angle = name == "yaw"
@@ -576,14 +448,6 @@ class _Cleaner:
                 mean = np.angle(total) if angle else total / count
             self.channels[name] = np.where(count > 0, mean, np.nan)
         self.channels["t"], self.rows = t[first], self.rows[first]
-
-    def spread(self) -> None:
-        """Give rows that were buffered, and came several at once, the times of their readings."""
-        t, speeds = self.channels["t"], [self.channels[name] for name in ("v_left", "v_right")]
-        times = spread_bursts(t, np.stack(speeds))
-        if times is not None:
-            self.note(times != t, "the row came with others in one burst; spread over the time")
-            self.channels["t"] = times
 
     def bridge(self, name: str) -> None:
         """Fill short holes of a further channel; leave it out where most of it is missing."""

@@ -463,7 +463,7 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     rolls = (
         mapped is None or known_unit("v_left", mapped.unit.lstrip("-").partition("*")[0]) in RATES
     )
-    scale = 1.0 if mapped is None else abs(mapped.scale.factor)
+    scale = 1.0 if mapped is None else abs(mapped.conversion.factor)
     for unit, rate in RATES.items():
         radius = wanted * scale / rate
         as_given = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < 0.1
@@ -552,7 +552,7 @@ def _explain(
         if not there.issuperset(one.channels):
             continue
         mapped = columns.get(one.channels[0])
-        scale = 1.0 if mapped is None else abs(mapped.scale.factor)
+        scale = 1.0 if mapped is None else abs(mapped.conversion.factor)
         absolute = one in _MISTAKES
         factor = one.factor / scale if absolute else one.factor
         if abs(factor - 1.0) < 1e-9:
@@ -576,7 +576,7 @@ def _remedy(one: _Mistake, columns: _Columns) -> str:
     entries = []
     for channel in one.channels:
         mapped = columns.get(channel)
-        sign = "-" if mapped is not None and mapped.scale.factor < 0 else ""
+        sign = "-" if mapped is not None and mapped.conversion.factor < 0 else ""
         name = "NAME" if mapped is None else mapped.written
         entries.append(f"{channel}={name}[{sign}{one.unit}]")
     return f"map {','.join(entries)}"

@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable
-from typing import NamedTuple
-from unicodedata import combining, normalize
+from collections.abc import Collection, Iterable, Sequence
 
-from energyplan.logs.mapping import split_unit, split_words, unit_in
+from energyplan.logs.mapping import Column, split_unit, split_words, unit_in
 
 _WORDS = {
-    "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm",
-             "links", "li"},
-    "right": {"right", "r", "rh", "starboard", "fr", "rr", "br", "mr", "rf", "rb", "rm",
-              "rechts", "re"},
+    "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm"},
+    "right": {"right", "r", "rh", "starboard", "fr", "rr", "br", "mr", "rf", "rb", "rm"},
     "speed": {
         "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
-        "geschwindigkeit", "geschw",
     },
-    "power": {"p", "pw", "power", "watt", "watts", "pwr", "leistung"},
-    "voltage": {"u", "volt", "volts", "voltage", "vbat", "vbatt", "ubat", "vbus", "spannung"},
+    "power": {"p", "pw", "power", "watt", "watts", "pwr"},
+    "voltage": {"u", "volt", "volts", "voltage", "vbat", "vbatt", "ubat", "vbus"},
     "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents",
-                "ibat", "ibatt", "ibus", "strom"},
+                "ibat", "ibatt", "ibus"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
-             "zeit", "uhrzeit", "zeitstempel", "epoch", "utc", "ts",
-             "datetime", "tstamp", "millis", "micros", "nanos"},
-    "yaw": {"yaw", "heading", "theta", "psi", "hdg", "course", "azimuth", "gierwinkel", "compass",
-            "kompass", "kurs"},
-    "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega", "drehrate", "gierrate"},
+             "epoch", "utc", "ts", "datetime", "tstamp", "millis", "micros", "nanos"},
+    "yaw": {"yaw", "heading", "theta", "psi", "hdg", "course", "azimuth", "compass"},
+    "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega"},
     "accel": {"acc", "accel", "acceleration", "ax"},
     "temperature": {"temp", "temperature"},
 }  # fmt: skip
@@ -42,13 +35,12 @@ _NOT_MEASURED = {
 
 
 ENCODER = {"enc", "encoder", "encoders", "tick", "ticks", "count", "counts", "counter", "pulses",
-            "odometer"}  # fmt: skip
+            "odometer", "odo", "distance", "dist"}  # fmt: skip
 """Words of what counts the turns of a wheel."""
 
 
 _PLACES = {
     "front": "", "rear": "", "back": "", "mid": "", "middle": "", "center": "", "centre": "",
-    "vorne": "", "hinten": "", "vorn": "",
     **{f"{place}{side}": side for place in "frbm" for side in "lr"},
     **{f"{side}{place}": side for place in "frbm" for side in "lr" if f"{side}{place}" != "rl"},
 }  # fmt: skip
@@ -57,7 +49,7 @@ _MEASURED = {
     "meas", "measured", "actual", "act", "feedback", "fb", "real", "side", "sensor", "state",
 }  # fmt: skip
 """Words that say that a reading is one, and not of what."""
-_BATTERY = {"battery", "bat", "batt", "batterie", "bus", "bms", "pack"}
+_BATTERY = {"battery", "bat", "batt", "bus", "bms", "pack"}
 _ELECTRIC = ("power", "voltage", "current")
 _TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "v_left": "speed"}
 
@@ -72,23 +64,10 @@ _NO_PLACE = {
 """Words of vectors that are no place."""
 
 
-class Guess(NamedTuple):
-    """A name that may be a channel: how well it fits, the unit that it tells, and its fellows.
-
-    Fellows are the same of the side's other wheels or motors.
-    """
-
-    name: str
-    score: float
-    unit: str
-    fellows: tuple[str, ...] = ()
-
-
 def words(name: str) -> list[str]:
     """Split a name into its words, in small letters."""
     found: list[str] = []
-    plain = "".join(c for c in normalize("NFKD", split_unit(name)[0]) if not combining(c))
-    for part in split_words(re.sub(r"[0-9]+", " ", plain)):
+    for part in split_words(re.sub(r"[0-9]+", " ", split_unit(name)[0])):
         word = part.lower()
         if word in _WHOLE:
             found.append(word)
@@ -124,7 +103,7 @@ def _score(channel: str, name: str) -> float:
     said = set(told)
     has = {kind: bool(said & names) for kind, names in _WORDS.items()}
     for quantity, kind in _TOLD_BY_UNIT.items():
-        has[kind] = has[kind] or unit_in(quantity, name) is not None
+        has[kind] = has[kind] or unit_in(quantity, name).unit != ""
     if "v" in said and said & _BATTERY:
         has["voltage"], has["speed"] = True, bool(said & (_WORDS["speed"] - {"v", "w"}))
     # Of several quantities, as where topics are named for one, the name ends with its own.
@@ -156,7 +135,7 @@ def _score(channel: str, name: str) -> float:
         return 0.0
     if channel in ("power", "voltage", "current"):
         others = [kind for kind in _ELECTRIC if kind != channel]
-        whole = 0.5 * bool(said & (_BATTERY | {"total", "gesamt"}))
+        whole = 0.5 * bool(said & (_BATTERY | {"total"}))
         return (2.0 + whole) * has[channel] * (not any(has[other] for other in others))
     if channel in ("x", "y"):
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
@@ -167,7 +146,7 @@ def _score(channel: str, name: str) -> float:
     if channel == "yaw_rate":
         named = has["yaw"] and said & {"rate", "vel", "velocity", "speed", "dot"}
         z = "z" in said and has["turn"]
-        alone = said & {"yawrate", "wz", "gz", "drehrate", "gierrate"}
+        alone = said & {"yawrate", "wz", "gz"}
         named = named or ("turn" in said and said & {"rate", "speed", "velocity"})
         return 3.0 * bool(named) + 2.0 * bool(z) + 2.0 * bool(alone)
     if channel == "accel_x":
@@ -186,19 +165,19 @@ def _quaternions(names: Collection[str]) -> set[str]:
     }  # fmt: skip
 
 
-def guess_encoders(names: Iterable[str]) -> dict[str, Guess]:
+def guess_encoders(names: Iterable[str]) -> dict[str, Column]:
     """Guess which names are encoders' of the left and right wheels; none where one is missing."""
     asked = {"cmd", "command", "set", "setpoint", "target", "desired", "ref", "goal", "err",
              "error", "cov", "covariance", "temp"}  # fmt: skip
     counted = [n for n in names if ENCODER & set(words(n)) and not asked & set(words(n))]
     groups = _groups(counted)
-    found: dict[str, Guess] = {}
+    found: dict[str, Column] = {}
     for side in ("left", "right"):
-        name = next((name for name in counted if side_of(name) == side), None)
-        if name is not None:
-            told = unit_in(f"v_{side}", name)
-            fellows = tuple(n for n in groups.get(name, ()) if n != name and side_of(n) == side)
-            found[f"v_{side}"] = Guess(name, 1.0, told.unit if told else "", fellows)
+        name, channel = next((n for n in counted if side_of(n) == side), ""), f"v_{side}"
+        rest = tuple(n for n in groups.get(name, ()) if n != name and side_of(n) == side)
+        if name:
+            unit = unit_in(channel, name).unit
+            found[channel] = Column(field=name, unit=unit, plus=rest, channel=channel)
     return found if len(found) == 2 else {}
 
 
@@ -215,7 +194,7 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
 def halves(name: str, others: Iterable[str]) -> list[str]:
     """Return powers or currents named like one but for a word: of another side, it may be."""
     told = _tokens(name)
-    if set(told) & (_BATTERY | {"total", "gesamt"}):
+    if set(told) & (_BATTERY | {"total"}):
         return []
     found = []
     for other in others:
@@ -249,52 +228,56 @@ def guess_turns(names: Iterable[str]) -> list[str]:
     return [name for name in names if _score("yaw_rate", name) > 0.0]
 
 
-def guess_position(names: Iterable[str]) -> tuple[str, str] | None:
-    """Return the names that seem to be latitude and longitude; None where one is missing."""
-    said = {name: set(words(name)) for name in names}
-    found = [
-        next((name for name in said if said[name] & wanted), None)
-        for wanted in ({"lat", "latitude", "breite"}, {"lon", "lng", "long", "longitude"})
-    ]
-    return None if found[0] is None or found[1] is None else (found[0], found[1])
-
-
 CHANNELS = (
     "t", "v_left", "v_right", "p_left", "p_right", "current_left", "current_right", "voltage_left",
     "voltage_right", "power", "voltage", "current", "x", "y", "yaw", "yaw_rate", "accel_x",
 )  # fmt: skip
 
 
-def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Guess]:
-    """Guess which name is which channel."""
+def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column]:
+    """Guess which name is which channel, and in which unit if it says so.
+
+    A sum is of the same of a side's other wheels or motors. Wheel rates still lack their radius.
+    """
     every = list(names)
     others = {*taken, *_quaternions(every)}
     left = [name for name in every if name not in others]
     groups = _groups(left)
     rated = []
     for channel in CHANNELS:
+        quantity = channel.partition("_")[0]
+        quantity = quantity if quantity in ("current", "voltage") else channel
         for place, name in enumerate(left):
-            score = _score(channel, name)
-            quantity = {"current": "current", "voltage": "voltage"}.get(
-                channel.partition("_")[0], channel
-            )
-            told = unit_in(quantity, name)
-            if told is None and split_unit(name)[1] and channel != "t":
-                score = min(score, 0.5) if score else 0.0  # it says that it is something else
-            elif told is not None and score:
-                score += 1.0
+            score, unit = _score(channel, name), unit_in(quantity, name).unit
+            if unit:
+                score += 1.0 * (score > 0.0)
+            elif split_unit(name)[1] and channel != "t":
+                score = min(score, 0.5)  # it says that it is something else
             if score >= 1.0:
-                rated.append(
-                    (-score, place, channel, Guess(name, score, told.unit if told else ""))
-                )
-    found: dict[str, Guess] = {}
-    used: set[str] = set()
-    for _, _, channel, one in sorted(rated, key=lambda item: item[:2]):
-        if channel in found or one.name in used:
+                rated.append((-score, place, Column(field=name, unit=unit, channel=channel)))
+    found = _stamp(left)
+    used: set[str] = {name for one in found.values() for name in one.names}
+    for _, _, one in sorted(rated, key=lambda item: item[:2]):
+        if one.channel in found or one.field in used:
             continue
-        if channel.partition("_")[0] in ("v", "p", "current", "power"):
-            group = groups.get(one.name, (one.name,))
-            one = one._replace(fellows=tuple(name for name in group if name != one.name))
-        found[channel] = one
-        used |= {one.name, *one.fellows}
+        if one.channel.partition("_")[0] in ("v", "p", "current", "power"):
+            alike = groups.get(one.field, (one.field,))
+            one = one.model_copy(update={"plus": tuple(n for n in alike if n != one.field)})
+        found[one.channel] = one
+        used |= set(one.names)
     return {channel: found[channel] for channel in CHANNELS if channel in found}
+
+
+def _stamp(names: Sequence[str]) -> dict[str, Column]:
+    """Return the time of whole seconds and nanoseconds, as stamps of ROS messages are flattened."""
+    for name in names:
+        match = re.fullmatch(r"(.*stamp[\W_]*)secs?", name)
+        parts = [
+            n for n in names if match and re.fullmatch(re.escape(match[1]) + "n(ano)?secs?", n)
+        ]
+        if len(parts) == 1:
+            weights = (1.0, 1e-9)
+            return {
+                "t": Column(field=name, unit="s", plus=(parts[0],), weights=weights, channel="t")
+            }
+    return {}

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from math import isfinite, pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described
 from energyplan.logs.align import derivative, gap_limit
 from energyplan.path import FloatArray
+from energyplan.records import Checked
 
-if TYPE_CHECKING:  # which imports this module
-    from energyplan.logs.tables import Table
+ROW = "row"
+"""Stands for the number of a row in a mapping: the time, of rows that come at a steady rate."""
 
 
 class Scale(NamedTuple):
@@ -67,11 +70,10 @@ _ALIASES = {
     "kph": "km/h", "kmph": "km/h", "ips": "in/s", "inch/s": "in/s", "inches/s": "in/s",
     "fps": "ft/s", "feet/s": "ft/s", "inch": "in", "inches": "in", "feet": "ft", "foot": "ft",
     "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "\u00b0": "deg",
-    "grad": "deg", "grad/s": "deg/s", "tr/min": "rpm", "umdr/min": "rpm", "rad/sek": "rad/s",
     "rads": "rad/s", "radps": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",
     "radians/s": "rad/s", "rad/sec": "rad/s", "\u00b0/s": "deg/s", "dps": "deg/s",
-    "degrees/s": "deg/s", "deg/sec": "deg/s", "1/min": "rpm", "r/min": "rpm", "u/min": "rpm",
-    "min-1": "rpm", "min^-1": "rpm", "rps": "rev/s",
+    "degrees/s": "deg/s", "deg/sec": "deg/s", "1/min": "rpm", "r/min": "rpm", "min-1": "rpm",
+    "min^-1": "rpm", "rps": "rev/s",
     "watt": "W", "watts": "W", "kilowatt": "kW", "horsepower": "hp",
     "watthours": "Wh", "watt/hours": "Wh", "watt/hour": "Wh", "w/h": "Wh", "amphours": "Ah",
     "amp/hours": "Ah", "amp/hour": "Ah", "ampere/hours": "Ah", "milliamp/hours": "mAh",
@@ -111,6 +113,7 @@ def is_count(unit: str) -> bool:
     return unit in _COUNTS
 
 
+@lru_cache(maxsize=512)
 def scale_of(channel: str, unit: str) -> Scale:
     """Return the conversion from a unit."""
     if not unit:
@@ -194,13 +197,13 @@ def split_words(name: str) -> list[str]:
 
 
 class NamedUnit(NamedTuple):
-    """A name without its unit, and the unit in its usual spelling."""
+    """A name without its unit, and the unit in its usual spelling; empty where it tells none."""
 
     bare: str
-    unit: str
+    unit: str = ""
 
 
-def unit_in(channel: str, name: str) -> NamedUnit | None:
+def unit_in(channel: str, name: str) -> NamedUnit:
     """Return the unit that a column's name tells, if the channel can be in it.
 
     It stands in brackets at the end, as in ``speed [km/h]``, or is a word of the name, as in
@@ -208,8 +211,7 @@ def unit_in(channel: str, name: str) -> NamedUnit | None:
     """
     bare, told = split_unit(name)
     if told:
-        spelt = known_unit(channel, told)
-        return None if spelt is None else NamedUnit(bare, spelt)
+        return NamedUnit(bare, known_unit(channel, told) or "")
     words = split_words(name)
     for count in (3, 2, 1):
         tail = [word for word in words[-count:] if word.lower() != "per"]
@@ -222,7 +224,7 @@ def unit_in(channel: str, name: str) -> NamedUnit | None:
         spelt = known_unit(channel, word) if word.lower() in _ANYWHERE else None
         if spelt is not None:
             return NamedUnit("_".join(words[:k] + words[k + 1 :]), spelt)
-    return None
+    return NamedUnit(name)
 
 
 _DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a clock may count days
@@ -319,21 +321,40 @@ def _slopes(t: FloatArray, total: FloatArray) -> FloatArray:
 # -- columns ----------------------------------------------------------------------
 
 
-class Column(NamedTuple):
-    """A column of a file that serves as a channel."""
+class Column(Checked):
+    """A column of a table, or a field of a bag's messages, that serves as a channel."""
 
-    source: str  # name of the column
-    scale: Scale = Scale()  # conversion to the library's unit
-    unit: str = ""  # the unit that the conversion came from, as it was written
-    times: str | None = None  # A further column to multiply by, as a voltage by a current
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    topic: str = ""  # of a bag; empty for a column of a table
+    field: str = Field(validation_alias=AliasChoices("field", "column"))  # name of the column
+    unit: str = ""  # as it was written
+    times: str | None = None  # a further column to multiply by, as a voltage by a current
     plus: tuple[str, ...] = ()  # columns to add, before that
-    weights: tuple[float, ...] = ()  # factors of the source and of those; none: all are one
+    weights: tuple[float, ...] = ()  # factors of the field and of those; none: all are one
     channel: str = ""  # the channel that it serves as
+
+    @model_validator(mode="before")
+    @classmethod
+    def _scaled(cls, value: Any) -> Any:
+        """Take the factor of a topic map for a unit."""
+        if not isinstance(value, dict) or "scale" not in value:
+            return value
+        scale = value["scale"]
+        if isinstance(scale, bool) or not isinstance(scale, int | float) or not isfinite(scale):
+            raise ValueError(f"scale should be a number, not {scale!r}")
+        rest = {key: part for key, part in value.items() if key != "scale"}
+        return {**rest, "unit": f"*{scale!r}"}
+
+    @property
+    def conversion(self) -> Scale:
+        """Conversion to the library's unit."""
+        return scale_of(self.channel, self.unit)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all the columns."""
-        return (self.source, *self.plus, *(() if self.times is None else (self.times,)))
+        return (self.field, *self.plus, *(() if self.times is None else (self.times,)))
 
     @property
     def written(self) -> str:
@@ -348,7 +369,7 @@ class Column(NamedTuple):
         return f"({added}) * {self.times}" if self.plus else f"{added} * {self.times}"
 
     def _terms(self) -> list[tuple[float, str]]:
-        names = (self.source, *self.plus)
+        names = (self.field, *self.plus)
         return list(zip(self.weights or (1.0,) * len(names), names, strict=True))
 
     def value(self, reading: Callable[[str], Any], rate: Callable[[str], Any] | None = None) -> Any:
@@ -358,7 +379,8 @@ class Column(NamedTuple):
         value = sum(parts[1:], start=parts[0])
         if self.times is not None:
             value = value * reading(self.times)
-        return value * self.scale.factor + self.scale.offset
+        scale = self.conversion
+        return value * scale.factor + scale.offset
 
     @property
     def counts(self) -> str:
@@ -372,21 +394,31 @@ class Column(NamedTuple):
             return np.asarray(self.value(reading))
         return np.asarray(self.value(reading, lambda name: count_rate(t, reading(name), kind)))
 
-    def described(self) -> dict[str, Any]:
-        """Return the column as a project's file holds it."""
-        return {
-            "column": self.source, "plus": list(self.plus), "weights": list(self.weights),
-            "unit": self.unit, "times": self.times,
-        }  # fmt: skip
+    def matches(self, topic: str) -> bool:
+        """Tell whether a bag's topic is meant."""
+        wanted = self.topic.strip("/")
+        return topic.strip("/") == wanted or topic.endswith(f"/{wanted}")
 
-    def with_unit(self, unit: str) -> Column:
-        """Return the column in another unit."""
-        return column_from(self.channel, self.source, unit, self.times, self.plus, self.weights)
+    def described(self) -> dict[str, Any]:
+        """Return the column as a project's file, or a topic map, holds it."""
+        said: dict[str, Any]
+        if self.topic:
+            said = {"topic": self.topic, "field": self.written if self.plus else self.field}
+        else:
+            said = {"column": self.field, "plus": [*self.plus], "weights": [*self.weights]}
+        said |= {"unit": self.unit, "times": self.times}
+        return {key: value for key, value in said.items() if value}
+
+    def changed(self, **parts: Any) -> Column:
+        """Return the column with other parts; its unit is checked."""
+        made = self.model_copy(update=parts)
+        _ = made.conversion
+        return made
 
     def negative(self) -> Column:
         """Return the column with the opposite sign."""
         unit = self.unit or next(iter(UNITS[self.channel]))
-        return self.with_unit(unit[1:] if unit.startswith("-") else f"-{unit}")
+        return self.changed(unit=unit[1:] if unit.startswith("-") else f"-{unit}")
 
 
 def column_from(
@@ -398,12 +430,14 @@ def column_from(
     weights: Sequence[float] = (),
 ) -> Column:
     """Return the column of a name that serves as a channel."""
-    scale = scale_of(channel, unit) if unit else Scale()
     if weights and len(weights) != 1 + len(plus):
         raise DriveLogError(
             f"{channel}: {len(weights)} weights of {1 + len(plus)} columns; give one for each"
         )
-    return Column(column, scale, unit or "", times, tuple(plus), tuple(weights), channel)
+    made = Column(field=column, unit=unit or "", times=times, plus=tuple(plus),
+                  weights=tuple(weights), channel=channel)  # fmt: skip
+    _ = made.conversion  # refuses an unknown unit
+    return made
 
 
 def _unreadable(entry: str) -> DriveLogError:
@@ -412,15 +446,6 @@ def _unreadable(entry: str) -> DriveLogError:
         "CHANNEL=COLUMN[UNIT], such as yaw=heading[deg], with quotes around a name that holds "
         "commas"
     )
-
-
-class _Entry(NamedTuple):
-    """An entry of a column mapping as written: what is a name in it the table decides."""
-
-    channel: str
-    text: str
-    quoted: bool
-    unit: str
 
 
 def _split(text: str) -> list[str]:
@@ -443,53 +468,31 @@ def _split(text: str) -> list[str]:
 _QUOTED = re.compile(r"""(?:"([^"]+)"|'([^']+)')\s*(?:\[\s*([^\[\]]*?)\s*\])?""")
 
 
-def _entries(columns: str | Mapping[str, str] | None) -> list[_Entry]:
-    if columns is None:
-        return []
-    if isinstance(columns, str):
-        pairs = [entry.partition("=") for entry in _split(columns)]
-    else:
-        pairs = [(channel, "=", str(source)) for channel, source in columns.items()]
-    found: list[_Entry] = []
-    for name, equals, text in pairs:
-        channel, source = name.strip(), text.strip()
-        if not equals or not channel or not source or re.search(r"[\[\]\"']", channel):
-            raise _unreadable(f"{name}{equals}{text}")
-        if channel in {entry.channel for entry in found}:
-            raise DriveLogError(f"column mapping names the channel {channel!r} twice; drop one")
-        quoted = _QUOTED.fullmatch(source)
-        if quoted is not None:
-            inner = quoted[1] or quoted[2]
-            found.append(_Entry(channel, inner, True, quoted[3] or ""))
-        else:
-            found.append(_Entry(channel, source, False, ""))
-    return found
-
-
 _UNIT_AFTER = re.compile(r"(.*\S)\s*\[\s*([^\[\]]*?)\s*\]")
 
 
-def _resolve(entry: _Entry, names: Collection[str]) -> Column:
+def _resolve(channel: str, text: str, names: Collection[str]) -> Column:
     """Find what a mapping's entry means: a name as a whole, or a name with a unit after it."""
-    if entry.unit:
-        return column_from(entry.channel, entry.text, entry.unit)
-    if entry.quoted or entry.text in names:
+    quoted = _QUOTED.fullmatch(text)
+    source = text if quoted is None else quoted[1] or quoted[2]
+    if quoted is not None and quoted[3]:
+        return column_from(channel, source, quoted[3])
+    if quoted is not None or source in names:
         # What a name says of its unit, such as "speed [km/h]" or "speed_kmh", is believed.
-        told = unit_in(entry.channel, entry.text)
-        return column_from(entry.channel, entry.text, told.unit if told else None)
-    match = _UNIT_AFTER.fullmatch(entry.text)
-    source, unit = (match[1], match[2]) if match else (entry.text, "")
+        return column_from(channel, source, unit_in(channel, source).unit)
+    match = _UNIT_AFTER.fullmatch(source)
+    source, unit = (match[1], match[2]) if match else (source, "")
     if source.count("[") != source.count("]"):
-        raise _unreadable(f"{entry.channel}={entry.text}")
+        raise _unreadable(f"{channel}={text}")
     formula = None if source in names else _formula(source, names)
     if formula is None:
-        return column_from(entry.channel, source, unit)
+        return column_from(channel, source, unit)
     terms, times = formula
     parts = [name for _, name in terms]
     weights = [weight for weight, _ in terms]
-    written = unit or _unit_of(entry.channel, parts, times)
+    written = unit or _unit_of(channel, parts, times)
     plain = all(weight == 1.0 for weight in weights)
-    return column_from(entry.channel, parts[0], written, times, parts[1:], () if plain else weights)
+    return column_from(channel, parts[0], written, times, parts[1:], () if plain else weights)
 
 
 _NUMBER = r"\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+"
@@ -516,13 +519,8 @@ def _formula(
 
 def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:
     """Return the unit that the columns of a formula tell by their names, if they all tell one."""
-    kinds = (channel,) if times is None else ("current", "voltage", "yaw_rate")
-    told = [
-        next((one for kind in kinds if (one := unit_in(kind, name)) is not None), None)
-        for name in (*names, *(() if times is None else (times,)))
-    ]
     if times is None:
-        units = {one.unit if one else "" for one in told}
+        units = {unit_in(channel, name).unit for name in names}
         if len(units) == 1:
             return units.pop()
         raise DriveLogError(
@@ -530,8 +528,11 @@ def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:
             f"formula, or factors in it, as in {channel}={names[0]}-0.25*{names[-1]}[m/s]"
         )
     factor = 1.0
-    for unit in (*{part.unit if part else "" for part in told[:-1]}, told[-1] and told[-1].unit):
-        factor *= next((UNITS[kind][unit] for kind in kinds if unit in UNITS[kind]), 1.0)
+    kinds = ("current", "voltage", "yaw_rate")
+    told = [next(((k, u) for k in kinds if (u := unit_in(k, name).unit)), ("current", ""))
+            for name in (*names, times)]  # fmt: skip
+    for kind, unit in (*dict.fromkeys(told[:-1]), told[-1]):
+        factor *= UNITS[kind].get(unit, 1.0)
     return "" if factor == 1.0 else f"*{factor:.10g}"
 
 
@@ -540,64 +541,36 @@ def parse_columns(
 ) -> dict[str, Column]:
     """Read which column serves as which channel."""
     if columns is None or isinstance(columns, str):
-        return {entry.channel: _resolve(entry, names) for entry in _entries(columns)}
-    for key, item in columns.items():
-        if not isinstance(item, str | Column):
-            raise DriveLogError(f"the column of {key!r} is {described(item)}; give its name")
-    made = {key: item for key, item in columns.items() if isinstance(item, Column)}
-    rest = {key: item for key, item in columns.items() if isinstance(item, str)}
-    return {**made, **{entry.channel: _resolve(entry, names) for entry in _entries(rest)}}
-
-
-class Chosen(NamedTuple):
-    """Channels taken from a table, the columns that served, and those of text nobody asked for."""
-
-    channels: dict[str, FloatArray]
-    used: set[str]
-    unread: list[str]
-
-
-def choose_columns(
-    table: Table, columns: str | Mapping[str, str | Column] | None, others: bool = True
-) -> Chosen:
-    """Take a log's channels from a table."""
-    wanted = parse_columns(columns, (*table.columns, *table.text))
-    if others:
-        own = own_columns((*table.columns, *table.text), wanted)
-        wanted |= {k: c for k, c in own.items() if k in UNITS or c.source in table.columns}
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
-        t = wanted["t"].value(table.column) if "t" in wanted else None
-        channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
-    used = {name for column in wanted.values() for name in column.names}
-    unread = [name for name in table.text if others and name not in used]
-    return Chosen(channels, used, unread)
+        entries = [entry.partition("=") for entry in _split(columns or "")]
+        pairs = [(name, equals + text) for name, equals, text in entries]
+    else:
+        for key, item in columns.items():
+            if not isinstance(item, str | Column):
+                raise DriveLogError(f"the column of {key!r} is {described(item)}; give its name")
+        pairs = [(name, f"={item}") for name, item in columns.items() if isinstance(item, str)]
+    made = {} if columns is None or isinstance(columns, str) else {
+        key: item for key, item in columns.items() if isinstance(item, Column)
+    }  # fmt: skip
+    for name, text in pairs:
+        channel, source = name.strip(), text[1:].strip()
+        if not text or not channel or not source or re.search(r"[\[\]\"']", channel):
+            raise _unreadable(f"{name}{text}")
+        if channel in made:
+            raise DriveLogError(f"column mapping names the channel {channel!r} twice; drop one")
+        made[channel] = _resolve(channel, source, names)
+    return made
 
 
 def own_columns(names: Iterable[str], wanted: Mapping[str, Column]) -> dict[str, Column]:
-    """Return the channels that columns are by their own names."""
+    """Return the channels that columns are by their own names, with a unit after it or without."""
     taken = {name for column in wanted.values() for name in column.names}
     left = [name for name in names if name and name not in taken]
-    found = {name: Column(name) for name in left if name in UNITS and name not in wanted}
+    found = {n: Column(field=n, channel=n) for n in left if n in UNITS and n not in wanted}
     for name in left:
-        named = _named_channel(name)
-        if named is not None and named.channel not in {**wanted, **found}:
-            found[named.channel] = column_from(named.channel, name, named.unit)
+        told = {c: unit_in(c, name) for c in UNITS if name.startswith(c) and name != c}
+        channel = next((c for c, one in told.items() if one.unit and one.bare == c), "")
+        if channel and channel not in {**wanted, **found}:
+            found[channel] = column_from(channel, name, told[channel].unit)
         elif name not in {**wanted, **found}:
-            found[name] = Column(name)
+            found[name] = Column(field=name, channel=name)
     return found
-
-
-class _NamedChannel(NamedTuple):
-    """A channel, and the unit that a column's name tells beside it."""
-
-    channel: str
-    unit: str
-
-
-def _named_channel(name: str) -> _NamedChannel | None:
-    """Return the channel that a column's name is, with a unit of that channel after it."""
-    for channel in UNITS:
-        told = unit_in(channel, name) if name.startswith(channel) and name != channel else None
-        if told is not None and told.bare == channel:
-            return _NamedChannel(channel, told.unit)
-    return None

@@ -1,17 +1,18 @@
-"""Tables of numbers from CSV, JSON lines and Parquet, with the place of every complaint."""
+"""Tables of numbers from CSV and Parquet, with the place of every complaint."""
 
 from __future__ import annotations
 
 import codecs
+import csv
 import gzip
 import io
-import json
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
@@ -19,21 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError, MissingDependencyError
-from energyplan.logs.clean import hold_unchanged
-from energyplan.logs.dialect import (
-    MAX_COLUMNS,
-    MAX_HEADER,
-    MISSING,
-    UNNAMED,
-    Dialect,
-    Instants,
-    find_dialect,
-    instants_of,
-    over_midnight,
-    whole_stamps,
-)
 from energyplan.logs.guess import guess
-from energyplan.logs.mapping import is_unit, scale_of, split_unit, time_unit
+from energyplan.logs.mapping import ROW, is_unit, scale_of, split_unit, time_unit
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
@@ -41,9 +29,233 @@ if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is r
     import pyarrow as pa
     from _typeshed import WriteableBuffer
 
-_THOUSANDS = re.compile(r"'[-+]?\d{1,3}([,' ]\d{3})+(\.\d*)?'$")
-_NO_COMMAS = "write the column without marks between thousands, as in 12345.6"
-_CORRECT = "correct the cell or map another column"
+MAX_COLUMNS = 4096
+"""Widest table that is read."""
+_MAX_HEADER = 1 << 18
+"""Longest header line that is read [bytes]."""
+_UNNAMED = "unnamed column "
+"""How a column without a name is called, before its number."""
+_LOOKED_AT = 80  # lines that tell how the others are written
+_SEPARATORS = (",", ";", "\t", "|")
+_SPACES = r"\s+"
+_COMMENT = re.compile(r"\s*(#+|//|%%|\*\*)\s*")
+
+_MISSING = ("-", "--", "---", "?", "missing", "1.#INF", "-1.#INF")
+"""What stands in cells without a reading, beside what pandas knows."""
+_NO_NUMBER = {"", "nan", "null", "none", "n/a", "na", "#n/a", "inf", "-inf", *_MISSING}
+
+
+class Dialect(NamedTuple):
+    """How a text file writes a table."""
+
+    names: list[str]
+    separator: str
+    decimal: str  # decimal sign
+    encoding: str  # encoding
+    start: int  # where the readings begin [bytes]
+    line: int  # number of the first line of readings, from 1
+    named: int  # how many cells a row has, but for empty ones that no column names
+
+
+def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInputError]) -> Dialect:
+    """Learn from its beginning how a text file writes a table."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise error(f"{file} is UTF-16 text; save it as UTF-8")
+    mark = len(codecs.BOM_UTF8) if head.startswith(codecs.BOM_UTF8) else 0
+    encoding = "utf-8"
+    try:
+        text = codecs.getincrementaldecoder(encoding)().decode(head[mark:], whole)
+    except UnicodeDecodeError as problem:
+        encoding = "cp1252"  # of Windows where it is no UTF-8
+        try:
+            text = head[mark:].decode(encoding)
+        except UnicodeDecodeError:
+            raise error(
+                f"{file}, byte {problem.start + mark} is no UTF-8 text; save it so"
+            ) from None
+    ends = [match.end() for match in re.finditer(r"\r\n|\n|\r", text[: _MAX_HEADER * 2])]
+    if (ends[0] if ends else len(text)) > _MAX_HEADER:
+        raise error(f"{file}, line 1 is longer than {_MAX_HEADER >> 10} KiB; it must name columns")
+    starts = [0, *ends][:_LOOKED_AT]
+    stops = [*ends, len(text)][:_LOOKED_AT]
+    if not whole and len(starts) > 1 and stops[-1] == len(text):
+        starts, stops = starts[:-1], stops[:-1]  # the last line is cut
+    lines = [text[a:b].rstrip("\r\n") for a, b in zip(starts, stops, strict=True)]
+    for number, line in enumerate(lines[:2], 1):
+        if "\0" in line:
+            raise error(f"{file}, line {number} holds a NUL byte; this is no text file")
+    separator, place = _layout(lines)
+    cut = _cells(lines[place], separator) if separator else [lines[place]]
+    try:
+        if len(separator) == 1:
+            next(csv.reader([lines[place]], delimiter=separator, strict=True), [])
+    except csv.Error as problem:
+        raise error(f"{file}, line {place + 1} is no line of column names: {problem}") from None
+    names = [name.strip() for name in _uncommented(cut)]
+    named = len(names) - next((k for k, name in enumerate(reversed(names)) if name), 0)
+    body = [_cells(line, separator) for line in lines[place + 1 :]]
+    first = place + 1
+    if body and len(body[0]) == len(names) and _is_unit_row(body[0]):
+        names = [_with_unit(name, unit) for name, unit in zip(names, body[0], strict=True)]
+        body, first = body[1:], first + 1
+    _check(names, place + 1, file, error)
+    widths = Counter(len(row) for row in body if any(cell.strip() for cell in row))
+    width = widths.most_common(1)[0][0] if widths else len(names)
+    if width < named:
+        raise error(
+            f"{file}: line {place + 1} names {named} columns, but the rows have {width} "
+            "cells: which name is one too many cannot be known; give names and cells alike"
+        )
+    comma = any(_comma_number(cell) for row in body for cell in row)
+    start = len(text[: starts[first] if first < len(starts) else stops[first - 1]].encode(encoding))
+    return Dialect(
+        names, separator or ",", "," if comma else ".", encoding, start + mark, first + 1, named
+    )
+
+
+def _check(names: list[str], line: int, file: object, error: type[InvalidInputError]) -> None:
+    """Refuse names that cannot serve, and number those that are empty."""
+    if not any(names):
+        raise error(f"{file} is empty; line 1 must name the columns")
+    if len(names) > MAX_COLUMNS:
+        raise error(f"{file} has {len(names)} columns; at most {MAX_COLUMNS} are read")
+    filled = [name for name in names if name]
+    values = sum(map(_is_value, filled))
+    if 4 * values >= len(filled) + 3 * (len(filled) < 4) or _reads(names):
+        raise error(
+            f"{file}, line {line} holds numbers, and no line names the columns ('ros2 topic echo "
+            f"--csv' writes none): put one before it, with a name for each of the {len(names)} "
+            "columns"
+        )
+    twice = [name for name, count in Counter(names).items() if count > 1 and name]
+    if twice:
+        raise error(f"{file}, line {line} names the column {twice[0]!r} twice; rename one")
+    names[:] = [name or f"{_UNNAMED}{k}" for k, name in enumerate(names, 1)]
+
+
+class _Layout(NamedTuple):
+    """What separates cells, and which line names the columns, from 0."""
+
+    separator: str
+    place: int
+
+
+def _layout(lines: Sequence[str]) -> _Layout:
+    """Find the separator that cuts names and readings into as many cells, the most of them."""
+    best: tuple[int, _Layout] | None = None
+    for separator in (*_SEPARATORS, _SPACES):
+        if separator == _SPACES and best is not None:
+            break
+        rows = [_cells(line, separator) for line in lines]
+        filled = [row for row in rows if any(cell.strip() for cell in row)]
+        body = filled[len(filled) // 3 :] if len(filled) > 2 else filled[1:]
+        if not body:
+            continue
+        width, often = Counter(map(len, body)).most_common(1)[0]
+        place = _names_row(rows, width) if width > 1 and 2 * often > len(body) else None
+        if place is not None and (best is None or width > best[0]):
+            best = width, _Layout(separator, place)
+    if best is not None:
+        return best[1]
+    # Nothing fits: line 1 is taken for the names, so that the complaint names its fault.
+    counts = {mark: len(_cells(lines[0], mark)) for mark in _SEPARATORS}
+    return _Layout(max(counts, key=lambda mark: counts[mark]), 0)
+
+
+def _names_row(rows: list[list[str]], width: int) -> int | None:
+    """Return the row that names the columns: the last of words alone before the readings."""
+    told = [(k, row) for k, row in enumerate(rows) if len(_uncommented(row)) == width]
+    reading = next((k for k, row in told if not _is_comment(row) and _reads(row)), len(rows))
+    before = [(k, row) for k, row in told if k < reading and not any(map(_is_value, row))]
+    plain = [(k, row) for k, row in before if not _is_comment(row)]
+    some = plain or before
+    if not some:
+        return told[0][0] if told and told[0][0] == 0 else None
+    if reading == len(rows):  # nothing but words: the readings are, too
+        return some[0][0]
+    last = some[-1]
+    if len(some) > 1 and _is_unit_row(last[1]):
+        return some[-2][0]
+    return last[0]
+
+
+def _cells(row: str, separator: str) -> list[str]:
+    if separator == _SPACES:
+        bare = _COMMENT.sub("", row, count=1) if _COMMENT.match(row) else row
+        return bare.split()
+    try:
+        return next(csv.reader([row], delimiter=separator or ",", skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+def _is_comment(row: list[str]) -> bool:
+    return bool(row) and _COMMENT.match(row[0]) is not None
+
+
+def _uncommented(row: list[str]) -> list[str]:
+    return [_COMMENT.sub("", row[0], count=1), *row[1:]] if _is_comment(row) else row
+
+
+def _reads(row: list[str]) -> bool:
+    """Whether a row holds readings: most of its cells."""
+    filled = [cell for cell in row if cell.strip()]
+    values = sum(map(_is_value, filled)) + sum(
+        cell.strip().lower() in _NO_NUMBER for cell in filled
+    )
+    return any(map(_is_value, filled)) and 2 * values > len(filled)
+
+
+_INSTANT = re.compile(
+    r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([T ].*)?|\d{1,2}:\d\d(:\d\d.*)?|\d{8}T\d+.*"
+)
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell is a number or an instant."""
+    text = cell.strip()
+    if text.lower() in _NO_NUMBER:
+        return False
+    return _is_number(text) or _comma_number(text) or _INSTANT.fullmatch(text) is not None
+
+
+def _comma_number(cell: str) -> bool:
+    """Whether a cell is a number with a decimal comma."""
+    return re.fullmatch(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*", cell) is not None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_unit_row(row: list[str]) -> bool:
+    """Whether a row tells the units of columns: no cell is a value, most are units."""
+    filled = [cell for cell in row if cell.strip() and cell.strip() not in "-1"]
+    if not filled or any(map(_is_value, filled)):
+        return False
+    return 2 * sum(map(is_unit, filled)) > len(filled)
+
+
+def _with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit in brackets."""
+    bare = unit.strip().strip("[]()").strip()
+    return f"{name} [{bare}]" if bare and is_unit(bare) and not split_unit(name)[1] else name
+
+
+_REMEDIES = (
+    (re.compile(r"'[-+]?\d{1,3}([,' ]\d{3})+(\.\d*)?'$"),
+     "write the column without marks between thousands, as in 12345.6"),
+    (re.compile(r"'\d{1,4}[-./]\d{1,2}[-./]\d{1,4}"),
+     "write instants by ISO 8601, as in 2026-05-04T23:58:30.125"),
+    (re.compile(r"'[-+]?[\d.]+ ?[^\d\s']+'$"),
+     "write the unit in the column's name, as in 'speed [m/s]', and numbers alone in its cells"),
+    (re.compile(""), "correct the cell or map another column"),
+)  # fmt: skip
+"""What to do about a cell that is no number, by what it looks like."""
 
 
 @dataclass(frozen=True)
@@ -56,29 +268,23 @@ class Table:
     first: int  # number of the first row of data
     unit: str  # what that number counts
     error: type[InvalidInputError]  # error to raise for bad content
-    held: Mapping[str, NDArray[np.intp]] = field(default_factory=dict)
-    joined: bool = False  # whether rows are of several files
 
     def place(self, row: int) -> str:
         """Name the place of a row, such as ``"line 12"``."""
         return f"{self.unit} {self.first + row}"
 
-    def unchanged_held(self) -> Table:
-        """Return the table of a drive, its blanks filled where a logger wrote only what changed."""
-        if self.joined:
-            return self
-        held = hold_unchanged(self.columns)
-        return replace(self, columns=held.columns, held=held.rows)
-
     def column(self, name: str) -> FloatArray:
-        """Return a column."""
+        """Return a column; `ROW` is the number of each row."""
         if name in self.columns:
             return self.columns[name]
+        if name == ROW and self.columns:
+            return np.arange(len(next(iter(self.columns.values()))), dtype=float)
         if name in self.text:
-            raise self.error(
-                f"{self.source}, {self.text[name]}, which is no number; "
-                + (_NO_COMMAS if _THOUSANDS.search(self.text[name]) else _CORRECT)
-            )
+            cell = self.text[name]
+            remedy = next((text for kind, text in _REMEDIES if kind.search(cell)), "")
+            if cell.endswith(f" is {name!r}"):
+                remedy = "the names stand there again: give each recording a file of its own"
+            raise self.error(f"{self.source}, {cell}, which is no number; {remedy}")
         there = ", ".join([*self.columns, *self.text][:20])
         raise self.error(f"{self.source}: there is no column {name!r}; the columns are {there}")
 
@@ -90,7 +296,7 @@ class Columns:
         self.rows, self._first, self._unit, self._decimal = 0, first, unit, decimal
         self._numbers: dict[str, list[FloatArray]] = {name: [] for name in names}
         self._text: dict[str, str] = {}
-        self._instants: dict[str, Instants] = {}
+        self._of_day: set[str] = set()
 
     def add(self, frame: pd.DataFrame) -> None:
         """Take in the next rows."""
@@ -104,18 +310,18 @@ class Columns:
                 seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
                 self._numbers[label].append(np.asarray(seconds, float))
                 continue
-            if not pd.api.types.is_numeric_dtype(
-                series
-            ):  # text among numbers, or integers beyond 64 bits
-                series = self._mended(label, series.astype("string").str.strip())
+            if not pd.api.types.is_numeric_dtype(series):  # text, or integers beyond 64 bits
+                series = series.astype("string").str.strip()
+                if self._decimal == ",":
+                    series = series.str.replace(",", ".", regex=False)
             values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
             bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
-            if len(bad):
-                written = self._instants.get(label) or instants_of(series)
-                if written is not None:
-                    self._instants[label] = written
-                    values = written.seconds(series)
-                    bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+            if len(bad) and _OF_DAY.fullmatch(str(series.iloc[bad[0]])):
+                values = _of_day(series)
+                self._of_day.add(label)
+            elif len(bad) and _ISO.match(str(series.iloc[bad[0]])):
+                values = _since_1970(series)
+            bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
             if len(bad):
                 k = int(bad[0])
                 place = f"{self._unit} {self._first + self.rows + k}"
@@ -125,15 +331,6 @@ class Columns:
                 self._numbers[label].append(values)
         self.rows += len(frame)
 
-    def _mended(self, label: str, series: pd.Series[Any]) -> pd.Series[Any]:
-        """Blank names and units that stand among readings; decimal commas become points.
-
-        Where recordings were appended to each other, each brought its own line of names.
-        """
-        bare, unit = split_unit(label)
-        series = series.mask(series.isin({label, bare, unit, f"[{unit}]"} - {"", "[]"}))
-        return series.str.replace(",", ".", regex=False) if self._decimal == "," else series
-
     def table(self, file: Path, error: type[InvalidInputError]) -> Table:
         """Return what was read."""
         numbers = {
@@ -141,144 +338,44 @@ class Columns:
             for name, parts in self._numbers.items()
             if name not in self._text
         }
-        for name, written in self._instants.items():
-            if written.of_day and name in numbers:
-                numbers[name] = over_midnight(numbers[name])
+        for name in self._of_day & set(numbers):
+            numbers[name] = _over_midnight(numbers[name])
         # Where lines end with a separator, a column without a name holds nothing.
         numbers = {
             name: values
             for name, values in numbers.items()
-            if not name.startswith(UNNAMED) or np.isfinite(values).any()
+            if not name.startswith(_UNNAMED) or np.isfinite(values).any()
         }
-        return Table(file.name, whole_stamps(numbers), self._text, self._first, self._unit, error)
+        return Table(file.name, numbers, self._text, self._first, self._unit, error)
 
 
-_DEEPEST = 8  # levels of objects in each other that are read
-_MOST_PARTS = 4096  # names in a file
+_ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
+_OF_DAY = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d*)?( ?[AP]M)?")
+_DAY = 86400.0
 
 
-def read_json_lines(
-    lines: Iterable[bytes], file: object, most: int, error: type[InvalidInputError]
-) -> pd.DataFrame:
-    """Read rows that are a JSON object each."""
+def _since_1970(series: pd.Series[Any], form: str = "ISO8601") -> FloatArray:
+    """Return the seconds since 1970 of instants, by ISO 8601; NaN where one cannot be read."""
     import pandas as pd
 
-    rows: list[dict[str, Any]] = []
-    names: dict[str, None] = {}
-    for number, line in enumerate(lines, 1):
-        row: dict[str, Any] = {}
-        if line.strip():
-            try:
-                made = json.loads(line)
-            except (ValueError, RecursionError) as problem:
-                raise error(f"{file}, line {number} is no JSON object: {problem}") from None
-            if not isinstance(made, dict):
-                raise error(f"{file}, line {number} is no JSON object, which a row of a log is")
-            row = dict(_parts("", made, 0))
-        rows.append(row)
-        names |= dict.fromkeys(row)
-        if len(names) > _MOST_PARTS or len(rows) * max(len(names), 1) > most:
-            raise error(f"{file} has {len(rows)} rows and {len(names)} names or more; split it")
-    if not names:
-        raise error(f'{file} is empty; each line must be a JSON object such as {{"t": 0.1}}')
-    return pd.DataFrame({name: pd.Series([row.get(name) for row in rows]) for name in names})
+    read = pd.to_datetime(series, format=form, utc=True, errors="coerce")
+    stamps = read.dt.tz_localize(None).to_numpy("datetime64[ns]")
+    return np.asarray((stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s"), float)
 
 
-def _parts(name: str, value: object, depth: int) -> Iterator[tuple[str, object]]:
-    """Yield what an object holds by its name, the parts of its parts with a dot between."""
-    if isinstance(value, dict) and depth < _DEEPEST:
-        for key, part in value.items():
-            yield from _parts(f"{name}.{key}" if name else str(key), part, depth + 1)
-    elif isinstance(value, list) and depth < _DEEPEST and len(value) <= 64:
-        for k, part in enumerate(value):
-            yield from _parts(f"{name}[{k}]", part, depth + 1)
-    elif value is None or isinstance(value, str | int | float):
-        yield name, value
+def _of_day(series: pd.Series[Any]) -> FloatArray:
+    """Return the seconds since midnight of times of day; NaN where one cannot be read."""
+    sound = "1970-01-01 " + series.where(series.str.fullmatch(_OF_DAY.pattern))
+    return _since_1970(sound, "mixed")
 
 
-_TIME = re.compile(r".*(time|stamp|date|zeit|epoch|clock).*|t|ts|sec|secs|seconds", re.IGNORECASE)
-_UNIT = re.compile(r"units?|einheit", re.IGNORECASE)
-_MOST_NAMES = 500
-_OFTEN = 4  # readings of each name, on average
-
-
-@dataclass(frozen=True)
-class LongFormat:
-    """Which columns of a table hold the times, the names and the readings."""
-
-    time: str  # names of these columns
-    name: str  # names of these columns
-    value: str  # names of these columns
-    unit: str | None = None  # name of a column of units
-
-    def wide(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return a row for each time, with a column for each name.
-
-        Of several readings of a name at one time the last stands; a name whose readings are not all
-        numbers is a column of text.
-        """
-        import pandas as pd
-
-        kept = frame[frame[self.name].notna() & frame[self.time].notna()]
-        names = kept[self.name].astype("string").str.strip()
-        if self.unit is not None:
-            units = kept[self.unit].astype("string").str.strip().fillna("")
-            known = units.map({unit: is_unit(unit) for unit in units.unique()}).astype(bool)
-            names = names.where(~known, names + " [" + units + "]")
-        times = kept[self.time]
-        # Rows stand in the order of time in which they were written.
-        rows = np.cumsum(np.append(0, np.asarray(times.to_numpy()[1:] != times.to_numpy()[:-1])))
-        made: dict[str, Any] = {self.time: times[np.diff(rows, prepend=-1) > 0].to_numpy()}
-        count = int(rows[-1]) + 1 if len(rows) else 0
-        for name in names.unique():
-            mine = np.asarray(names == name)
-            readings = kept[self.value][mine]
-            numbers = pd.to_numeric(readings, errors="coerce")
-            text = bool(np.any(numbers.isna() & readings.notna()))
-            values = np.full(count, None if text else np.nan, object if text else float)
-            values[rows[mine]] = readings if text else numbers.to_numpy(float)
-            made[str(name) if name != self.time else f"{name} (name)"] = values
-        return pd.DataFrame(made)
-
-
-def find_long(frame: pd.DataFrame) -> LongFormat | None:
-    """Tell whether each row of a table is one reading, with its time and its name.
-
-    Beside a column of times and one of names there is just one of readings; others hold one text
-    throughout, or units.
-    """
-    left = [name for name in map(str, frame) if frame[name].nunique() > 1]
-    if not 3 <= len(left) <= 4:
-        return None
-    times = [name for name in left if _TIME.fullmatch(name.strip())]
-    others = [name for name in left if name not in times[:1]]
-    words = [name for name in others if _is_text(frame[name])]
-    names = _only(words, lambda name: not _UNIT.fullmatch(name.strip()))
-    unit = _only(words, lambda name: bool(_UNIT.fullmatch(name.strip())))
-    value = _only(others, lambda name: name not in (names, unit))
-    if not times or names is None or value is None:
-        return None
-    distinct = frame[names].nunique()
-    if distinct > min(_MOST_NAMES, len(frame) / _OFTEN):
-        return None
-    return LongFormat(times[0], names, value, unit)
-
-
-def _only(names: list[str], fits: Callable[[str], bool]) -> str | None:
-    """Return the one name that fits."""
-    found = [name for name in names if fits(name)]
-    return found[0] if len(found) == 1 else None
-
-
-def _is_text(series: pd.Series[Any]) -> bool:
-    """Tell whether most cells are words: neither numbers nor instants."""
-    import pandas as pd
-
-    if pd.api.types.is_numeric_dtype(series) or pd.api.types.is_datetime64_any_dtype(series):
-        return False
-    there = series.dropna().astype("string").str.strip()
-    numbers = pd.to_numeric(there, errors="coerce")
-    return float(numbers.isna().mean()) > 0.5 and instants_of(there) is None
+def _over_midnight(seconds: FloatArray) -> FloatArray:
+    """Count times of day on where a day ends."""
+    known = np.isfinite(seconds)
+    days = np.cumsum(np.diff(seconds[known], prepend=seconds[known][:1]) < -0.5 * _DAY)
+    counted = seconds.copy()
+    counted[known] += _DAY * days
+    return counted
 
 
 MAX_LINE = 1 << 20
@@ -287,12 +384,11 @@ MAX_BYTES = 1 << 31
 """Largest table that is read, after decompression [bytes]."""
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
-_AHEAD = MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
+_AHEAD = _MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
 _STRAY_ROWS = 0.01  # share of rows that may be cut short
 _CHUNK = 200_000  # rows parsed at once
 _SUFFIXES = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".gz"), ".csv"),
-    **dict.fromkeys((".jsonl", ".ndjson"), ".jsonl"),
     **dict.fromkeys((".parquet", ".pq"), ".parquet"),
 }
 _SHEETS = (".xlsx", ".xls", ".xlsm", ".ods")
@@ -311,14 +407,6 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
             return _read_parquet(file, error)
         with file.open("rb") as raw:
             stream = io.BufferedReader(_Guarded(raw, file, error))
-            if _suffix(file, error) == ".jsonl":
-                frame = read_json_lines(stream, file, MAX_CELLS, error)
-                long = find_long(frame)
-                if long is not None:
-                    return _widened(frame, long, ".", file, error)
-                columns = Columns(list(map(str, frame)), 1, "line")
-                columns.add(frame)
-                return columns.table(file, error)
             return _read_csv(stream, file, error)
 
 
@@ -343,9 +431,9 @@ def _join(tables: list[Table], error: type[InvalidInputError]) -> Table:
         found = guess(table.columns).get("t")
         if found is None:
             raise error(f"{table.source}: no column seems to be the time; name one 'time [s]'")
-        times = table.columns[found.name]
-        names.append(found.name)
-        clocks.append(scale_of("t", found.unit or time_unit(times)).factor * times)
+        times = found.value(table.column)
+        names.append(found.names)
+        clocks.append(times if found.unit else scale_of("t", time_unit(times)).factor * times)
     spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
     shared = min(end for _, end in spans) - max(start for start, _ in spans)
     if not shared > 0.5 * min(end - start for start, end in spans):
@@ -355,17 +443,17 @@ def _join(tables: list[Table], error: type[InvalidInputError]) -> Table:
         raise error(f"{name}: the clocks do not overlap ({told}); log all with one clock")
     order = np.argsort(np.concatenate(clocks), kind="stable")
     ends = np.cumsum([len(t) for t in clocks])
-    columns = {"t": np.concatenate(clocks)[order]}
+    columns = {"t [s]": np.concatenate(clocks)[order]}
     text: dict[str, str] = {}
     for stem, clock, table, end in zip(stems, names, tables, ends, strict=True):
-        for label, values in table.unchanged_held().columns.items():
-            if label == clock:
+        for label, values in table.columns.items():
+            if label in clock:
                 continue
             whole = np.full(len(order), np.nan)
             whole[end - len(values) : end] = values
             columns[f"{stem}.{label}"] = whole[order]
         text |= {f"{stem}.{label}": f"{table.source}: {why}" for label, why in table.text.items()}
-    return Table(name, columns, text, 1, "joined row", error, joined=True)
+    return Table(name, columns, text, 1, "joined row", error)
 
 
 def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
@@ -376,12 +464,8 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
     if len(set(names)) < len(names):
         twice = next(one for one in names if names.count(one) > 1)
         raise error(f"the DataFrame: two columns are named {twice!r}; rename one")
-    named = frame.set_axis(names, axis=1)
-    long = find_long(named)
-    if long is not None:
-        return _widened(named, long, ".", Path("DataFrame"), error)
     made = Columns(names, 0, "row")
-    made.add(frame)
+    made.add(frame.set_axis(names, axis=1))
     return made.table(Path("DataFrame"), error)
 
 
@@ -389,7 +473,7 @@ def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
     """Return the column names of a CSV or gzipped CSV file, which is read no further."""
     file = Path(path)
     with _reading(file, error):
-        if _suffix(file, error) in (".parquet", ".jsonl"):
+        if _suffix(file, error) == ".parquet":
             raise error(f"{file} is no CSV file")
         with file.open("rb") as raw:
             stream = io.BufferedReader(_Guarded(raw, file, error))
@@ -419,7 +503,10 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     if suffix is None and file.suffix.lower() in _SHEETS:
         raise error(f"{file} is a workbook; save the sheet that holds the log as CSV and give that")
     if suffix is None:
-        raise error(f"{file} is of an unknown type; give a .csv, .csv.gz, .jsonl or .parquet file")
+        hint = ""
+        if file.suffix.lower() in (".json", ".jsonl", ".ndjson"):
+            hint = ", as pandas.json_normalize(ROWS).to_csv(FILE) makes one"
+        raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file{hint}")
     return suffix
 
 
@@ -433,17 +520,13 @@ class _Guarded(io.RawIOBase):
         super().__init__()
         self._stream = gzip.GzipFile(fileobj=raw) if file.suffix.lower() == ".gz" else raw
         self._file, self._error, self._left, self._line = file, error, MAX_BYTES, 0
-        self._utf16: codecs.IncrementalDecoder | None = None
-        self._ready, self._begun = b"", False
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: WriteableBuffer, /) -> int:
         view = memoryview(buffer).cast("B")
-        if not self._ready:
-            self._ready = self._more(len(view))
-        data, self._ready = self._ready[: len(view)], self._ready[len(view) :]
+        data = self._raw(len(view))
         view[: len(data)] = data
         self._left -= len(data)
         if self._left < 0:
@@ -456,25 +539,6 @@ class _Guarded(io.RawIOBase):
                 "numbers"
             )
         return len(data)
-
-    def _more(self, size: int) -> bytes:
-        """Return the next bytes, of UTF-16 as UTF-8; none at the end."""
-        data = self._raw(size)
-        if not self._begun:
-            self._begun = True
-            if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-                self._utf16 = codecs.getincrementaldecoder("utf-16")()
-        while self._utf16 is not None:
-            try:
-                text = self._utf16.decode(data, final=not data)
-            except UnicodeDecodeError as problem:
-                raise self._error(
-                    f"{self._file} is no sound UTF-16 text ({problem.reason}); save it as UTF-8"
-                ) from None
-            if text or not data:
-                return text.encode()
-            data = self._raw(size)
-        return data
 
     def _raw(self, size: int) -> bytes:
         try:
@@ -554,8 +618,7 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
     # before 3.1 pandas is out by the last bit in one number of six, unless it is asked not to be
     old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
-    long: LongFormat | None = None
-    parts: list[pd.DataFrame] = []
+    parts: list[pd.DataFrame] | None = []  # of one reading a row
     rows = _Rows(readings, dialect.separator) if len(dialect.separator) == 1 else None
     try:
         with warnings.catch_warnings():
@@ -569,7 +632,7 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
                 decimal=dialect.decimal,
                 encoding=dialect.encoding,
                 encoding_errors="replace",  # in text; a number has no such letters
-                na_values=list(MISSING),
+                na_values=list(_MISSING),
                 index_col=False,
                 skip_blank_lines=False,  # so that rows keep their line numbers
                 skipinitialspace=True,
@@ -578,9 +641,9 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
                 **exact,
             ):
                 frame.columns = names
-                if columns.rows == 0 and not parts:
-                    long = find_long(frame)
-                if long is not None:
+                if columns.rows == 0 and not parts and _wide(frame, names) is None:
+                    parts = None
+                if parts is not None:
                     parts.append(frame)
                     continue
                 columns.add(frame)
@@ -599,8 +662,11 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
         if _INTERRUPTED in str(problem):
             raise KeyboardInterrupt from None
         raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
-    if long is not None:
-        return _widened(pd.concat(parts), long, dialect.decimal, file, error)
+    wide = _wide(pd.concat(parts), names) if parts else None
+    if wide is not None:
+        columns = Columns(list(map(str, wide)), 1, "instant")
+        columns.add(wide)
+        return columns.table(file, error)
     table = columns.table(file, error)
     short = np.zeros(0, int) if rows is None else rows.short(dialect.named)
     short = short[short < columns.rows]
@@ -615,19 +681,22 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
     return table
 
 
-def _widened(
-    frame: pd.DataFrame, long: LongFormat, decimal: str, file: Path, error: type[InvalidInputError]
-) -> Table:
-    """Take a table of one reading a row."""
-    if decimal == ",":
-        texts = frame[long.value].astype("string")
-        frame = frame.assign(**{long.value: texts.str.replace(",", ".", regex=False)})
-    if len(frame) * frame[long.name].nunique() > MAX_CELLS:
-        raise error(f"{file} has {len(frame)} readings of many names; split it")
-    wide = long.wide(frame)
-    columns = Columns(list(map(str, wide)), 1, "instant", decimal)
-    columns.add(wide)
-    return columns.table(file, error)
+def _wide(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | None:
+    """Return a column for each name of a table of one reading a row; None of any other table."""
+    import pandas as pd
+
+    varied = [name for name in names if frame[name].nunique() > 1]
+    times = [name for name in varied if "t" in guess([name])][:1]
+    words = [
+        name for name in varied if name not in times and frame[name].nunique() < len(frame) / 4
+        and pd.to_numeric(frame[name], errors="coerce").isna().all() and frame[name].notna().all()
+    ]  # fmt: skip
+    readings = [name for name in varied if name not in (*words, *times)]
+    if not times or len(words) != 1 or len(readings) != 1:
+        return None
+    frame = frame.assign(**{readings[0]: pd.to_numeric(frame[readings[0]], errors="coerce")})
+    made = frame.pivot_table(readings[0], times[0], words[0], aggfunc="last", sort=False)
+    return made.reset_index()
 
 
 def _with_line(problem: str, first: int) -> str:

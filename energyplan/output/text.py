@@ -153,18 +153,15 @@ def hoisted(sides: Sequence[InternalFriction]) -> list[str]:
 def start(made: Start) -> list[str]:
     """Return what ``energyplan start`` prints."""
     project = made.project
+    topics = {} if project.topics is None else project.topics.channels
     lines = [
-        f"{channel}: {one.written}"
-        f"{f' [{one.unit}]' if one.unit and not one.source.endswith(f'[{one.unit}]') else ''}"
-        for channel, one in project.columns.items()
+        f"{channel}: {f'{one.topic} {one.written}'.strip()}"
+        f"{f' [{one.unit}]' if one.unit and not one.field.endswith(f'[{one.unit}]') else ''}"
+        for channel, one in {
+            **project.columns,
+            **{c: many[0] for c, many in topics.items()},
+        }.items()
     ]
-    if project.topics is not None:
-        lines += [
-            f"{channel}: {one[0].topic} {one[0].field}"
-            + (f" * {one[0].scale:g}" if one[0].scale != 1.0 else "")
-            + (f" * {one[0].times}" if one[0].times else "")
-            for channel, one in project.topics.channels.items()
-        ]
     lines += [f"assumed {what}: {value}" for what, value in project.defaults.items()]
     for check in made.checks:
         lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")

@@ -34,7 +34,7 @@ from energyplan.errors import (
     UnsupportedPlannerError,
 )  # fmt: skip
 from energyplan.fit.online import OnlineIdentifier
-from energyplan.io.bags import TopicMap
+from energyplan.io.bags import TopicMap, read_message
 from energyplan.io.mission import mission_from
 from energyplan.mission import evaluate
 from energyplan.output import documents
@@ -345,7 +345,7 @@ class DriveFeed:
             for source in sources:
                 if not source.matches(topic):
                     continue
-                value = source.value(message)
+                value = read_message(source, message)
                 if isfinite(value):
                     total, count = self._sums.get(name, (0.0, 0))
                     self._sums[name] = total + value, count + 1

@@ -53,12 +53,12 @@ def test_names_of_others_are_guessed_and_time_is_told_in_their_unit(tmp_path: Pa
     file = tmp_path / "foreign.csv"
     clock = [1770000000000 + 50 * k for k in (*range(100), *range(60))]  # and begins anew
     rows = "".join(f"{t};1,5;1,5;75,2;80,1\n" for t in clock)
-    file.write_text("Zeit [ms];v_li_kph;v_links;P_links [kW];foo\n" + rows)
+    file.write_text("clock [ms];v_l_kph;v_left_raw;P_left [kW];foo\n" + rows)
     told = describe_log(file)
     assert told.duration == pytest.approx(4.95 + 2.95)
     serves = {entry.name: entry.serves for entry in told.entries}
-    assert serves["Zeit [ms]"] == "t, it seems [ms]"
-    assert serves["P_links [kW]"] == "p_left, it seems [kW]"
+    assert serves["clock [ms]"] == "t, it seems [ms]"
+    assert serves["P_left [kW]"] == "p_left, it seems [kW]"
     assert serves["foo"] == ""
     (entry,) = (one for one in told.entries if one.name == "foo")
     assert entry.rate == pytest.approx(20.0, rel=0.02)

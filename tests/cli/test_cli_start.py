@@ -72,18 +72,18 @@ def test_columns_and_units_are_guessed_so_that_all_agrees(tmp_path: Path, style:
         np.testing.assert_allclose(turned, 1.0, atol=1e-6)
     np.testing.assert_allclose(read.power, log.power, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(read.t - read.t[0], log.t - log.t[0], atol=1e-5)
-    assert not {"cmd_left", "motor temp [degC]"} & {c.source for c in made.project.columns.values()}
+    assert not {"cmd_left", "motor temp [degC]"} & {c.field for c in made.project.columns.values()}
 
 
-def test_a_german_table_with_semicolons_and_decimal_commas_needs_no_help(tmp_path: Path) -> None:
+def test_a_table_with_semicolons_and_decimal_commas_needs_no_help(tmp_path: Path) -> None:
     log = drive()
     at = log.channels
     stamps = pd.Timestamp("2026-05-04T09:12:00Z") + pd.to_timedelta(log.t, unit="s")
     frame = pd.DataFrame({
-        "Zeitstempel": stamps.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
-        "Geschw. links [km/h]": 3.6 * at["v_left"], "Geschw. rechts [km/h]": 3.6 * at["v_right"],
-        "Leistung, gesamt [W]": log.power, "Drehrate [deg/s]": np.degrees(at["yaw_rate"]),
-        "Temp. Motor": 40.0,
+        "timestamp": stamps.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+        "speed, left [km/h]": 3.6 * at["v_left"], "speed, right [km/h]": 3.6 * at["v_right"],
+        "power, total [W]": log.power, "yaw rate [deg/s]": np.degrees(at["yaw_rate"]),
+        "temp. motor": 40.0,
     })  # fmt: skip
     file = tmp_path / "fahrt.csv"
     frame.to_csv(file, sep=";", decimal=",", index=False)
@@ -94,9 +94,9 @@ def test_a_german_table_with_semicolons_and_decimal_commas_needs_no_help(tmp_pat
         np.testing.assert_allclose(read.channel(name), log.channel(name), atol=1e-6)
     np.testing.assert_allclose(read.power, log.power, rtol=1e-6, atol=1e-6)
     # A name in quotes is believed as one without: its unit counts where no other is given.
-    quoted = 'v_left="Geschw. links [km/h]",v_right="Geschw. rechts [km/h]"[km/h]'
+    quoted = 'v_left="speed, left [km/h]",v_right="speed, right [km/h]"[km/h]'
     again = start(file, Given(track=0.4, wheelbase=0.62, mass=30.0, columns=quoted))
-    assert again.project.columns["v_left"].scale == again.project.columns["v_right"].scale
+    assert again.project.columns["v_left"].unit == again.project.columns["v_right"].unit
 
 
 def test_the_pose_tells_a_wheel_radius_that_nobody_gave(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_the_pose_tells_a_wheel_radius_that_nobody_gave(tmp_path: Path) -> None:
     )
     frame.to_csv(file, index=False)
     made = start(file, Given(track=0.4, wheelbase=0.62, mass=30.0))
-    assert made.project.columns["v_left"].scale.factor == pytest.approx(RADIUS, rel=0.01)
+    assert made.project.columns["v_left"].conversion.factor == pytest.approx(RADIUS, rel=0.01)
     frame.drop(columns=["pose_x", "pose_y"]).to_csv(file, index=False)
     with pytest.raises(ep.errors.InvalidInputError, match="--wheel-radius"):
         start(file, Given(track=0.4, wheelbase=0.62, mass=30.0))

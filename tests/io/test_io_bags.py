@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from energyplan.errors import ConfigError, DriveLogError, EnergyPlanError, UnknownNameError
-from energyplan.io.bags import TOPIC_MAPS, TopicMap, TopicSource, bag_info, is_bag, read_bag
+from energyplan.io.bags import (
+    TOPIC_MAPS,
+    TopicMap,
+    bag_info,
+    is_bag,
+    read_bag,
+    read_message,
+    source,
+)
 from energyplan.io.logs import read_log
 from energyplan.io.tables import write_log
 from energyplan.logs import DriveLog
@@ -242,7 +250,7 @@ def test_a_topic_map_of_ones_own(tmp_path, bags, drive):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("channels: {v_left: {topic: a, field: 'b['}}\n", "channels.v_left.field: write a field"),
+        ("channels: {v_left: {topic: a, field: 'b['}}\n", "channels.v_left: write a field"),
         ("channels: {v_left: {topic: a}}\n", "v_left.field: this key is missing"),
         ("channels: {v_left: {topic: a, field: b, gain: 2}}\n", "no such key"),
         ("name: x\n", "channels: this key is missing"),
@@ -277,7 +285,7 @@ def test_fields_are_read_from_messages():
         velocity = (1.0, 3.0, 7.0)
 
     def value(field):
-        return TopicSource(topic="t", field=field).value(Message())
+        return read_message(source("x", "t", field), Message())
 
     assert value("velocity[*left*]") == 2.0
     assert value("velocity[2]") == 7.0

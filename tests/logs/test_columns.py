@@ -92,8 +92,8 @@ def test_foreign_tables_are_read_as_what_they_mean(
 def test_what_a_name_says_of_its_unit_is_believed() -> None:
     names = ["speed [km/h]", "plain"]
     found = parse_columns("v_left=speed [km/h],v_right=plain[mm/s]", names)
-    assert found["v_left"].scale.factor == pytest.approx(1 / 3.6)
-    assert found["v_right"].source == "plain"
+    assert found["v_left"].conversion.factor == pytest.approx(1 / 3.6)
+    assert found["v_right"].field == "plain"
     with pytest.raises(DriveLogError, match="wheel radius"):
         parse_columns("v_left=w [rpm]", ["w [rpm]"])
 

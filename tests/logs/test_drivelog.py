@@ -124,9 +124,9 @@ def test_every_unit_is_a_positive_multiple_of_the_first():
         assert next(iter(units.values())) == 1.0
         for unit in units:
             column = parse_columns({channel: f"name[{unit}]"})[channel]
-            assert column.scale.factor > 0
-            assert parse_columns({channel: f"name[-{unit}]"})[channel].scale.factor < 0
-    fahrenheit = parse_columns("temperature=T[degF]")["temperature"].scale
+            assert column.conversion.factor > 0
+            assert parse_columns({channel: f"name[-{unit}]"})[channel].conversion.factor < 0
+    fahrenheit = parse_columns("temperature=T[degF]")["temperature"].conversion
     assert 212.0 * fahrenheit.factor + fahrenheit.offset == pytest.approx(100.0)
 
 
@@ -171,7 +171,7 @@ HEAD = "t,v_left,v_right,power\n"
         (HEAD + "0,1,1,5,9\n1,1,1,5,9\n", "more cells"),
         (HEAD + "0,1,1,5\n1,1,1,5,9\n", "in line 3"),
         (HEAD + '0,1,1,"5\n', "no table"),
-        (b"\xff\xfe\x00", "no sound UTF-16"),
+        (b"\xff\xfe\x00", "save it as UTF-8"),
         (HEAD.encode() + b"0,1,\xff,5\n", "line 2: 'v_right' is"),
         (b"t,v_left\n\x81,1\n", "byte 9 is no UTF-8"),
         (b"t\x00,v_left\n", "NUL"),

@@ -13,9 +13,10 @@ from pydantic import ValidationError
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
-from energyplan.io.bags import BagFields, Number, TopicSource
+from energyplan.io.bags import BagFields, TopicMap, read_message
 from energyplan.io.logs import read_log
 from energyplan.io.start import Given, start
+from energyplan.logs.mapping import Column
 
 AT = At(drive(ROVER), ROVER)
 MEASURES = Given(**ROVER.measures)
@@ -136,20 +137,18 @@ def test_speed_and_turn_rate_of_the_body_tell_that_slip_is_unseen(tmp_path: Path
 
 def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
     """As of the odometry that every Nav2 robot has."""
-    topic, kind = "/odom", "nav_msgs/msg/Odometry"
-    labels = [
-        Number(topic, kind, f"twist.twist.{part}", part) for part in ("linear.x", "angular.z")
-    ]
-    fields = BagFields({one.label: one for one in labels})
+    parts = ("linear.x", "angular.z")
+    labels = {part: Column(topic="/odom", field=f"twist.twist.{part}") for part in parts}
+    fields = BagFields(labels, {"/odom": "nav_msgs/msg/Odometry"})
     sources = fields.twist(0.5)
     assert not fields.wheel_rates(sources)
     mapped = fields.topic_map(sources, 1.0, "odometry").channels
     twist = SimpleNamespace(linear=SimpleNamespace(x=0.7), angular=SimpleNamespace(z=0.4))
     message = SimpleNamespace(twist=SimpleNamespace(twist=twist))
-    assert mapped["v_left"][0].value(message) == pytest.approx(0.6)
-    assert mapped["v_right"][0].value(message) == pytest.approx(0.8)
+    assert read_message(mapped["v_left"][0], message) == pytest.approx(0.6)
+    assert read_message(mapped["v_right"][0], message) == pytest.approx(0.8)
     with pytest.raises(ValidationError, match="write a field"):
-        TopicSource(topic="odom", field="a.b c.d")
+        TopicMap(channels={"x": {"topic": "odom", "field": "a.b c.d"}})
 
 
 TENTHS = {"volts": np.round(10 * AT.volts), "amps": np.round(10 * AT.amps)}
