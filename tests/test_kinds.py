@@ -22,7 +22,7 @@ from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.fleet.types import Fleet, Robot
 from energyplan.io.config import Project
 from energyplan.logs.mapping import Column
-from energyplan.physics.effects import Effect
+from energyplan.physics.robot import Effect
 from energyplan.planning.replanning import replan
 from energyplan.power import Sides
 from energyplan.terrain import Terrain

@@ -6,12 +6,10 @@ a drive log. `close_loop` plans, drives, diagnoses and plans again. The extra ``
 installs the engine.
 """
 
-from energyplan.physics.driving import Driven, Tracking, drive, energy_told
-from energyplan.physics.effects import EFFECTS, Effect, draw_effects, switch_on
+from energyplan.physics.driving import Driven, Sensors, Tracking, drive, energy_told
 from energyplan.physics.engine import Engine, Run, State
 from energyplan.physics.loop import EngineDrives, Loop, Round, close_loop
-from energyplan.physics.robot import Border, Ground, Robot
-from energyplan.physics.sensors import Sensors
+from energyplan.physics.robot import EFFECTS, Border, Effect, Ground, Robot, draw_effects, switch_on
 
 __all__ = [
     "EFFECTS",

@@ -26,10 +26,9 @@ from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.design import Explanation, design
-from energyplan.physics.driving import Driven, drive, energy_told
+from energyplan.physics.driving import Driven, Sensors, drive, energy_told
 from energyplan.physics.engine import require_mujoco
 from energyplan.physics.robot import Ground, Robot
-from energyplan.physics.sensors import Sensors
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel, Sides
 from energyplan.power.effects import reads_slope, with_weight

@@ -1,16 +1,20 @@
-"""The true robot and the true ground in the physics engine."""
+"""A robot and its ground as the engine knows them, and hidden effects to switch on."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from energyplan.errors import InvalidInputError, ModelError
+from energyplan.errors import InvalidInputError, ModelError, UnknownNameError
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
+from energyplan.records import ReadOnly
 from energyplan.terrain import HeightMap, SurfaceMap
-from energyplan.vehicle import Vehicle
+from energyplan.vehicle import GRAVITY, Vehicle
 
 _OF_ITSELF = (
     "slip_friction", "traction_resistance", "grade", "specific_force", "linear_inertia",
@@ -189,3 +193,247 @@ class Ground:
         if self.heights is not None:
             steep = steep + self.heights.gradient(np.array([x, y]))
         return steep
+
+
+FULL_EFFORT = 0.5
+"""Tread speed [m/s] at which the sizes of drawn effects are compared with the resistance."""
+
+
+_Apply = Callable[[Robot, float, Mapping[str, float]], Robot]
+_Draw = Callable[[Robot, np.random.Generator], float]
+
+
+def _grows(name: str) -> _Apply:
+    """Return the change that adds the size to one value."""
+
+    def apply(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+        changes: dict[str, float] = {name: getattr(robot, name) + size}
+        return replace(robot, **changes)  # type: ignore[arg-type]
+
+    return apply
+
+
+def _drags(left: float, right: float) -> _Apply:
+    def apply(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+        here = robot.traction
+        return replace(robot, traction=(here[0] + left * size, here[1] + right * size))
+
+    return apply
+
+
+def _tilts(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+    direction, steep = details.get("direction", 0.0), float(np.tan(size))
+    x, y = robot.tilt
+    return replace(
+        robot, tilt=(x + steep * np.cos(direction), y + steep * np.sin(direction))
+    )  # fmt: skip
+
+
+def _shifts(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+    vehicle, direction = robot.vehicle, details.get("direction", 0.0)
+    centre = vehicle.loads @ vehicle.contacts / vehicle.loads.sum()
+    moved = centre + size * np.array([np.cos(direction), np.sin(direction)])
+    return replace(robot, vehicle=vehicle.with_mass(vehicle.mass, moved))
+
+
+def _loads(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+    vehicle = robot.vehicle
+    factor = (vehicle.mass + size) / vehicle.mass
+    if factor <= 0:
+        raise InvalidInputError(
+            f"a payload of {size} kg leaves nothing of {vehicle.name}'s {vehicle.mass:.4g} kg"
+        )
+    rolling = 1 + robot.rolling_share * (factor - 1)
+    share = robot.rolling_share * factor / rolling
+    left, right = robot.traction
+    return replace(
+        robot,
+        vehicle=replace(vehicle, loads=vehicle.loads * factor),
+        traction=(left * rolling, right * rolling),
+        rolling_share=share,
+    )
+
+
+def _warms(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+    tau = details.get("time_constant", robot.warm_up_time)
+    return replace(robot, warm_up=robot.warm_up + size, warm_up_time=tau)
+
+
+def _borders(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+    # The rolling resistance changes in proportion to the friction.
+    traction = size / robot.friction * float(np.mean(robot.traction))
+    place = Border(
+        size, traction, details.get("direction", 0.0), details.get("offset", 0.0)
+    )  # fmt: skip
+    if robot.border is not None:
+        raise InvalidInputError("two borders are more than the engine knows; give surfaces instead")
+    return replace(robot, border=place)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of effect."""
+
+    apply: _Apply  # ``apply(robot, size, details) -> Robot``
+    unit: str  # unit of the size
+    meaning: str  # one line
+    draw: _Draw  # ``draw(robot, rng) -> float``, a size worth finding
+    details: tuple[str, ...] = ()  # further numbers that it takes
+    electrical: bool = False  # whether it acts between battery and shaft
+
+
+def _resistance(robot: Robot) -> float:
+    return float(np.mean(robot.traction)) or 0.05 * robot.vehicle.mass * GRAVITY / 2
+
+
+def _times(low: float, high: float, scale: Callable[[Robot], float], sign: bool = False) -> _Draw:
+    """Return a draw between two multiples of a scale, of either sign where `sign` is set."""
+
+    def draw(robot: Robot, rng: np.random.Generator) -> float:
+        size = rng.uniform(low, high) * scale(robot)
+        return float(size if not sign or rng.random() < 0.5 else -size)
+
+    return draw
+
+
+def _one(robot: Robot) -> float:
+    return 1.0
+
+
+_EFFECTS: dict[str, Kind] = {
+    "viscous_loss": Kind(
+        _grows("viscous"), "N s/m", "resistance of each side that rises with its speed",
+        _times(0.25, 0.8, lambda r: _resistance(r) / FULL_EFFORT),
+    ),
+    "air_drag": Kind(
+        _grows("drag"), "N s^2/m^2", "resistance that rises with the square of the speed",
+        _times(0.25, 0.8, lambda r: 2 * _resistance(r) / FULL_EFFORT**2),
+    ),
+    "tilted_plane": Kind(
+        _tilts, "rad", "ground that is one tilted plane", _times(0.02, 0.07, _one),
+        details=("direction",),
+    ),
+    "dragging_wheel_left": Kind(
+        _drags(1.0, 0.0), "N", "more resistance on the left side",
+        _times(0.3, 1.0, _resistance),
+    ),
+    "dragging_wheel_right": Kind(
+        _drags(0.0, 1.0), "N", "more resistance on the right side",
+        _times(0.3, 1.0, _resistance),
+    ),
+    "centre_of_mass": Kind(
+        _shifts, "m", "centre of mass off centre",
+        _times(0.1, 0.3, lambda r: float(np.abs(r.vehicle.contacts).min())), ("direction",),
+    ),
+    "towing_force": Kind(
+        _grows("towing"), "N", "a constant force along the body, against forward motion",
+        _times(0.3, 0.8, lambda r: 2 * _resistance(r), sign=True),
+    ),
+    "payload": Kind(
+        _loads, "kg", "further mass, spread like the robot's own",
+        _times(0.1, 0.35, lambda r: r.vehicle.mass),
+    ),
+    "surface_border": Kind(
+        _borders, "1", "more friction, and as many times more resistance, beyond a line",
+        _times(0.15, 0.4, lambda r: r.friction, sign=True), ("direction", "offset"),
+    ),
+    "slip_speed_friction": Kind(
+        _grows("slip_speed"), "s/m", "friction that grows with the slip speed",
+        _times(0.3, 0.8, lambda r: r.friction),
+    ),
+    "warm_up": Kind(
+        _warms, "N", "further resistance of each side when cold",
+        _times(0.4, 1.0, _resistance), ("time_constant",),
+    ),
+    "hotel_load": Kind(
+        _grows("hotel"), "W", "constant draw",
+        _times(0.2, 0.8, lambda r: 2 * _resistance(r) * FULL_EFFORT), electrical=True,
+    ),
+    "drive_efficiency": Kind(
+        _grows("drive_loss"), "1", "1/eta - 1: power lost while drawing",
+        _times(0.1, 0.35, _one), electrical=True,
+    ),
+    "regeneration_efficiency": Kind(
+        _grows("regeneration_loss"), "1", "1 - eta_r: power lost while returning",
+        _times(0.3, 1.0, _one), electrical=True,
+    ),
+    "copper_loss": Kind(
+        _grows("copper"), "W/N^2", "heat in the windings",
+        _times(0.1, 0.35, lambda r: FULL_EFFORT / _resistance(r)), electrical=True,
+    ),
+}  # fmt: skip
+
+EFFECTS: Mapping[str, Kind] = MappingProxyType(_EFFECTS)
+"""Effects that the engine can switch on, by name."""
+
+
+@dataclass(frozen=True)
+class Effect(ReadOnly):
+    """An effect that the engine can switch on, and its size."""
+
+    name: str  # one of `EFFECTS`
+    size: float  # its size in the unit that `EFFECTS` names
+    details: Mapping[str, float] = field(default_factory=dict)  # further numbers
+
+    def __post_init__(self) -> None:
+        if self.name not in _EFFECTS:
+            raise UnknownNameError("effect of the engine", self.name, _EFFECTS)
+        for key in self.details:
+            if key not in _EFFECTS[self.name].details:
+                known = _EFFECTS[self.name].details or ("none",)
+                raise UnknownNameError(f"detail of {self.name}", key, known)
+        values = {key: float(value) for key, value in self.details.items()}
+        if not np.all(np.isfinite([self.size, *values.values()])):
+            raise InvalidInputError(f"the effect {self.name} = {self.size} is not a finite number")
+        object.__setattr__(self, "details", MappingProxyType(values))
+
+    def on(self, robot: Robot) -> Robot:
+        """Return a robot with this effect switched on."""
+        return _EFFECTS[self.name].apply(robot, self.size, self.details)
+
+    @classmethod
+    def parse(cls, text: str) -> Effect:
+        """Return the effect that ``NAME=SIZE`` or ``NAME=SIZE,DETAIL=VALUE`` stands for."""
+        try:
+            pairs = [part.split("=") for part in text.split(",")]
+            values = {name.strip(): float(value) for name, value in pairs}
+        except ValueError:
+            raise InvalidInputError(
+                f"effect {text!r} is not NAME=SIZE; write it like viscous_loss=60 or "
+                "tilted_plane=0.05,direction=1.57"
+            ) from None
+        (name, size), *rest = values.items()
+        return cls(name, size, dict(rest))
+
+
+def switch_on(robot: Robot, effects: Iterable[Effect]) -> Robot:
+    """Return a robot with effects switched on, one after the other."""
+    for effect in effects:
+        robot = effect.on(robot)
+    return robot
+
+
+def draw_effects(
+    robot: Robot,
+    seed: int,
+    count: int | None = None,
+    names: tuple[str, ...] | None = None,
+    around: ArrayLike = (0.0, 0.0),
+) -> tuple[Effect, ...]:
+    """Draw hidden effects."""
+    rng = np.random.default_rng([seed, 0x5EED])
+    number = int(rng.integers(1, 3)) if count is None else count
+    chosen = rng.choice(np.array(names or tuple(_EFFECTS)), number, replace=False)
+    drawn = []
+    for name in (str(name) for name in chosen):
+        kind = _EFFECTS[name]
+        details = {}
+        if "direction" in kind.details:
+            details["direction"] = float(rng.uniform(-np.pi, np.pi))
+        if "offset" in kind.details:
+            angle = details["direction"]
+            details["offset"] = float(np.dot(around, [np.cos(angle), np.sin(angle)]))
+        if "time_constant" in kind.details:
+            details["time_constant"] = float(rng.uniform(20.0, 60.0))
+        drawn.append(Effect(name, kind.draw(robot, rng), details))
+    return tuple(drawn)
