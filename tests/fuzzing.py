@@ -202,9 +202,6 @@ def folder() -> Path:
     log = simulate.drive(MODEL, "spiral", power_noise=5.0, speed_noise=0.002, rate=5.0, seed=1)
     write_log(log.segment(0.0, 40.0), place / "log.csv")
     pd.DataFrame(dict(log.segment(0.0, 5.0).channels)).to_parquet(place / "log.parquet")
-    pd.DataFrame(dict(log.segment(0.0, 5.0).channels)).to_json(
-        place / "log.jsonl", orient="records", lines=True
-    )
     (place / "log.csv.gz").write_bytes(gzip.compress((place / "log.csv").read_bytes()[:3000]))
     husky = np.column_stack([log.t, 1 + 0 * log.t, 1 + 0 * log.t, *(
         log.channel(name) for name in ("v_left", "v_right"))])[:60]  # fmt: skip
@@ -278,7 +275,6 @@ READERS: dict[str, tuple[Callable[[Path], Any], bool]] = {
     "log.csv": (lambda file: (describe_log(file), read_log(file)), True),
     "log.csv.gz": (read_log, False),
     "log.parquet": (read_log, False),
-    "log.jsonl": (read_log, True),
     "pro_01.csv": (read_husky, True),
     "path.csv": (read_path, True),
     "trajectory.csv": (read_trajectory, True),

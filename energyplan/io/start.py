@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite, nan, pi
@@ -398,7 +398,7 @@ def _start_table(file: Path, known: Given) -> Start:
         clock = _clock(table, taken.union(*(one.names for one in found.values())))
         if clock is not None:
             columns["t"] = Column(field=clock, channel="t")
-    _refuse_percentages(table, {*columns, *found})
+    _refuse_percentages(table.source, table.columns, {*columns, *found})
     encoders = {name: found.pop(name) for name in [*found] if is_count(found[name].unit)}
     speeds = {"v_left", "v_right"}
     notes: list[str] = []
@@ -432,16 +432,16 @@ def _start_table(file: Path, known: Given) -> Start:
     return replace(made, notes=(*notes, *log.notes, *made.notes))
 
 
-def _refuse_percentages(table: Table, there: Collection[str]) -> None:
+def _refuse_percentages(source: str, names: Iterable[str], there: Collection[str]) -> None:
     """Refuse a log whose battery tells its charge alone, of which no power comes."""
     if any(set(way) <= {*there} for way in POWER_WAYS):
         return
-    names = [name for name in table.columns if _CHARGE & set(words(name)) or "%" in name]
-    if names:
-        raise DriveLogError(
-            f"{table.source}: {names[0]!r} tells how full the battery is, which is no power: log "
-            "its voltage and current, or what it counts in Wh or mAh"
-        )
+    for name in names:
+        if "%" in name or _CHARGE & set(words(name)):
+            raise DriveLogError(
+                f"{source}: {name!r} tells how full the battery is, which is no power: log its "
+                "voltage and current, or what it counts in Wh or mAh"
+            )
 
 
 def _counted(table: Table, encoders: Mapping[str, Column], known: Given) -> dict[str, Column]:
@@ -830,6 +830,7 @@ def _start_bag(file: Path, known: Given) -> Start:
     lacks = [name for name in ("v_left", "v_right") if name not in sources]
     if not any(set(way) <= set(sources) for way in POWER_WAYS):
         lacks.append("power")
+    _refuse_percentages(file.name, fields.fields, sources)
     if lacks:
         raise DriveLogError(
             f"{file.name}: no field of a message seems to be {' or '.join(lacks)}; the fields are "

@@ -87,16 +87,25 @@ class _Drive:
 _Found = Iterable[Check]
 
 
+@dataclass(frozen=True)
+class Invariant:
+    """What holds of every drive, and how what breaks it is found."""
+
+    what: str
+    needs: frozenset[str]  # channels without which nothing can be said
+    find: Callable[[_Drive], _Found]
+    refuses: str = "trust"  # what a check rules out that says nothing of it
+    of_two_sides: bool = False  # of a dead side, the other one seems to break it
+
+
 def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) -> list[Check]:
     """Return what is wrong with a drive."""
     drive = _Drive(channels, power, runs)
-    dead = list(_dead(drive))
-    # Of a dead side, the other one seems to turn or to draw the wrong way.
-    first = (_time, _counters) if dead else (_time, _counters, _turning, _powers)
-    found = [check for rule in first for check in rule(drive)]
-    return found + [
-        check if check.refuses else replace(check, refuses="trust")
-        for rule in _RULES for check in rule(drive)
+    dead = any(True for _ in _dead(drive))
+    return [
+        check if check.refuses else replace(check, refuses=one.refuses)
+        for one in INVARIANTS if one.needs <= set(channels) and not (dead and one.of_two_sides)
+        for check in one.find(drive)
     ]  # fmt: skip
 
 
@@ -104,7 +113,8 @@ def refuse_one_side(logs: Sequence[DriveLog]) -> None:
     """Refuse logs that lack a side: what is identified from the other one is half of what is."""
     for log in logs:
         drive = _Drive(log.channels, log.power, log.runs)
-        for check in (one for rule in (_dead, _false_speeds, _unlike) for one in rule(drive)):
+        rules = (_dead, _false_speeds, *((_unlike,) if drive.sides else ()))
+        for check in (one for rule in rules for one in rule(drive)):
             raise NotIdentifiableError(f"{log.name}: {check}")
 
 
@@ -565,7 +575,7 @@ def _dead(drive: _Drive) -> _Found:
 def _dying(drive: _Drive) -> _Found:
     """Find a side's power that is the same from or up to some time, while both go ahead."""
     t, time = drive.t, np.gradient(drive.t) * _ahead(drive.left, drive.right)
-    for side, other in drive.each_side() if drive.sides else ():
+    for side, other in drive.each_side():
         power, drawn = drive.channels[f"p_{side}"], drive.channels[f"p_{other}"]
         if np.ptp(power) == 0.0:
             continue
@@ -641,8 +651,6 @@ def _turns_by(
 
 def _unlike(drive: _Drive) -> _Found:
     """Both sides' powers that are not two powers, or not in one unit."""
-    if not drive.sides:
-        return
     p_left, p_right = drive.channels["p_left"], drive.channels["p_right"]
     apart = np.abs(np.abs(drive.left) - np.abs(drive.right))
     drawn = (p_left != 0) | (p_right != 0)
@@ -681,7 +689,8 @@ UNSIGNED = "never negative"
 
 def find_lost_sign(channels: Channels) -> str:
     """Tell whether the sides' powers, or that of one side, lost their sign."""
-    return "".join(str(one) for one in _lost_sign(_Drive(channels, channels["t"], ())))
+    drive = _Drive(channels, channels["t"], ())
+    return "".join(str(one) for one in _lost_sign(drive)) if drive.sides else ""
 
 
 def _lost_sign(drive: _Drive) -> _Found:
@@ -693,8 +702,6 @@ def _lost_sign(drive: _Drive) -> _Found:
     two it is. An inner side that is held back more than a straight line costs is pushed by the
     other.
     """
-    if not drive.sides:
-        return
     difference = drive.difference
     turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
     straight = np.abs(difference) < 0.01 * np.abs(drive.left + drive.right)
@@ -988,10 +995,27 @@ def _motor_current(drive: _Drive) -> _Found:
         )
 
 
-_RULES: tuple[Callable[[_Drive], _Found], ...] = (
-    _false_speeds, _dead, _dying, _frozen, _counting, _opposed, _unlike, _lost_sign, _repeats,
-    _pose, _motor_current, _distance,
-)  # fmt: skip
+_SIDES, _PLACE = frozenset({"p_left", "p_right"}), frozenset({"x", "y"})
+_ALL: frozenset[str] = frozenset()
+INVARIANTS = (
+    Invariant("time steps are those of a drive, without gaps", _ALL, _time, ""),
+    Invariant("a power falls where the robot slows down", _ALL, _counters, ""),
+    Invariant("the robot turns as its treads say", _ALL, _turning, "", of_two_sides=True),
+    Invariant("who drives draws power, at that time", _ALL, _powers, "", of_two_sides=True),
+    Invariant("speeds are those of two sides, with their signs", _ALL, _false_speeds),
+    Invariant("both sides show something", _ALL, _dead),
+    Invariant("the power of a side changes to the end", _SIDES, _dying),
+    Invariant("a heading changes while the treads turn", _ALL, _frozen),
+    Invariant("both speeds count alike", _ALL, _counting),
+    Invariant("sides seldom go against each other", _ALL, _opposed),
+    Invariant("two powers are two, in one unit", _SIDES, _unlike),
+    Invariant("a side that returns power has a negative one", _SIDES, _lost_sign),
+    Invariant("a noisy power does not repeat", _ALL, _repeats),
+    Invariant("the pose goes where treads and heading do", _PLACE | {"yaw"}, _pose),
+    Invariant("power depends on speed", _ALL, _motor_current),
+    Invariant("treads and pose go as far", _PLACE, _distance),
+)
+"""What is asked of every drive, in the order in which it is told."""
 
 # -- drives that are the same -------------------------------------------------------------------
 
