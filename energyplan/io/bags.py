@@ -113,6 +113,8 @@ def _readable(column: Column) -> Column:
         raise ValueError(f"give the topic of {column.field}")
     if column.times is not None:
         _place(column.times)
+    if column.weights and len(column.weights) != 1 + len(column.plus):
+        raise ValueError("give one weight for each field, or write a sum of fields with factors")
     terms = _parse(column.written if column.plus else column.field)
     weights = tuple(weight for weight, _ in terms)
     first, *rest = (name for _, name in terms)
