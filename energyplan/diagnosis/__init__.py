@@ -26,6 +26,7 @@ from energyplan.diagnosis.judge import (
     find_mass_centre,
     holds,
     interval,
+    least_known,
     predict,
     score,
     size_error,
@@ -299,6 +300,10 @@ class _Case:
         if choose and outcome.maps:
             maps = outcome.maps
             outcome = test(tuple(part for part in parts if part not in maps))
+        vague: list[Part] = []
+        while choose and (least := least_known(outcome.fitted.model, outcome.effects)) is not None:
+            vague.append(least)
+            outcome = test(tuple(part for part in outcome.effects if part is not least))
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality, present = outcome.fitted, outcome.quality, outcome.present
         weighed = (
@@ -337,6 +342,7 @@ class _Case:
             *ends_in_words(told.model),
             *_advice.residual_advice(left, names, mimics),
             *_advice.map_advice([part.effect.name for part in maps]),
+            *_advice.vague_advice([part.effect for part in vague]),
             *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
             *_advice.small_advice(searched.likely),
@@ -374,7 +380,7 @@ class _Case:
             paper=replace(self.paper, residual=errors[0]),
             dependences_before=told_before,
             dependences_after=outcome.dependences,
-            withdrawn=(*mimics, *(part.effect.name for part in maps)),
+            withdrawn=(*mimics, *(part.effect.name for part in (*maps, *vague))),
             predictions_before=self._on_given_samples(before),
             predictions_after=self._on_given_samples(after),
             explanations=others,

@@ -390,6 +390,22 @@ def size_error(effect: Effect, model: PowerModel) -> float:
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
 
 
+def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
+    """Return the effect whose size is known least, where the error exceeds the size.
+
+    Where a parameter was searched, the size may be far from zero at the value that was found, and
+    be anything at others, which fit as well: so it may be with a time constant, or a delay.
+    """
+    sized = [part for part in parts if part.terms]
+    ratios = [
+        size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
+        for part in sized
+    ]
+    if not ratios or max(ratios) <= 1.0:
+        return None
+    return sized[int(np.argmax(ratios))]
+
+
 def size_spread(effect: Effect, size: float, explanations: Sequence[Explanation]) -> float:
     """Return by how much the size of an effect differs among explanations that have it.
 

@@ -368,6 +368,15 @@ def map_advice(maps: Sequence[str]) -> list[str]:
     ]
 
 
+def vague_advice(vague: Sequence[Effect]) -> list[str]:
+    """Say that an effect was dropped of which any size fits about as well."""
+    return [
+        f"{_plain(effect.name)} was dropped: its error exceeds its size, so that another one, or "
+        f"none, fits these drives about as well; to tell it: {effect.manoeuvre}"
+        for effect in vague
+    ]
+
+
 def drive_advice(dependences: Sequence[Dependence], significance: float) -> list[str]:
     """Say that drives differ as a whole, where they do, and what no model can then reach."""
     return [

@@ -254,15 +254,3 @@ def test_effects_that_a_quick_search_misses_are_found(
             name,
             size,
         )
-
-
-def test_a_line_is_looked_for_again_with_what_was_found_after_it(calibration: ModuleType) -> None:
-    """Where it was while the rest was missing, it made an error of 3.3 W on the hold-out drive."""
-    made = calibration.hidden(131116)
-    entries = [catalogue()[name] for name in made.sizes]
-    given, found = (
-        diagnose(made.logs[:-1], made.logs[-1], made.vehicle, effects=effects, choose=choose)
-        for effects, choose in ((entries, False), (None, True))
-    )
-    assert found.after.rmse < 1.05 * given.after.rmse
-    assert {effect.name for effect in found.effects} == set(made.sizes)
