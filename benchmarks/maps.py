@@ -28,7 +28,7 @@ from energyplan.io.maps import read_map
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.planning.bound import prepare_bound
-from energyplan.planning.ready import compiled
+from energyplan.planning.ready import compile_planning
 from energyplan.planning.replanning import replan
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import places_for
@@ -165,7 +165,7 @@ def main() -> None:
         pairs = [(Pose(*pair["start"]), Pose(*pair["goal"])) for pair in known]
     else:
         pairs = [(Pose(1, 4.4, 0), Pose(19, 4, -np.pi / 2)), (Pose(19, 4, 0), Pose(1, 4.4, 0))]
-    compiled(PlanningProblem(grid, COST, *pairs[0]), tight=True)
+    compile_planning(PlanningProblem(grid, COST, *pairs[0]), tight=True)
     tables(name, grid, *pairs[0])
     far = 0.05 * given.sizes - 2.0
     tables("boxes", boxes(given.sizes), Pose(2, 2, 0), Pose(far, far, 0))

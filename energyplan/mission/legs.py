@@ -21,7 +21,7 @@ from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.driven import drive_path
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.compiled import compiled
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
@@ -231,7 +231,7 @@ class Legs:
         problem = PlanningProblem(
             mission.map, cost, here, here, surfaces=surfaces, heights=mission.heights
         )
-        query = CompiledProblem(problem)
+        query = compiled(problem)
         poses = np.array(self.poses)
         turn = np.abs(wrap_angle(poses[:, None, 2] - poses[None, :, 2]))
         # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin

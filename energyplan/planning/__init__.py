@@ -22,8 +22,9 @@ from energyplan.errors import (
 from energyplan.kinds import check_fields, checked
 from energyplan.planning.budget import Budget, cancellable
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
-from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.driven import Plan
+from energyplan.planning.problem import OBJECTIVES, PlanningProblem
+from energyplan.planning.scene.compiled import compiled
 
 __all__ = [
     "PLANNERS",
@@ -176,8 +177,7 @@ def plan(
     """
     from energyplan.planning.bound import lower_bound
     from energyplan.planning.ends import between_clear_ends, checked_ends
-    from energyplan.planning.ready import compiled as compile_kernels
-    from energyplan.planning.ready import prepare
+    from energyplan.planning.ready import compile_planning, prepare
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name
@@ -186,7 +186,7 @@ def plan(
     problem, bare, notes = checked_ends(problem)
     function = declared.function
     _check_call(name, function, options)
-    compile_kernels(bare)
+    compile_planning(bare)
     prepare(bare, guided=declared.bound)
 
     def solve(asked: PlanningProblem, budget: Budget) -> Candidate:
@@ -205,13 +205,13 @@ def plan(
     budget = Budget(time_limit, effort=effort)
     given = budget if declared.bound else budget.part(1.0 - _BOUND_SHARE)
     found = between_clear_ends(problem, given, solve)
-    compiled = CompiledProblem(bare)
+    query = compiled(bare)
     bound = found.lower_bound
     if bound is None:
-        value, _ = lower_bound(compiled, compiled.value(found.path))
-        bound = compiled.potential(problem.goal) + value
+        value, _ = lower_bound(query, query.value(found.path))
+        bound = query.potential(problem.goal) + value
     return priced_plan(
-        compiled,
+        query,
         found.path,
         bound,
         name,

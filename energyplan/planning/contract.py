@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
 
 import numpy as np
@@ -21,8 +20,8 @@ from energyplan.errors import (
 )
 from energyplan.kinds import check_fields
 from energyplan.path import Path, wrap_angle
-from energyplan.planning.driven import drive_plan
-from energyplan.planning.problem import OBJECTIVES, Plan, PlanningProblem
+from energyplan.planning.driven import Plan
+from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.scene.compiled import CompiledProblem
 
 ARRIVED = 1e-6
@@ -235,7 +234,7 @@ def priced_plan(
         planning_time=planning_time,
         first_time=planning_time if first_time is None else first_time,
         planner=planner,
-        drive=partial(drive_plan, asked or problem, path),
+        problem=asked or problem,
         breakdown=price.by_term,
         potential=potential,
         effort=round(effort),

@@ -1,4 +1,4 @@
-"""What driving a path takes: the path timed within the limits, and all of its energy.
+"""Plans, and what driving a path takes: the path timed within the limits, and all of its energy.
 
 A plan prices its path at steady speeds: geometry. Driving it means starting and stopping, time in
 which computers draw power, braking whose energy does not all come back, and speeds below the one
@@ -8,15 +8,17 @@ that was asked for. `drive_path` times the path and integrates the power of the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan import html
 from energyplan.cost import EnergyCost
-from energyplan.errors import InfeasibleMotionError
+from energyplan.errors import EnergyPlanError, InfeasibleMotionError, InvalidInputError
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.speed import corner_rounding, profile
 from energyplan.motion import Motion
@@ -180,3 +182,129 @@ def _feels_stops(model: PowerModel, speed: float) -> bool:
     )  # fmt: skip
     steady, faster, still = model.power(motion)
     return bool(abs(faster - steady) > 1e-9 * abs(steady) or still > 0)
+
+
+@dataclass(frozen=True)
+class Plan(html.Readable):
+    """A path with its cost, and how far from optimal it can be at most.
+
+    Attributes
+    ----------
+    path : Path
+        The path; free of collisions from the start to the goal.
+    energy : float
+        Its energy, priced by the model itself after planning [J]. Downhill it can be negative.
+    lower_bound : float
+        What no path can cost less than, in the unit of the objective (for energy [J]).
+    gap : float
+        Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
+        On slopes, both less the `potential`. As computed: rounding may leave it a hair below zero;
+        infinite where the bound is zero and the cost is not.
+    cost : float
+        The objective's value: `energy` itself where energy is the objective, and what a costmap
+        adds.
+    length, turning : float
+        Distance travelled [m] and total turning [rad].
+    duration : float
+        Time at the speed the cost assumes, without starts and stops [s]; `driven` knows them.
+    planning_time : float
+        Time that planning took [s].
+    first_time : float
+        Time until the first plan was known [s].
+    planner : str
+        Name of the planner.
+    breakdown : mapping of str to float
+        Energy by term of the power model [J].
+    potential : float
+        What the difference in height between start and goal makes of the cost and its lower
+        bound, whichever way is taken; zero on level ground.
+    effort : int
+        Units of work that were spent.
+    soft_cost : float
+        What the costmap adds to the cost, in the unit of the objective; no part of the energy.
+    notes : tuple of str
+        What was done about a start that touches an obstacle, or an end that lacks the clearance.
+    problem : PlanningProblem, optional
+        What it answers, which `driven` needs; a plan read from a pickle has been driven instead.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> plan = ep.plan(problem, effort=1000)
+    >>> round(plan.energy), plan.lower_bound <= plan.energy, round(plan.length, 2)
+    (540, True, 3.0)
+    """
+
+    path: Path
+    energy: float
+    lower_bound: float
+    gap: float
+    cost: float
+    length: float
+    turning: float
+    duration: float
+    planning_time: float
+    first_time: float
+    planner: str
+    breakdown: Mapping[str, float] = field(default_factory=dict)
+    potential: float = 0.0
+    effort: int = 0
+    soft_cost: float = 0.0
+    notes: tuple[str, ...] = ()
+    problem: PlanningProblem | None = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, object]:
+        # the problem holds the map; the drive itself is small
+        with suppress(EnergyPlanError):
+            _ = self.driven
+        return {**vars(self), "problem": None}
+
+    @cached_property
+    def driven(self) -> DrivenPath:
+        """The path timed within the limits, and what driving it takes; made when first asked for.
+
+        Raises
+        ------
+        InfeasibleMotionError
+            If the motors cannot drive the path at any speed.
+        InvalidInputError
+            If nothing limits the speed, or whoever made the plan did not say what it answers.
+        """
+        if self.problem is None:
+            raise InvalidInputError(
+                "this plan was made without the problem that it answers; use drive_plan of "
+                "energyplan.planning.driven"
+            )
+        return drive_plan(self.problem, self.path)
+
+    @property
+    def energy_driven(self) -> float:
+        """What driving the path takes, from standstill to standstill [J]; see `driven`."""
+        return self.driven.energy
+
+    @property
+    def speed(self) -> float:
+        """Tread speed that straight driving was priced at [m/s]; see `driven`."""
+        return self.driven.speed
+
+    def _summaries(self) -> list[html.Summary]:
+        rows = [
+            ("energy [J]", self.energy),
+            *((f"of it {name.replace('_', ' ')} [J]", joules)
+              for name, joules in self.breakdown.items()),
+            ("at most above the least possible [%]", 100 * self.gap),
+            ("length [m]", self.length),
+            ("turning [deg]", float(np.degrees(self.turning))),
+            ("duration [s]", self.duration),
+            ("planning time [s]", self.planning_time),
+        ]  # fmt: skip
+        return [html.Summary(f"plan by {self.planner}", ("", ""), rows, self.notes)]
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses along the path, 0.1 m and 0.1 rad apart at most, shape (n, 3)."""
+        return self.path.poses(0.1, 0.1)

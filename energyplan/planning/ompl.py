@@ -26,7 +26,7 @@ from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene.closure import check_way
-from energyplan.planning.scene.compiled import CompiledProblem, Segments
+from energyplan.planning.scene.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.scene.motions import KernelProblem, drive, steering_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.terrain.collision import pose_free
@@ -240,7 +240,7 @@ def _geometric(
     parameters: Mapping[str, object],
 ) -> Candidate:
     """Let one of OMPL's geometric planners solve a problem."""
-    query = CompiledProblem(problem)
+    query = compiled(problem)
     check_way(query)
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed)

@@ -10,7 +10,7 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound import prepare_bound
 from energyplan.planning.lattice.tight_ends import surely_roomy
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.compiled import compiled
 from energyplan.planning.scene.guide import regions_for
 
 PLANNING = (
@@ -47,7 +47,7 @@ def kernels(
     return (*sorted(found.difference(left_out)), *(() if static else EXACT))
 
 
-def compiled(problem: PlanningProblem, *, tight: bool | None = None) -> None:
+def compile_planning(problem: PlanningProblem, *, tight: bool | None = None) -> None:
     """Compile the kernels of planning, or load them from disk, so that no time limit pays for it.
 
     It is called when the problem has been checked: who starts in an obstacle is told so at once.
@@ -55,7 +55,7 @@ def compiled(problem: PlanningProblem, *, tight: bool | None = None) -> None:
     surfaces = problem.surfaces is not None
     if tight is None:
         compile_kernels(*kernels(problem.cost, surfaces=surfaces))
-        query = CompiledProblem(problem)
+        query = compiled(problem)
         tight = not all(surely_roomy(query, end) for end in (problem.start, problem.goal))
         if not tight:
             return
@@ -70,7 +70,7 @@ def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:
     and a second problem on it finds them there. What comes of a plan does not depend on whether
     they were.
     """
-    query = CompiledProblem(problem)
-    if guided:  # searches follow the middle of the treads, whatever counts
-        regions_for(CompiledProblem(problem, problem.cost.icr.centre[1]).setting)
+    query = compiled(problem)
+    if guided:
+        regions_for(query.leading.setting)
     prepare_bound(query)

@@ -31,11 +31,12 @@ from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
+from energyplan.planning.driven import Plan
 from energyplan.planning.ends import between_clear_ends, checked_ends
 from energyplan.planning.lattice import planner as lattice
-from energyplan.planning.problem import KEPT, Plan, PlanningProblem
-from energyplan.planning.ready import compiled as compile_kernels
-from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
+from energyplan.planning.problem import KEPT, PlanningProblem
+from energyplan.planning.ready import compile_planning
+from energyplan.planning.scene.compiled import Segments, compiled, merged
 from energyplan.terrain import OccupancyGrid
 
 AHEAD = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)
@@ -65,7 +66,7 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)
     asked = replace(problem, start=here, goal=path.end)
-    query = CompiledProblem(asked if asked.ends_clear else asked.without_clearance)
+    query = compiled(asked if asked.ends_clear else asked.without_clearance)
     joined = [_joined(here, fine, k, problem) for k in _places_ahead(fine, here, problem)]
     known = query.drivable([rest for rest in joined if rest is not None])
     for share in KEPT:
@@ -147,7 +148,7 @@ def _planned(problem: PlanningProblem, budget: Budget, known: Sequence[Path] = (
     """Return a path without a lower bound among the obstacles."""
 
     def solve(asked: PlanningProblem, own: Budget) -> Candidate:
-        bound = CompiledProblem(asked).least_in_free_space
+        bound = compiled(asked).least_in_free_space
         return lattice.plan(asked, own, initial=known, bound=bound)
 
     return between_clear_ends(problem, budget, solve)
@@ -167,7 +168,7 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
             came = driven + steering.path(at, here, problem.cost)
         except EnergyPlanError:
             continue
-        query = CompiledProblem(replace(problem, goal=here).without_clearance)
+        query = compiled(replace(problem, goal=here).without_clearance)
         if query.drivable([came]):
             least = min(least, query.value(came))
     return former.lower_bound - least
@@ -231,7 +232,7 @@ def replan(
     True
     """
     if isinstance(former, Path):
-        query = CompiledProblem(replace(problem, start=former.start).without_clearance)
+        query = compiled(replace(problem, start=former.start).without_clearance)
         former = priced_plan(query, former, query.least_in_free_space, "lattice", planning_time=0.0)
     _check_answers(former, problem)
     Budget(time_limit, effort=effort)  # says at once what is wrong with them
@@ -239,9 +240,9 @@ def replan(
     now = replace(problem, start=here, map=problem.map if map is None else map)
     now, bare, notes = checked_ends(now)
     here = now.start
-    compile_kernels(bare, tight=True)
+    compile_planning(bare, tight=True)
     budget = Budget(time_limit, effort=effort)
-    query = CompiledProblem(bare)
+    query = compiled(bare)
     bound = query.least_in_free_space
     rest = remainder(former.path, here, now)
     if _only_added(problem, now):

@@ -41,7 +41,7 @@ from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.planning.ends import checked_ends
-from energyplan.planning.ready import compiled as compile_kernels
+from energyplan.planning.ready import compile_planning
 from energyplan.planning.replanning import replan
 from energyplan.power import PowerModel
 from energyplan.ros.messages import (
@@ -242,7 +242,7 @@ def warm_up(
         clearance=0.1 * size,
     )  # fmt: skip
     with cancellable(unwanted):
-        compile_kernels(problem, tight=True)
+        compile_planning(problem, tight=True)
         former = plan(problem, planner, time_limit=0.2)
         replan(problem, former, start=former.path.poses(size, 1.0)[1], time_limit=0.2)
 

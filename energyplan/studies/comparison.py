@@ -15,7 +15,7 @@ from energyplan.path import FloatArray, Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.driven import stops_count
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.compiled import compiled
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def compare(
     driven = stops_count(cheapest) and _can_be_driven(shortest) and _can_be_driven(best)
     if _spent(best, driven).energy > _spent(shortest, driven).energy:
         best = priced_plan(
-            CompiledProblem(cheapest), shortest.path, best.lower_bound, best.planner,
+            compiled(cheapest), shortest.path, best.lower_bound, best.planner,
             planning_time=best.planning_time, first_time=best.first_time, effort=best.effort,
         )  # fmt: skip
     least, most = _spent(best, driven), _spent(shortest, driven)

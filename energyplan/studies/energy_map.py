@@ -24,7 +24,7 @@ from energyplan.planning.lattice import search as kernels
 from energyplan.planning.lattice.search import Search, coarse_lattice
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.scene import prices
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.compiled import CompiledProblem, compiled
 from energyplan.planning.scene.guide import no_distance
 from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
 
@@ -311,7 +311,7 @@ def energy_map(
     if problem.objective != "energy":
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
     problem = replace(problem, goal=problem.start, costmap=None)
-    there = CompiledProblem(problem)
+    there = compiled(problem)
     upper = None
     if confidence is not None:
         upper = upper_prices(there, confidence, coefficient_spread)
@@ -332,7 +332,7 @@ def energy_map(
         energies = table.min(axis=0) + rise
     else:
         target = as_pose(back, "the pose to get back to")
-        home = CompiledProblem(replace(problem, start=target, goal=target))
+        home = compiled(replace(problem, start=target, goal=target))
         ways = _search(_reversed(priced(home.setting)), lattice, energy - lowest, effort)
         # what climbing is worth on the way out comes back on the way home, but for the two ends
         level = there.worth(target) - there.worth(problem.start)

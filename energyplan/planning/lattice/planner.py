@@ -17,13 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
 from energyplan import steering
 from energyplan.cost.steering import StaticSteering
-from energyplan.errors import InvalidInputError, ModelError, PlanningError
+from energyplan.errors import InvalidInputError, PlanningError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning.budget import Budget, Work, do_together
@@ -34,7 +33,7 @@ from energyplan.planning.lattice.portfolio import SAME, Bounding
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
-from energyplan.planning.scene.compiled import CompiledProblem, Segments
+from energyplan.planning.scene.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.scene.guide import regions_for
 
 FINEST = 0.0625
@@ -58,8 +57,8 @@ def plan(
             f"gap is {gap} and finest is {finest}; give a gap of 0 or more, and a part of the "
             "coarsest cells in (0, 1]"
         )
-    query = CompiledProblem(problem)
-    led = _led_by(query)
+    query = compiled(problem)
+    led = query.leading
     budget.beside(lambda: regions_for(led.setting))
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
@@ -86,7 +85,7 @@ def plan(
 
     def shortest_path(*beside: Work) -> Path:
         """Return the shortest path; what that takes does not depend on what is done beside."""
-        of = CompiledProblem(problem.shortest) if led is query else query
+        of = compiled(problem.shortest) if led is query else query
         motions = work.shortest(of, *beside)
         own = budget.apart(work.kept)
         try:
@@ -138,21 +137,6 @@ def _without_stops(led: CompiledProblem, budget: Budget) -> Budget:
 def _searching(led: CompiledProblem, budget: Budget) -> Budget:
     """Return a budget without what is kept for planning anew between tight ends."""
     return budget if led.ends_roomy else budget.part(0.5)
-
-
-def _led_by(query: CompiledProblem) -> CompiledProblem:
-    """Return the problem to which a first plan is sought: for the shortest that of least energy.
-
-    So the shortest plan is what a plan of least energy holds itself against.
-    """
-    if not is_length(query.problem):
-        return query
-    energy = CompiledProblem(replace(query.problem, objective="energy"))
-    try:
-        _ = energy.setting
-    except ModelError:  # downhill some motion may be free
-        return query
-    return energy
 
 
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:

@@ -31,7 +31,7 @@ from energyplan.planning.roadmap.energy_graph import (
 )
 from energyplan.planning.roadmap.routes import Roadmap, Route
 from energyplan.planning.roadmap.visibility import traced, visibility_graph
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.compiled import CompiledProblem, compiled
 from energyplan.planning.scene.guide import distance_to_go
 from energyplan.planning.scene.guide_kernels import node_at
 from energyplan.planning.scene.motions import DIRECTIONS
@@ -93,7 +93,7 @@ def plan(
     free are left out, and the search is repeated without them.
     """
     polish = graph is None if refine is None else refine
-    query = CompiledProblem(problem)
+    query = compiled(problem)
     places = [_reference(problem, problem.start), _reference(problem, problem.goal)]
     if graph is None:
         if clearance is None:

@@ -27,9 +27,9 @@ from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import planner as lattice
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.ready import compiled as compile_kernels
+from energyplan.planning.ready import compile_planning
 from energyplan.planning.roadmap.energy_graph import Graph, State, edges_of
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.scene.compiled import compiled
 
 EFFORT = 4000
 """Units of work for each edge."""
@@ -88,7 +88,7 @@ class PlannedGraph:
 def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) -> PlannedGraph:
     """Plan every edge of a graph among obstacles."""
     edges = edges_of(graph, reverse=False)
-    compile_kernels(problem, tight=True)
+    compile_planning(problem, tight=True)
     paths: dict[State, Path] = {}
     energies: dict[State, float] = {}
     closed = []
@@ -119,7 +119,7 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
 
 def _planned(problem: PlanningProblem, effort: int) -> Path:
     """Return the path of least cost between two poses."""
-    query = CompiledProblem(problem)
+    query = compiled(problem)
     length = float(np.hypot(*np.subtract(problem.goal[:2], problem.start[:2])))
     straight = _motion(problem.start, length, 0.0, problem.cost.icr.longitudinal)
     known = query.drivable([straight])

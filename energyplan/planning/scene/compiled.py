@@ -7,7 +7,7 @@ that counts, of the path's reference point; `CompiledProblem` translates.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -54,19 +54,31 @@ class CompiledProblem:
     """A problem, priced and translated for the kernels."""
 
     problem: PlanningProblem  # the problem
-    lateral: float | None = None  # [m]
     wanted: float = 0.0  # clearance that `grown` has, where it is more than the problem's [m]
 
     def __post_init__(self) -> None:
         self.problem.check_poses()
-        if self.lateral is None:
-            treads = 0.0 if is_length(self.problem) else self.problem.cost.icr.centre[1]
-            object.__setattr__(self, "lateral", float(treads))
 
-    @property
+    @cached_property
     def middle(self) -> tuple[float, float]:
         """The point that the kernels follow, in the body frame [m]."""
-        return self.problem.cost.icr.longitudinal, float(self.lateral or 0.0)
+        icr = self.problem.cost.icr
+        return icr.longitudinal, 0.0 if is_length(self.problem) else float(icr.centre[1])
+
+    @cached_property
+    def leading(self) -> CompiledProblem:
+        """The problem to which a first plan is sought: for the shortest that of least energy.
+
+        So the shortest plan is what a plan of least energy holds itself against.
+        """
+        if not is_length(self.problem):
+            return self
+        energy = CompiledProblem(replace(self.problem, objective="energy"))
+        try:
+            _ = energy.setting
+        except ModelError:  # downhill some motion may be free
+            return self
+        return energy
 
     # -- prices ---------------------------------------------------------------------------------
 
@@ -344,6 +356,15 @@ class CompiledProblem:
         price = self.terrain.price(path, self.problem.cost)
         value = self.objective.value(price.energy, path.length, price.duration)
         return value + self.soft_cost(path)
+
+
+def compiled(problem: PlanningProblem) -> CompiledProblem:
+    """Return what the kernels know of a problem: checked and made once, and kept with it."""
+    found = vars(problem).get("_compiled")
+    if not isinstance(found, CompiledProblem):
+        found = CompiledProblem(problem)
+        object.__setattr__(problem, "_compiled", found)
+    return found
 
 
 def merged(segments: Segments) -> Segments:
