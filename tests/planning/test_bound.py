@@ -24,9 +24,7 @@ from energyplan.planning.bound.outlines import DETAILS, _sights, sights
 from energyplan.planning.bound.sight import Links, no_links, sight
 from energyplan.planning.bound.surface_excess import _certain_regions, least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
-from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import distance_to_go
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import term
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap, Terrain
@@ -104,29 +102,6 @@ def test_an_outline_brought_up_to_date_is_the_one_of_a_new_map(drawn, monkeypatc
                 if now.squares and old:
                     kept += sum(now.squares[at] is old[at] for at in old)
         assert drawn != "squares" or kept > 100
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_lines_cut_between_squares_are_joined(seed, monkeypatch):
-    monkeypatch.setattr(outlines, "MOST_RUNS", 0)
-    rng = np.random.default_rng(seed)
-    occupied = rng.random((75, 110)) < 0.01
-    occupied[20:40, 30:34] = occupied[36:40, 30:90] = True
-    grid = OccupancyGrid(occupied, 0.05, (3.0, -2.0, 0.4))
-    for radius in (0.05, 0.2, 0.2 + 0.05 * np.sqrt(0.5)):
-        whole = outline(grid, radius)
-        monkeypatch.setattr(outlines, "SQUARE", 8)
-        cut = outline(grid, radius)
-        monkeypatch.setattr(outlines, "SQUARE", 256)
-        # no fewer corners, and none lost: each of the whole lies on the cut one, and all ends meet
-        assert len(cut.point) >= len(whole.point)
-        lines = shapely.multilinestrings(cut.edges.reshape(-1, 2, 2))
-        off = shapely.distance(shapely.points(whole.point), lines)
-        assert off.max() <= 2 * DETAILS[0].slack * radius + 1e-9
-        ends = np.sort(cut.edges[:, :2].copy().view(complex).ravel())
-        inner = grid.to_cells(cut.point)
-        assert np.all((inner > 0) & (inner < np.array(grid.shape)[::-1]))
-        assert np.isin(cut.point.copy().view(complex).ravel(), ends).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 300), (257, 2)])
@@ -325,20 +300,6 @@ def test_past_a_line_no_way_over_the_nodes_costs_less_and_the_best_hardly_more(s
         # headings spread is told in classes, which hardly matters along long lines
         if not any(strict) or length == 4.0:
             assert np.all(best - found <= 2.01 * turn)
-
-
-def test_kernels_agree_with_their_plain_twins():
-    rng = np.random.default_rng(5)
-    rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0, static(226.0, 165.0, 0.47))
-    before = rng.uniform(0, 500, HEADINGS)
-    one_line.spread(before, rates.radian * SPACING)
-    for strict in ((True, False), (False, False), (True, True)):
-        fast = one_line.along_line(before, 0.7, 1.3, rates, *strict)
-        plain = one_line.along_line.py_func(before, 0.7, 1.3, rates, *strict)
-        np.testing.assert_allclose(fast, plain, rtol=1e-12)
-    once = before.copy()
-    one_line.spread.py_func(once, rates.radian * SPACING)
-    np.testing.assert_allclose(once, before, rtol=1e-12)
 
 
 # -- gates -----------------------------------------------------------------------------------------
@@ -585,27 +546,6 @@ def test_corners_are_linked_to_all_that_they_see_along_both_outlines(origin):
     assert compared > 100
 
 
-def test_a_search_that_was_stopped_tells_no_corner_too_far_from_the_goal():
-    """Seen from the start, what is not settled lies beyond the frontier, wherever the map lies."""
-    known = 0
-    for origin in ((0.0, 0.0), (-7.0, 3.0)):
-        grid = OccupancyGrid(cluttered(3).occupied, 0.1, (*origin, 0.0))
-        near, far = (np.add(origin, at) for at in ((1.0, 1.0), np.array(grid.size) - 1.0))
-        full = ways(grid, 0.3, near, far)
-        point = outline(grid, 0.3, DETAILS[0]).point
-        straight = np.hypot(*(point - far).T)
-        away = np.hypot(*(point - near).T)
-        for effort in (1e4, 1e5, 3e5):
-            found = ways(grid, 0.3, near, far, effort=effort)
-            assert not found.final
-            assert np.all(found.to_goal <= full.to_goal + 1e-9)
-            least = np.maximum(straight, found.least - away)
-            settled = np.isclose(found.to_goal, full.to_goal, rtol=0.0, atol=1e-9)
-            assert np.all(settled | (found.to_goal >= least - 1e-9))
-            known += np.count_nonzero(least > straight + 0.01)
-    assert known > 100
-
-
 def test_gaps_that_the_disc_does_not_pass_are_closed_however_coarse_the_outline():
     for cells, passes in ((11, False), (12, False), (13, True)):
         occupied = np.zeros((120, 160), bool)
@@ -740,24 +680,6 @@ def test_a_dear_strip_that_must_be_crossed_is_charged():
     assert least_excess(query, 0.3, 0.5 * excess) == pytest.approx(0.5 * excess)
 
 
-@pytest.mark.parametrize("friction", [0.6, 0.0])
-def test_straight_across_a_dear_strip_hardly_a_joule_is_missing(friction):
-    """Twelve metres of cheap ground and four of dear one; without friction turning is free."""
-    vehicle = PowerModel.preset("quadriga:empty:marble").vehicle
-    cheap, dear = (PowerModel.paper(vehicle, pull, friction) for pull in (90.0, 113.0))
-    strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
-    surfaces = SurfaceMap((Surface(strip, cheap),))
-    grid = OccupancyGrid(np.zeros((100, 200), bool), 0.1)
-    ends = (2.0, 5.0, 0.0), (18.0, 5.0, 0.0)
-    found = lower_bound(
-        CompiledProblem(PlanningProblem(grid, EnergyCost(dear), *ends, surfaces)), 1e5
-    )
-    straight = 2 * (12 * 90.0 + 4 * 113.0)
-    # up to six cells at the edges are not sure to be dear
-    assert straight - 6 * 0.1 * 2 * (113.0 - 90.0) - 1e-6 <= found.value <= straight * (1 + 1e-9)
-    assert found.final
-
-
 @pytest.mark.parametrize(("lateral", "reach"), [(0.0, 1), (0.08, 2), (0.15, 3)])
 @pytest.mark.parametrize("edge", [8.0, 8.05])
 def test_of_a_dear_strip_all_is_charged_but_what_may_touch_its_edges(lateral, reach, edge):
@@ -776,16 +698,6 @@ def test_of_a_dear_strip_all_is_charged_but_what_may_touch_its_edges(lateral, re
         dear.coefficient("traction_resistance") - marble.coefficient("traction_resistance")
     )
     assert least_excess(query, 0.3, 1e6) == pytest.approx(charged * per_metre)
-
-
-def test_a_dear_strip_with_a_way_around_it_is_not_charged():
-    around = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 7))
-    assert least_excess(CompiledProblem(two_grounds(around)), 0.3, 1e6) == 0.0
-    # unless the way around is blocked
-    occupied = np.zeros((100, 200), bool)
-    occupied[70:, 80:120] = True
-    problem = two_grounds(around, grid=OccupancyGrid(occupied, 0.1))
-    assert least_excess(CompiledProblem(problem), 0.3, 1e6) > 100
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.1, 0.2])
@@ -813,15 +725,6 @@ def test_a_dear_surface_that_ends_at_the_edge_of_the_map_is_charged(resolution, 
     rim = max(inset, 0.0) + resolution
     charged = radius - lateral > rim + np.sqrt(2) * resolution
     assert (8.0 - near) * per_metre * charged <= excess <= 8.0 * per_metre
-
-
-def test_cells_are_joined_on_large_maps(monkeypatch):
-    strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
-    query = CompiledProblem(two_grounds(strip))
-    fine = least_excess(query, 0.3, 1e6)
-    monkeypatch.setattr("energyplan.planning.bound.surface_excess.MOST_CELLS", 5000)
-    coarse = least_excess(query, 0.3, 1e6)
-    assert 0.7 * fine < coarse <= 4.0 * float(query.least_prices.metre_excess()[0])
 
 
 def test_least_steps_agree_with_networkx():
@@ -869,26 +772,6 @@ def test_no_path_over_surfaces_beats_the_bound(seed):
 # -- the whole bound -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
-def test_no_path_of_a_small_robot_beats_the_bound(seed):
-    # hardly any half track and a small body: next to nothing is relaxed, so that an unsound
-    # bound shows
-    cost = nearly_a_point(200.0, 400.0 if seed % 2 else 80.0)
-    grid = cluttered(seed, 30)
-    poses = free_poses(grid, 16, seed, cost.vehicle)
-    compared = 0
-    for start, goal in zip(poses[::2], poses[1::2], strict=True):
-        problem = PlanningProblem(grid, cost, start, goal)
-        try:
-            found = plan(problem, effort=8_000, gap=0.0)
-        except (NoPathError, TimeLimitError):
-            continue
-        bound = lower_bound(CompiledProblem(problem), 1.5 * found.energy)
-        assert bound.value <= found.energy * (1 + 1e-9)
-        compared += 1
-    assert compared > 4
-
-
 def test_a_turn_the_other_way_beside_a_corner_is_not_overlooked():
     """Forward along 0, a turn of 150 degrees to the left, back: less turning than along the string.
 
@@ -913,16 +796,6 @@ def test_a_turn_the_other_way_beside_a_corner_is_not_overlooked():
     bound = lower_bound(CompiledProblem(problem), 5000.0)
     assert bound.value <= cost.energy(path)
     assert bound.value > 0.97 * cost.energy(path)
-
-
-def test_the_coarser_outline_gives_a_bound_too(monkeypatch):
-    grid = cluttered(3)
-    start, goal = free_poses(grid, 2, 3, COST.vehicle)
-    query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-    fine = lower_bound(query, 1e5).value
-    monkeypatch.setattr("energyplan.planning.bound.DETAILS", DETAILS[1:])
-    coarse = lower_bound(query, 1e5).value
-    assert 0.9 * fine < coarse < 1.05 * fine
 
 
 def test_little_effort_gives_a_lower_bound_and_says_so():
@@ -994,21 +867,6 @@ def test_no_plan_of_a_random_model_beats_the_bound_among_obstacles(seed):
             continue
         bound = lower_bound(CompiledProblem(problem), 1.5 * found.cost, np.inf).value
         assert bound <= found.cost * (1 + 1e-9)
-
-
-def test_the_search_estimates_no_more_than_a_plan_and_hardly_less_than_the_way():
-    """Round a wall: sixteen neighbours are longer than the way they stand for by up to 2.8 %."""
-    occupied = np.zeros((240, 240), bool)
-    occupied[:180, 118:122] = True
-    grid = OccupancyGrid(occupied, 0.05)
-    for start, goal in (((3, 2, 0.5), (9, 2, -0.5)), ((2, 4, 1.2), (10, 1, -1.2))):
-        query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-        search = Search(
-            query.setting, distance_to_go(query.setting), lattice_for(query.setting), 1.0
-        )
-        found = plan(query.problem, effort=3_000)
-        least = ways(grid, 0.3, start[:2], goal[:2]).least
-        assert 226.0 * 0.96 * least < search.tree.h[0] < found.energy
 
 
 # -- what is kept of the lines between corners -----------------------------------------------------

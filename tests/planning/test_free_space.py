@@ -84,13 +84,3 @@ def test_every_free_pose_lies_in_an_enlarged_cell(body, resolution):
     assert not np.any(free & ~may)
     # and it is no empty promise: little more than what is free is said to be
     assert may.mean() < free.mean() + 0.35
-
-
-def test_threads_and_a_body_seen_from_behind_change_nothing():
-    grid = salted(0.05, (6.0, 11.0), seed=7)
-    body = Body(-0.4, -0.3, 0.4, 0.3)
-    one = free_space(grid.space, body, threads=1)
-    many = free_space(grid.space, body, threads=5)
-    assert np.array_equal(one.masks, many.masks)
-    shifted = free_space(grid.space, Body(-0.4, -0.3, 0.4 + 1e-9, 0.3))
-    assert np.mean(one.masks != shifted.masks) < 1e-3

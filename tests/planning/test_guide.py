@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from by_day import by_day
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
-from energyplan.path import Path, Pose
+from energyplan.path import Pose
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.lattice.way_along import way_along
 from energyplan.planning.scene import guide
@@ -192,54 +191,3 @@ def test_a_plan_of_little_effort_is_found_where_free_configurations_are_joined(
             query.path(way)  # which must be free
         assert plan(problem, effort=2_500, gap=10.0).energy > 0
     assert ways >= joined - 1
-
-
-def test_a_way_follows_the_guide_through_a_gap_that_a_lattice_misses():
-    occupied = np.zeros((160, 200), bool)
-    occupied[:, 96:104] = True
-    occupied[70:83, 96:104] = False
-    grid = OccupancyGrid(occupied, 0.05)
-    vehicle = Vehicle.from_geometry(
-        "exact", mass=40.0, wheelbase=0.6, track=0.5, length=0.8, width=0.64
-    )
-    cost = EnergyCost.from_coefficients(150.0, 60.0, vehicle.icr)
-    problem = PlanningProblem(grid, cost, (2, 2, 0.3), (8, 6, 1.0), vehicle=vehicle)
-    query = CompiledProblem(problem)
-    budget = Budget(effort=1000)
-    way = way_along(query.setting, distance_to_go(query.setting), budget)
-    assert way is not None
-    assert budget.spent < 300
-    path: Path = query.path(way)
-    assert grid.path_free(path, vehicle)
-    assert path.end.x == pytest.approx(8, abs=1e-6)
-    # one that may spend nothing is not there
-    spent = Budget(effort=1)
-    spent.spend(1)
-    assert way_along(query.setting, distance_to_go(query.setting), spent) is None
-
-
-@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
-def test_with_little_work_the_way_is_looked_at_all_the_same(seed):
-    """On a map far larger than what may be looked at."""
-    rng = np.random.default_rng(seed)
-    occupied = np.zeros((600, 800), bool)
-    for row, column in rng.integers(0, (590, 790), (120, 2)):
-        occupied[row : row + rng.integers(4, 40), column : column + rng.integers(4, 40)] = True
-    occupied[:40, :40] = occupied[-40:, -40:] = False
-    cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.4)
-    grid = OccupancyGrid(occupied, 0.05)
-    asked = PlanningProblem(grid, cost, (1, 1, 0), (39, 29, 0), vehicle=robot("small"))
-    setting = CompiledProblem(asked).setting
-    whole = distance_to_go(setting)
-    assert reached(whole, setting)
-    for most in (1.0, 0.7 * whole.work / guide.TURNS):
-        part = distance_to_go(setting, most)
-        assert reached(part, setting)
-        lengths = [guide.distance_at_start(one, setting) for one in (whole, part)]
-        # the region's middles lead, not their nodes
-        assert lengths[0] <= lengths[1] + 1e-3 <= 1.1 * lengths[0]
-        assert part.work < whole.work
-    assert way_along(setting, part, Budget(effort=100_000)) is not None
-    # more than it takes changes nothing
-    same = distance_to_go(setting, 10.0 * whole.work)
-    assert np.array_equal(same.distance, whole.distance)

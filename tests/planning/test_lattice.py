@@ -13,17 +13,15 @@ from energyplan.planning.budget import UNLIMITED
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.tight_ends import ways_out
-from energyplan.planning.scene import field as field_kernels
 from energyplan.planning.scene import motions as motion_kernels
-from energyplan.planning.scene.compiled import MARGIN, CompiledProblem, Segments, merged
-from energyplan.planning.scene.guide import distance_to_go, inscribed
+from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
+from energyplan.planning.scene.guide import distance_to_go
 from energyplan.power import HOTEL, PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import TreadICR, Vehicle
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 COST = EnergyCost(MODEL)
-EVEN = np.zeros((1, 1), np.uint8)
 
 
 def room(width=10.0, height=10.0, resolution=0.1):
@@ -59,20 +57,6 @@ def test_curved_prices_are_tabulated_closely_and_never_below():
         assert bound <= kernel * (1 + 1e-9)
 
 
-def test_heap_sorts():
-    rng = np.random.default_rng(1)
-    values = rng.normal(size=300)
-    heap_f, heap_node, size = np.empty(300), np.empty(300, np.int32), 0
-    for k, value in enumerate(values):
-        size = field_kernels.push(heap_f, heap_node, size, value, k)
-    out = []
-    while size:
-        out.append((heap_f[0], int(heap_node[0])))
-        size = field_kernels.pop(heap_f, heap_node, size)
-    assert [f for f, _ in out] == sorted(values)
-    assert all(values[k] == f for f, k in out)
-
-
 # -- search and refinement ------------------------------------------------------------------------
 
 
@@ -106,25 +90,6 @@ def test_search_returns_free_motions_of_the_cost_it_reports(weight):
         assert COST.energy(path) == pytest.approx(float(search.tree.best[0]), rel=1e-9)
 
 
-def test_search_survives_growing_its_arrays():
-    # an island that cannot be left keeps the search busy until everything is searched
-    grid = cluttered(4)
-    start, goal = free_poses(grid, 2, 11, COST.vehicle)
-    query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
-    search = Search(
-        query.setting, distance_to_go(query.setting), lattice_for(query.setting, 0.5), 1.0
-    )
-    search.tree.best[0] = np.inf
-    before = len(search.tree.x)
-    search.run(Budget(), stop_at_first=False, expansions=40_000)
-    count = int(search.tree.counts[0])
-    assert count <= len(search.tree.x)
-    if count > before:
-        parents = search.tree.parent[1:count]
-        assert np.all(parents < np.arange(1, count))
-        assert np.all(search.tree.key[:count] > 0)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_refinement_only_ever_improves(seed):
     grid = cluttered(seed)
@@ -155,17 +120,6 @@ def test_merging_motions_keeps_the_path():
     np.testing.assert_allclose(whole.ds, [3.0, 1.0, -1.0])
     np.testing.assert_allclose(whole.dtheta, [0.0, 2.0, 0.0])
     assert Path((0, 0, 0), *whole).end == pytest.approx(Path((0, 0, 0), *parts).end)
-
-
-def test_margin_exceeds_the_tolerance_of_the_collision_kernels():
-    from energyplan.terrain.collision import TOLERANCE
-
-    assert MARGIN > 1.5 * TOLERANCE
-
-
-def test_inscribed_disc_fits_the_footprint():
-    query = CompiledProblem(PlanningProblem(room(), COST, (2, 5, 0), (8, 5, 0)))
-    assert inscribed(query.setting) == pytest.approx(0.32 + MARGIN * 0.1)
 
 
 def test_initial_path_is_never_made_worse():

@@ -8,17 +8,12 @@ from worlds import walled
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
-    GoalInCollisionError,
     InvalidInputError,
     NoPathError,
-    OutsideMapError,
-    StartInCollisionError,
-    TimeLimitError,
     UnknownNameError,
 )
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.problem import nearest_free
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap, path_price
 from energyplan.vehicle import TreadICR
@@ -32,42 +27,10 @@ def problem(**changes):
     return PlanningProblem(**{**given, **changes})
 
 
-def test_start_in_collision_names_a_free_pose_nearby():
-    with pytest.raises(StartInCollisionError, match="nearest free pose") as told:
-        plan(problem(start=(4.6, 2, 0)), effort=10_000)
-    assert "(4.600, 2.000, 0.0 deg)" in str(told.value)
-    near = nearest_free(walled(True), COST.vehicle, problem(start=(4.6, 2, 0)).start)
-    assert near is not None
-    assert walled(True).footprint_free([near], COST.vehicle)[0]
-    # 4.8 m minus half the footprint's length, which is 0.41 m
-    assert np.hypot(near.x - 4.6, near.y - 2) == pytest.approx(0.21, abs=0.1)
-
-
-def test_goal_in_collision():
-    with pytest.raises(GoalInCollisionError, match=r"goal \(5.000"):
-        plan(problem(goal=(5, 2, 0)), effort=10_000)
-
-
-def test_outside_the_map_says_what_it_covers():
-    with pytest.raises(OutsideMapError, match="x from 0 to 10 m and y from 0 to 8 m"):
-        plan(problem(goal=(12, 2, 0)), effort=10_000)
-
-
-def test_no_path():
-    with pytest.raises(NoPathError, match="no path leads"):
-        plan(problem(map=walled(False)), effort=250_000)
-
-
 def test_keep_out_area_closes_the_door():
     closed = SurfaceMap([], keep_out=[shapely.box(4.5, 5.5, 5.5, 8.0)])
     with pytest.raises(NoPathError):
         plan(problem(surfaces=closed), effort=250_000)
-
-
-def test_time_limit_before_a_first_plan():
-    plan(problem(), effort=10_000)  # compile first
-    with pytest.raises(TimeLimitError, match="time_limit"):
-        plan(problem(), time_limit=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,11 @@ import shapely
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError, TimeLimitError
+from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError
 from energyplan.io.nav2 import read_route_graph
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import roadmap as rm
-from energyplan.planning.budget import Budget
 from energyplan.planning.roadmap.energy_graph import round_corner
 from energyplan.planning.roadmap.visibility import traced
 from energyplan.planning.scene.compiled import CompiledProblem
@@ -242,62 +241,6 @@ def test_shortest_way_round_a_box():
     assert all(data["radius"] == 0.5 for node, data in graph.nodes(data=True) if node > 1)
 
 
-def test_shortest_paths_need_only_the_touching_lines():
-    """The same lengths as with every pair of corners that see each other."""
-    rng = np.random.default_rng(24)
-    boxes = [
-        shapely.box(x, y, x + w, y + h)
-        for x, y, w, h in np.column_stack([rng.uniform(1, 9, (9, 2)), rng.uniform(0.3, 2, (9, 2))])
-    ]
-    graph = rm.visibility_graph(boxes, 0.2, [(0, 0), (12, 12)])
-    grown = shapely.union_all(shapely.buffer(np.array(boxes), 0.2, join_style="mitre"))
-    core = grown.buffer(-1e-6, join_style="mitre")
-    every = [(0, 0), (12, 12), *shapely.get_coordinates(grown).tolist()]
-    full = nx.Graph()
-    for (i, p), (j, q) in itertools.combinations(enumerate(every), 2):
-        if not core.intersects(shapely.LineString([p, q])):
-            full.add_edge(i, j, length=np.hypot(*np.subtract(p, q)))
-    assert nx.dijkstra_path_length(graph, 0, 1, weight="length") == pytest.approx(
-        nx.dijkstra_path_length(full, 0, 1, weight="length"), rel=1e-6
-    )
-    assert graph.number_of_edges() < 0.5 * full.number_of_edges()
-
-
-def test_an_arc_about_a_corner_keeps_the_clearance():
-    box = shapely.box(2, 1, 4, 5)
-    for ends, largest in (([(1.5, 4), (3.8, 0.5)], 0.5), ([(0.9, 4), (3.8, 0.1)], 0.6)):
-        graph = rm.visibility_graph(box, 0.5, ends)
-        path = rm.Roadmap(graph, COST).route(0, 1).path
-        assert np.abs(path.ds / np.where(path.dtheta == 0, np.inf, path.dtheta)).max() > 0.49
-        points = shapely.points(path.poses(0.005, 0.01)[:, :2])
-        assert 0.5 - 1e-6 <= shapely.distance(box, points).min() <= largest + 1e-6
-
-
-def test_lines_of_sight_within_reach_are_those_of_the_whole_graph():
-    rng = np.random.default_rng(27)
-    boxes = [shapely.box(x, y, x + 0.7, y + 0.4) for x, y in rng.uniform(1, 19, (60, 2))]
-    ends = np.array([(0.2, 0.3), (9.0, 8.0)])
-    whole = rm.visibility_graph(boxes, 0.2, ends)
-    near = rm.visibility_graph(boxes, 0.2, ends, reach=14.0)
-
-    def lines(graph, reach=np.inf):
-        place = nx.get_node_attributes(graph, "pos")
-        found = set()
-        for a, b in graph.edges:
-            p, q = (np.array(place[n]) for n in (a, b))
-            way = min(
-                np.hypot(*(u - ends[0])) + np.hypot(*(v - ends[1])) for u, v in ((p, q), (q, p))
-            )
-            if way + np.hypot(*(p - q)) <= reach:
-                found.add(frozenset([tuple(p.round(9)), tuple(q.round(9))]))
-        return found
-
-    assert lines(near) == lines(whole, 14.0)
-    assert 0 < len(lines(near)) < 0.5 * len(lines(whole))
-    with pytest.raises(InvalidInputError, match="two points"):
-        rm.visibility_graph(boxes, 0.2, reach=3.0)
-
-
 def test_tracing_covers_the_map_closely():
     rng = np.random.default_rng(25)
     discs = [shapely.Point(*rng.uniform(1, 5, 2)).buffer(0.4) for _ in range(5)]
@@ -316,13 +259,6 @@ def test_tracing_covers_the_map_closely():
 
 def road(problem, **options):
     return plan(problem, "roadmap", effort=1_000_000, **options)
-
-
-def spent():
-    """A budget of which nothing is left."""
-    budget = Budget(effort=1)
-    budget.spend(1)
-    return budget
 
 
 def hall(*boxes, size=(12.0, 10.0)):
@@ -390,41 +326,6 @@ def test_objectives_differ_in_what_they_make_least():
         assert values[k] < max(values)
 
 
-@pytest.mark.parametrize("objective", ["energy", "length", "time"])
-@pytest.mark.parametrize("first", [0.5, 1.2])
-def test_lines_of_sight_that_are_left_out_make_no_difference(monkeypatch, objective, first):
-    """The ellipse about start and goal grows until nothing outside of it can be better."""
-    rng = np.random.default_rng(29)
-    discs = [shapely.Point(*rng.uniform(1.5, 18.5, 2)).buffer(0.5, 3) for _ in range(45)]
-    grid = OccupancyGrid.from_polygons(discs, (0, 0, 20, 20), 0.1)
-    free = np.array([(x, y, 0.0) for x in range(1, 20) for y in range(1, 20)])
-    free = free[grid.footprint_free(free, MODEL.vehicle)]
-    start, goal = free[np.argmin(free.sum(axis=1))], free[np.argmax(free[:, 0] - 0.3 * free[:, 1])]
-    problem = PlanningProblem(grid, COST, start, goal, objective=objective)
-    whole, near = rm._first_reach, []
-
-    def guess(query):
-        near.append(first * np.hypot(*(goal - start)[:2]))
-        return near[-1]
-
-    monkeypatch.setattr(rm, "_first_reach", lambda query: np.inf)
-    expected = road(problem, refine=False)
-    monkeypatch.setattr(rm, "_first_reach", guess)
-    assert road(problem, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
-    assert len(near) == 1
-    monkeypatch.setattr(rm, "_first_reach", whole)
-    assert road(problem, refine=False).cost == pytest.approx(expected.cost, rel=1e-9)
-
-
-def test_thousands_of_corners_out_of_reach_cost_nothing():
-    x, y = np.meshgrid(np.arange(6.0, 40.0, 1.0), np.arange(6.0, 40.0, 1.0))
-    posts = shapely.box(x, y, x + 0.3, y + 0.3).ravel()
-    grid = OccupancyGrid.from_polygons(posts, (0, 0, 40, 40), 0.1)
-    problem = PlanningProblem(grid, COST, (1, 1, 0), (5, 9, 1.0))
-    found = road(problem, obstacles=posts, clearance=0.2)
-    assert found.gap < 0.01
-
-
 def test_plan_on_a_given_graph():
     """Its edges through obstacles are not driven."""
     grid = hall((4, 0, 5, 6))
@@ -438,46 +339,6 @@ def test_plan_on_a_given_graph():
     blocked.remove_node("high")
     with pytest.raises(NoPathError):
         road(problem, graph=blocked)
-
-
-def test_a_known_route_is_returned_when_time_is_over(monkeypatch):
-    """The second, larger ellipse is not finished; and without a first one there is no route."""
-    grid = hall((4, 0, 5, 6))
-    problem = PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0))
-    expected = road(problem, refine=False)
-    built = []
-
-    def interrupted(*args, **kwargs):
-        built.append(kwargs["reach"])
-        if len(built) > 1:
-            kwargs["budget"] = spent()
-        return visibility_graph(*args, **kwargs)
-
-    visibility_graph = rm.visibility_graph
-    monkeypatch.setattr(rm, "visibility_graph", interrupted)
-    monkeypatch.setattr(rm, "_first_reach", lambda query: 14.0)
-    assert road(problem, refine=False).energy == pytest.approx(expected.energy)
-    assert len(built) == 2
-    with pytest.raises(TimeLimitError, match="1 obstacles had been grown"):
-        road(problem, refine=False)
-
-
-def test_each_stage_says_how_far_it_got():
-    graph = grid_graph(np.random.default_rng(30))
-    with pytest.raises(TimeLimitError, match=r"0 of \d+ turns had been priced"):
-        rm.energy_graph(graph, COST, budget=spent())
-    ground = SurfaceMap([Surface(shapely.box(3, -5, 20, 20), MODEL)])
-    with pytest.raises(TimeLimitError, match=r"0 of 96 edges had been priced"):
-        rm.energy_graph(graph, COST, surfaces=ground, budget=spent())
-    roadmap = rm.Roadmap(nx.grid_2d_graph(25, 25), COST)
-    nx.set_node_attributes(roadmap.graph, {n: n for n in roadmap.graph}, "pos")
-    late = replace(roadmap, budget=spent())
-    late.__dict__["states"] = roadmap.states
-    with pytest.raises(TimeLimitError, match=r"4096 of \d+ turns had been searched"):
-        late.route((0, 0), (24, 24))
-    problem = PlanningProblem(hall((4, 0, 5, 6)), COST, (1, 2, 0), (10, 2, 0))
-    with pytest.raises(TimeLimitError, match="time_limit"):
-        plan(problem, "roadmap", time_limit=1e-6)
 
 
 def test_what_cannot_be_planned_is_refused():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import shapely
 from by_day import by_day
-from numpy.testing import assert_allclose
 
 from energyplan import cli
 from energyplan.battery import Battery
@@ -30,9 +29,9 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.scene import motions as kernels
 from energyplan.planning.scene import prices as _prices
 from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.power import HOTEL, PowerModel
+from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
-from energyplan.studies.comparison import compare, energy_along
+from energyplan.studies.comparison import compare
 from energyplan.terrain import (
     HeightMap,
     OccupancyGrid,
@@ -287,20 +286,6 @@ def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
     )
 
 
-def test_other_objectives_know_slopes():
-    cost = at_battery(MODEL.with_term(HOTEL, 60.0))
-    problem = PlanningProblem(
-        HALL, cost, (2, 2, 0), (12, 9, 0), heights=hills(6, 0.6),
-        objective={"energy": 1, "time": 80},
-    )  # fmt: skip
-    found = plan(problem, effort=6_000)
-    assert found.cost == pytest.approx(found.energy + 80 * found.duration)
-    assert found.lower_bound <= found.cost
-    assert found.gap < 0.3
-    shortest = plan(replace(problem, objective="length"), effort=6_000)
-    assert shortest.length == pytest.approx(np.hypot(10, 7), rel=1e-3)
-
-
 def test_energy_against_time_where_the_way_down_pays_for_itself():
     problem = PlanningProblem(
         HALL, EnergyCost(MODEL.with_term(VISCOUS_LOSS, 80.0)), (2, 6, 0), (14, 6, 0),
@@ -459,37 +444,10 @@ def test_a_mission_does_not_get_back_what_drives_lose(monkeypatch):
     assert 0 < sum(pieces) < 1_000_000
 
 
-def test_payload_is_lifted_too():
-    light = evaluate(mission()).task("top").energy
-    heavy = evaluate(mission(payload=20.0)).task("top").energy
-    assert heavy - light == pytest.approx(20.0 * GRAVITY * 0.55, rel=1e-6)
-
-
-def test_bounds_of_a_mission_hold_on_slopes():
-    from energyplan.mission.legs import Legs
-
-    poses = [Pose(4, 3, 0.0), Pose(12, 9, 2.0)]
-    tasks = tuple(Task(f"t{k}", pose) for k, pose in enumerate(poses))
-    legs = Legs(mission(at_battery().model, heights=hills(8, 0.6), tasks=tasks))
-    bounds = legs.lower_bounds(0.0)
-    for i in range(3):
-        for j in range(3):
-            assert bounds[i, j] <= legs.leg(i, j, 0.0).energy.mean + 1e-6
-    assert bounds[0, 2] > 500
-
-
 def test_a_mission_needs_models_that_know_slopes():
     with pytest.raises(MissionError, match="with_weight") as caught:
         mission(LEVEL)
     assert caught.value.place == ("heights",)
-
-
-def test_the_best_order_knows_the_hill():
-    """From the valley, two tasks: exact orders with energy that comes back on the way."""
-    tasks = (Task("top", Pose(13.0, 6.0, 0.0)), Task("middle", Pose(8.0, 6.0, 0.0)))
-    told = evaluate(mission(tasks=tasks, order="free", heights=plane(0.4, 0.0)))
-    assert set(told.order) == {"top", "middle"}
-    assert told.energy == pytest.approx(2 * 226 * 11 * np.hypot(1, 0.4), rel=1e-3)
 
 
 # -- files -----------------------------------------------------------------------------------------
@@ -574,17 +532,4 @@ def test_missions_name_a_file_of_heights(folder):
         read_mission(file)
 
 
-def test_the_energy_along_a_path_ends_with_its_own():
-    problem = PlanningProblem(HALL, at_battery(), (2, 2, 0), (12, 9, 0), heights=hills(2, 0.5))
-    found = plan(problem, effort=6_000)
-    along = energy_along(found.path, problem)
-    assert along.joules[-1] == pytest.approx(found.energy)
-    assert along.metres[-1] == pytest.approx(found.length)
-
-
 # -- constants -------------------------------------------------------------------------------------
-
-
-def test_level_ground_is_one_of_the_slopes():
-    assert _prices.BINS % 2 == 1
-    assert_allclose(np.linspace(-1, 1, _prices.BINS)[_prices.BINS // 2], 0.0, atol=1e-15)

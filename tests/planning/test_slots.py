@@ -11,11 +11,6 @@ from energyplan.path import Pose
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.lattice.slots import grow, slack, slimmer
 from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.guide import (
-    distance_at_start,
-    distance_through_slots,
-    distance_to_go,
-)
 from energyplan.planning.scene.motions import KernelProblem, drive
 from energyplan.steering.kernels import arc_end
 from energyplan.terrain import OccupancyGrid
@@ -107,29 +102,6 @@ def test_a_slim_bodys_way_grows_to_the_whole_bodys():
     grown = grow(setting, way, by, Budget())
     assert grown.motions is not None and is_driven(setting, grown.motions)
     assert not grown.closed
-
-
-def test_where_it_does_not_grow_is_told():
-    setting, way, by = straight_through(spare=-0.06)
-    grown = grow(setting, way, by, Budget())
-    assert grown.motions is None
-    assert 0.0 < grown.lacking < 1.0
-    assert grown.closed
-    # the wall is 0.4 m thick along the slot's middle, and the robot reaches 0.52 m further
-    assert np.hypot(*np.array(grown.closed)[:, :2].T).max() < 0.8
-
-
-def test_closed_places_are_left_out_of_the_distance_to_go():
-    angle = 0.9
-    setting = CompiledProblem(wall(SIZES["quadriga"], 0.05, angle, spare=0.01)).setting
-    tested = distance_at_start(distance_to_go(setting), setting)
-    through = distance_at_start(distance_through_slots(setting, np.inf), setting)
-    c, s = np.cos(angle), np.sin(angle)
-    closed = [Pose(-aside * s, aside * c, angle) for aside in (-0.1, 0.0, 0.1)]
-    round_it = distance_at_start(distance_through_slots(setting, np.inf, closed), setting)
-    assert through < 0.5 * tested
-    # what is not tested makes corners a little shorter
-    assert 0.9 * tested < round_it <= tested
 
 
 def test_a_slimmer_body_passes_wherever_the_whole_one_may():

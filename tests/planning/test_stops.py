@@ -12,7 +12,7 @@ from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem
 from energyplan.planning.driven import drive_path, drive_plan, stops_count
 from energyplan.planning.lattice import planner, stops
-from energyplan.planning.lattice.stops import Stops, stops_of
+from energyplan.planning.lattice.stops import stops_of
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
@@ -101,12 +101,6 @@ def test_what_stops_cannot_bring_is_spent_on_the_path(monkeypatch):
     assert not searched
     monkeypatch.setattr(planner, "stops_count", lambda problem: False)
     assert made.energy <= 1.005 * plan(asked, effort=8_000).energy
-
-
-def test_the_more_stops_take_the_more_is_kept_for_them():
-    shares = [Stops(100.0, extra, 1.0).share for extra in (-1.0, 0.0, 0.05, 1.0, 2.0, 3.0, 50.0)]
-    assert shares[:3] == [0.0] * 3 and shares[-2:] == [1.0] * 2
-    assert np.all(np.diff(shares[2:6]) > 0)
 
 
 def test_the_same_effort_makes_the_same_path():

@@ -13,7 +13,7 @@ from by_day import by_day
 
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
-from energyplan.errors import NoPathError, TimeLimitError
+from energyplan.errors import NoPathError
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import budget as budgets
@@ -96,28 +96,6 @@ def test_a_body_that_no_corner_lets_round_is_proven_stuck_where_the_disc_is_not(
     with pytest.raises(NoPathError, match="whichever way it turns") as told:
         plan(problem, effort=20_000)
     assert told.value.certainty == "proven"
-
-
-def test_too_little_effort_says_what_was_searched():
-    problem = PlanningProblem(rooms(0.7), COST, (1, 4, 0), (11, 1, 2))
-    with pytest.raises(TimeLimitError, match="effort"):
-        plan(problem, effort=120)
-
-
-def test_works_that_ask_for_much_share_what_the_others_leave():
-    budget = Budget(effort=100)
-    taken = []
-
-    def work(units):
-        def run(own):
-            own.spend(own.left)
-            return own.spent
-
-        return budgets.Work(run, units, taken.append)
-
-    budgets.do_together(budget, [work(1000), work(10), work(500), work(0)])
-    assert taken == [45, 10, 45, 0]
-    assert budget.over
 
 
 def at_once(work: list[Callable[[], object]]) -> list[object]:

@@ -65,16 +65,6 @@ def test_where_turning_costs_little_the_short_way_is_found():
     assert rows.max() * places.spacing < 6.0
 
 
-def test_a_search_that_may_look_at_nothing_finds_nothing():
-    setting = CompiledProblem(slalom()).setting
-    to_go = distance_to_go(setting)
-    none = cheapest_chain(to_go, setting, np.zeros(1, bool), 0)
-    assert len(none.chain) == 0 and none.cost == np.inf
-    spent = Budget(effort=1)
-    spent.spend(1)
-    assert ways_with_turns(setting, to_go, spent) == []
-
-
 def test_a_way_that_was_passed_is_left_for_another_one():
     setting = CompiledProblem(slalom()).setting
     to_go = distance_to_go(setting)
