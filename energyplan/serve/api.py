@@ -12,14 +12,14 @@ from contextlib import asynccontextmanager
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
 from fastapi.staticfiles import StaticFiles
-from pydantic import BaseModel, ValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from energyplan import __version__
 from energyplan.battery import Battery
@@ -51,6 +51,7 @@ from energyplan.path import Pose, Trajectory
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import planners as known_planners
 from energyplan.serve.requests import (
+    A,
     CheckRequest,
     DiagnoseRequest,
     Guard,
@@ -61,6 +62,9 @@ from energyplan.serve.requests import (
     Robot,
     StartRequest,
     problem,
+)
+from energyplan.serve.requests import (
+    asked as read,
 )
 from energyplan.serve.store import BusyError, FullError, Job, Pool, Store, UnknownFileError
 from energyplan.studies.comparison import compare
@@ -80,7 +84,6 @@ STATUS: tuple[tuple[type[Exception], int], ...] = (
 MOST = 32 * 2**20
 """Largest answer [byte]."""
 Document = dict[str, Any]
-A = TypeVar("A", bound=BaseModel)
 
 
 def application(
@@ -102,6 +105,7 @@ def application(
     app.add_exception_handler(Exception, service.failed)
     app.add_exception_handler(EnergyPlanError, service.failed)
     app.add_exception_handler(HTTPException, service.failed)
+    app.add_exception_handler(ClientDisconnect, service.gone)
     for router in (_files(service), _routes(service), _missions(service), _logs(service)):
         app.include_router(router, prefix="/api")
     page = files("energyplan.serve") / "page"
@@ -118,6 +122,10 @@ class _Service:
     async def failed(self, request: Request, error: Exception) -> Response:
         """Return an error as a client reads it."""
         return self.problem(error)
+
+    async def gone(self, request: Request, error: Exception) -> Response:
+        """Drop a request whose client left before it was whole."""
+        return self.problem(CancelledError("the client went away"))
 
     def problem(self, error: BaseException) -> Response:
         """Return an error of the library, or of the service itself, with its status."""
@@ -141,7 +149,7 @@ class _Service:
 
         async def endpoint(request: Request) -> Response:
             body = await request.body()
-            return await self.answer(request, lambda job: work(job, _asked(kind, body)))
+            return await self.answer(request, lambda job: work(job, read(kind, body)))
 
         content = {"application/json": {"schema": kind.model_json_schema()}}
         extra = {"requestBody": {"content": content, "required": True}}
@@ -183,18 +191,6 @@ class _Service:
         """Return the cost of a model's motions."""
         model = self.store.model(name)
         return EnergyCost(model, battery=battery, speed=asked_speed(None, model.vehicle))
-
-
-def _asked(kind: type[A], body: bytes) -> A:
-    """Read what is asked."""
-    try:
-        return kind.model_validate_json(body)
-    except ValidationError as error:
-        places = [
-            f"{'.'.join(str(part) for part in found['loc'])}: {found['msg']}"
-            for found in error.errors(include_url=False, include_context=False, include_input=False)
-        ]
-        raise InvalidInputError("; ".join(places[:20])) from None
 
 
 def _written(document: Document) -> bytes:
@@ -321,7 +317,7 @@ def _routes(service: _Service) -> APIRouter:
 
     def checked(job: Job, asked: CheckRequest) -> Document:
         names = ("t", "x", "y", "yaw", "v", "omega")
-        columns = {name: np.asarray(getattr(asked, name), float) for name in names}
+        columns = {name: getattr(asked, name) for name in names}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise InvalidInputError(f"the columns have different lengths: {lengths}")

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-from typing import Annotated, Any, Literal
+import json
+import secrets
+from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from energyplan.errors import InvalidInputError
 from energyplan.io.maps import SiteFile
+from energyplan.path import FloatArray
 
 LONGEST, MOST_EFFORT = 60.0, 5_000_000
 """Largest time limit [s] and effort that a request may ask for."""
@@ -55,16 +60,85 @@ class RangeRequest(SiteFile, _Asked):
     coefficient_spread: float = Field(0.0, ge=0, lt=1)
 
 
+def _column(value: Any) -> FloatArray:
+    """Return a column of a trajectory."""
+    array = np.asarray(value)
+    if isinstance(value, list) and not {*map(type, value)} <= {int, float}:
+        raise ValueError("give numbers alone")
+    if array.dtype.kind not in "if" or array.ndim != 1 or not 2 <= len(array) <= MOST_ROWS:
+        raise ValueError(f"give a list of 2 to {MOST_ROWS} numbers")
+    return array.astype(float)
+
+
+Column = Annotated[
+    Any,
+    PlainValidator(_column),
+    WithJsonSchema({"type": "array", "items": {"type": "number"}, "maxItems": MOST_ROWS}),
+]
+
+
 class CheckRequest(_Asked):
     """A trajectory by its columns, and the model whose motors drive it."""
 
     model: Name
-    t: list[float] = Field(min_length=2, max_length=MOST_ROWS)
-    x: list[float] = Field(max_length=MOST_ROWS)
-    y: list[float] = Field(max_length=MOST_ROWS)
-    yaw: list[float] = Field(max_length=MOST_ROWS)
-    v: list[float] = Field(max_length=MOST_ROWS)
-    omega: list[float] = Field(max_length=MOST_ROWS)
+    t: Column
+    x: Column
+    y: Column
+    yaw: Column
+    v: Column
+    omega: Column
+
+
+A = TypeVar("A", bound=BaseModel)
+_MARK = secrets.token_hex(8)  # stands for a list in the text that is left
+_PIECE = 1 << 15  # of a long list that is read at once, so that other threads get their turn [byte]
+
+
+def asked(kind: type[A], body: bytes) -> A:
+    """Read what is asked."""
+    try:
+        return kind.model_validate(_document(body))
+    except ValidationError as error:
+        places = [
+            f"{'.'.join(str(part) for part in found['loc'])}: {found['msg']}"
+            for found in error.errors(include_url=False, include_context=False, include_input=False)
+        ]
+        raise InvalidInputError("; ".join(places[:20])) from None
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(f"the body is no JSON: {str(error)[:200]}") from None
+
+
+def _document(body: bytes) -> Any:
+    """Return what JSON holds; long lists of numbers are read piece by piece, into arrays."""
+    long: list[FloatArray] = []
+    kept, done = [], 0
+    while (start := body.find(b"[", done)) >= 0 and (end := body.find(b"]", start)) >= 0:
+        kept.append(body[done:start])
+        done = end + 1
+        if end - start < 2 * _PIECE or body.find(b"[", start + 1, end) >= 0:
+            kept.append(body[start:done])
+            continue
+        pieces, here = [], start + 1
+        while here < end:
+            comma = body.find(b",", here + _PIECE, end)
+            comma = end if comma < 0 else comma
+            piece = body[here:comma]
+            if piece.translate(None, b"0123456789+-.eE, \t\r\n"):
+                raise ValueError("a long list holds numbers alone")
+            pieces.append(np.asarray(_json(b"[%b]" % piece)))
+            here = comma + 1
+        long.append(np.concatenate(pieces))
+        kept.append(b'{"%b":%d}' % (_MARK.encode(), len(long) - 1))
+    text = b"".join((*kept, body[done:]))
+    return _json(text, lambda one: long[one[_MARK]] if _MARK in one else one)
+
+
+def _json(text: bytes, hook: Any = None) -> Any:
+    return json.loads(text, parse_constant=_refused, object_hook=hook)
+
+
+def _refused(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 class MissionRequest(_Asked):
