@@ -9,13 +9,13 @@ from .fit.online import OnlineIdentifier as OnlineIdentifier
 from .io.config import read_model as read_model
 from .io.config import read_vehicle as read_vehicle
 from .io.config import write_model as write_model
-from .io.fleet import read_fleet as read_fleet
 from .io.geojson import read_surfaces as read_surfaces
 from .io.maps import read_heights as read_heights
 from .io.maps import read_map as read_map
 from .io.mission import read_mission as read_mission
 from .limits import speed as speed
 from .limits.feasibility import check as check
+from .limits.speed import profile as profile
 from .live import watch as watch
 from .logs import DriveLog as DriveLog
 from .mission import Charger as Charger

@@ -42,11 +42,14 @@ def main() -> None:
     except (TimeLimitError, MissingDependencyError) as error:
         code = _fail(str(error), 1)
     except BrokenPipeError:
-        code = _silent("the standard output was closed before the answer was written")
+        give_up_stdout()
+        code = _fail("the standard output was closed before the answer was written", 1)
     except (EnergyPlanError, OSError) as error:
         full = isinstance(error, OSError) and error.errno == errno.ENOSPC
-        code = _silent("the answer cannot be written: the disk is full") if full else 0
-        code = code or _fail(str(error), 2)
+        if full:
+            give_up_stdout()
+        told = "the answer cannot be written: the disk is full" if full else str(error)
+        code = _fail(told, 1 if full else 2)
     except typer.TyperException as error:
         code = _fail(misuse(error), error.exit_code)
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
@@ -64,12 +67,6 @@ def _show_warning(
 ) -> None:
     """Say a warning of the library in one line, and leave out where in its sources it arose."""
     warn("energyplan: " + " ".join(str(message).split()))
-
-
-def _silent(message: str) -> int:
-    """Say that the answer is lost."""
-    give_up_stdout()
-    return _fail(message, 1)
 
 
 def _fail(message: str, code: int) -> int:

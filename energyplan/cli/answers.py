@@ -22,6 +22,8 @@ presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # 
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
 former_options: ContextVar[tuple[str, ...]] = ContextVar("former", default=())
 """What to say of options given by their names of the last release."""
+NEW_KEYS = {"energy_told": "energy_predicted", "energy_taken": "energy_measured"}
+"""Keys of the last release, beside which an answer has the new ones."""
 NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
 _ESCAPED = {
@@ -50,6 +52,14 @@ def warn(text: str) -> None:
     sys.stderr.write(printable(text) + "\n")
 
 
+def _both_names(value: Any) -> Any:
+    """Return an answer with the energies of a drive by their names of the last release, too."""
+    if isinstance(value, dict):
+        new = {NEW_KEYS[key]: value[key] for key in value if key in NEW_KEYS}
+        return {key: _both_names(one) for key, one in value.items()} | new
+    return [_both_names(one) for one in value] if isinstance(value, list) else value
+
+
 def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
     """Print the answer, as JSON or as lines of text; JSON names ready-made models."""
     presets = [
@@ -60,7 +70,7 @@ def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
         document = {**document, "preset": presets}
     warn_with_answer()
     if json:
-        say(jsonlib.dumps(document, indent=1, allow_nan=False))
+        say(jsonlib.dumps(_both_names(document), indent=1, allow_nan=False))
     else:
         say("\n".join(lines))
 

@@ -44,7 +44,7 @@ from energyplan.errors import InvalidInputError, NotIdentifiableError, UnknownNa
 
 if TYPE_CHECKING:
     from energyplan.fit import ICREstimate
-    from energyplan.live import Event, Line, Restart
+    from energyplan.live import Line, Restart
     from energyplan.logs import DriveLog
     from energyplan.power import Term
 
@@ -72,10 +72,10 @@ def start(
     ] = None,
     wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
     track: Annotated[
-        float | None, Option(help="Distance between the left and the right contact points [m].")
+        float | None, Option(help="Distance of left from right contact points [m].")
     ] = None,
     wheelbase: Annotated[
-        float | None, Option(help="Distance between the front and the rear contact points [m].")
+        float | None, Option(help="Distance of front from rear contact points [m].")
     ] = None,
     mass: Annotated[float | None, Option(help="Mass as it drives, with payload [kg].")] = None,
     counts_per_revolution: Annotated[
@@ -90,7 +90,7 @@ def start(
     ] = None,
     columns: Columns = None,
     accept: Annotated[
-        bool, Option("--accept", help="Accept a log of which a check is WRONG.")
+        bool, Option("--accept", help="Accept a log with a check that is WRONG.")
     ] = False,
     json: Json = False,
     strict: Strict = False,
@@ -168,7 +168,7 @@ def identify(
     ] = None,
     hoisted: Annotated[
         bool,
-        Option("--hoisted", help="The wheels were off the ground: find each side's friction."),
+        Option("--hoisted", help="Wheels off the ground: find their friction."),
     ] = False,
     motor_constant: Annotated[
         float | None,
@@ -182,10 +182,7 @@ def identify(
             "2010, Eq. 5). --out then writes the vehicle with them.",
         ),
     ] = False,
-    angle: Annotated[
-        str | None,
-        Option(help="With --spin: angle turned through, as 3600deg. Default: the log's yaw."),
-    ] = None,
+    angle: Annotated[str | None, Option(help="With --spin: angle turned, as 3600deg.")] = None,
     angle_error: Annotated[str, Option(help="With --angle: its standard error.")] = "0deg",
     out: OutModel = None,
     json: Json = False,
@@ -369,33 +366,16 @@ def diagnose(
 )
 def watch(
     log: Annotated[str, Argument(help="A CSV log that grows, or - for standard input.")],
-    model: Annotated[
-        str | None, Option(metavar="MODEL", help="Model to begin with: a preset or a YAML file.")
-    ] = None,
-    vehicle: Annotated[
-        str | None, Option(metavar="VEHICLE", help="In place of a model: the vehicle alone.")
-    ] = None,
-    mission: Annotated[
-        Path | None, Option(help="YAML file of the mission that the robot is on.")
-    ] = None,
+    model: Annotated[str | None, Option(metavar="MODEL", help="Model to begin with.")] = None,
+    vehicle: Annotated[str | None, Option(metavar="VEHICLE", help="In place of a model.")] = None,
+    mission: Annotated[Path | None, Option(help="YAML file of the robot's mission.")] = None,
     columns: Columns = None,
-    once: Annotated[
-        bool, Option("--once", help="Stop at the end of the file; do not wait for more.")
-    ] = False,
+    once: Annotated[bool, Option("--once", help="Stop at the end of the file.")] = False,
     every: Annotated[float, Option(help="Time between two reports [s].")] = 10.0,
-    mission_every: Annotated[
-        float, Option(help="Time between two assessments of the rest of the mission [s].")
-    ] = 60.0,
-    near: Annotated[
-        float, Option(help="Within this distance of a task's place a resting robot does it [m].")
-    ] = 0.5,
-    soc: Annotated[
-        str | None,
-        Option(help="State of charge at the start of the log, as 80%. Default: the mission's."),
-    ] = None,
-    done: Annotated[
-        list[str] | None, Option(metavar="NAME...", help="Tasks that are already done.")
-    ] = None,
+    mission_every: Annotated[float, Option(help="Time between reports on the mission [s].")] = 60.0,
+    near: Annotated[float, Option(help="Distance at which a robot at rest does a task [m].")] = 0.5,
+    soc: Annotated[str | None, Option(help="State of charge at the log's start, as 80%.")] = None,
+    done: Annotated[list[str] | None, Option(metavar="NAME...", help="Tasks already done.")] = None,
     former: Annotated[
         list[Path] | None,
         Option(
@@ -445,7 +425,9 @@ def watch(
             for k, event in enumerate(found):
                 if k == 0:
                     warn_with_answer()
-                _tell(event, json, documents.event, text.event)
+                told = jsonlib.dumps(documents.event(event), allow_nan=False) if json else ""
+                say(told or "\n".join(text.event(event)))
+                sys.stdout.flush()
                 if isinstance(event, Learned | Ended):
                     learned = event.model if isinstance(event, Learned) else learned
                     if out and learned is not None:
@@ -459,11 +441,6 @@ def watch(
 def _wait() -> bool:
     time.sleep(_POLL)
     return True
-
-
-def _tell(event: Event, json: bool, document: Any, lines: Any) -> None:
-    say(jsonlib.dumps(document(event), allow_nan=False) if json else "\n".join(lines(event)))
-    sys.stdout.flush()
 
 
 @contextmanager

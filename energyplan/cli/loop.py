@@ -47,9 +47,7 @@ class Truth:
             help="An effect that the simulated robot has and the model lacks; repeatable.",
         ),
     ] = None
-    hidden: Annotated[
-        int | None, Option(help="Give it one or two secret effects, drawn by this seed.")
-    ] = None
+    hidden: Annotated[int | None, Option(help="Give it secret effects, drawn by this seed.")] = None
     truth: Annotated[
         Path | None, Option(callback=writes(".json"), help="Write its effects to this JSON file.")
     ] = None
@@ -134,9 +132,7 @@ def close_the_loop(
         Option(help="Folder of a real robot's logs, one a round in the order of their names."),
     ] = None,
     rounds: Annotated[int, Option(help="Largest number of rounds.")] = 3,
-    error: Annotated[
-        float, Option(help="Stop when the predicted energy is off by less than this fraction.")
-    ] = 0.01,
+    error: Annotated[float, Option(help="Error of the prediction at which to stop.")] = 0.01,
     speed: Annotated[
         float | None,
         Option(
@@ -144,10 +140,7 @@ def close_the_loop(
             "of its motors', which leaves the controller room."
         ),
     ] = None,
-    survey: Annotated[
-        float,
-        Option(help="Longest test drive after the first wrong prediction [s]; 0: none."),
-    ] = 60.0,
+    survey: Annotated[float, Option(help="Longest test drive in between [s]; 0: none.")] = 60.0,
     out: OutModel = None,
     report: Report = None,
     json: Json = False,
@@ -206,22 +199,14 @@ def close_the_loop(
 )
 def design(
     model: ModelName,
-    diagnosis: Annotated[
-        Path | None,
-        Option(help="Output of diagnose --json: which explanations to separate."),
-    ] = None,
-    map_file: Annotated[
-        Path | None, Option("--map", help="Map to drive on; without it, an empty square.")
-    ] = None,
+    diagnosis: Annotated[Path | None, Option(help="What diagnose --json printed.")] = None,
+    map_file: Annotated[Path | None, Option("--map", help="Default: an empty square.")] = None,
     square: Annotated[float, Option(help="Side of the empty square [m].")] = 6.0,
     start: MaybePose = None,
     duration: Annotated[float, Option(help="Longest time of the drive [s].")] = 60.0,
     max_speed: Annotated[float | None, Option(help="Largest tread speed [m/s].")] = None,
     noise: Annotated[float, Option(help="Standard deviation of the noise of the power [W].")] = 5.0,
-    screen: Annotated[
-        bool,
-        Option("--screen", help="Without --diagnosis: look for every effect."),
-    ] = False,
+    screen: Annotated[bool, Option("--screen", help="Look for every effect.")] = False,
     out: Annotated[
         Path | None,
         Option("--out", callback=writes(*TABLES), help="Write the trajectory to this CSV file."),

@@ -45,7 +45,7 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
 
 def number(option: str, kind: str, text: str) -> float:
     """Return the amount that an option gives, such as ``50%`` or ``90deg``."""
-    from energyplan.io.documents import UNITS, amount
+    from energyplan.kinds import UNITS, amount
 
     try:
         return float(amount(kind, text))
@@ -113,23 +113,18 @@ Report = Annotated[
     Path | None,
     Option("--report", callback=writes(*HTML), help="Write a report to this HTML file."),
 ]
-Plot = Annotated[
-    Path | None,
-    Option(callback=writes(*IMAGES), help="Draw the answer: .png, .svg or .pdf."),
-]
-PoseText = Annotated[
-    str, Option(metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees.")
-]
+Plot = Annotated[Path | None, Option(callback=writes(*IMAGES), help="Draw it: .png, .svg or .pdf.")]
+PoseText = Annotated[str, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")]
 MaybePose = Annotated[
-    str | None, Option(metavar="X,Y,YAW", help="In metres and radians; 90deg is in degrees.")
+    str | None, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")
 ]
 Spread = Annotated[
     float | None,
-    Option(help="Relative standard deviation of the model's coefficients, as 0.05."),
+    Option(help="Relative spread of the model's coefficients, as 0.05."),
 ]
 AtBattery = Annotated[
     bool,
-    Option("--at-battery", help="Report energy at the battery, with the losses of the drives."),
+    Option("--at-battery", help="Energy at the battery, with drive losses."),
 ]
 Speed = Annotated[
     str | None,
@@ -146,15 +141,12 @@ class Ground:
 
     model: ModelName
     surfaces: Annotated[
-        Path | None,
-        Option(help="Areas of other ground: GeoJSON polygons, each with a model, a speed or both."),
+        Path | None, Option(help="GeoJSON of areas, each with a model, a speed or both.")
     ] = None
     speed_mask: Annotated[
         Path | None, Option(help="Speed limits: a mask of Nav2's speed filter, with its type.")
     ] = None
-    heights: Annotated[
-        Path | None, Option(help="Heights of the ground: .asc, GeoTIFF, YAML with a PNG, or a bag.")
-    ] = None
+    heights: Annotated[Path | None, Option(help="Heights: .asc, GeoTIFF, YAML or a bag.")] = None
 
 
 @dataclass(frozen=True)
@@ -176,16 +168,9 @@ class Drive(Ground):
 class Site:
     """The place: its map, and what closes parts of it."""
 
-    map_file: Annotated[
-        Path,
-        Option("--map", help="The map: a YAML file of ROS map_server, or of a site."),
-    ]
-    keepout: Annotated[
-        Path | None, Option(help="A second map; the robot stays out of its occupied cells.")
-    ] = None
-    clearance: Annotated[
-        float | None, Option(help="Distance to keep from obstacles [m]. Default: the site's, or 0.")
-    ] = None
+    map_file: Annotated[Path, Option("--map", help="YAML file of a map or of a site.")]
+    keepout: Annotated[Path | None, Option(help="A map whose occupied cells are closed.")] = None
+    clearance: Annotated[float | None, Option(help="Distance to keep from obstacles [m].")] = None
 
 
 @dataclass(frozen=True)

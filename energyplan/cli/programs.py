@@ -36,7 +36,7 @@ def graph(
     site: Site,
     drive: Drive,
     effort: Annotated[
-        int | None, Option(min=1, help="Work for each edge. 50000 is about 1 s.")
+        int | None, Option(min=1, help="Work for each edge; 50000 is about 1 s.")
     ] = None,
     out: Annotated[
         Path | None,
@@ -79,14 +79,12 @@ def graph(
 )
 def lattice(
     model: ModelName,
-    out: Annotated[
-        Path, Option(callback=writes(".json"), help="Write the primitives to this file.")
-    ],
+    out: Annotated[Path, Option(callback=writes(".json"), help="Write the primitives there.")],
     resolution: Annotated[float, Option(help="Size of a cell of the costmap [m].")] = 0.05,
     headings: Annotated[int, Option(help="Number of headings, a multiple of 8.")] = 16,
     radius: Annotated[
         float | None,
-        Option(help="Smallest radius of arcs [m]. Default: that of a pivot about a tread."),
+        Option(help="Smallest radius of arcs [m]. Default: a pivot's."),
     ] = None,
     parameters: Annotated[
         Path | None,
@@ -127,17 +125,10 @@ def lattice(
 )
 def table(
     model: ModelName,
-    out: Annotated[
-        Path, Option("--out", callback=writes(".csv"), help="Write the table to this file.")
-    ],
-    speeds: Annotated[
-        str | None,
-        Option(help="Tread speeds [m/s], such as 0.2,0.5,1. Default: the cheapest one."),
-    ] = None,
+    out: Annotated[Path, Option("--out", callback=writes(".csv"), help="Write the table there.")],
+    speeds: Annotated[str | None, Option(help="Tread speeds [m/s], such as 0.2,0.5,1.")] = None,
     at_battery: AtBattery = False,
-    error: Annotated[
-        float, Option(help="Largest relative error of interpolating between entries.")
-    ] = 1e-3,
+    error: Annotated[float, Option(help="Largest relative error in between.")] = 1e-3,
     json: Json = False,
 ) -> None:
     """Write the energy of motions as a table.
@@ -178,14 +169,12 @@ def serve(
         ),
     ] = None,
     no_token: Annotated[
-        bool, Option("--no-token", help="Let all users of this machine ask without one.")
+        bool, Option("--no-token", help="Ask users of this machine for none.")
     ] = False,
     workers: Annotated[
-        int | None, Option(min=1, help="Requests worked on at once. Default: one a core.")
+        int | None, Option(min=1, help="Requests at once. Default: one a core.")
     ] = None,
-    waiting: Annotated[
-        int, Option(min=0, help="Requests that may wait; further ones are refused.")
-    ] = 32,
+    waiting: Annotated[int, Option(min=0, help="Requests that may wait.")] = 32,
 ) -> None:
     """Serve plans and missions over HTTP.
 

@@ -36,6 +36,7 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathEr
 
 if TYPE_CHECKING:
     from energyplan.cost import EnergyCost
+    from energyplan.io.documents import Document
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.planning.driven import DrivenPath
@@ -252,7 +253,7 @@ def plan(
     effort: Effort,
     goal: Annotated[
         str | None,
-        Option(metavar="X,Y,YAW", help="Where to go. With --former: the end of that path."),
+        Option(metavar="X,Y,YAW", help="Where to go, unless --former says it."),
     ] = None,
     former: Annotated[
         Path | None,
@@ -262,7 +263,7 @@ def plan(
         ),
     ] = None,
     former_map: Annotated[
-        Path | None, Option(help="The map of that path. Default: no obstacle is gone since then.")
+        Path | None, Option(help="The map of that path, if obstacles are gone.")
     ] = None,
     costmap: Annotated[
         Path | None,
@@ -380,9 +381,7 @@ def check(
         Argument(help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."),
     ],
     drive: Drive,
-    vehicle: Annotated[
-        str | None, Option(help="Vehicle whose motor limits count. Default: the model's.")
-    ] = None,
+    vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
@@ -446,16 +445,14 @@ def reach(
         Option(help="Probability that a place shown as reachable really is, such as 0.95."),
     ] = None,
     spread: Spread = None,
-    back: Annotated[
-        bool, Option("--return", help="The robot must still get back to the start.")
-    ] = False,
+    back: Annotated[bool, Option("--return", help="It must still get back to the start.")] = False,
     charger: Annotated[
         str | None,
         Option(metavar="X,Y,YAW", help="The robot must still reach this charger afterwards."),
     ] = None,
     out: Annotated[
         Path | None,
-        Option(callback=writes(".asc"), help="Write the energies [J] to this ESRI ASCII grid."),
+        Option(callback=writes(".asc"), help="Write energies [J] to this ASCII grid."),
     ] = None,
     contours: Annotated[
         Path | None,
@@ -518,10 +515,7 @@ def _fraction(option: str, text: str) -> float:
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
     effort: Effort,
-    file: Annotated[
-        Path | None,
-        Argument(help="Mission YAML file; without it the options describe the mission."),
-    ] = None,
+    file: Annotated[Path | None, Argument(help="Mission YAML file, or the options below.")] = None,
     map_file: Annotated[Path | None, Option("--map", help="As in plan.")] = None,
     model: Annotated[str | None, Option(metavar="MODEL", help="As in plan.")] = None,
     battery: BatteryName = None,
@@ -534,12 +528,10 @@ def mission(
         ),
     ] = None,
     soc: Charge = None,
-    reserve: Annotated[
-        str | None, Option(help="What must be left at the end. Default: 20 %.")
-    ] = None,
+    reserve: Annotated[str | None, Option(help="What must be left. Default: 20 %.")] = None,
     back: Annotated[bool, Option("--return", help="Return to the start.")] = False,
     confidence: Annotated[
-        float | None, Option(help="Probability that a verdict holds. Default: the file's, or 0.95.")
+        float | None, Option(help="Probability that a verdict holds, as 0.95.")
     ] = None,
     spread: Spread = None,
     fail: Annotated[
@@ -565,8 +557,9 @@ def mission(
     Names the tasks that cannot be done, why, and what would change that. A file with robots is
     shared between them: which robot does which task, and when it charges.
     """
-    from energyplan.io.fleet import names_robots
-    from energyplan.io.mission import mission_from, read_mission
+    from energyplan.errors import MissionError
+    from energyplan.io.documents import load
+    from energyplan.io.mission import MissionReader, mission_from
     from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
@@ -607,15 +600,16 @@ def mission(
                 f"the mission's file already sets what {', '.join(clash)} would; drop "
                 f"{'it' if len(clash) == 1 else 'them'}, or give no file"
             )
-        if names_robots(file):
+        document = load(file, MissionError)
+        if "robots" in document.data:
             if report or trajectories:
                 raise InvalidInputError(
                     f"{file} is a mission of several robots, which has no --report and no "
                     "--trajectories yet; leave them out"
                 )
-            _robots(file, fail, stated, json, strict)
+            _robots(document, file.parent, fail, stated, json, strict)
             return
-        asked = read_mission(file)
+        asked = MissionReader(document, file.parent, anywhere=True).mission()
     if fail is not None:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
     asked = replace(asked, **stated)
@@ -645,14 +639,16 @@ def _task(text: str) -> dict[str, str]:
     return task | dict(zip(("dwell", "power"), parts[3:], strict=False))
 
 
-def _robots(file: Path, fail: str | None, stated: dict[str, Any], json: bool, strict: bool) -> None:
+def _robots(
+    file: Document, folder: Path, fail: str | None, stated: dict[str, Any], json: bool, strict: bool
+) -> None:
     """Share the tasks of a mission between its robots."""
     from energyplan.fleet import Fleet, evaluate_fleet
-    from energyplan.io.fleet import read_fleet
+    from energyplan.io.fleet import fleet_from
     from energyplan.output import documents, text
 
     name, instant = _failure(fail) if fail else ("", 0.0)
-    asked = read_fleet(file)
+    asked = fleet_from(file, folder)
     robots = [replace(one, mission=replace(one.mission, **stated)) for one in asked.robots]
     asked = Fleet(tuple(robots), asked.places, asked.name)
     with progress("evaluating the mission"):

@@ -9,12 +9,14 @@ import json
 import re
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from math import isfinite, radians
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
@@ -116,6 +118,7 @@ _TELLING = {
 """Keys by which a file shows what it is."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
+_EXTRA = ("extra_forbidden", "unexpected_keyword_argument")
 NO_CONFIGURATION = "that is no configuration"
 
 Loc = tuple[int | str, ...]
@@ -142,10 +145,10 @@ class Document:
         where = f"{self.source}, line {self.lines.get(known, 1)}" if self.lines else self.source
         return self.error(f"{where}{f', {name}' if name else ''}: {problem}")
 
-    def check(self, schema: type[M], loc: Loc = ()) -> M:
+    def check(self, schema: type[M], loc: Loc = (), context: Any = None) -> M:
         """Return the document as checked by a pydantic model."""
         try:
-            return schema.model_validate(self.data)
+            return schema.model_validate(self.data, context=context)
         except ValidationError as problem:
             every = problem.errors(include_url=False)
             places = [self._keys_of(one) for one in every]
@@ -156,12 +159,16 @@ class Document:
                 key=lambda k: len(places[k]),
             )
             if every[which]["type"] == "missing":  # perhaps since it is misspelt
-                extra = [k for k, one in enumerate(every) if one["type"] == "extra_forbidden"]
+                extra = [k for k, one in enumerate(every) if one["type"] in _EXTRA]
                 which = min(extra, key=lambda k: len(places[k]), default=which)
             first, place = every[which], places[which]
             message = str(first["msg"]).removeprefix("Value error, ")
-            if first["type"] == "extra_forbidden":
-                message = f"there is no such key; the keys are {_keys(schema, place)}"
+            own = getattr(first.get("ctx", {}).get("error"), "place", ())
+            if first["type"] in _EXTRA:
+                keys = _keys(schema, place)
+                near = get_close_matches(str(place[-1]), keys, 1)
+                message = f"did you mean {near[0]}? " if near else ""
+                message = f"there is no such key; {message}the keys are {', '.join(keys)}"
             elif first["type"] == "missing":
                 message = "this key is missing; give it a value"
             elif first["type"] == "too_short":
@@ -169,9 +176,9 @@ class Document:
                     f"the list has {first['ctx']['actual_length']} items; give at least "
                     + str(first["ctx"]["min_length"])
                 )
-            elif not isinstance(first["input"], dict | list):
+            elif not own and not isinstance(first["input"], dict | list):
                 message = f"{message}, not {str(first['input'])[:60]!r}"
-            raise self.fail((*loc, *place), message + self._another_kind(schema)) from None
+            raise self.fail((*loc, *place, *own), message + self._another_kind(schema)) from None
 
     def _keys_of(self, problem: ErrorDetails) -> Loc:
         """Return where in the document a problem is, without the names of kinds that may stand."""
@@ -201,17 +208,21 @@ class Document:
         return f"; this file seems to be {kinds[0]}" if kinds else ""
 
 
-def _keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> str:
-    """Name the keys that a mapping may have."""
+def _keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that a mapping may have."""
     here: Any = schema
     for part in loc[:-1]:
-        field = here.model_fields.get(part) if hasattr(here, "model_fields") else None
-        options = (
-            [] if field is None else [field.annotation, *getattr(field.annotation, "__args__", ())]
-        )
-        models = [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]
-        here = models[0] if models else here
-    return ", ".join(here.model_fields)
+        field = _fields(here).get(str(part))
+        found = [] if field is None else [field.annotation]
+        for kind in found:  # grows by what a list or a choice holds
+            found += get_args(kind)
+        here = next((kind for kind in found if _fields(kind)), here)
+    return list(_fields(here))
+
+
+def _fields(schema: Any) -> dict[str, FieldInfo]:
+    """Return the fields of a pydantic model or dataclass; none of anything else."""
+    return getattr(schema, "__pydantic_fields__", {})
 
 
 def load(path: str | Path, error: type[InvalidInputError]) -> Document:
@@ -288,51 +299,6 @@ class _Builder:
             self._lines[(*loc, key)] = line
             found[key] = self.build(item, (*loc, key))
         return found
-
-
-UNITS: dict[str, dict[str, float]] = {
-    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3},
-    "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
-    "power": {"W": 1.0, "kW": 1e3},
-    "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6},
-    "resistance": {"ohm": 1.0, "mohm": 1e-3},
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
-    "mass": {"kg": 1.0, "g": 1e-3},
-    "fraction": {"%": 0.01},
-    "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
-    "temperature": {"C": 1.0},
-    "angle": {"rad": 1.0, "deg": radians(1.0)},
-}
-_BARE = {"charge": (1000.0, "Ah")}
-"""Below how much a plain number is doubted, and the unit that was meant: no robot has so little."""
-_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
-
-
-def amount(kind: str, value: Any) -> Any:
-    """Read ``5 min``, ``20 %`` or a plain number in SI units."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return _bare(kind, value)
-    if not isinstance(value, str):
-        return value
-    found = _AMOUNT.fullmatch(value)
-    units = UNITS[kind]
-    if value == "inf" or found is None:
-        return value
-    if found[2] and found[2] not in units:
-        raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
-    number = float(found[1])
-    return number * units[found[2]] if found[2] else _bare(kind, number)
-
-
-def _bare(kind: str, number: float) -> float:
-    """Return a number without a unit, which is one of SI."""
-    least, unit = _BARE.get(kind, (0.0, ""))
-    if 0.0 < number < least:
-        si = next(iter(UNITS[kind]))
-        raise ValueError(f"{number:g} has no unit, and would be {si}; write {number:g} {unit}")
-    return number
 
 
 def parse_pose(text: str) -> Pose:

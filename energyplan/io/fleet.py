@@ -44,11 +44,6 @@ class _Fleet(Checked, BaseModel):
     chargers: Annotated[list[_Charger], Field(max_length=100)] = []
 
 
-def names_robots(path: str | Path) -> bool:
-    """Return whether a mission's file is for several robots."""
-    return "robots" in load(path, MissionError).data
-
-
 @checked(MissionError)
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet from YAML.
@@ -78,7 +73,11 @@ def read_fleet(path: str | Path) -> Fleet:
     >>> len(read_fleet(bundled("fleet_warehouse.yaml")).robots) > 1
     True
     """
-    document = load(path, MissionError)
+    return fleet_from(load(path, MissionError), Path(path).parent)
+
+
+def fleet_from(document: Document, folder: Path) -> Fleet:
+    """Build a fleet from what a mission's file holds."""
     spec = document.check(_Fleet)
     common = {k: v for k, v in document.data.items() if k != "robots"}
     robots: list[Robot] = []
@@ -104,7 +103,7 @@ def read_fleet(path: str | Path) -> Fleet:
         }  # fmt: skip
         lines = _lines(document, k, able, set(extra))
         own = Document(document.source, data, lines, MissionError)
-        mission = MissionReader(own, Path(path).parent, anywhere=True).mission()
+        mission = MissionReader(own, folder, anywhere=True).mission()
         if robots:  # one map, so that routes are planned once for all
             mission = replace(mission, map=robots[0].mission.map)
         robots.append(Robot(robot.name, mission))

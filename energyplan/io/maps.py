@@ -22,10 +22,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from energyplan.errors import DriveLogError, EnergyPlanError, MapError
 from energyplan.io.bags import is_bag, opened_bag
-from energyplan.io.documents import MAP, Checked, amount, beside, load, read_bytes
+from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file
 from energyplan.io.geojson import read_obstacles, read_surfaces
-from energyplan.kinds import checked
+from energyplan.kinds import amount, checked
 from energyplan.path import Pose
 from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid, from_raster

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from math import inf, isfinite, sqrt
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator
@@ -15,12 +14,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidat
 from energyplan.battery import EXAMPLE, Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle
-from energyplan.io.documents import Checked, Document, Loc, amount, beside, load, parse
+from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
 from energyplan.io.maps import PARTS, SiteFile, read_site
-from energyplan.kinds import checked
+from energyplan.kinds import amount, checked
 from energyplan.mission import Charger, Mission, Spreads, Task
-from energyplan.path import Pose
+from energyplan.mission.tasks import Fraction, Mass, Place, Time, Uncertain, uncertain
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.terrain import Site, with_weights
@@ -28,10 +27,7 @@ from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
 
-Time = Annotated[float, BeforeValidator(partial(amount, "time"))]
-Power = Annotated[float, BeforeValidator(partial(amount, "power"))]
 Amps = Annotated[float, BeforeValidator(partial(amount, "charge"))]
-Mass = Annotated[float, BeforeValidator(partial(amount, "mass"))]
 Speed = Annotated[
     float | Literal["cheapest"],
     BeforeValidator(lambda value: value if value == "cheapest" else amount("speed", value)),
@@ -39,44 +35,13 @@ Speed = Annotated[
 Ohms = Annotated[float, BeforeValidator(partial(amount, "resistance"))]
 Volts = Annotated[float, BeforeValidator(partial(amount, "voltage"))]
 Current = Annotated[float, BeforeValidator(partial(amount, "current"))]
-Fraction = Annotated[float, BeforeValidator(partial(amount, "fraction"))]
-PoseText = str | list[float | str]
-
-
-class Uncertain(NamedTuple):
-    """A number of a file, and its standard deviation if it has one."""
-
-    value: float
-    spread: float | None = None
-
-
-def _uncertain(kind: str, value: Any) -> Uncertain:
-    """Read a number, or a distribution: ``{mean, std}``, or ``{low, high}`` for a uniform one."""
-    if not isinstance(value, dict):
-        number = amount(kind, value)
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            raise ValueError("give a number, {mean: ..., std: ...} or {low: ..., high: ...}")
-        return Uncertain(float(number))
-    parts = {key: _uncertain(kind, part).value for key, part in value.items()}
-    if parts.keys() == {"mean", "std"}:
-        found = Uncertain(parts["mean"], parts["std"])
-    elif parts.keys() == {"low", "high"}:
-        low, high = parts["low"], parts["high"]
-        found = Uncertain(0.5 * (low + high), (high - low) / sqrt(12.0))
-    else:
-        keys = ", ".join(map(str, value))
-        raise ValueError(f"a distribution has mean and std, or low and high, not {keys}")
-    if not (isfinite(found.value) and isfinite(found.spread or 0.0)) or (found.spread or 0.0) < 0:
-        raise ValueError(f"the distribution {value} has no mean or a negative spread")
-    return found
 
 
 def _open(kind: str) -> PlainValidator:
-    return PlainValidator(partial(_uncertain, kind))
+    return PlainValidator(partial(uncertain, kind))
 
 
 OpenTime = Annotated[Uncertain, _open("time")]
-OpenPower = Annotated[Uncertain, _open("power")]
 OpenCharge = Annotated[Uncertain, _open("charge")]
 OpenFraction = Annotated[Uncertain, _open("fraction")]
 OpenTemperature = Annotated[Uncertain, _open("temperature")]
@@ -89,24 +54,6 @@ def _is_yaml(name: str) -> bool:
 
 class _Strict(Checked, BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Task(_Strict):
-    name: str
-    pose: PoseText
-    dwell: OpenTime = Uncertain(0.0)
-    power: OpenPower = Uncertain(0.0)
-    payload: Mass = 0.0
-    prize: float = 1.0
-    required: bool = True
-    window: Annotated[list[Time], Field(min_length=2, max_length=2)] = [0.0, inf]
-
-
-class _Charger(_Strict):
-    name: str
-    pose: PoseText
-    power: Power
-    until: Fraction = 0.95
 
 
 class _Battery(_Strict):
@@ -135,20 +82,6 @@ class _Battery(_Strict):
     health: OpenFraction | None = None
 
 
-class _Spreads(_Strict):
-    """Standard deviations of what stands as a plain number."""
-
-    soc: Fraction | None = None
-    capacity: Fraction | None = None
-    health: Fraction | None = None
-    temperature: float | None = None
-    power: Fraction | None = None
-    dwell: Fraction | None = None
-    run: Fraction | None = None
-    speed: Fraction | None = None
-    waiting: Fraction | None = None
-
-
 class _Mission(SiteFile, _Strict):
     name: str = "mission"
     vehicle: str | None = None
@@ -156,16 +89,16 @@ class _Mission(SiteFile, _Strict):
     payload_models: dict[str, dict[float, str]] = {}
     battery: str | _Battery
     soc: OpenFraction = Uncertain(1.0)
-    start: PoseText
-    home: PoseText | None = None
-    places: dict[str, PoseText] = {}
-    tasks: Annotated[list[_Task], Field(min_length=1, max_length=1000)]
-    chargers: Annotated[list[_Charger], Field(max_length=100)] = []
+    start: Place
+    home: Place | None = None
+    places: dict[str, Place] = {}
+    tasks: Annotated[list[Task], Field(min_length=1, max_length=1000)]
+    chargers: Annotated[list[Charger], Field(max_length=100)] = []
     payload: Mass = 0.0
     reserve: float | str = 0.2
     confidence: Fraction = 0.95
     coefficient_spread: Fraction = 0.0
-    spreads: _Spreads | Literal["none"] = _Spreads()
+    spreads: Spreads | Literal["none"] = Spreads()
     waiting: OpenTime = Uncertain(0.0)
     order: Literal["given", "free"] = "given"
     return_to: Literal["start", "charger", "any"] = "any"
@@ -228,7 +161,10 @@ class MissionReader:
         self._document = document
         self._folder = folder
         self._anywhere = anywhere  # a file may name what lies beside it, a person whatever he likes
-        self._spec = document.check(_Mission)
+        places = document.data.get("places")
+        self._spec = document.check(
+            _Mission, context={"places": places if isinstance(places, dict) else {}}
+        )
 
     def mission(self) -> Mission:
         """Return the mission."""
@@ -245,13 +181,6 @@ class MissionReader:
             }
             for name, models in spec.payload_models.items()
         }
-        tasks = [
-            self._placed(("tasks", k), self._task, k, task) for k, task in enumerate(spec.tasks)
-        ]
-        chargers = [
-            self._placed(("chargers", k), self._charger, k, charger)
-            for k, charger in enumerate(spec.chargers)
-        ]
         site = self._site()
         surfaces = site.surfaces
         if site.heights is not None:
@@ -271,15 +200,15 @@ class MissionReader:
                 )
         return self._placed(
             (), Mission,
-            model=model, battery=battery, tasks=tuple(tasks), chargers=tuple(chargers),
+            model=model, battery=battery, tasks=tuple(spec.tasks), chargers=tuple(spec.chargers),
             map=replace(site, surfaces=surfaces), payload_models=loaded, payload=spec.payload,
-            start=self._pose(spec.start, ("start",)),
+            start=spec.start,
             soc=spec.soc.value, waiting=spec.waiting.value,
             spreads=self._placed((), self._spreads),
             reserve=self._reserve(battery),
             confidence=spec.confidence, coefficient_spread=spec.coefficient_spread,
             order=spec.order, return_to=spec.return_to,
-            home=None if spec.home is None else self._pose(spec.home, ("home",)),
+            home=spec.home,
             time=spec.time, speed=spec.speed, objective=spec.objective, planner=spec.planner,
             planning_time=spec.planning_time, planning_effort=spec.planning_effort,
             name=spec.name,
@@ -332,18 +261,10 @@ class MissionReader:
     def _model(self, name: str) -> PowerModel:
         return read_model(self._file(name)) if _is_yaml(name) else PowerModel.preset(name)
 
-    def _task(self, k: int, spec: _Task) -> Task:
-        values = spec.model_dump()
-        for key in ("dwell", "power"):
-            values[key], values[f"{key}_spread"] = values[key]
-        values["pose"] = self._pose(spec.pose, ("tasks", k, "pose"))
-        values["window"] = (spec.window[0], spec.window[1])
-        return Task(**values)
-
     def _spreads(self) -> Spreads:
         """Return the spreads: those of the distributions, of ``spreads``, or the usual ones."""
         spec = self._spec
-        given = {} if spec.spreads == "none" else spec.spreads.model_dump(exclude_none=True)
+        given: dict[str, float] = {}
         battery = spec.battery if isinstance(spec.battery, _Battery) else _Battery()
         relative = {"capacity": battery.capacity, "waiting": spec.waiting}
         absolute = {
@@ -357,33 +278,7 @@ class MissionReader:
                     (key,), f"a {key} of {told.value:g} has no spread; give a mean above 0"
                 )
             given[key] = told.spread / (told.value if key in relative else 1.0)
-        return replace(Spreads.none() if spec.spreads == "none" else Spreads(), **given)
-
-    def _charger(self, k: int, spec: _Charger) -> Charger:
-        return Charger(
-            spec.name, self._pose(spec.pose, ("chargers", k, "pose")), spec.power, spec.until
-        )
-
-    def _pose(self, value: PoseText, loc: Loc, named: bool = True) -> Pose:
-        places = self._spec.places
-        if isinstance(value, str):
-            if named and value in places:
-                return self._pose(places[value], ("places", value), named=False)
-            if "," not in value:
-                known = ", ".join(sorted(places)) or "none"
-                raise self._document.fail(
-                    loc, f"there is no place {value!r}; the places are {known}"
-                )
-            value = list(value.split(","))
-        try:
-            if len(value) != 3:
-                raise ValueError(f"{len(value)} numbers")
-            x, y = float(value[0]), float(value[1])
-            return Pose(x, y, float(amount("angle", value[2])))
-        except ValueError as problem:
-            raise self._document.fail(
-                loc, f"{value} is no pose ({problem}); give x, y [m] and yaw [rad] or as 90deg"
-            ) from None
+        return replace(Spreads.none() if spec.spreads == "none" else spec.spreads, **given)
 
     def _reserve(self, battery: Battery) -> float:
         """Return the reserve as a state of charge; an energy is one of the full battery's."""

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Literal
+from functools import partial, wraps
+from math import inf, isfinite, sqrt
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, dataclass_transform
 
 import numpy as np
+import pydantic
 from numpy.typing import ArrayLike
+from pydantic import BeforeValidator, ConfigDict, PlainValidator, ValidationError, ValidationInfo
+from pydantic_core import ArgsKwargs
 
 from energyplan.errors import InvalidInputError, MissionError
-from energyplan.kinds import check_fields
+from energyplan.kinds import amount, described
 from energyplan.path import Pose, as_pose
 from energyplan.power import USUAL_RUN_SPREAD
 
@@ -60,6 +66,101 @@ def checked_pose(value: ArrayLike, whose: str, *place: str | int) -> Pose:
         raise MissionError(str(error), place) from None
 
 
+# -- what a file, a request and Python may give ---------------------------------------------------
+
+Record = TypeVar("Record")
+
+
+def _amount(kind: str) -> BeforeValidator:
+    return BeforeValidator(partial(amount, kind))
+
+
+Number = Annotated[float, _amount("number")]
+Time = Annotated[float, _amount("time")]
+Power = Annotated[float, _amount("power")]
+Mass = Annotated[float, _amount("mass")]
+Fraction = Annotated[float, _amount("fraction")]
+
+
+class Uncertain(NamedTuple):
+    """A number, and its standard deviation if it has one."""
+
+    value: float
+    spread: float | None = None
+
+
+def uncertain(kind: str, value: Any) -> Uncertain:
+    """Read a number, or a distribution: ``{mean, std}``, or ``{low, high}`` for a uniform one."""
+    if not isinstance(value, dict):
+        number = amount(kind, value)
+        if not isinstance(number, int | float):
+            raise ValueError("give a number, {mean: ..., std: ...} or {low: ..., high: ...}")
+        return Uncertain(float(number))
+    parts = {key: uncertain(kind, part).value for key, part in value.items()}
+    if parts.keys() == {"mean", "std"}:
+        found = Uncertain(parts["mean"], parts["std"])
+    elif parts.keys() == {"low", "high"}:
+        low, high = parts["low"], parts["high"]
+        found = Uncertain(0.5 * (low + high), (high - low) / sqrt(12.0))
+    else:
+        keys = ", ".join(map(str, value))
+        raise ValueError(f"a distribution has mean and std, or low and high, not {keys}")
+    if not (isfinite(found.value) and isfinite(found.spread or 0.0)) or (found.spread or 0.0) < 0:
+        raise ValueError(f"the distribution {value} has no mean or a negative spread")
+    return found
+
+
+def _pose(value: Any, info: ValidationInfo) -> Pose:
+    """Read a pose: numbers, ``x,y,90deg``, or the name of one of the places of a mission."""
+    places: Mapping[str, Any] = (info.context or {}).get("places", {})
+    if isinstance(value, str) and "," not in value:
+        if value not in places:
+            known = ", ".join(sorted(places)) or "none"
+            raise ValueError(f"there is no place {value!r}; the places are {known}")
+        value = places[value]
+    if isinstance(value, str):
+        value = value.split(",")
+    if isinstance(value, list) and any(isinstance(part, str) for part in value):
+        try:
+            if len(value) != 3:
+                raise ValueError(f"{len(value)} numbers")
+            value = float(value[0]), float(value[1]), float(amount("angle", value[2]))
+        except ValueError as problem:
+            raise ValueError(
+                f"{value} is no pose ({problem}); give x, y [m] and yaw [rad] or as 90deg"
+            ) from None
+    return as_pose(value, "the pose")
+
+
+Place = Annotated[Pose, PlainValidator(_pose)]
+
+
+@dataclass_transform(frozen_default=True)
+def record(cls: type[Record]) -> type[Record]:
+    """Make a class a frozen dataclass that is checked alike from a file, a request and Python."""
+    made: Any = pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
+    build = made.__init__
+
+    @wraps(build)
+    def checked(self: Any, *values: Any, **named: Any) -> None:
+        try:
+            build(self, *values, **named)
+        except ValidationError as problem:
+            first = problem.errors(include_url=False)[0]
+            if isinstance(own := first.get("ctx", {}).get("error"), MissionError):
+                raise own from None
+            names = [one.name for one in fields(made)]
+            place = tuple(names[part] if isinstance(part, int) else part for part in first["loc"])
+            message = first["msg"].removeprefix("Value error, ")
+            value = ".".join(map(str, place))
+            if first["type"] != "missing":
+                value += f" is {described(first['input'])}"
+            raise MissionError(f"{cls.__name__.lower()}: {value}: {message}", place) from None
+
+    made.__init__ = checked
+    return made  # type: ignore[no-any-return]
+
+
 LONGEST = 1e8
 """Longest time that a task may take [s]: three years."""
 
@@ -67,7 +168,7 @@ LARGEST = 1e12
 """Largest instant [s], power [W] or prize of a task."""
 
 
-@dataclass(frozen=True)
+@record
 class Task:
     """Something to be done at a place.
 
@@ -105,21 +206,33 @@ class Task:
     """
 
     name: str
-    pose: Pose
-    dwell: float = 0.0
-    power: float = 0.0
-    payload: float = 0.0
-    prize: float = 1.0
+    pose: Place
+    dwell: Time = 0.0
+    power: Power = 0.0
+    payload: Mass = 0.0
+    prize: Number = 1.0
     required: bool = True
-    window: tuple[float, float] = (0.0, np.inf)
-    power_spread: float | None = None
-    dwell_spread: float | None = None
+    window: tuple[Time, Time] = (0.0, inf)
+    power_spread: Power | None = None
+    dwell_spread: Time | None = None
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _distributions(cls, given: Any) -> Any:
+        """Part what is given as a distribution into its mean and its standard deviation."""
+        values = given if isinstance(given, dict) else dict(given.kwargs or {})
+        for key, kind in (("dwell", "time"), ("power", "power")):
+            if isinstance(values.get(key), dict | list):
+                try:
+                    value, spread = uncertain(kind, values[key])
+                except ValueError as problem:
+                    raise MissionError(f"{key}: {problem}", (key,)) from None
+                values = {**values, key: value, f"{key}_spread": spread}
+        return values if isinstance(given, dict) else ArgsKwargs(given.args, values)
 
     def __post_init__(self) -> None:
         label = f"task {self.name!r}"
         require(self.name, "a task has no name; give each its own", "name")
-        check_fields(self, MissionError, f"{label}: ")
-        object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
         for key in ("dwell", "power", "prize", "power_spread", "dwell_spread"):
             value = getattr(self, key)
             unset = value is None and key.endswith("_spread")
@@ -137,7 +250,7 @@ class Task:
         )
 
 
-@dataclass(frozen=True)
+@record
 class Charger:
     """A place where the battery is charged.
 
@@ -164,15 +277,13 @@ class Charger:
     """
 
     name: str
-    pose: Pose
-    power: float
-    until: float = 0.95
+    pose: Place
+    power: Power
+    until: Fraction = 0.95
 
     def __post_init__(self) -> None:
         label = f"charger {self.name!r}"
         require(self.name, "a charger has no name; give each its own", "name")
-        check_fields(self, MissionError, f"{label}: ")
-        object.__setattr__(self, "pose", checked_pose(self.pose, label, "pose"))
         require(
             0 < self.power <= LARGEST,
             f"{label}: power is {self.power}; give watts > 0, up to {LARGEST:g}",
@@ -185,7 +296,7 @@ class Charger:
         )
 
 
-@dataclass(frozen=True)
+@record
 class Spreads:
     """Standard deviations of what a mission takes as a number.
 
@@ -194,15 +305,15 @@ class Spreads:
     all its uncertainty counts as that of the capacity.
     """
 
-    soc: float = 0.02
-    capacity: float = 0.025  # capacity of the battery, relative
-    health: float = 0.05  # health of the battery, absolute
-    temperature: float = 3.0  # temperature of the battery [K]
-    power: float = 0.1  # power of each tool, relative
-    dwell: float = 0.1  # duration of each task, relative
-    run: float = USUAL_RUN_SPREAD
-    speed: float = 0.05  # time of all driving from run to run, relative
-    waiting: float = 1.0  # waiting at each task, relative
+    soc: Fraction = 0.02
+    capacity: Fraction = 0.025  # capacity of the battery, relative
+    health: Fraction = 0.05  # health of the battery, absolute
+    temperature: Number = 3.0  # temperature of the battery [K]
+    power: Fraction = 0.1  # power of each tool, relative
+    dwell: Fraction = 0.1  # duration of each task, relative
+    run: Fraction = USUAL_RUN_SPREAD
+    speed: Fraction = 0.05  # time of all driving from run to run, relative
+    waiting: Fraction = 1.0  # waiting at each task, relative
 
     def __post_init__(self) -> None:
         for item in fields(self):

@@ -62,9 +62,7 @@ from energyplan.serve.requests import (
     Robot,
     StartRequest,
     problem,
-)
-from energyplan.serve.requests import (
-    asked as read,
+    request_of,
 )
 from energyplan.serve.store import BusyError, FullError, Job, Pool, Store, UnknownFileError
 from energyplan.studies.comparison import compare
@@ -149,7 +147,7 @@ class _Service:
 
         async def endpoint(request: Request) -> Response:
             body = await request.body()
-            return await self.answer(request, lambda job: work(job, read(kind, body)))
+            return await self.answer(request, lambda job: work(job, request_of(kind, body)))
 
         content = {"application/json": {"schema": kind.model_json_schema()}}
         extra = {"requestBody": {"content": content, "required": True}}
@@ -201,9 +199,6 @@ def _written(document: Document) -> bytes:
             f"the answer has {len(text) >> 20} MiB, and at most {MOST >> 20} are sent; ask for less"
         )
     return text
-
-
-# -- files --------------------------------------------------------------------------------------
 
 
 def _files(service: _Service) -> APIRouter:
@@ -267,9 +262,6 @@ def _map_document(grid: Any) -> Document:
     }  # fmt: skip
 
 
-# -- routes -------------------------------------------------------------------------------------
-
-
 def _routes(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
@@ -331,9 +323,6 @@ def _routes(service: _Service) -> APIRouter:
     return router
 
 
-# -- missions -----------------------------------------------------------------------------------
-
-
 def _missions(service: _Service) -> APIRouter:
     router, store, routes = APIRouter(), service.store, Routes()
 
@@ -351,9 +340,6 @@ def _missions(service: _Service) -> APIRouter:
 
     service.answers(router, "/mission", MissionRequest, evaluated)
     return router
-
-
-# -- logs ---------------------------------------------------------------------------------------
 
 
 def _logs(service: _Service) -> APIRouter:

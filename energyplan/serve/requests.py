@@ -65,8 +65,8 @@ def _column(value: Any) -> FloatArray:
     array = np.asarray(value)
     if isinstance(value, list) and not {*map(type, value)} <= {int, float}:
         raise ValueError("give numbers alone")
-    if array.dtype.kind not in "if" or array.ndim != 1 or not 2 <= len(array) <= MOST_ROWS:
-        raise ValueError(f"give a list of 2 to {MOST_ROWS} numbers")
+    if array.dtype.kind not in "if" or array.ndim != 1 or len(array) > MOST_ROWS:
+        raise ValueError(f"give a list of numbers, {MOST_ROWS} at most")
     return array.astype(float)
 
 
@@ -94,7 +94,7 @@ _MARK = secrets.token_hex(8)  # stands for a list in the text that is left
 _PIECE = 1 << 15  # of a long list that is read at once, so that other threads get their turn [byte]
 
 
-def asked(kind: type[A], body: bytes) -> A:
+def request_of(kind: type[A], body: bytes) -> A:
     """Read what is asked."""
     try:
         return kind.model_validate(_document(body))

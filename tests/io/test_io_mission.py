@@ -155,7 +155,7 @@ def test_examples_are_read(name):
         ("pose: gate", "pose: [0.05, 8.0, 0]", 14, "touches an obstacle"),
         ("pose: gate", "pose: [99, 8.0, 0]", 14, "outside the map"),
         ("pose: gate", "pose: garage", 14, "there is no place 'garage'; the places are dock, gate"),
-        ("pose: gate", "pose: [1, 2]", 14, "no pose"),
+        ("pose: gate", "pose: [1, 2]", 14, "the pose is [1, 2]; give x, y"),
         ("pose: gate", "pose: [.nan, 2, 0]", 14, "finite"),
         ("name: drop", "name: look", 18, "stands twice"),
         ("dwell: 5 min", "dwell: 5 hours", 15, "unit of a time"),

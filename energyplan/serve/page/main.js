@@ -45,7 +45,7 @@ const energy = (value) => value == null ? "–" : Math.abs(value) < 36000
   ? `${Math.round(value).toLocaleString("en")} J` : `${(value / 3600).toPrecision(4)} Wh`;
 const percent = (value) => `${(100 * value).toFixed(1)} %`;
 
-// -- the scene ----------------------------------------------------------------------------------
+// the scene
 
 function options(select, names, none) {
   select.replaceChildren(...(none ? [new Option(none, "")] : []), ...names.map((n) => new Option(n, n)));
@@ -105,7 +105,7 @@ function place(x, y) {
   }
 }
 
-// -- routes -------------------------------------------------------------------------------------
+// routes
 
 async function replan() {
   if (!start || !goal || mode !== "route") return;
@@ -152,7 +152,7 @@ function show(told) {
   ));
 }
 
-// -- range --------------------------------------------------------------------------------------
+// range
 
 async function range() {
   if (!start) return say("Place the start on the map first.", true);
@@ -175,7 +175,7 @@ async function range() {
   } catch (error) { say(error.message, true); }
 }
 
-// -- missions -----------------------------------------------------------------------------------
+// missions
 
 async function evaluate(event) {
   event.preventDefault();
@@ -192,6 +192,8 @@ async function evaluate(event) {
     })),
   };
   if (scene.surfaces.value) document_.surfaces = scene.surfaces.value;
+  const power = Number(form.charger.value);
+  if (power) document_.chargers = [{ name: "charger", pose: start.pose, power }];
   say("Evaluating the mission…");
   try {
     const told = await post("mission", { document: document_ });
@@ -207,12 +209,18 @@ function verdicts(told) {
   for (const { trajectory } of told.legs) chart.route(trajectory.x.map((x, k) => [x, trajectory.y[k]]), "--least");
   say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
-  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], told.tasks.map((task) => [
-    task.name,
-    [task.verdict === "reachable" ? "reachable" : `out of reach: ${task.reason}${task.remedy ? `; ${task.remedy}` : ""}`, task.verdict === "reachable" ? "text good" : "text bad"],
-    clock(task.arrival), energy(task.energy),
-    task.soc_after == null ? "–" : `${(100 * task.soc_after).toFixed(0)} %`,
-  ])));
+  const full = (soc) => soc == null ? "–" : `${(100 * soc).toFixed(0)} %`;
+  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], [
+    ...told.tasks.map((task) => [
+      task.name,
+      task.verdict === "reachable" ? ["reachable", "text good"]
+        : [`out of reach: ${task.reason}${task.remedy ? `; ${task.remedy}` : ""}`, "text bad"],
+      clock(task.arrival), energy(task.energy), full(task.soc_after),
+    ]),
+    ...told.timetable.filter((row) => row.kind === "charge").map((row) => [
+      row.place, `charges ${Math.round((row.end - row.start) / 60)} min`, clock(row.start), "–", full(row.soc_end),
+    ]),
+  ]));
   const line = told.timeline;
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
@@ -225,7 +233,7 @@ function verdicts(told) {
   }, [line.t.map((t) => t / 60), line.soc.map((s) => 100 * s), line.soc_lower.map((s) => 100 * s)], $("charge"));
 }
 
-// -- logs ---------------------------------------------------------------------------------------
+// logs
 
 async function drives(files) {
   if (!files.length) return;
@@ -270,7 +278,7 @@ async function drives(files) {
   } catch (error) { say(error.message, true); }
 }
 
-// -- events -------------------------------------------------------------------------------------
+// events
 
 for (const tab of document.querySelectorAll("[role=tab]")) {
   tab.addEventListener("click", () => {
