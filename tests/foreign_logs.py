@@ -137,18 +137,6 @@ def german(at: At, folder: Path) -> Path:
     }, folder / "Fahrt 1.csv", sep=";", decimal=",", encoding="cp1252")  # fmt: skip
 
 
-def german_in_short(at: At, folder: Path) -> Path:
-    """Thousandths of units, decimal commas, and the line of names again in the middle."""
-    frame = pd.DataFrame({
-        "zeit_s": at.t, "Rad li [mm/s]": 1e3 * at.left, "Rad re [mm/s]": 1e3 * at.right,
-        "Leistung_li [mW]": 1e3 * at.p_left, "Leistung_re [mW]": 1e3 * at.p_right,
-        "Drehrate [°/s]": DEG * at.yaw_rate,
-    })  # fmt: skip
-    form: dict[str, Any] = {"sep": ";", "decimal": ",", "float_format": "%.3f"}
-    head = frame[:700].to_csv(index=False, **form)
-    return csv(frame[700:], folder / "kurz.csv", head=head, **form)
-
-
 def utf16(at: At, folder: Path) -> Path:
     return csv({
         " time [ns] ": at.nanoseconds, " left speed [mm/s] ": 1e3 * at.left,
@@ -356,14 +344,6 @@ def encoders_of_four_wheels(at: At, folder: Path) -> Path:
     }, folder / "wheels.csv")  # fmt: skip
 
 
-def encoders_and_a_satellite_receiver(at: At, folder: Path) -> Path:
-    return csv({
-        "ms": np.round(1e3 * at.t), "ticks_left": counts(at, at.left, 9000.0, 1e6),
-        "ticks_right": counts(at, at.right, 9000.0), **position(at), "gyro_z": at.yaw_rate,
-        "batt_V": at.volts, "batt_A": at.amps,
-    }, folder / "field.csv")  # fmt: skip
-
-
 def encoders_from_row_to_row(at: At, folder: Path) -> Path:
     left, right = (np.diff(counts(at, side, 5e4), prepend=0.0) for side in (at.left, at.right))
     return csv({
@@ -476,22 +456,6 @@ def speed_and_yaw_rate(at: At, folder: Path) -> Path:
         "time": at.t, "linear_velocity_x": 0.5 * (at.left + at.right), "angular_velocity_z": turn,
         "battery_voltage": at.volts, "battery_current": at.amps,
     }, folder / "odometry.csv")  # fmt: skip
-
-
-def ticks_a_second(at: At, folder: Path) -> Path:
-    ticks = 1024 * 30 / (2 * np.pi * at.robot.radius)
-    return csv({
-        "time": at.t, "enc_left_tps": np.round(ticks * at.left),
-        "enc_right_tps": np.round(ticks * at.right), "power_w": at.power,
-    }, folder / "ticks.csv")  # fmt: skip
-
-
-def encoders_alone(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "enc_l": counts(at, at.left, 4096 / (2 * np.pi * at.robot.radius)),
-        "enc_r": counts(at, at.right, 4096 / (2 * np.pi * at.robot.radius)),
-        "gyro_z": at.yaw_rate, "power_w": at.power,
-    }, folder / "bare.csv")  # fmt: skip
 
 
 def numbered_axes(at: At, folder: Path) -> Path:
@@ -662,20 +626,16 @@ REFUSED: dict[Writer, str] = {
     no_names: "line 1 holds numbers, and no line names the columns",
     hundredths: r"2\d\.\d V by voltage=batVoltage\[\*0.01\]",
     german: "the columns are Uhrzeit, .* say which it is with --columns v_left=NAME",
-    german_in_short: "line 702: .* give each recording a file of its own",
     utf16: "UTF-16 text; save it as UTF-8",
     two_recordings: "line 1503: 't' is 't', .* give each recording a file of its own",
     json_lines: r"pandas.json_normalize\(ROWS\)",
     american_dates: "ISO 8601, as in 2026-05-04T23:58:30.125",
     a_counter_that_overflows: r"line 358, .* ran over: .* map t=row\[\*PERIOD\]",
     encoders_of_four_wheels: r'"v_left=enc_fl \+ enc_rl\[ticks\*0.0001\].* ticks/s where',
-    encoders_and_a_satellite_receiver: r'"v_left=ticks_left\[ticks\*0.0001\]',
     encoders_from_row_to_row: r"ticks/sample where they count from row to row",
     encoders_that_tell_a_rate: r'"v_left=enc_left_tps\[ticks/s\*0.0001\]',
     status_topic: r'--counts-per-revolution .* "v_left=status.left_ticks\[ticks\*0.0001\]',
     flight_controller: r'"v_left=WENC.LeftTicks\[ticks\*0.0001\]',
-    ticks_a_second: r'--counts-per-revolution .* "v_left=enc_left_tps\[ticks/s\*0.0001\]',
-    encoders_alone: r'--counts-per-revolution .* "v_left=enc_l\[ticks\*0.0001\]',
     numbered_axes: r'which side .* "v_left=axis0.encoder.vel_estimate\[UNIT\]',
     electrical_rates: r"v_left=left_erpm\[rpm\*F\]",
     torques: r"p_left=left_wheel_joint_effort\*RATE",

@@ -27,8 +27,6 @@ from foreign_logs import (
     currents_without_sign,
     drive,
     electrical_rates,
-    encoders_alone,
-    encoders_and_a_satellite_receiver,
     encoders_from_row_to_row,
     encoders_of_four_wheels,
     encoders_that_tell_a_rate,
@@ -137,7 +135,6 @@ REMEDIES = {
     hundredths: {"columns": "voltage=batVoltage[*0.01],current=dcCurr[*0.01]"},
     packs_in_series: {"columns": "voltage=battery1_voltage+battery2_voltage"},
     row_numbers: {"columns": "t=n[*0.1]"},
-    encoders_alone: {"columns": of_encoders("enc_l", "enc_r", 0.22 * np.pi / 4096)},
     german: {
         "columns": "t=Uhrzeit,v_left=v links [km/h],v_right=v rechts [km/h],"
         "power=Leistung [kW],yaw_rate=Gierrate [°/s]"
@@ -146,9 +143,6 @@ REMEDIES = {
     rows_in_bursts: {"columns": "t=row[*0.1]"},
     encoders_of_four_wheels: {
         "columns": of_encoders("enc_fl + enc_rl", "enc_fr + enc_rr", 0.5 / 8000)
-    },
-    encoders_and_a_satellite_receiver: {
-        "columns": of_encoders("ticks_left", "ticks_right", 1 / 9000)
     },
     encoders_from_row_to_row: {
         "columns": of_encoders("encoder_count_l", "encoder_count_r", 2e-5, "ticks/sample")
