@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -49,6 +49,14 @@ PLAN_TIME = 1.0
 """Time for planning where neither time nor effort is given [s]."""
 Planner = Annotated[str, Option(help="lattice, roadmap, or the name of another planner.")]
 Objective = Annotated[str, Option(help="What to make least: energy, length or time.")]
+Turning = Annotated[
+    str,
+    Option(
+        metavar="any|forward|RADIUS",
+        help="How the robot may turn: in any way, without treads against each other, or on arcs of "
+        "this radius at least [m].",
+    ),
+]
 OutPath = Annotated[
     Path | None,
     Option(
@@ -217,6 +225,13 @@ def _writable(out: Path | None) -> None:
         need_rosbags()
 
 
+def _turning(text: str) -> str | float:
+    """Return a radius where the text is a number, else the text."""
+    with suppress(ValueError):
+        return float(text)
+    return text
+
+
 def _write(
     problem: PlanningProblem, out: Path | None, plot: Path | None, plans: dict[str, Plan]
 ) -> None:
@@ -273,6 +288,7 @@ def plan(
         float,
         Option(min=0.0, help="Price of a metre at the highest soft cost [unit of the objective]."),
     ] = 0.0,
+    turning: Turning = "any",
     planner: Planner = "lattice",
     objective: Objective = "energy",
     out: OutPath = None,
@@ -305,7 +321,10 @@ def plan(
         raise InvalidInputError(f"--former needs the planner lattice, not {planner}")
     here = parse_pose(start)
     soft = read_costmap(costmap) if costmap else None
-    more = {"objective": objective, "costmap": soft, "costmap_weight": costmap_weight}
+    more = {
+        "objective": objective, "costmap": soft, "costmap_weight": costmap_weight,
+        "turning": _turning(turning),
+    }  # fmt: skip
     problem = problem_of(site, drive, here, here if goal is None else parse_pose(goal), **more)
     if costmap_weight and problem.costmap is None:
         raise InvalidInputError("--costmap-weight needs --costmap, or a site that names one")
@@ -337,6 +356,7 @@ def compare(
     start: PoseText,
     goal: PoseText,
     effort: Effort,
+    turning: Turning = "any",
     planner: Planner = "lattice",
     objective: Objective = "energy",
     out: OutPath = None,
@@ -356,7 +376,10 @@ def compare(
     from energyplan.studies.comparison import compare as run
 
     _writable(out)
-    problem = problem_of(site, drive, parse_pose(start), parse_pose(goal), objective=objective)
+    problem = problem_of(
+        site, drive, parse_pose(start), parse_pose(goal), objective=objective,
+        turning=_turning(turning),
+    )  # fmt: skip
     with planning(json, strict):
         made = run(problem, planner=planner, **effort.within(PLAN_TIME))
     best = driven(made.energy_optimal, trajectory)

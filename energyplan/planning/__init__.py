@@ -44,14 +44,15 @@ PLANNERS = {
     "lattice": Planner(
         "energyplan.planning.lattice.planner:plan",
         surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
-        costmap=True,
+        costmap=True, turning=True,
     ),
     "roadmap": Planner(
         "energyplan.planning.roadmap:plan", surfaces=True, objectives=OBJECTIVES, effort=True
     ),
     **{
         name: Planner(
-            f"{_OMPL}:{name}", surfaces=True, heights=True, objectives=OBJECTIVES, effort=True
+            f"{_OMPL}:{name}", surfaces=True, heights=True, objectives=OBJECTIVES, effort=True,
+            turning=True,
         )
         for name in ("rrtstar", "informed_rrtstar", "bitstar", "fmt")
     },

@@ -77,6 +77,8 @@ class Planner:
         cannot reads the clock.
     costmap : bool
         Whether it can be used where a costmap counts beside the objective.
+    turning : bool
+        Whether it keeps a least radius of arcs.
     bound : bool
         Whether it returns a lower bound. For one that does not, a tenth of the budget is kept for
         computing one.
@@ -99,6 +101,7 @@ class Planner:
     effort: bool = False
     bound: bool = False
     costmap: bool = False
+    turning: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self, InvalidInputError)
@@ -150,6 +153,7 @@ class Planner:
             "surfaces": problem.terrain.ground.surfaces and not self.surfaces,
             "heights": problem.heights is not None and not self.heights,
             "a costmap": problem.softened and not self.costmap,
+            "a least turning radius": problem.least_radius > 0 and not self.turning,
             **{f"the objective {name}": name not in self.objectives for name in wanted},
             "effort instead of a time limit": counted and not self.effort,
         }
@@ -182,6 +186,12 @@ def check_path(problem: PlanningProblem, path: Path, planner: str) -> None:
                 f"{np.degrees(found.yaw):.1f} deg) in place of ({wanted.x:.3f}, {wanted.y:.3f}, "
                 f"{np.degrees(wanted.yaw):.1f} deg)"
             )
+    segment = problem.tightest(path)
+    if segment is not None:
+        raise refuse(
+            f"a path whose segment {segment} turns on an arc of less than "
+            f"{problem.least_radius:.3g} m"
+        )
     grid = problem.terrain.obstacles
     segment = problem.first_collision(path)
     if segment is not None:

@@ -33,6 +33,12 @@ from energyplan.vehicle import Vehicle
 OBJECTIVES = ("energy", "length", "time")
 """What a plan can be asked to make least."""
 
+TURNING = ("any", "forward")
+"""Ways to turn that have a name; others are a radius."""
+
+ROUNDING = 1e-6
+"""Part of a radius by which an arc may be tighter: rounding."""
+
 KEPT = (0.9, 0.5, 0.0)
 """Shares of the clearance that there is at the ends which leaving them keeps, tried in turn."""
 
@@ -97,11 +103,14 @@ class PlanningProblem:
     costmap_weight : float
         What a metre at the cost 1 is worth, in the unit of the objective a metre (for energy
         [J/m]); nothing where left out.
+    turning : {"any", "forward"} or float
+        How the robot may turn: in any way; so that its treads never run against each other; or on
+        arcs of this radius at least [m], of the point midway between its tread ICRs.
 
     Raises
     ------
     InvalidInputError
-        If a pose, the objective, the clearance or the weight is malformed.
+        If a pose, the objective, the clearance, the weight or the turning is malformed.
 
     Examples
     --------
@@ -125,12 +134,20 @@ class PlanningProblem:
     clearance: float = 0.0
     costmap: CostMap | None = None
     costmap_weight: float = 0.0
+    turning: str | float = "any"
 
     def __post_init__(self) -> None:
         place: object = self.map
         if isinstance(place, Site):
             place.fill(self)
         check_fields(self, InvalidInputError)
+        if self.turning not in TURNING and not (
+            isinstance(self.turning, (int, float)) and 0.0 < self.turning < np.inf
+        ):
+            raise InvalidInputError(
+                f"turning is {self.turning!r}; give {' or '.join(TURNING)}, or the least radius of "
+                "arcs as a number above 0 m"
+            )
         if not 0.0 <= self.costmap_weight < np.inf:
             raise InvalidInputError(
                 f"the weight of the costmap is {self.costmap_weight}; give a number of 0 or more"
@@ -148,6 +165,19 @@ class PlanningProblem:
             object.__setattr__(self, "cost", replace(self.cost, model=ground.model))
             object.__setattr__(self, "surfaces", ground.surfaces)
             object.__setattr__(self, "heights", ground.heights)
+
+    @property
+    def least_radius(self) -> float:
+        """Least radius of arcs of the point midway between the tread ICRs [m]; zero for any."""
+        if isinstance(self.turning, str):
+            return self.cost.half_track if self.turning == "forward" else 0.0
+        return float(self.turning)
+
+    def tightest(self, path: Path) -> int | None:
+        """Return the first segment of a path that turns more tightly than is allowed, or None."""
+        ahead = np.abs(path.ds - self.cost.icr.centre[1] * path.dtheta)
+        tight = ahead < self.least_radius * (1.0 - ROUNDING) * np.abs(path.dtheta) - 1e-9
+        return int(np.argmax(tight)) if tight.any() else None
 
     @cached_property
     def terrain(self) -> Terrain:

@@ -96,7 +96,7 @@ def test_no_search_gains_by_a_corner_of_a_surface_that_only_the_raster_knows(cos
     for _ in range(300):
         pose = Pose(*rng.uniform((3, 2, -3), (8, 8, 3)))
         turn = Path(pose, [cost.icr.centre[1]], [1.0], cost.icr.longitudinal).subdivide(1.0, 0.01)
-        motions = query.of_centre(turn)
+        motions = query.of_centre(turn.ds, turn.dtheta)
         searched, at = 0.0, turn.vertices
         for k in range(len(turn)):
             centre = query.centre(Pose(*at[k]))

@@ -4,9 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ompl import base
 
 from energyplan.cost import EnergyCost
-from energyplan.planning import PlanningProblem, plan
+from energyplan.errors import (
+    InvalidInputError,
+    InvalidPathError,
+    NoPathError,
+    TimeLimitError,
+    UnsupportedPlannerError,
+)
+from energyplan.path import Path
+from energyplan.planning import Candidate, Planner, PlanningProblem, plan
 from energyplan.planning.budget import Budget
 from energyplan.planning.lattice.refine import Refiner
 from energyplan.planning.lattice.turning import cheapest_chain, ways_with_turns
@@ -15,6 +24,7 @@ from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import distance_to_go
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
+from energyplan.vehicle import TreadICR, Vehicle
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 
@@ -81,3 +91,86 @@ def test_a_closed_room_has_no_way():
     setting = CompiledProblem(closed).setting
     to_go = distance_to_go(setting)
     assert len(cheapest_chain(to_go, setting, np.zeros(1, bool), 100_000).chain) == 0
+
+
+# -- a least turning radius --
+
+
+def tightest(problem, path) -> float:
+    """Return the least radius of the arcs of a path, of the point between the tread ICRs."""
+    turns = path.dtheta != 0.0
+    ahead = path.ds - problem.cost.icr.centre[1] * path.dtheta
+    return float(np.min(np.abs(ahead[turns] / path.dtheta[turns]), initial=np.inf))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_on_free_ground_the_least_length_is_that_of_reeds_and_shepp(seed):
+    rng = np.random.default_rng(seed)
+    radius = rng.uniform(0.4, 2.0)
+    cost = EnergyCost.from_coefficients(1.0, 1e-6, 0.4)  # a metre is all that counts
+    start, goal = (np.array([10.0, 10.0, 0.0]) + rng.uniform(-3, 3, 3) for _ in range(2))
+    grid = OccupancyGrid(np.zeros((100, 100), bool), 0.2)
+    problem = PlanningProblem(grid, cost, start, goal, turning=radius)
+    found = plan(problem, effort=2000)
+    space = base.ReedsSheppStateSpace(radius)
+    states = [space.allocState(), space.allocState()]
+    for state, pose in zip(states, (start, goal), strict=True):
+        state.setX(pose[0])
+        state.setY(pose[1])
+        state.setYaw(pose[2])
+    least = space.distance(*states)
+    assert found.length == pytest.approx(least, rel=1e-4)
+    assert found.lower_bound == pytest.approx(least, rel=1e-4)
+    assert tightest(problem, found.path) >= radius * (1 - 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("turning", "icr"),
+    [("forward", TreadICR(0.5, 0.3, 0.1)), (0.8, TreadICR(0.4, 0.4, 0.0)),
+     (2.0, TreadICR(0.5, 0.3, 0.1))],
+)  # fmt: skip
+def test_among_obstacles_no_point_of_the_path_is_tighter(turning, icr):
+    occupied = np.zeros((120, 160), bool)
+    occupied[:70, 60:66] = occupied[50:, 110:116] = True
+    cost = EnergyCost.from_coefficients(150.0, 60.0, icr)
+    free = PlanningProblem(OccupancyGrid(occupied, 0.05), cost, (1.5, 1.5, 0.0), (7.0, 4.5, 3.0))
+    problem = replace(free, turning=turning)
+    radius = 0.5 * (icr.left + icr.right) if turning == "forward" else turning
+    found, loose = plan(problem, effort=5000), plan(free, effort=5000)
+    assert problem.map.path_free(found.path, problem.robot)
+    assert tightest(problem, found.path) >= radius * (1 - 1e-6)
+    assert tightest(problem, loose.path) < radius
+    assert found.lower_bound <= found.energy * (1 + 1e-9)
+    assert found.lower_bound >= loose.lower_bound * (1 - 1e-6)
+    assert found.energy >= loose.lower_bound
+    shortest = plan(replace(problem, objective="length"), effort=5000)
+    assert tightest(problem, shortest.path) >= radius * (1 - 1e-6)
+
+
+def test_what_cannot_keep_a_radius_is_refused():
+    cost = EnergyCost.from_coefficients(150.0, 60.0, 0.4)
+    grid = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
+    problem = PlanningProblem(grid, cost, (2, 5, 0), (2, 5, 2), turning=1.0)
+    with pytest.raises(UnsupportedPlannerError, match="least turning radius"):
+        plan(problem, "roadmap", effort=1000)
+    spin = Path(problem.start, [0.0], [2.0])
+    with pytest.raises(InvalidPathError, match="less than 1 m"):
+        plan(problem, Planner(lambda problem, budget: Candidate(spin), turning=True), effort=1000)
+    for wrong in ("sideways", 0.0, -1.0, np.nan):
+        with pytest.raises(InvalidInputError, match="turning"):
+            replace(problem, turning=wrong)
+
+
+def test_a_box_in_which_no_arc_fits_is_said_to_have_no_way_found():
+    occupied = np.ones((60, 60), bool)
+    occupied[20:44, 20:44] = False
+    cost = EnergyCost.from_coefficients(150.0, 60.0, 0.4)
+    robot = Vehicle.from_geometry(
+        "robot", mass=40.0, wheelbase=0.5, track=0.5, length=0.8, width=0.6
+    )
+    problem = PlanningProblem(
+        OccupancyGrid(occupied, 0.05), cost, (1.6, 1.6, 0.0), (1.6, 1.6, np.pi), vehicle=robot
+    )
+    assert plan(problem, effort=1000).energy > 0
+    with pytest.raises((NoPathError, TimeLimitError), match="no path"):
+        plan(replace(problem, turning=20.0), effort=1000)

@@ -164,6 +164,7 @@ def grow_escape(
     body: Body,
     grown: Body,
     half: float,
+    spins: bool,
     reach: float,
     turn: float,
     inwards: bool,
@@ -191,7 +192,7 @@ def grow_escape(
                 most_ds = 0.0
             if kind >= 4:
                 most_ds = half * 0.5 * pi * (1.0 if kind < 6 else -1.0)
-            if most_ds * only < 0.0:
+            if most_ds * only < 0.0 or (most_ds == 0.0 and not spins):
                 continue
             free = _free_part(space, body, pose, most_ds, most_turn, inwards, CLOSER, counts)
             if free == 0.0:

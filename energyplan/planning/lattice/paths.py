@@ -137,7 +137,7 @@ class Paths:
 
     def offer_path(self, path: Path) -> None:
         """Take a path that somebody else made, and that can be driven from start to goal."""
-        self.enter(self.query.of_centre(path))
+        self.enter(self.query.of_centre(path.ds, path.dtheta))
 
     def first_plan(self, finest: float = 1.0) -> None:
         """Find a first path; lattices twice as fine join one by one while none is found."""

@@ -142,6 +142,8 @@ def _searching(led: CompiledProblem, budget: Budget) -> Budget:
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
     """Return the best of some paths with arcs and spins where these are better."""
     # what the tables made of the cost of a known path is not what the models make of it
+    if query.problem.least_radius > 0:
+        return min(paths, key=query.value)
     return _with_fewer_motions(query, _with_wide_arcs(query, min(paths, key=query.value)))
 
 

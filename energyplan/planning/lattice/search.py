@@ -203,8 +203,11 @@ def grow(
                 ds = lattice.step if motion == 0 else -lattice.step
             elif motion < 6:
                 step = 1 if motion < 4 else -1
-                ds = half * lattice.turn * (1.0 if motion % 2 == 0 else -1.0)
+                ds = max(half, setting.least_radius) * lattice.turn
+                ds *= 1.0 if motion % 2 == 0 else -1.0
             elif motion < 8:
+                if setting.least_radius > 0.0:
+                    continue
                 step = 1 if motion == 6 else -1
             else:
                 # across open ground in one stride
@@ -295,7 +298,7 @@ class Search:
     def __post_init__(self) -> None:
         here = self.setting
         self.spin = 0.0
-        if self.aligned:
+        if self.aligned and here.least_radius == 0.0:
             turn = self.lattice.turn
             spin = -remainder(here.start_yaw - here.space.yaw, turn)
             pose = here.start_x, here.start_y, here.start_yaw

@@ -102,7 +102,7 @@ def least_driven(
         weigh(rival)
     if stops.share == 0.0:
         return best
-    looked = [query.of_centre(path), *others]
+    looked = [query.of_centre(path.ds, path.dtheta), *others]
     if extra > DEAR * abs(least) and path.turning > 0:
         dear = _with_dear_turns(query.setting, extra / path.turning)
         looked[1:1] = _searched(dear, to_go, budget)

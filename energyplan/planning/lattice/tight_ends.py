@@ -109,7 +109,8 @@ class Ends:
         query = self.query
         whole = self.around(inner)
         # what is not free with the margin stays as it is
-        refiner = Refiner(query.setting._replace(body=query.grown), query.of_centre(whole))
+        motions = query.of_centre(whole.ds, whole.dtheta)
+        refiner = Refiner(query.setting._replace(body=query.grown), motions)
         refiner.shortcut(budget)
         refiner.polish(budget)
         try:
@@ -181,7 +182,8 @@ def _way_out(
             space,
             body,
             query.grown,
-            setting.half_track,
+            max(setting.half_track, setting.least_radius),
+            setting.least_radius == 0.0,
             setting.reach,
             TURN,
             goal,

@@ -245,7 +245,7 @@ def _free_route(roadmap: Roadmap, ends: tuple[Hashable, Hashable], query: Compil
 
 def _refined(path: Path, query: CompiledProblem, budget: Budget) -> Path:
     """Return a route made cheaper with exact steering, or the route itself."""
-    motions = query.of_centre(path)
+    motions = query.of_centre(path.ds, path.dtheta)
     setting = query.setting
     centre = Path(query.centre(path.start), motions.ds, motions.dtheta)
     # the planners' footprint is a little larger than the robot's

@@ -63,7 +63,8 @@ class CompiledProblem:
     def middle(self) -> tuple[float, float]:
         """The point that the kernels follow, in the body frame [m]."""
         icr = self.problem.cost.icr
-        return icr.longitudinal, 0.0 if is_length(self.problem) else float(icr.centre[1])
+        about_treads = not is_length(self.problem) or self.problem.least_radius > 0
+        return icr.longitudinal, float(icr.centre[1]) if about_treads else 0.0
 
     @cached_property
     def leading(self) -> CompiledProblem:
@@ -88,6 +89,17 @@ class CompiledProblem:
         angle = np.arange(DIRECTIONS + 1) * (2 * np.pi / DIRECTIONS)
         rays = np.column_stack([np.cos(angle), np.sin(angle)])
         return np.where(np.abs(rays) < 1e-15, 0.0, rays)
+
+    @cached_property
+    def _priced_rays(self) -> Segments:
+        """Motions of the reference point that are priced for the rays.
+
+        What turns more tightly than is allowed costs as much as to and fro on the tightest arcs.
+        """
+        half = self.problem.cost.half_track
+        ds, dtheta = self.rays[:, 0], self.rays[:, 1] / half
+        ahead = np.maximum(np.abs(ds), self.problem.least_radius * np.abs(dtheta))
+        return self.reference(np.where(ds < 0.0, -ahead, ahead), dtheta)
 
     @cached_property
     def objective(self) -> Prices:
@@ -124,10 +136,9 @@ class CompiledProblem:
     @cached_property
     def _priced(self) -> _prices.Priced:
         """Prices of the rays for all classes of surface and all slopes."""
-        half = self.problem.cost.half_track
-        ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
+        ds, dtheta = self._priced_rays
         if self.steepest > _prices.FLAT:
-            travel = np.abs(self.rays[:, 0])
+            travel = np.abs(self.of_centre(ds, dtheta).ds)
             return _prices.priced(self.objective, ds, dtheta, travel, self.steepest)
         prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
         return _prices.Priced(np.array(prices), 0.0)
@@ -141,8 +152,7 @@ class CompiledProblem:
         kept = self._priced.kept
         if self._levels == 1:
             return kept
-        half = self.problem.cost.half_track
-        metres = np.abs(self.reference(self.rays[:, 0], self.rays[:, 1] / half).ds)
+        metres = np.abs(self._priced_rays.ds)
         soft = np.linspace(0.0, self.problem.costmap_weight, self._levels)[:, None] * metres
         by_class = kept.reshape(len(self.costs), 1, -1, DIRECTIONS + 1)
         return np.ascontiguousarray((by_class + soft[:, None]).reshape(-1, DIRECTIONS + 1))
@@ -163,7 +173,8 @@ class CompiledProblem:
         """What motions cost at least on any ground and slope."""
         sloping = self.steepest > _prices.FLAT
         steepest = self.steepest if sloping else 0.0
-        return least_prices(self.objective, steepest, self._priced.worth, self.middle[1])
+        radius = self.problem.least_radius
+        return least_prices(self.objective, steepest, self._priced.worth, self.middle[1], radius)
 
     @property
     def least(self) -> Minorant:
@@ -179,6 +190,7 @@ class CompiledProblem:
         pivot, spin, straight = level[eighth] * np.sqrt(2), level[quarter], level[0]
         # where a pivot costs clearly more than a spin, turning and driving are paid apart
         track = half if pivot - spin < 0.5 * straight else SHORT_TRACK
+        track = self.problem.least_radius or track
         found = self.least_prices.minorant(track)
         if not found.metre > 0:
             raise ModelError("the objective makes some motion free; give energy or time a weight")
@@ -283,6 +295,7 @@ class CompiledProblem:
                 per_radian=static.metre * static.track + static.radian,
             ),
             half_track=problem.cost.half_track,
+            least_radius=problem.least_radius,
             lateral=self.middle[1],
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
             least_metre=self.least.metre,
@@ -314,9 +327,9 @@ class CompiledProblem:
         """Return motions of `Path`'s reference point, given those of the centre."""
         return Segments(ds + self.middle[1] * dtheta, dtheta)
 
-    def of_centre(self, path: Path) -> Segments:
-        """Return motions of the centre, given the path of the reference point."""
-        return Segments(path.ds - self.middle[1] * path.dtheta, path.dtheta)
+    def of_centre(self, ds: FloatArray, dtheta: FloatArray) -> Segments:
+        """Return motions of the centre, given those of the reference point."""
+        return Segments(ds - self.middle[1] * dtheta, dtheta)
 
     def motions_of(self, other: CompiledProblem, motions: Segments) -> Segments:
         """Return motions of the centre, given those of another one's in the same vehicle."""
@@ -345,6 +358,7 @@ class CompiledProblem:
             miss = np.array([path.start, path.end]) - wanted
             miss[:, 2] = np.remainder(miss[:, 2] + np.pi, 2 * np.pi) - np.pi
             fits = np.abs(miss).max() <= 1e-6 and path.longitudinal == problem.cost.icr.longitudinal
+            fits = fits and problem.tightest(path) is None
             if fits and self.grid.path_free(path, problem.robot):
                 kept.append(path)
         return kept

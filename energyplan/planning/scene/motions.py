@@ -71,6 +71,7 @@ class KernelProblem(NamedTuple):
     hills: Hills  # heights of the ground
     steering: StaticSteering  # the static cost that steering solves
     half_track: float  # half the slip track [m]
+    least_radius: float  # of arcs; zero where any turn is allowed [m]
     lateral: float  # [m]
     reach: float  # distance of the body's furthest corner [m]
     least_metre: float  # no motion costs less than ``least_metre |ds| + least_radian |dtheta|``
@@ -335,7 +336,7 @@ def join(
         return cost, count
     other_ds = np.empty(3)
     other_dtheta = np.empty(3)
-    for way in range(2):
+    for way in range(2 if setting.least_radius == 0.0 else 0):
         n = spin_drive_spin(dx, dy, yaw, to_yaw, way == 1, other_ds, other_dtheta)
         other = drive(setting, x, y, yaw, other_ds, other_dtheta, n, min(limit, cost))
         if other < cost:

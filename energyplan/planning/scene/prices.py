@@ -289,6 +289,7 @@ class LeastPrices:
     steepest: float  # steepest slope, as rise over run
     worth: float  # price of height, which is taken off [J/m for energy]
     lateral: float  # how far to the left of the path's reference point the centre lies [m]
+    radius: float  # of the tightest arcs; to and fro on these stands for tighter turns [m]
     _kept: _Remembered
 
     def price(
@@ -296,8 +297,9 @@ class LeastPrices:
     ) -> FloatArray:
         """Return the price on each ground, at its cheapest slope."""
         turn = y / self.objective.cost.half_track
-        ds = x + self.lateral * turn
         grounds = range(len(self.objective.costs)) if grounds is None else grounds
+        ahead = np.maximum(np.abs(x), self.radius * np.abs(turn))
+        ds = np.where(x < 0.0, -ahead, ahead) + self.lateral * turn
         return np.array([self._cheapest(k, ds, turn) for k in grounds])
 
     def _cheapest(self, ground: int, ds: FloatArray, turn: FloatArray) -> FloatArray:
@@ -335,6 +337,8 @@ class LeastPrices:
             lateral = cost.icr.centre[1]
             about += [lateral, lateral - cost.half_track, lateral + cost.half_track]
         half_track = self.objective.cost.half_track
+        if self.radius > 0:
+            about += [self.lateral - self.radius, self.lateral + self.radius]
         return tuple((point - self.lateral) / half_track for point in about)
 
     def minorant(self, track: float) -> Minorant:
@@ -368,13 +372,17 @@ _known: WeakKeyDictionary[EnergyCost, dict[Hashable, _Remembered]] = WeakKeyDict
 
 
 def least_prices(
-    objective: Prices, steepest: float = 0.0, worth: float = 0.0, lateral: float | None = None
+    objective: Prices,
+    steepest: float = 0.0,
+    worth: float = 0.0,
+    lateral: float | None = None,
+    radius: float = 0.0,
 ) -> LeastPrices:
     """Return the infima of prices; what they come to is remembered with the cost."""
     surfaces = objective.surfaces
     centre = objective.cost.icr.centre[1] if lateral is None else lateral
     weights = tuple(sorted(objective_weights(objective.objective).items()))
-    key = id(surfaces), steepest, worth, centre, weights
+    key = id(surfaces), steepest, worth, centre, radius, weights
     kept = _known.setdefault(objective.cost, {})
     # surfaces hold the costs last asked for, so that a cost must not hold surfaces
     known = kept.get(key)
@@ -383,7 +391,7 @@ def least_prices(
             kept.clear()
         whose = ref(surfaces) if surfaces is not None else _nothing
         known = kept[key] = _Remembered(whose, {}, {})
-    return LeastPrices(objective, steepest, worth, centre, known)
+    return LeastPrices(objective, steepest, worth, centre, radius, known)
 
 
 def _nothing() -> None:
