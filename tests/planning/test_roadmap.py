@@ -17,8 +17,8 @@ from energyplan.io.nav2 import read_route_graph
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import roadmap as rm
-from energyplan.planning.roadmap.energy_graph import round_corner
-from energyplan.planning.roadmap.visibility import traced
+from energyplan.planning.roadmap import traced
+from energyplan.planning.roadmap.routes import round_corner
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import VISCOUS_LOSS

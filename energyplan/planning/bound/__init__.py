@@ -22,7 +22,7 @@ from energyplan.planning.bound.one_line import Rates
 from energyplan.planning.bound.outlines import DETAILS, Sights, sights
 from energyplan.planning.bound.sight import Outline
 from energyplan.planning.bound.surface_excess import certain_regions, least_excess
-from energyplan.planning.budget import workers
+from energyplan.planning.budget import Budget, Work, workers
 from energyplan.planning.scene.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.scene.guide import inscribed
 from energyplan.planning.scene.motions import KernelProblem, free_energy
@@ -184,3 +184,41 @@ def _near(outline: Outline, ends: Ends, longest: float) -> int:
     x, y = outline.point.T
     way = np.hypot(x - ends.start_x, y - ends.start_y) + np.hypot(x - ends.goal_x, y - ends.goal_y)
     return int(np.count_nonzero(way < longest))
+
+
+BOUND_STEPS = 12_000
+"""Steps of the search that count as a unit of work."""
+
+
+class Bounding:
+    """The best lower bound so far, less the potential, and how to raise it."""
+
+    def __init__(self, query: CompiledProblem) -> None:
+        self._query = query
+        free = query.least_in_free_space - query.potential(query.problem.goal)
+        self._bound = Bound(free, False)
+        self._spent: Spent = {}
+
+    @property
+    def value(self) -> float:
+        """What every path costs at least."""
+        return self._bound.value
+
+    def know(self, value: float) -> None:
+        """Take a lower bound that somebody else found; none is sought then."""
+        self._bound = Bound(value, True)
+
+    def work(self, cost: float, units: float) -> list[Work]:
+        """Return the search for a better bound, where there can be one."""
+
+        def run(own: Budget) -> Bound:
+            given = min(units, own.left)
+            found = lower_bound(self._query, cost, BOUND_STEPS * given, self._spent)
+            if not found.final:
+                own.spend(given)
+            return found
+
+        def take(found: Bound) -> None:
+            self._bound = Bound(max(found.value, self.value), found.final)
+
+        return [] if self._bound.final else [Work(run, units, take)]

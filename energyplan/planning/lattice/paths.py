@@ -15,10 +15,10 @@ import numpy as np
 
 from energyplan.compilation import compile_kernels
 from energyplan.path import Path
+from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import PACE, Budget, Work, do_together, side_by_side
 from energyplan.planning.lattice import search as kernels
-from energyplan.planning.lattice.portfolio import Bounding, Portfolio
-from energyplan.planning.lattice.refine import Refiner
+from energyplan.planning.lattice.refine import Portfolio, Refiner
 from energyplan.planning.lattice.search import Search, lattice_for
 from energyplan.planning.lattice.slots import slot_work, way_through_slots
 from energyplan.planning.lattice.tight_ends import Ends, ways_out

@@ -25,11 +25,12 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, PlanningError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
+from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
 from energyplan.planning.lattice.paths import Paths
-from energyplan.planning.lattice.portfolio import SAME, Bounding
+from energyplan.planning.lattice.refine import SAME
 from energyplan.planning.lattice.stops import SHARE, least_driven, stops_of
 from energyplan.planning.lattice.tight_ends import ways_out
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights

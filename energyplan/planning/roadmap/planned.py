@@ -28,7 +28,7 @@ from energyplan.planning.budget import Budget
 from energyplan.planning.lattice import planner as lattice
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.ready import compile_planning
-from energyplan.planning.roadmap.energy_graph import Graph, State, edges_of
+from energyplan.planning.roadmap.routes import Graph, State, edges_of
 from energyplan.planning.scene.compiled import compiled
 
 EFFORT = 4000
