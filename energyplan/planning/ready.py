@@ -31,7 +31,7 @@ SURFACES = ("energyplan.planning.bound.surface_excess", "energyplan.terrain.surf
 TIGHT = ("energyplan.planning.lattice.escape_kernels",)
 """Where the kernels are that only ends without room need."""
 
-CLOSED = ("energyplan.planning.scene.closure_kernels",)
+CLOSED = ("energyplan.planning.scene.closure",)
 """Where the kernels are that only ends need that nothing seems to join."""
 
 

@@ -17,8 +17,8 @@ from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
 from energyplan.planning.bound import EFFORT, corners, ends, lower_bound, one_line, outlines
+from energyplan.planning.bound.corners import Ends, ways_to_goal
 from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
-from energyplan.planning.bound.geodesic import Ends, ways_to_goal
 from energyplan.planning.bound.one_line import HEADINGS, Rates, gate
 from energyplan.planning.bound.outlines import DETAILS, _sights, sights
 from energyplan.planning.bound.sight import Links, no_links, sight

@@ -15,8 +15,14 @@ from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
 from energyplan.planning.scene import closure as closing
-from energyplan.planning.scene.closure import FINEST, OF_A_CELL, closure
-from energyplan.planning.scene.closure_kernels import chain_between, look_closer, places_reached
+from energyplan.planning.scene.closure import (
+    FINEST,
+    OF_A_CELL,
+    chain_between,
+    closure,
+    look_closer,
+    places_reached,
+)
 from energyplan.planning.scene.compiled import CompiledProblem
 from energyplan.planning.scene.guide import places_for
 from energyplan.planning.scene.guide_kernels import HEADINGS, RIM

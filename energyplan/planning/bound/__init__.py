@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.planning.bound.corners import least_over_corners
-from energyplan.planning.bound.geodesic import Ends, ways_to_goal
+from energyplan.planning.bound.corners import Ends, least_over_corners, ways_to_goal
 from energyplan.planning.bound.one_line import Rates
 from energyplan.planning.bound.outlines import DETAILS, Sights, sights
 from energyplan.planning.bound.sight import Outline

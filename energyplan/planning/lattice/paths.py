@@ -24,7 +24,6 @@ from energyplan.planning.lattice.slots import slot_work, way_through_slots
 from energyplan.planning.lattice.tight_ends import Ends, ways_out
 from energyplan.planning.lattice.turning import ways_with_turns
 from energyplan.planning.lattice.way_along import led_along
-from energyplan.planning.scene import closure_kernels
 from energyplan.planning.scene.closure import (
     Closure,
     check_closer,
@@ -249,7 +248,7 @@ class Paths:
 
     def _closed(self, setting: KernelProblem) -> Closure:
         """Look closer at what the poses tested leave open."""
-        self.budget.beside(lambda: compile_kernels(closure_kernels.__name__))
+        self.budget.beside(lambda: compile_kernels(Closure.__module__))
         found = closure(setting, self.budget.part(CLOSURE_SHARE))
         if found.proven:
             check_closer(self.query, setting, found)
