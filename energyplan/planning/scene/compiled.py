@@ -91,17 +91,6 @@ class CompiledProblem:
         return np.where(np.abs(rays) < 1e-15, 0.0, rays)
 
     @cached_property
-    def _priced_rays(self) -> Segments:
-        """Motions of the reference point that are priced for the rays.
-
-        What turns more tightly than is allowed costs as much as to and fro on the tightest arcs.
-        """
-        half = self.problem.cost.half_track
-        ds, dtheta = self.rays[:, 0], self.rays[:, 1] / half
-        ahead = np.maximum(np.abs(ds), self.problem.least_radius * np.abs(dtheta))
-        return self.reference(np.where(ds < 0.0, -ahead, ahead), dtheta)
-
-    @cached_property
     def objective(self) -> Prices:
         """What the objective makes of motions."""
         return Prices(self.problem.cost, self.problem.surfaces, self.problem.objective)
@@ -136,9 +125,10 @@ class CompiledProblem:
     @cached_property
     def _priced(self) -> _prices.Priced:
         """Prices of the rays for all classes of surface and all slopes."""
-        ds, dtheta = self._priced_rays
+        half = self.problem.cost.half_track
+        ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
         if self.steepest > _prices.FLAT:
-            travel = np.abs(self.of_centre(ds, dtheta).ds)
+            travel = np.abs(self.rays[:, 0])
             return _prices.priced(self.objective, ds, dtheta, travel, self.steepest)
         prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
         return _prices.Priced(np.array(prices), 0.0)
@@ -152,7 +142,8 @@ class CompiledProblem:
         kept = self._priced.kept
         if self._levels == 1:
             return kept
-        metres = np.abs(self._priced_rays.ds)
+        half = self.problem.cost.half_track
+        metres = np.abs(self.reference(self.rays[:, 0], self.rays[:, 1] / half).ds)
         soft = np.linspace(0.0, self.problem.costmap_weight, self._levels)[:, None] * metres
         by_class = kept.reshape(len(self.costs), 1, -1, DIRECTIONS + 1)
         return np.ascontiguousarray((by_class + soft[:, None]).reshape(-1, DIRECTIONS + 1))

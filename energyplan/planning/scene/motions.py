@@ -106,18 +106,20 @@ def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: f
 def turn_prices(setting: KernelProblem) -> Floats:
     """Price of a radian of turning on each class of surface, on the level.
 
-    Half of it is turned on the spot, half by pivots, whose way ahead is not lost.
+    Half of it is turned on the spot, half by pivots, whose way ahead is not lost; where arcs have a
+    least radius both are turned on these, to and fro or ahead.
     """
     bins = setting.hills.bins
     half = setting.half_track
+    aside = max(half, setting.least_radius)
     found = np.empty(len(setting.prices) // bins)
     for k in range(len(found)):
         row = bins * k + bins // 2
         spin = pivot = 0.0
         for side in (-1.0, 1.0):
-            spin += 0.5 * price(setting.prices, row, half, 0.0, side)
-            pivot += 0.5 * price(setting.prices, row, half, half, side)
-        pivot -= price(setting.prices, row, half, half, 0.0)
+            spin += 0.5 * price(setting.prices, row, half, setting.least_radius, side)
+            pivot += 0.5 * price(setting.prices, row, half, aside, side)
+        pivot -= price(setting.prices, row, half, aside, 0.0)
         found[k] = max(0.5 * (spin + pivot), setting.least_radian)
     return found
 
