@@ -1,7 +1,7 @@
 """Draw the figures that carry the argument, as vectors, into docs/images.
 
     python docs/figures.py              # all of them, a few minutes
-    python docs/figures.py range        # one of them
+    python docs/figures.py range        # one: iso_energy, turns, bound, residual, told_taken, range
 
 Each is 5.2 inches wide in the library's style: readable in a phone's column and in print.
 """
@@ -22,14 +22,7 @@ import energyplan as ep
 from energyplan.io.files import bundled
 from energyplan.output import plots
 from energyplan.output.report import image
-from energyplan.path import Pose
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
-from energyplan.planning import Budget
-from energyplan.planning.lattice.turning import cheapest_chain, passed_by
-from energyplan.planning.lattice.way_along import way_along
-from energyplan.planning.scene.compiled import compiled
-from energyplan.planning.scene.guide import distance_to_go
-from energyplan.planning.scene.guide_kernels import RIM
 from energyplan.power import HOTEL, effects
 
 HERE = Path(__file__).resolve().parent
@@ -125,38 +118,6 @@ def bound() -> Figure:
     return made
 
 
-def planner() -> Figure:
-    """Show a query in three steps: routes through free configurations, paths, the plan."""
-    problem = warehouse()
-    setting = compiled(problem).setting
-    to_go = distance_to_go(setting)
-    places = to_go.places
-    across = places.columns + 2 * RIM
-    start = Pose(setting.start_x, setting.start_y, setting.start_yaw)
-    routes, passed = [], np.zeros(1, bool)
-    for _ in range(2):
-        chain = cheapest_chain(to_go, setting, passed, 100_000).chain
-        passed = passed | passed_by(places, chain, setting.reach)
-        routes.append(chain)
-    made = Figure(figsize=(plots.WIDTH, 2.7), layout="constrained")
-    axes = made.subplots(1, 3, sharex=True, sharey=True)
-    for ax, title in zip(axes, ("1  routes", "2  followed", "3  optimised"), strict=True):
-        plots.occupancy(ax, problem.map)
-        ax.set_title(title, fontsize="medium", loc="left")
-        ax.set_axis_off()
-    for chain, colour in zip(routes, (plots.BLUE, plots.RED), strict=True):
-        row, column = np.divmod(places.home[chain], across)
-        cells = (np.column_stack([column, row]) - RIM + 0.5) * places.spacing
-        xy = problem.map.to_world(cells / problem.map.resolution)
-        axes[0].plot(*xy.T, ".", color=colour, ms=1.5)
-        way = way_along(setting, to_go, Budget(effort=50_000), chain)
-        if way is not None:
-            axes[1].plot(*ep.Path(start, *way).poses(0.1, 0.1).T[:2], color=colour, lw=1)
-    best = ep.plan(problem, effort=50_000).path
-    axes[2].plot(*best.poses(0.1, 0.1).T[:2], color=plots.BLUE, lw=1)
-    return made
-
-
 def residual() -> Figure:
     """Residual before and after the causes are found, on a drive not fitted to."""
     vehicle = MODEL.vehicle
@@ -222,7 +183,7 @@ def reach() -> Figure:
 
 FIGURES: dict[str, Callable[[], Figure]] = {
     "iso_energy": iso_energy, "turns": turns, "bound": bound, "residual": residual,
-    "told_taken": told_taken, "planner": planner, "range": reach,
+    "told_taken": told_taken, "range": reach,
 }  # fmt: skip
 
 
