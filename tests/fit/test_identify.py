@@ -454,7 +454,7 @@ def test_bad_requests(truth: PowerModel, spiral: DriveLog) -> None:
         identify(spiral, truth.vehicle, terms=[])
     with pytest.raises(UnknownNameError, match="method"):
         identify(spiral, truth.vehicle, method="ols")
-    with pytest.raises(UnknownNameError, match="icr"):
+    with pytest.raises(InvalidInputError, match="icr"):
         identify(spiral, truth.vehicle, icr="guess")
     with pytest.raises(InvalidInputError, match="level"):
         identify(spiral, truth.vehicle).interval("slip_friction", 95.0)
