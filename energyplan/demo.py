@@ -265,8 +265,8 @@ def _limits(demo: _Demo, made: Comparison) -> None:
     demo.picture(
         "limits.png",
         figure,
-        "Curvatures and speeds that the motors can drive: full, concrete. Without a turn the "
-        "treads do not slip, which makes the peak in the middle.",
+        "Curvatures and speeds that the motors can drive: full, concrete. Straight ahead the "
+        "treads do not slip, so the point in the middle lies above the rest.",
     )
 
 

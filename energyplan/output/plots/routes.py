@@ -144,7 +144,7 @@ def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
 
 
 def mission_map(report: MissionReport) -> Figure:
-    """Draw a mission's route, coloured by power, and its tasks: crossed where unreachable."""
+    """Draw a mission's route, coloured by power, and its places, numbered."""
     mission, line = report.mission, report.timeline
     areas = mission.surfaces.polygons if mission.surfaces else ()
     made = routes(mission.map, {}, surfaces=areas)
@@ -170,7 +170,7 @@ def mission_map(report: MissionReport) -> Figure:
             str(k),
             task.name,
             task.pose,
-            *(("o", style.GREEN) if task.name in good else ("X", style.RED)),
+            *(("o", style.GREEN) if task.name in good else ("D", style.RED)),
         )
         for k, task in enumerate(ordered, start=1)
     ]
@@ -187,7 +187,7 @@ def mission_map(report: MissionReport) -> Figure:
     handles = [
         mpl.lines.Line2D(
             [], [], marker=marker, color=color, ls="none", mec="white", ms=2 * MARK - 2,
-            label=f"{sign}  {_short(name)}" + ("" if marker != "X" else " (out of reach)"),
+            label=f"{sign}  {_short(name)}" + ("" if marker != "D" else " (out of reach)"),
         )
         for sign, name, _, marker, color in places
     ]  # fmt: skip
