@@ -181,7 +181,7 @@ class Effort:
         int | None,
         Option(
             min=1,
-            help="Work for each route, the same on any machine, for time. 50000 is about 1 s.",
+            help="Work for each route, the same under any load, for time. 50000 is about 1 s.",
         ),
     ] = None
     time_limit: Annotated[float | None, Option(help="Time for each route [s].")] = None

@@ -90,7 +90,7 @@ class Mission(ReadOnly, html.Readable):
         Time for each route [s]; where not given, a second where tasks are few and less where they
         are many.
     planning_effort : int, optional
-        Units of work for each route, in place of the time: the same report on any machine; see
+        Units of work for each route, in place of the time: the same report under any load; see
         `energyplan.Budget`.
     name : str
         What to call the mission.

@@ -1,7 +1,7 @@
 """What planning may spend, and work that is done side by side within it.
 
 It is time by the clock, or units of work that are counted. By the clock a plan is as good as the
-machine is fast at that moment. Counted, the same query gives the same plan on any machine, under
+machine is fast at that moment. Counted, the same query gives the same plan under
 any load: nothing reads the clock. Side by side means threads: kernels do not hold Python's lock.
 """
 
