@@ -903,3 +903,37 @@ def test_lines_that_outgrow_their_room_in_one_search_are_known_to_the_next(monke
         monkeypatch.setattr(outlines, "no_links", cramped)
         seen.clear()
     assert values[0] == values[1]
+
+
+def test_kernels_agree_with_their_plain_twins():
+    rng = np.random.default_rng(5)
+    rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0, static(226.0, 165.0, 0.47))
+    before = rng.uniform(0, 500, HEADINGS)
+    one_line.spread(before, rates.radian * SPACING)
+    for strict in ((True, False), (False, False), (True, True)):
+        fast = one_line.along_line(before, 0.7, 1.3, rates, *strict)
+        plain = one_line.along_line.py_func(before, 0.7, 1.3, rates, *strict)
+        np.testing.assert_allclose(fast, plain, rtol=1e-12)
+    once = before.copy()
+    one_line.spread.py_func(once, rates.radian * SPACING)
+    np.testing.assert_allclose(once, before, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
+def test_no_path_of_a_small_robot_beats_the_bound(seed):
+    # hardly any half track and a small body: next to nothing is relaxed, so that an unsound
+    # bound shows
+    cost = nearly_a_point(200.0, 400.0 if seed % 2 else 80.0)
+    grid = cluttered(seed, 30)
+    poses = free_poses(grid, 16, seed, cost.vehicle)
+    compared = 0
+    for start, goal in zip(poses[::2], poses[1::2], strict=True):
+        problem = PlanningProblem(grid, cost, start, goal)
+        try:
+            found = plan(problem, effort=8_000, gap=0.0)
+        except (NoPathError, TimeLimitError):
+            continue
+        bound = lower_bound(CompiledProblem(problem), 1.5 * found.energy)
+        assert bound.value <= found.energy * (1 + 1e-9)
+        compared += 1
+    assert compared > 4

@@ -533,3 +533,16 @@ def test_missions_name_a_file_of_heights(folder):
 
 
 # -- constants -------------------------------------------------------------------------------------
+
+
+def test_bounds_of_a_mission_hold_on_slopes():
+    from energyplan.mission.legs import Legs
+
+    poses = [Pose(4, 3, 0.0), Pose(12, 9, 2.0)]
+    tasks = tuple(Task(f"t{k}", pose) for k, pose in enumerate(poses))
+    legs = Legs(mission(at_battery().model, heights=hills(8, 0.6), tasks=tasks))
+    bounds = legs.lower_bounds(0.0)
+    for i in range(3):
+        for j in range(3):
+            assert bounds[i, j] <= legs.leg(i, j, 0.0).energy.mean + 1e-6
+    assert bounds[0, 2] > 500
