@@ -247,3 +247,11 @@ def test_steering_misses_the_minimum_by_no_more_than_it_says() -> None:
     straight = float(cost.segment_energy(2.0, 0.0))
     found = float(steering.energy((0, 0, 0), (2.0, 0, 0), cost))
     assert (1 - cost.steering_error) * straight <= found <= (1 + 1e-9) * straight
+
+
+def test_hotel_load_adds_the_time_at_the_speed_limit() -> None:
+    model = with_vehicle(MODEL.with_term(HOTEL, 60.0), motor=MotorLimits(speed=1.2))
+    ds, dtheta = random_elements(1000)
+    expected = EnergyCost(MODEL).segment_energy(ds, dtheta)
+    expected = expected + 60.0 * (abs(ds) + C * abs(dtheta)) / 1.2
+    np.testing.assert_allclose(EnergyCost(model).segment_energy(ds, dtheta), expected, rtol=1e-9)

@@ -409,3 +409,33 @@ def test_a_motion_of_next_to_no_length_is_stopped_at_not_crawled_through(objecti
     )
     stop = float(vehicle.motor.speed) / 0.5
     assert made.duration <= plain.duration + 1.1 * stop
+
+
+def test_a_tighter_limit_never_makes_it_faster():
+    path = random_path(np.random.default_rng(11), 5)
+    for name, values in (
+        ("peak_power", (500, 300, 200)), ("acceleration", (3, 1, 0.3)),
+        ("speed", (1.2, 0.8, 0.4)), ("regeneration", (400, 50, 20)),
+    ):  # fmt: skip
+        times = [
+            profile(
+                path, INERTIA, vehicle=with_motor(**({"continuous_power": np.inf} | {name: value}))
+            ).duration
+            for value in values
+        ]
+        assert times == sorted(times), name
+
+
+def test_splitting_a_segment_changes_nothing():
+    path = Path(START, [2.0, 1.5], [0.0, 1.0])
+    whole, parts = profile(path, LOSSY), profile(path.subdivide(0.1, 0.1), LOSSY)
+    assert parts.duration == pytest.approx(whole.duration, rel=1e-9)
+
+
+def test_without_an_acceleration_limit_the_profile_is_length_over_speed():
+    path = Path(START, [2.0, 1.5, 0.0], [0.0, 1.0, 1.0])
+    vehicle = replace(PAPER.vehicle, motor=MotorLimits(speed=0.8, acceleration=np.inf))
+    length, _, _ = tread_length(path, vehicle.icr)
+    assert profile(path, PAPER, vehicle=vehicle).duration == pytest.approx(
+        length.sum() / 0.8, rel=1e-5
+    )
