@@ -1,7 +1,7 @@
 """Draw the figures that carry the argument, as vectors, into docs/images.
 
     python docs/figures.py              # all of them, a few minutes
-    python docs/figures.py range        # one: iso_energy, turns, bound, residual, told_taken, range
+    python docs/figures.py range        # one of them, by its name in FIGURES below
 
 Each is 5.2 inches wide in the library's style: readable in a phone's column and in print.
 """
@@ -23,6 +23,12 @@ from energyplan.io.files import bundled
 from energyplan.output import plots
 from energyplan.output.report import image
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
+from energyplan.planning import Budget
+from energyplan.planning.lattice.refine import refine
+from energyplan.planning.lattice.turning import cheapest_chain, ways_with_turns
+from energyplan.planning.lattice.way_along import poses_along
+from energyplan.planning.scene.compiled import compiled
+from energyplan.planning.scene.guide import distance_to_go
 from energyplan.power import HOTEL, effects
 
 HERE = Path(__file__).resolve().parent
@@ -82,6 +88,30 @@ def turns() -> Figure:
     plots.breakdown(bars, {name: plan.breakdown for name, plan in both.items()})
     for ax in (bars,):
         ax.spines[["top", "right"]].set_visible(False)
+    return made
+
+
+def planner() -> Figure:
+    """Follow the routes of a warehouse by exact motions, and refine them."""
+    problem = warehouse()
+    query = compiled(problem).leading
+    budget = Budget(effort=50_000)
+    to_go = distance_to_go(query.setting)
+    route = cheapest_chain(to_go, query.setting, np.zeros(1, bool), 50_000).chain
+    cells = poses_along(to_go.places, query.setting, route)
+    ways = ways_with_turns(query.setting, to_go, budget)
+    followed = [query.path(way) for way in ways]
+    refined = [query.path(refine(query, way, budget.part(0.2))) for way in ways]
+    best = min(refined, key=query.value)
+    made = Figure(figsize=(plots.WIDTH, 4.4), layout="constrained")
+    place = made.subplots()
+    plots.occupancy(place, problem.map)
+    for k, path in enumerate(followed):
+        label = {"label": f"{len(followed)} routes, followed by exact motions"} if k == 0 else {}
+        place.plot(*path.poses(0.05, 0.05)[:, :2].T, color=plots.RED, lw=1.0, **label)
+    place.plot(*cells[:, :2].T, ".", ms=4, color="0.4", label="cells of the first route")
+    plots.route(place, best, f"the best, optimised: {query.value(best):.0f} J", plots.BLUE, "-")
+    plots.legend(place, above=True)
     return made
 
 
@@ -183,7 +213,7 @@ def reach() -> Figure:
 
 FIGURES: dict[str, Callable[[], Figure]] = {
     "iso_energy": iso_energy, "turns": turns, "bound": bound, "residual": residual,
-    "told_taken": told_taken, "range": reach,
+    "told_taken": told_taken, "range": reach, "planner": planner,
 }  # fmt: skip
 
 
