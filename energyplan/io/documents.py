@@ -171,6 +171,14 @@ class Document:
                 message = f"there is no such key; {message}the keys are {', '.join(keys)}"
             elif first["type"] == "missing":
                 message = "this key is missing; give it a value"
+                lacking = [
+                    str(at[-1])
+                    for at, one in zip(places, every, strict=True)
+                    if one["type"] == "missing" and at[:-1] == place[:-1]
+                ]
+                if len(lacking) > 1:
+                    message = f"the keys {', '.join(lacking)} are missing; give each a value"
+                    place = place[:-1]
             elif first["type"] == "too_short":
                 message = (
                     f"the list has {first['ctx']['actual_length']} items; give at least "

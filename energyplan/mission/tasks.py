@@ -220,6 +220,8 @@ class Task:
     @classmethod
     def _distributions(cls, given: Any) -> Any:
         """Part what is given as a distribution into its mean and its standard deviation."""
+        if not isinstance(given, dict | ArgsKwargs):
+            return given  # pydantic refuses it by its kind
         values = given if isinstance(given, dict) else dict(given.kwargs or {})
         for key, kind in (("dwell", "time"), ("power", "power")):
             if isinstance(values.get(key), dict | list):

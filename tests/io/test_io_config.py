@@ -220,7 +220,7 @@ def test_malformed_vehicles_are_refused_with_their_place(tmp_path, text, words):
         (MODEL + "covariance: [[1, 0], [0]]\n", "line 6, covariance.1: the row has 1 of 2"),
         (MODEL + "covariance: [[1, 5], [0, 1]]\n", "symmetric"),
         (MODEL + "covariance: [[1]]\n", "shape"),
-        (MODEL + "residual: {rmse: 1}\n", "residual.mae: this key is missing"),
+        (MODEL + "residual: {rmse: 1}\n", "residual: the keys mae, bias, energy_error are missing"),
         (MODEL + "residual: {rmse: 1, mae: 1, bias: 0, energy_error: .nan}\n", "energy_error: "),
         ("kind: vehicle\n", "holds a 'vehicle', where a model"),
     ],
