@@ -17,9 +17,9 @@ import numpy as np
 sys.path.insert(0, str(FilePath(__file__).parents[1] / "tests"))
 
 from limits.fine_integral import fine_energy, random_case
+from limits.least_drive import least_energy
 
 from energyplan.cost import EnergyCost
-from energyplan.cost.least import least_energy
 from energyplan.errors import EnergyPlanError
 from energyplan.limits.feasibility import check
 from energyplan.path import Path, Pose, Trajectory

@@ -4,13 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_day import by_day
 from limits.fine_integral import fine_energy, random_case
+from limits.least_drive import least_energy
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
 from energyplan.path import Path, Pose, Trajectory
+from energyplan.planning.driven import counted
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits
@@ -193,3 +196,37 @@ def test_a_corner_is_rounded_only_where_it_may_be_and_where_the_footprint_is_fre
     assert near.duration > free.duration
     with pytest.raises(InvalidInputError, match="corners"):
         profile(path, model, smooth=[1.0, 0.0])
+
+
+@pytest.mark.parametrize("drawn", by_day([(0, 6), (0, 12), (1, 12)], [(0, 6)]))
+def test_no_drive_from_stop_to_stop_takes_less_than_the_infimum_over_all_speeds(drawn):
+    seed, cases = drawn
+    rng = np.random.default_rng([22, seed])
+    close = np.inf
+    for k in range(cases):
+        case = random_case(rng)
+        model = replace(case.model, vehicle=case.vehicle)
+        cost = EnergyCost(model, battery=bool(k % 3))
+        law = counted(cost).model
+        least = least_energy(case.path, cost)
+        objective = ("time", "energy")[k % 2]
+        made = profile(case.path, law, vehicle=case.vehicle, objective=objective)
+        taken = check(made, law, case.vehicle).energy
+        assert taken >= least * (1 - 1e-6), (k, objective)
+        close = min(close, taken / least)
+    assert close < 1.03
+
+
+def test_the_infimum_over_all_speeds_is_known_in_closed_form():
+    base = PowerModel.preset("quadriga:empty:concrete")
+    model = base.with_term(term("viscous_loss"), 40.0).with_term(term("hotel_load"), 20.0)
+    straight = Path(Pose(0, 0, 0), [3.0], [0.0])
+    # 226 + 2 * 40 v + 20 / v joules a metre: least at 0.5 m/s.
+    assert least_energy(straight, EnergyCost(model, speed=1.0)) == pytest.approx(3 * 306, rel=1e-9)
+    creeping = base.with_term(term("viscous_loss"), 40.0)
+    assert least_energy(straight, EnergyCost(creeping)) == pytest.approx(3 * 226, rel=1e-6)
+    # Continuous power for 0.2 m/s: a short drive can be faster, and computers run for less long.
+    slow = replace(base.vehicle, motor=MotorLimits(speed=1.0, continuous_power=113 * 0.2))
+    hungry = replace(base, vehicle=slow).with_term(term("hotel_load"), 20.0)
+    assert EnergyCost(hungry).energy(straight) == pytest.approx(3 * (226 + 100), rel=1e-9)
+    assert least_energy(straight, EnergyCost(hungry)) == pytest.approx(3 * (226 + 20), rel=1e-9)
