@@ -12,8 +12,7 @@ figures into docs/diagnosis.md.
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
-standstill; a gyroscope and a pose, or neither. Odd seeds fit one number, the temperature at which
-stated probabilities are true; even ones judge it. Effects that no power can tell apart count as
+standstill; a gyroscope and a pose, or neither. Effects that no power can tell apart count as
 one, and so do explanations that the report says these drives cannot tell apart. A border that no
 wheel of the training drives crosses is not hidden in them. Sizes are those that powers tell: of a
 border, with the sign of the side that the report calls beyond; of a resistance backwards beside a
@@ -32,7 +31,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis import FoundEffect
@@ -313,33 +311,8 @@ def stepped(log: DriveLog, step: float, powers: tuple[str, ...]) -> DriveLog:
     return DriveLog(channels, log.name)
 
 
-def tempered(
-    stated: tuple[tuple[tuple[str, ...], float], ...], temperature: float
-) -> dict[tuple[str, ...], float]:
-    """Return probabilities at another temperature than the one that they were stated at."""
-    powers = {key: value ** (1.0 / temperature) for key, value in stated if value > 0.0}
-    total = sum(powers.values())
-    return {key: value / total for key, value in powers.items()}
-
-
-def surprise(some: list[Outcome], temperature: float) -> float:
-    """Mean negative logarithm of what was stated of the truth."""
-    said = [tempered(one.stated, temperature).get(one.hidden, 0.0) for one in some]
-    return float(-np.mean(np.log(np.maximum(said, 1e-3))))
-
-
-def temperature(some: list[Outcome]) -> float:
-    """Return the temperature at which stated probabilities say most of the truth."""
-    found = minimize_scalar(
-        lambda log_t: surprise(some, float(np.exp(log_t))), bounds=(-1.0, 3.0), method="bounded"
-    )
-    return float(np.exp(found.x))
-
-
 def report(some: list[Outcome]) -> str:
     """Return the figures as a page has them."""
-    judged = [one for one in some if one.seed % 2 == 0]
-    learned = [one for one in some if one.seed % 2]
     pairs = [(p, key == one.hidden) for one in some for key, p in one.stated]
     stated, true = (np.array(part, float) for part in zip(*pairs, strict=True))
     rows = ["| stated | statements | mean stated | true |", "|---|---|---|---|"]
@@ -356,7 +329,6 @@ def report(some: list[Outcome]) -> str:
     whole = [one for one in some if one.adequate]
     sound = np.mean([one.first for one in whole]) if whole else np.nan
     silent = [one for one in some if one.verdict == "no_effect"]
-    fitted = temperature(learned)
     return "\n".join(
         [
             *rows, "",
@@ -371,10 +343,7 @@ def report(some: list[Outcome]) -> str:
             f"`no_effect` {len(silent)} times,",
             f"{sum(one.excess > 2.0 for one in silent)} of them with a residual of more than twice",
             f"the noise. Where `adequacy` reports nothing missing ({len(whole)} drives), the right",
-            f"explanation came first in {sound:.0%}. The temperature that scales the log",
-            f"probabilities, where 1 changes nothing, is {fitted:.2f} on the drives of odd seeds;",
-            f"on the others it moves the surprise from {surprise(judged, 1.0):.3f} to",
-            f"{surprise(judged, fitted):.3f} nats.", "",
+            f"explanation came first in {sound:.0%}.", "",
         ]
     )  # fmt: skip
 
