@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import functools
 import graphlib
-import importlib
+import importlib.util
 import inspect
 import re
 import subprocess
@@ -147,6 +147,24 @@ def test_no_module_imports_private_parts_of_another_package() -> None:
             if private and here[: private[0]] != parts[: private[0]]:
                 reached.append(f"{file.relative_to(ROOT)}: {module} {name}")
     assert reached == []
+
+
+def test_scripts_import_what_exists() -> None:
+    scripts = [
+        file for name in ("benchmarks", "examples", "docs") for file in (ROOT / name).glob("*.py")
+    ]
+    lost = []
+    for file in scripts:
+        for node in ast.walk(parsed(file)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("energyplan"):
+                module = importlib.import_module(str(node.module))
+                names = [one.name for one in node.names if not hasattr(module, one.name)]
+                lost += [
+                    f"{file.name}: {module.__name__}.{name}"
+                    for name in names
+                    if importlib.util.find_spec(f"{module.__name__}.{name}") is None
+                ]
+    assert lost == []
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
