@@ -145,7 +145,7 @@ def test_without_a_home_machine_code_is_kept_among_temporary_files(tmp_path: Pat
         "del os.getuid\n"
         "print(cache_folder())"
     )
-    found = run(code, TMPDIR=str(tmp_path)).stdout.split()
+    found = run(code, TMPDIR=str(tmp_path), XDG_CACHE_HOME="").stdout.split()
     assert found == [str(tmp_path / f"energyplan-{os.getuid()}"), str(tmp_path / "energyplan")]
 
 

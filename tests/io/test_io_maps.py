@@ -246,7 +246,7 @@ def test_nav2_maps(shared_data, name):
 @pytest.mark.shared
 def test_maps_and_masks_as_people_have_them(shared_data):
     field = shared_data / "field"
-    with pytest.raises(MapError, match="occupied_thresh: this key is missing"):
+    with pytest.raises(MapError, match="occupied_thresh, free_thresh are missing"):
         read_map(field / "thresholds_missing" / "map.yaml")
     with pytest.raises(MapError, match="seems to be a building of Open-RMF"):
         read_map(field / "openrmf_building_as_map" / "site.building.yaml")
