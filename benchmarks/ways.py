@@ -12,18 +12,49 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import resource
+import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "docs")]
+sys.path.append(str(ROOT / "tests"))
 
-from test_paths import WAYS, bring, commands  # noqa: E402
+from own_robot import bag, drive  # noqa: E402
 
+import energyplan as ep  # noqa: E402
+from energyplan.io.files import bundled, files_behind  # noqa: E402
+from energyplan.io.tables import write_log  # noqa: E402
+
+PAGE = (ROOT / "docs" / "paths.md").read_text()
+WAYS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
 MARKS = "<!-- ways: python benchmarks/ways.py -->", "<!-- end of ways -->"
+
+
+def commands(way: str) -> list[list[str]]:
+    """Return the words of each command of a way."""
+    lines = re.findall(r"^   (energyplan .*)$", WAYS[way], re.MULTILINE)
+    return [shlex.split(line) for line in lines]
+
+
+def bring(way: str, folder: Path) -> None:
+    """Put into the folder what the reader has, and nothing else."""
+    has = re.search(r"You have: (.*?)\n\n", WAYS[way], re.DOTALL)
+    assert has is not None
+    for name in re.findall(r"`([\w.]+)`", has[1]):
+        if name == "drive.csv":
+            truth = ep.PowerModel.preset("quadriga:full:marble")
+            noise = {"power_noise": 5.0, "speed_noise": 0.003}
+            write_log(ep.simulate.identification_drive(truth, seed=2, **noise), folder / name)
+        elif name == "bag":
+            bag(folder, drive())
+        elif name.endswith(".yaml"):
+            for file in files_behind(bundled(name)):
+                shutil.copy(file, folder)
 
 
 def spent() -> float:
