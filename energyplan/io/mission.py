@@ -19,7 +19,7 @@ from energyplan.io.files import bundled, is_file
 from energyplan.io.maps import PARTS, SiteFile, read_site
 from energyplan.kinds import amount, checked
 from energyplan.mission import Charger, Mission, Spreads, Task
-from energyplan.mission.tasks import Fraction, Mass, Place, Time, Uncertain, uncertain
+from energyplan.mission.tasks import Fraction, Mass, Place, Time, Uncertain, amount_of, uncertain
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.terrain import Site, with_weights
@@ -27,14 +27,14 @@ from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
 
-Amps = Annotated[float, BeforeValidator(partial(amount, "charge"))]
+Amps = Annotated[float, amount_of("charge")]
 Speed = Annotated[
     float | Literal["cheapest"],
     BeforeValidator(lambda value: value if value == "cheapest" else amount("speed", value)),
 ]
-Ohms = Annotated[float, BeforeValidator(partial(amount, "resistance"))]
-Volts = Annotated[float, BeforeValidator(partial(amount, "voltage"))]
-Current = Annotated[float, BeforeValidator(partial(amount, "current"))]
+Ohms = Annotated[float, amount_of("resistance")]
+Volts = Annotated[float, amount_of("voltage")]
+Current = Annotated[float, amount_of("current")]
 
 
 def _open(kind: str) -> PlainValidator:

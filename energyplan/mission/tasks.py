@@ -71,15 +71,16 @@ def checked_pose(value: ArrayLike, whose: str, *place: str | int) -> Pose:
 Record = TypeVar("Record")
 
 
-def _amount(kind: str) -> BeforeValidator:
+def amount_of(kind: str) -> BeforeValidator:
+    """Read a number that may carry a unit of a kind."""
     return BeforeValidator(partial(amount, kind))
 
 
-Number = Annotated[float, _amount("number")]
-Time = Annotated[float, _amount("time")]
-Power = Annotated[float, _amount("power")]
-Mass = Annotated[float, _amount("mass")]
-Fraction = Annotated[float, _amount("fraction")]
+Number = Annotated[float, amount_of("number")]
+Time = Annotated[float, amount_of("time")]
+Power = Annotated[float, amount_of("power")]
+Mass = Annotated[float, amount_of("mass")]
+Fraction = Annotated[float, amount_of("fraction")]
 
 
 class Uncertain(NamedTuple):
