@@ -1,8 +1,7 @@
 """What planning may spend, and work that is done side by side within it.
 
-It is time by the clock, or units of work that are counted. By the clock a plan is as good as the
-machine is fast at that moment. Counted, the same query gives the same plan under
-any load: nothing reads the clock. Side by side means threads: kernels do not hold Python's lock.
+It is time by the clock, or units of work: then nothing reads the clock, and the same query gives
+the same plan under any load. Threads work side by side: kernels do not hold the lock of Python.
 """
 
 from __future__ import annotations
