@@ -1,7 +1,4 @@
-"""How long the four ways of docs/paths.md take, step by step: processor time, cold and warm.
-
-    python benchmarks/ways.py                      print the table
-    python benchmarks/ways.py --out docs/paths.md  write it into that page
+"""How long the ways of docs/getting_started.md take, by step: processor time, cold and warm.
 
 Every command runs as a process of its own in an empty folder that holds only what the reader has.
 "Cold" begins with no compiled kernels, "warm" with those of the run before. Installing is not
@@ -10,7 +7,6 @@ timed: it depends on the network. All of it takes about ten minutes of processor
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import resource
@@ -30,14 +26,13 @@ import energyplan as ep  # noqa: E402
 from energyplan.io.files import bundled, files_behind  # noqa: E402
 from energyplan.io.tables import write_log  # noqa: E402
 
-PAGE = (ROOT / "docs" / "paths.md").read_text()
-WAYS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
-MARKS = "<!-- ways: python benchmarks/ways.py -->", "<!-- end of ways -->"
+PAGE = (ROOT / "docs" / "getting_started.md").read_text()
+WAYS = dict(re.findall(r"^## (.+?)\n(\nYou have: .*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
 
 
 def commands(way: str) -> list[list[str]]:
     """Return the words of each command of a way."""
-    lines = re.findall(r"^   (energyplan .*)$", WAYS[way], re.MULTILINE)
+    lines = re.findall(r"^ *(energyplan .*)$", WAYS[way], re.MULTILINE)
     return [shlex.split(line) for line in lines]
 
 
@@ -83,9 +78,9 @@ def run(words: list[str], folder: Path, kernels: Path) -> float:
     return spent() - begun
 
 
-def table() -> str:
-    """Return the table of the ways."""
-    lines = ["| way | steps that run | cold | warm |", "|---|---|---|---|"]
+def main() -> None:
+    """Time the ways; print a table."""
+    print("| way | steps that run | cold | warm |", "|---|---|---|---|", sep="\n")
     for way in WAYS:
         with tempfile.TemporaryDirectory() as kernels:
             told = []
@@ -95,21 +90,7 @@ def table() -> str:
                     told.append([run(c, Path(name), Path(kernels)) for c in commands(way)])
         names = ", ".join(f"`{words[1]}`" for words in commands(way))
         sums = [f"{sum(times):.0f} s ({' + '.join(f'{t:.0f}' for t in times)})" for times in told]
-        lines.append(f"| {way} | {names} | {' | '.join(sums)} |")
-        print(lines[-1], flush=True)
-    return "\n".join(lines)
-
-
-def main() -> None:
-    """Time the ways; write the table where asked to."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="page whose table is made anew")
-    out = parser.parse_args().out
-    text = table()
-    if out is not None:
-        before, _, rest = out.read_text().partition(MARKS[0])
-        _, _, after = rest.partition(MARKS[1])
-        out.write_text(f"{before}{MARKS[0]}\n{text}\n{MARKS[1]}{after}")
+        print(f"| {way} | {names} | {' | '.join(sums)} |", flush=True)
 
 
 if __name__ == "__main__":

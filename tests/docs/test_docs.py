@@ -37,7 +37,7 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 MODEL = ep.PowerModel.preset("quadriga:full:marble")
 FENCED = re.compile(r"^ *```(\w*)[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
-LENGTHY = {"closing_the_loop", "fleets", "gallery"}
+LENGTHY = {"closing_the_loop"}
 """Pages whose commands take as long as those of all others."""
 
 Command = Callable[[list[str]], str]
@@ -284,11 +284,11 @@ RECORDED = {"diagnose_engine": "quadriga_mujoco", "diagnose_husky": "vulpi/PLOUG
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", sorted(file.stem for file in (ROOT / "examples").glob("*.py")))
-def test_an_example_runs_as_the_gallery_says(
+def test_an_example_runs_as_the_overview_says(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    lines = [w for w in command_lines(DOCS / "gallery.md", "python") if f"/{name}.py" in w[0]]
-    assert len(lines) == 1, f"docs/gallery.md has {len(lines)} commands for {name}"
+    lines = [w for w in command_lines(DOCS / "index.md", "python") if f"/{name}.py" in w[0]]
+    assert len(lines) == 1, f"docs/index.md has {len(lines)} commands for {name}"
     folder = tmp_path
     if name in RECORDED:
         folder = request.getfixturevalue("shared_data") / RECORDED[name]
