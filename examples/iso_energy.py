@@ -1,6 +1,6 @@
 """Iso-energy surfaces around a pose, and the motions that attain the least energy.
 
-Draws the pictures of docs/steering.md:
+Draws the pictures of docs/planner.md:
 
     python examples/iso_energy.py [FOLDER]
 """

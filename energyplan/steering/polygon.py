@@ -6,7 +6,7 @@ here: half the slip track and joules, in the frame of the middle heading.
 An excursion beyond an end of the sweep costs its turning, out and back, and pays by the better
 heading for the straight line that is driven there. The derivative of the schedule's energy with
 respect to the excursion is known from the dual solution, so the best excursion is a root
-(docs/steering.md).
+(docs/planner.md).
 """
 
 from __future__ import annotations

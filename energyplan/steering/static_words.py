@@ -5,14 +5,14 @@ within the slip track ``1 + c`` per radian. The frame's x axis is the middle of 
 that the main sweep runs from ``-eta`` to ``+eta``, and ``(x, y)`` is the displacement.
 
 What a schedule of headings costs depends only on how often each heading is passed. Passing a
-heading twice that was already there never pays (docs/steering.md), so an optimal schedule is the
+heading twice that was already there never pays (docs/planner.md), so an optimal schedule is the
 main sweep, passed once, with an excursion beyond either end, passed twice. A dual vector ``p``
 says what happens along it: the robot pivots forwards where ``p.u > 0``, backwards where
 ``p.u < 0``, and drives straight where ``|p.u| = 1``. The cases that this leaves are solved in
 closed form; one needs a root of a cubic.
 
 Every word is a motion that can be driven, so the least of them is never below the optimum; that
-one of them attains it is what docs/steering.md derives.
+one of them attains it is what docs/planner.md derives.
 """
 
 from __future__ import annotations
