@@ -21,9 +21,9 @@ from scipy.optimize import brentq
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.kinds import checked
-from energyplan.limits._check import LimitedDrive, Survey, Thermal
 from energyplan.limits.course import SETTINGS, Course, Points, Sampled, times
 from energyplan.limits.drive import Drive, Ground
+from energyplan.limits.feasibility import LimitedDrive, Survey, Thermal
 from energyplan.limits.motor import ROUNDING, Limits
 from energyplan.limits.reach import UNLIMITED, Reach
 from energyplan.path import FloatArray, Path, Pose, Trajectory
@@ -160,11 +160,14 @@ def profile(
     Pham and Pham (2018), "A new approach to time-optimal path parameterization based on
     reachability analysis"; docs/theory, sections 2 and 3.
     """
-    for name, value in (
-        ("start_speed", start_speed), ("end_speed", end_speed), ("tolerance", tolerance),
+    lasting = 1.0 if duration is None else duration
+    for name, value, least in (
+        ("start_speed", start_speed, "number >= 0"), ("end_speed", end_speed, "number >= 0"),
+        ("tolerance", tolerance, "number >= 0"), ("period", period, "positive number"),
+        ("duration", lasting, "positive number"),
     ):  # fmt: skip
-        if not (np.isfinite(value) and value >= 0):
-            raise InvalidInputError(f"{name} is {value}; give a number >= 0")
+        if not (np.isfinite(value) and (value > 0 or (value == 0 and least == "number >= 0"))):
+            raise InvalidInputError(f"{name} is {value}; give a {least}")
     rounded = np.asarray(smooth, float)
     if rounded.shape not in ((), (max(len(path) - 1, 0),)) or not np.all(rounded >= 0):
         raise InvalidInputError(
@@ -173,9 +176,6 @@ def profile(
         )
     if objective not in ("time", "energy"):
         raise InvalidInputError(f"objective is {objective!r}; give 'time' or 'energy'")
-    for name, value in (("period", period), ("duration", 1.0 if duration is None else duration)):
-        if not (np.isfinite(value) and value > 0):
-            raise InvalidInputError(f"{name} is {value} s; give a positive number")
     if not (path.ds.any() or path.dtheta.any()):
         raise PathError("the path has no length; a speed profile needs a segment that moves")
     limits = Limits.of(
@@ -184,40 +184,22 @@ def profile(
         battery_power=battery_power,
         battery_return=battery_return,
     )
-    model, surfaces, heights = laid_out(model, _about(path), surfaces, heights)
-    known, ground = dict(channels or {}), Ground(model, surfaces, heights)
-    if heights is not None or ground.has_speed_limits:
-        part = _divided(path, surfaces, heights)
-        count = [len(piece) for piece in part]
-        if rounded.ndim:
-            rounded = np.repeat(np.append(rounded, 0.0), count)[:-1]
-            rounded[np.cumsum(count)[:-1] - 1] = np.asarray(smooth, float)
-        whole: tuple[int, ...] = (len(path),)
-        for name in [name for name, value in known.items() if np.shape(value) == whole]:
-            known[name] = np.repeat(np.asarray(known[name]), count)
-        ds, dtheta = (np.concatenate([getattr(p, of) for p in part]) for of in ("ds", "dtheta"))
-        path = Path(path.start, ds, dtheta, path.longitudinal)
-    if heights is not None:
-        known["slope"] = heights.slopes(path)
-    if ground.has_speed_limits:
-        halves = Path(
-            path.start, np.repeat(path.ds / 2, 2), np.repeat(path.dtheta / 2, 2), path.longitudinal
-        )
-        top_speed = ground.top_speed(halves.vertices[1::2])
-        known[GROUND_SPEED] = np.where(np.isfinite(top_speed), top_speed, 0.0)
+    ground = Ground(*laid_out(model, _about(path), surfaces, heights))
+    cut = _cut(path, ground, rounded, channels or {})
     speeds = start_speed, end_speed
     gain = min(limits.motor.acceleration, UNLIMITED)
     course = Course.of(
-        path, model.vehicle.icr, known, rounded, tolerance, speeds, gain, limits.motor.speed
-    )
+        cut.path, ground.model.vehicle.icr, cut.channels, cut.smooth, tolerance, speeds, gain,
+        limits.motor.speed,
+    )  # fmt: skip
     top = limits.motor.speed if np.isfinite(limits.motor.speed) else 1.0
-    points = course.points(top**2 / (2.0 * gain))
-    task = _Task(course, points, ground.leading(path), speeds)
+    task = _Task(course, course.points(top**2 / (2.0 * gain)), ground.leading(cut.path), speeds)
+    known = {name: course.channels[name] for name in channels or {}}
+    if ground.heights is not None:
+        known.pop("slope", None)  # that at each instant holds instead
 
     def survey(sampled: Sampled) -> Survey:
-        along = {name: value[sampled.run] for name, value in course.channels.items()}
-        for name in ("slope", GROUND_SPEED) if heights is not None else (GROUND_SPEED,):
-            along.pop(name, None)
+        along = {name: value[sampled.run] for name, value in known.items()}
         return LimitedDrive(Drive(sampled.trajectory, ground, along), limits).survey()
 
     found = _within(partial(task.solved, objective, duration, period), survey, limits)
@@ -226,8 +208,19 @@ def profile(
     return found.sampled.trajectory
 
 
-def _divided(path: Path, surfaces: SurfaceMap | None, heights: HeightMap | None) -> list[Path]:
-    """Cut each segment of a path at the borders of speed limits, and so that its slope is one."""
+class _Cut(NamedTuple):
+    """A path whose segments have each one slope and one speed limit of the ground."""
+
+    path: Path
+    smooth: FloatArray  # () or (n - 1,): as in `profile`
+    channels: dict[str, ArrayLike]  # () or (n,): with the slope and the speed limit
+
+
+def _cut(path: Path, ground: Ground, smooth: FloatArray, channels: Mapping[str, ArrayLike]) -> _Cut:
+    """Cut the segments of a path at borders of speed limits, and so that each has one slope."""
+    surfaces, heights, known = ground.surfaces, ground.heights, dict(channels)
+    if heights is None and not ground.has_speed_limits:
+        return _Cut(path, smooth, known)
     parts = []
     for pose, ds, turn in zip(path.vertices, path.ds, path.dtheta, strict=False):
         part = Path(Pose(*pose), np.array([ds]), np.array([turn]), path.longitudinal)
@@ -236,7 +229,22 @@ def _divided(path: Path, surfaces: SurfaceMap | None, heights: HeightMap | None)
         if heights is not None:
             part = part.subdivide(max(SETTINGS.sloped, 0.5 * heights.resolution), 0.2)
         parts.append(part)
-    return parts
+    count = [len(part) for part in parts]
+    if smooth.ndim:
+        corners, smooth = smooth, np.repeat(np.append(smooth, 0.0), count)[:-1]
+        smooth[np.cumsum(count)[:-1] - 1] = corners
+    for name, value in channels.items():
+        if np.shape(value) == (len(path),):
+            known[name] = np.repeat(np.asarray(value), count)
+    ds, dtheta = (np.concatenate([getattr(p, of) for p in parts]) for of in ("ds", "dtheta"))
+    path = Path(path.start, ds, dtheta, path.longitudinal)
+    if heights is not None:
+        known["slope"] = heights.slopes(path)
+    if ground.has_speed_limits:
+        halves = Path(path.start, np.repeat(ds / 2, 2), np.repeat(dtheta / 2, 2), path.longitudinal)
+        top = ground.top_speed(halves.vertices[1::2])
+        known[GROUND_SPEED] = np.where(np.isfinite(top), top, 0.0)
+    return _Cut(path, smooth, known)
 
 
 def _about(path: Path) -> FloatArray:
@@ -455,9 +463,9 @@ def _within(
             continue
         found = survey(sampled)
         worst: dict[str, float] = {}
-        for excess in found.excesses:
-            kind, limit = excess.bound.kind, excess.bound.limit
-            worst[kind] = max(worst.get(kind, 1.0), excess.peak / limit if limit > 0 else np.inf)
+        for one in found.violations:
+            excess = one.peak / one.limit if one.limit > 0 else np.inf
+            worst[one.kind] = max(worst.get(one.kind, 1.0), excess)
         worst.pop("continuous_power", None)
         if not worst:
             return _Found(tight, sampled, found.hot)
@@ -467,7 +475,7 @@ def _within(
             tight = _gentler(limits, gentle)
             continue
         tight = _tightened(tight, worst)
-    first = found.excesses[0]
+    first = found.violations[0]
     raise InfeasibleMotionError(
         f"no profile that keeps every limit was found: {first.bound.describe(first.peak)} at "
         f"{first.start:.3g} s; allow a little more of it"
