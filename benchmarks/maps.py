@@ -30,8 +30,8 @@ from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.planning.bound import prepare_bound
 from energyplan.planning.ready import compile_planning
 from energyplan.planning.replanning import replan
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import places_for
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import places_for
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 

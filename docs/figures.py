@@ -24,11 +24,11 @@ from energyplan.output import plots
 from energyplan.output.report import image
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
 from energyplan.planning import Budget
-from energyplan.planning.lattice.refine import refine
-from energyplan.planning.lattice.turning import cheapest_chain, ways_with_turns
-from energyplan.planning.lattice.way_along import poses_along
-from energyplan.planning.scene.compiled import compiled
-from energyplan.planning.scene.guide import distance_to_go
+from energyplan.planning.search.follow import poses_along
+from energyplan.planning.search.optimise import refine
+from energyplan.planning.search.routes import cheapest_chain, ways_with_turns
+from energyplan.planning.space.compiled import compiled
+from energyplan.planning.space.cost_to_go import distance_to_go
 from energyplan.power import HOTEL, effects
 
 HERE = Path(__file__).resolve().parent

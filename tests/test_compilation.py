@@ -185,7 +185,7 @@ def test_only_machine_code_that_was_not_used_for_long_is_deleted(
 
 def test_without_compilation_kernels_are_plain_functions() -> None:
     found = run(
-        "from energyplan.planning.scene.field import angle_between\n"
+        "from energyplan.planning.space.queues import angle_between\n"
         "from energyplan.compilation import compile_kernels\n"
         "print(angle_between(1.0, 2.0), compile_kernels('energyplan').compiled)",
         NUMBA_DISABLE_JIT="1",
@@ -294,7 +294,7 @@ def test_warmup_compiles_and_tells_what(
 ) -> None:
     monkeypatch.setenv("ENERGYPLAN_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(
-        "energyplan.compilation.kernel_modules", lambda: ["energyplan.planning.scene.field"]
+        "energyplan.compilation.kernel_modules", lambda: ["energyplan.planning.space.queues"]
     )
     monkeypatch.setattr(sys, "argv", ["energyplan", "warmup", "--json"])
     with pytest.raises(SystemExit) as end:

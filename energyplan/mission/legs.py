@@ -21,7 +21,7 @@ from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.driven import drive_path
-from energyplan.planning.scene.compiled import compiled
+from energyplan.planning.space.compiled import compiled
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle

@@ -24,7 +24,7 @@ from energyplan.planning.budget import Budget, cancellable
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
-from energyplan.planning.scene.compiled import compiled
+from energyplan.planning.space.compiled import compiled
 
 __all__ = [
     "PLANNERS",
@@ -42,7 +42,7 @@ _OMPL = "energyplan.planning.ompl"
 
 PLANNERS = {
     "lattice": Planner(
-        "energyplan.planning.lattice.planner:plan",
+        "energyplan.planning.search.planner:plan",
         surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
         costmap=True, turning=True,
     ),

@@ -22,7 +22,7 @@ from energyplan.kinds import check_fields
 from energyplan.path import Path, wrap_angle
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.space.compiled import CompiledProblem
 
 ARRIVED = 1e-6
 """How far from start and goal a path may begin and end [m], [rad]: rounding."""
@@ -90,7 +90,7 @@ class Planner:
 
     Examples
     --------
-    >>> Planner("energyplan.planning.lattice:lattice", surfaces=True).objectives
+    >>> Planner("energyplan.planning.search:lattice", surfaces=True).objectives
     ('energy',)
     """
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 from energyplan.errors import NoPathError
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import Candidate
-from energyplan.planning.lattice.tight_ends import ways_out
 from energyplan.planning.problem import KEPT, PlanningProblem, free_beside
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.search.tight_ends import ways_out
+from energyplan.planning.space.compiled import CompiledProblem
 
 LEAVING = 0.25
 """Part of the budget that may go into the ways to where the clearance is kept."""

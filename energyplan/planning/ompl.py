@@ -25,9 +25,9 @@ from energyplan.errors import TimeLimitError, UnknownNameError
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.scene.closure import check_way
-from energyplan.planning.scene.compiled import CompiledProblem, Segments, compiled
-from energyplan.planning.scene.motions import KernelProblem, drive, steering_cost
+from energyplan.planning.space.closure import check_way
+from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
+from energyplan.planning.space.motions import KernelProblem, drive, steering_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.terrain.collision import pose_free
 

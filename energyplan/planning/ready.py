@@ -8,10 +8,10 @@ from energyplan.compilation import KERNELS, compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound import prepare_bound
-from energyplan.planning.lattice.tight_ends import surely_roomy
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.scene.compiled import compiled
-from energyplan.planning.scene.guide import regions_for
+from energyplan.planning.search.tight_ends import surely_roomy
+from energyplan.planning.space.compiled import compiled
+from energyplan.planning.space.cost_to_go import regions_for
 
 PLANNING = (
     "energyplan.planning.",
@@ -25,13 +25,13 @@ PLANNING = (
 EXACT = ("energyplan.steering.polygon",)
 """Where the kernels are for costs that are not static."""
 
-SURFACES = ("energyplan.planning.bound.surface_excess", "energyplan.terrain.surfaces")
+SURFACES = ("energyplan.planning.bound.surfaces", "energyplan.terrain.surfaces")
 """Where the kernels are that only surfaces need."""
 
-TIGHT = ("energyplan.planning.lattice.escape_kernels",)
+TIGHT = ("energyplan.planning.search.tight_ends",)
 """Where the kernels are that only ends without room need."""
 
-CLOSED = ("energyplan.planning.scene.closure",)
+CLOSED = ("energyplan.planning.space.closure",)
 """Where the kernels are that only ends need that nothing seems to join."""
 
 
@@ -39,7 +39,7 @@ def kernels(
     cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
 ) -> tuple[str, ...]:
     """Return the modules whose kernels planning may call."""
-    import_module("energyplan.planning.lattice.planner")  # knows all that planning may call
+    import_module("energyplan.planning.search.planner")  # knows all that planning may call
     import_module("energyplan.planning.driven")
     static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
     left_out = CLOSED + (() if surfaces else SURFACES) + (() if tight else TIGHT)

@@ -33,10 +33,10 @@ from energyplan.planning.budget import Budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.ends import between_clear_ends, checked_ends
-from energyplan.planning.lattice import planner as lattice
 from energyplan.planning.problem import KEPT, PlanningProblem
 from energyplan.planning.ready import compile_planning
-from energyplan.planning.scene.compiled import Segments, compiled, merged
+from energyplan.planning.search import planner as lattice
+from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.terrain import OccupancyGrid
 
 AHEAD = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)

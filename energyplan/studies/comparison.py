@@ -15,7 +15,7 @@ from energyplan.path import FloatArray, Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.driven import stops_count
-from energyplan.planning.scene.compiled import compiled
+from energyplan.planning.space.compiled import compiled
 
 
 @dataclass(frozen=True)

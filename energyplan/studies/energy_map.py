@@ -20,13 +20,13 @@ from energyplan.fit.doubts import unfounded
 from energyplan.kinds import checked, numbers
 from energyplan.path import FloatArray, Pose, as_pose
 from energyplan.planning.budget import Budget
-from energyplan.planning.lattice import search as kernels
-from energyplan.planning.lattice.search import Search, coarse_lattice
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.scene import prices
-from energyplan.planning.scene.compiled import CompiledProblem, compiled
-from energyplan.planning.scene.guide import no_distance
-from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
+from energyplan.planning.search import lattice as kernels
+from energyplan.planning.search.lattice import Search, coarse_lattice
+from energyplan.planning.space import prices
+from energyplan.planning.space.compiled import CompiledProblem, compiled
+from energyplan.planning.space.cost_to_go import no_distance
+from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
 
 STEP = 0.01
 """Part of a standard deviation by which coefficients are changed to see what that does."""

@@ -12,7 +12,7 @@ from random_models import SIZES, random_model
 
 from energyplan import EnergyCost, PowerModel, SurfaceMap
 from energyplan.cost.bounds import SLACK, Infimum
-from energyplan.planning.scene.prices import Prices, least_prices
+from energyplan.planning.space.prices import Prices, least_prices
 from energyplan.power.effects import catalogue, term, with_weight
 from energyplan.terrain import Surface
 

@@ -189,7 +189,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 CHANGING = {
     "demo._Demo", "diagnosis.search.Evaluated", "fleet.evaluation._Drive",
     "live.watcher._Drawn", "live.watcher._Ground", "output.report.Page",
-    "planning.lattice.search.Search", "terrain.updates.Tables",
+    "planning.search.lattice.Search", "terrain.updates.Tables",
 }  # fmt: skip
 """Dataclasses that hold what a computation has so far."""
 

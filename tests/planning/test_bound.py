@@ -16,15 +16,23 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
-from energyplan.planning.bound import EFFORT, corners, ends, lower_bound, one_line, outlines
+from energyplan.planning.bound import EFFORT, corners, line, lower_bound
+from energyplan.planning.bound import outline as outlines
 from energyplan.planning.bound.corners import Ends, ways_to_goal
-from energyplan.planning.bound.ends import MOST, NORMALS, Beyond, Section, to_gate
-from energyplan.planning.bound.one_line import HEADINGS, Rates, gate
-from energyplan.planning.bound.outlines import DETAILS, _sights, sights
-from energyplan.planning.bound.sight import Links, no_links, sight
-from energyplan.planning.bound.surface_excess import _certain_regions, least_excess, least_steps
+from energyplan.planning.bound.line import (
+    HEADINGS,
+    MOST,
+    NORMALS,
+    Beyond,
+    Rates,
+    Section,
+    gate,
+    to_gate,
+)
+from energyplan.planning.bound.outline import DETAILS, Links, _sights, no_links, sight, sights
+from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import term
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap, Terrain
@@ -54,7 +62,7 @@ def nearly_a_point(metre, radian, half_track=0.01, size=0.05):
 @pytest.mark.parametrize("exact", [True, False])
 def test_outline_lies_within_the_grown_obstacles(exact, monkeypatch):
     if not exact:
-        monkeypatch.setattr("energyplan.planning.bound.outlines.MOST_RUNS", 0)
+        monkeypatch.setattr("energyplan.planning.bound.outline.MOST_RUNS", 0)
     grid = cluttered(2)
     radius = 0.318
     corners = outline(grid, radius)
@@ -212,7 +220,7 @@ def test_a_line_costs_no_more_than_any_way_along_it(seed):
         entered = rng.uniform(-np.pi, np.pi)
         before = rates.radian * np.abs(np.angle(np.exp(1j * (nodes - entered))))
         direction, length = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 3.0)
-        after = one_line.along_line(before, direction, length, rates, True, True)
+        after = line.along_line(before, direction, length, rates, True, True)
         # headings that are swept: from the entrance to `first`, then on to `last`, then to the exit
         first, last = entered + rng.uniform(-2, 2), entered + rng.uniform(-2, 2)
         swept = np.linspace(min(entered, first, last), max(entered, first, last), 400)
@@ -228,7 +236,7 @@ def test_a_line_is_charged_its_length_and_the_turn_into_it():
     rates = Rates(200.0, 150.0, 0.0, 0.0, 0.0, static(200.0, 150.0, 0.4))
     nodes = SPACING * np.arange(HEADINGS)
     before = rates.radian * np.abs(np.angle(np.exp(1j * nodes)))
-    after = one_line.along_line(before, np.pi / 3, 10.0, rates, True, True)
+    after = line.along_line(before, np.pi / 3, 10.0, rates, True, True)
     there = int(np.round(np.pi / 3 / SPACING))
     spare = 2 * rates.radian * SPACING
     turn = rates.radian * np.pi / 3
@@ -237,7 +245,7 @@ def test_a_line_is_charged_its_length_and_the_turn_into_it():
     assert after[0] == pytest.approx(2000 + 2 * turn, abs=spare)
     assert after[0] <= 2000 + 2 * turn
     # where the way may end up beside the line, some of that turn is saved, at a cost
-    beside = one_line.along_line(before, np.pi / 3, 10.0, rates, False, False)
+    beside = line.along_line(before, np.pi / 3, 10.0, rates, False, False)
     lag = np.linspace(0, np.pi / 3, 1001)
     exact = (2000 / np.cos(lag) + 2 * rates.radian * (np.pi / 3 - lag)).min()
     assert exact - spare <= beside[0] <= exact
@@ -252,16 +260,16 @@ def shortest_ways(direction, strict_left, strict_right):
     n = HEADINGS
     heading = SPACING * np.arange(n)
     u = np.column_stack([np.cos(heading), np.sin(heading)])
-    line = np.array([np.cos(direction), np.sin(direction)])
+    along = np.array([np.cos(direction), np.sin(direction)])
     aside = (heading - direction) % np.pi
     left = aside <= np.pi / 2
     free = ~np.where(left, strict_left, strict_right)
     with np.errstate(divide="ignore", invalid="ignore"):
-        one = np.where(free, 1.0 / np.abs(u @ line), np.inf)
+        one = np.where(free, 1.0 / np.abs(u @ along), np.inf)
         # solve m u_a + k u_b = line for all pairs
         cross = u[:, None, 0] * u[None, :, 1] - u[:, None, 1] * u[None, :, 0]
-        m = (line[0] * u[None, :, 1] - line[1] * u[None, :, 0]) / cross
-        k = (u[:, None, 0] * line[1] - u[:, None, 1] * line[0]) / cross
+        m = (along[0] * u[None, :, 1] - along[1] * u[None, :, 0]) / cross
+        k = (u[:, None, 0] * along[1] - u[:, None, 1] * along[0]) / cross
         pair = np.where(np.abs(cross) > 1e-9, np.abs(m) + np.abs(k), np.inf)
     length = np.full((n, n), np.inf)
     length[:, 0] = one
@@ -282,7 +290,7 @@ def test_past_a_line_no_way_over_the_nodes_costs_less_and_the_best_hardly_more(s
     turn = rates.radian * SPACING
     for length in (0.05, 0.6, 4.0):
         before = rng.uniform(0, 500, n)
-        one_line.spread(before, turn)
+        line.spread(before, turn)
         direction = rng.uniform(-np.pi, np.pi)
         ways = rates.metre * length * shortest_ways(direction, *strict)
         best = np.full(n, np.inf)
@@ -294,7 +302,7 @@ def test_past_a_line_no_way_over_the_nodes_costs_less_and_the_best_hardly_more(s
             down = (before[place] + turn * i).min(axis=1, keepdims=True) + turn * (2 * b - i)
             there = np.minimum(up, down) + ways[:, b, None]
             np.minimum.at(best, place, there)
-        found = one_line.along_line(before, direction, length, rates, *strict)
+        found = line.along_line(before, direction, length, rates, *strict)
         assert np.all(found <= best * (1 + 1e-9))
         # a node stands for the headings up to its neighbours, before and after; how far a way's
         # headings spread is told in classes, which hardly matters along long lines
@@ -415,7 +423,7 @@ def test_first_and_last_lines_cost_no_more_than_any_crossing(seed):
     # out from the start
     before = radian * np.abs(np.angle(np.exp(1j * (nodes - start)))) + metre * 1.5
     past = before.copy()
-    ends.from_start(past, section, to_goal, 1e6, rates, room_to_work())
+    line.from_start(past, section, to_goal, 1e6, rates, room_to_work())
     assert np.all(past >= before)
     exact = steering.energy(np.array([0.0, 0.0, start]), poses, cost)
     apart = np.abs(np.angle(np.exp(1j * (nodes[:, None] - headings))))
@@ -423,8 +431,8 @@ def test_first_and_last_lines_cost_no_more_than_any_crossing(seed):
     assert past.min() > before.min() + 1.0
     # and in to the goal
     reached = np.full(HEADINGS, 100.0) + rng.uniform(0, 400, HEADINGS)
-    one_line.spread(reached, radian * SPACING)
-    found = ends.to_end(reached, section, to_goal, 1e6, rates, room_to_work()).cost
+    line.spread(reached, radian * SPACING)
+    found = line.to_end(reached, section, to_goal, 1e6, rates, room_to_work()).cost
     last = steering.energy(
         np.column_stack([np.zeros((400, 2)), headings]),
         np.column_stack([poses[:, :2], np.full(400, goal)]),
@@ -557,7 +565,7 @@ def test_gaps_that_the_disc_does_not_pass_are_closed_however_coarse_the_outline(
             for exact in (True, False):
                 with pytest.MonkeyPatch.context() as patch:
                     if not exact:
-                        patch.setattr("energyplan.planning.bound.outlines.MOST_RUNS", 0)
+                        patch.setattr("energyplan.planning.bound.outline.MOST_RUNS", 0)
                     found = ways(grid, 0.32, (2.0, 3.3), (6.0, 3.3), detail=detail).least
                     assert (found < 4.3) == passes
                     assert passes or found > 5.5
@@ -909,13 +917,13 @@ def test_kernels_agree_with_their_plain_twins():
     rng = np.random.default_rng(5)
     rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0, static(226.0, 165.0, 0.47))
     before = rng.uniform(0, 500, HEADINGS)
-    one_line.spread(before, rates.radian * SPACING)
+    line.spread(before, rates.radian * SPACING)
     for strict in ((True, False), (False, False), (True, True)):
-        fast = one_line.along_line(before, 0.7, 1.3, rates, *strict)
-        plain = one_line.along_line.py_func(before, 0.7, 1.3, rates, *strict)
+        fast = line.along_line(before, 0.7, 1.3, rates, *strict)
+        plain = line.along_line.py_func(before, 0.7, 1.3, rates, *strict)
         np.testing.assert_allclose(fast, plain, rtol=1e-12)
     once = before.copy()
-    one_line.spread.py_func(once, rates.radian * SPACING)
+    line.spread.py_func(once, rates.radian * SPACING)
     np.testing.assert_allclose(once, before, rtol=1e-12)
 
 

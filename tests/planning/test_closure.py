@@ -14,8 +14,8 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.scene import closure as closing
-from energyplan.planning.scene.closure import (
+from energyplan.planning.space import closure as closing
+from energyplan.planning.space.closure import (
     FINEST,
     OF_A_CELL,
     chain_between,
@@ -23,9 +23,8 @@ from energyplan.planning.scene.closure import (
     look_closer,
     places_reached,
 )
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import places_for
-from energyplan.planning.scene.guide_kernels import HEADINGS, RIM
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import HEADINGS, RIM, places_for
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body, poses_free
 

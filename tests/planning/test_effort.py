@@ -138,10 +138,10 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
     fresh = problem()
     told = digest(plan(fresh, effort=3_000))
     monkeypatch.setattr("energyplan.planning.Budget", Clock)
-    watched("energyplan.planning.scene.guide.free_space")
-    watched("energyplan.planning.scene.guide.connect_places")
-    watched("energyplan.planning.bound.outlines._sights")
-    watched("energyplan.planning.bound.surface_excess._certain_regions")
+    watched("energyplan.planning.space.cost_to_go.free_space")
+    watched("energyplan.planning.space.cost_to_go.connect_places")
+    watched("energyplan.planning.bound.outline._sights")
+    watched("energyplan.planning.bound.surfaces._certain_regions")
     query = problem()
     assert digest(plan(query, effort=3_000)) == told
     # the first one only checks the numbers

@@ -9,10 +9,9 @@ from by_day import by_day
 from energyplan.cost import EnergyCost
 from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem
-from energyplan.planning.lattice.search import Search, lattice_for
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import distance_to_go, reached
-from energyplan.planning.scene.guide_kernels import node_at
+from energyplan.planning.search.lattice import Search, lattice_for
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import distance_to_go, node_at, reached
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 

@@ -7,7 +7,7 @@ import pytest
 from by_day import by_day
 
 from energyplan.path import Pose
-from energyplan.planning.scene.free_space import HEADINGS, free_space
+from energyplan.planning.space.configurations import HEADINGS, free_space
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body, poses_free
 

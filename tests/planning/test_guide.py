@@ -13,11 +13,17 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.path import Pose
 from energyplan.planning import Budget, PlanningProblem, plan
-from energyplan.planning.lattice.way_along import way_along
-from energyplan.planning.scene import guide
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import distance_to_go, places_for, reached, regions_for
-from energyplan.planning.scene.guide_kernels import RIM, node_at
+from energyplan.planning.search.follow import way_along
+from energyplan.planning.space import cost_to_go as guide
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import (
+    RIM,
+    distance_to_go,
+    node_at,
+    places_for,
+    reached,
+    regions_for,
+)
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 

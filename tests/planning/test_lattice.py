@@ -10,12 +10,12 @@ from energyplan.cost import EnergyCost
 from energyplan.path import Path, Pose, point_ahead
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.budget import UNLIMITED
-from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.lattice.search import Search, lattice_for
-from energyplan.planning.lattice.tight_ends import ways_out
-from energyplan.planning.scene import motions as motion_kernels
-from energyplan.planning.scene.compiled import CompiledProblem, Segments, merged
-from energyplan.planning.scene.guide import distance_to_go
+from energyplan.planning.search.lattice import Search, lattice_for
+from energyplan.planning.search.optimise import Refiner
+from energyplan.planning.search.tight_ends import ways_out
+from energyplan.planning.space import motions as motion_kernels
+from energyplan.planning.space.compiled import CompiledProblem, Segments, merged
+from energyplan.planning.space.cost_to_go import distance_to_go
 from energyplan.power import HOTEL, PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import TreadICR, Vehicle

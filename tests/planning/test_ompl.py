@@ -5,7 +5,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import UnknownNameError
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import ompl as adapter
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 

@@ -8,9 +8,9 @@ import pytest
 from energyplan.cost import EnergyCost
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.lattice.passage_kernels import follow, thread
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.motions import KernelProblem, drive
+from energyplan.planning.search.follow import follow, thread
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.motions import KernelProblem, drive
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body
 from energyplan.vehicle import Vehicle
@@ -81,10 +81,3 @@ def test_a_pose_with_nowhere_to_go_is_known_to_be_closed_in():
     ends = Pose(0.9, 1.0, 0.0), Pose(3.1, 1.0, 0.0)
     found = thread(setting, setting.body, *ends, 0.02, 64, 100_000)
     assert found.closed and len(found.poses) == 0
-
-
-def test_poses_of_one_place_are_joined_at_once():
-    setting, begin, _ = straight_gap()
-    end = Pose(begin.x + 0.3 * CELL, begin.y, begin.yaw)
-    found = thread(setting, setting.body, begin, end, CELL, HEADINGS, TESTS)
-    assert np.allclose(found.poses, [begin, end])

@@ -21,8 +21,8 @@ from energyplan.errors import (
 )
 from energyplan.path import Path
 from energyplan.planning import PLANNERS, PlanningProblem, plan
-from energyplan.planning.scene.closure import check_way, none_found
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.space.closure import check_way, none_found
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle

@@ -13,9 +13,9 @@ from energyplan.errors import InvalidInputError
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.motions import motion_cost
-from energyplan.planning.scene.prices import TIE_BREAK, Prices
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.motions import motion_cost
+from energyplan.planning.space.prices import TIE_BREAK, Prices
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.terrain import HeightMap, OccupancyGrid, Surface, SurfaceMap, path_price

@@ -19,7 +19,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import roadmap as rm
 from energyplan.planning.roadmap import traced
 from energyplan.planning.roadmap.routes import round_corner
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import VISCOUS_LOSS
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap

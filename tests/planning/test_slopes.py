@@ -26,9 +26,9 @@ from energyplan.limits.drive import Drive
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.scene import motions as kernels
-from energyplan.planning.scene import prices as _prices
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.space import motions as kernels
+from energyplan.planning.space import prices as _prices
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
 from energyplan.studies.comparison import compare

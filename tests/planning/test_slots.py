@@ -9,9 +9,9 @@ from by_day import by_day
 from energyplan.cost import EnergyCost
 from energyplan.path import Pose
 from energyplan.planning import Budget, PlanningProblem, plan
-from energyplan.planning.lattice.slots import grow, slack, slimmer
-from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.motions import KernelProblem, drive
+from energyplan.planning.search.slots import grow, slack, slimmer
+from energyplan.planning.space.compiled import CompiledProblem, Segments
+from energyplan.planning.space.motions import KernelProblem, drive
 from energyplan.steering.kernels import arc_end
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle

@@ -11,9 +11,9 @@ from energyplan.cost import EnergyCost
 from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem
 from energyplan.planning.driven import drive_path, drive_plan, stops_count
-from energyplan.planning.lattice import planner, stops
-from energyplan.planning.lattice.stops import stops_of
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.search import planner, stops
+from energyplan.planning.search.stops import stops_of
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
 from energyplan.studies.comparison import compare

@@ -14,9 +14,9 @@ from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.budget import UNLIMITED
-from energyplan.planning.lattice import escape_kernels as kernels
-from energyplan.planning.lattice.tight_ends import TURN, tight, ways_out
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.search import tight_ends as kernels
+from energyplan.planning.search.tight_ends import TURN, tight, ways_out
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle

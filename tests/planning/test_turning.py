@@ -15,11 +15,11 @@ from energyplan.errors import (
 from energyplan.path import Path
 from energyplan.planning import Candidate, Planner, PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.lattice.turning import cheapest_chain, ways_with_turns
-from energyplan.planning.lattice.way_along import way_along
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import distance_to_go
+from energyplan.planning.search.follow import way_along
+from energyplan.planning.search.optimise import Refiner
+from energyplan.planning.search.routes import cheapest_chain, ways_with_turns
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import distance_to_go
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import TreadICR, Vehicle
@@ -79,16 +79,6 @@ def test_a_way_that_was_passed_is_left_for_another_one():
     ways = ways_with_turns(setting, to_go, Budget(effort=200_000))
     lengths = [np.abs(way.ds).sum() for way in ways]
     assert len(ways) > 1 and lengths[0] != pytest.approx(lengths[1], rel=0.02)
-
-
-def test_a_closed_room_has_no_way():
-    problem = slalom()
-    occupied = problem.map.blocked.copy()
-    occupied[:, 30:34] = True
-    closed = replace(problem, map=OccupancyGrid(occupied, 0.05))
-    setting = CompiledProblem(closed).setting
-    to_go = distance_to_go(setting)
-    assert len(cheapest_chain(to_go, setting, np.zeros(1, bool), 100_000).chain) == 0
 
 
 # -- a least turning radius --

@@ -5,10 +5,9 @@ import pytest
 
 from energyplan.cost import EnergyCost
 from energyplan.planning import PlanningProblem
-from energyplan.planning.lattice.way_along import chain_along, poses_along
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import distance_to_go
-from energyplan.planning.scene.guide_kernels import HEADINGS
+from energyplan.planning.search.follow import chain_along, poses_along
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import HEADINGS, distance_to_go
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle

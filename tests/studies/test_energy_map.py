@@ -29,7 +29,7 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.io.tables import write_contours, write_energies
-from energyplan.planning.scene.compiled import CompiledProblem
+from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import Residual
 from energyplan.studies.energy_map import upper_prices
 

@@ -10,8 +10,8 @@ import shapely
 
 from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, SurfaceMap, plan
 from energyplan.errors import MapError
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.guide import places_for
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import places_for
 from energyplan.terrain import Terrain
 from energyplan.terrain.updates import Window, tables_of, window_of
 
@@ -102,7 +102,7 @@ def _unchecked(problem: PlanningProblem) -> CompiledProblem:
 
 
 def test_only_what_is_near_is_made_anew(monkeypatch):
-    from energyplan.planning.scene import free_space as made
+    from energyplan.planning.space import configurations as made
 
     grid = OccupancyGrid(np.zeros((800, 800), bool), 0.05)
     problem = PlanningProblem(grid, COST, (3, 3, 0), (17, 17, 0))

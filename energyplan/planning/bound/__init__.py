@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.planning.bound.corners import Ends, least_over_corners, ways_to_goal
-from energyplan.planning.bound.one_line import Rates
-from energyplan.planning.bound.outlines import DETAILS, Sights, sights
-from energyplan.planning.bound.sight import Outline
-from energyplan.planning.bound.surface_excess import certain_regions, least_excess
+from energyplan.planning.bound.line import Rates
+from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
+from energyplan.planning.bound.surfaces import certain_regions, least_excess
 from energyplan.planning.budget import Budget, Work, workers
-from energyplan.planning.scene.compiled import MARGIN, SHORT_TRACK, CompiledProblem
-from energyplan.planning.scene.guide import inscribed
-from energyplan.planning.scene.motions import KernelProblem, free_energy
+from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
+from energyplan.planning.space.cost_to_go import inscribed
+from energyplan.planning.space.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body
 

@@ -21,10 +21,19 @@ from energyplan.compilation import (
     ShortIntTable,
     njit,
 )
-from energyplan.planning.bound.ends import Section, from_start, no_tables, to_end
-from energyplan.planning.bound.one_line import HEADINGS, Rates, along_line, gate, pass_gate
-from energyplan.planning.bound.sight import Links, Outline, linked, side, sight
-from energyplan.planning.scene.field import (
+from energyplan.planning.bound.line import (
+    HEADINGS,
+    Rates,
+    Section,
+    along_line,
+    from_start,
+    gate,
+    no_tables,
+    pass_gate,
+    to_end,
+)
+from energyplan.planning.bound.outline import Links, Outline, linked, side, sight
+from energyplan.planning.space.queues import (
     angle_between,
     pop,
     push,

@@ -22,7 +22,6 @@ from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
-from energyplan.planning.lattice.refine import refine as refine_motions
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.roadmap.routes import (
     Graph,
@@ -34,11 +33,11 @@ from energyplan.planning.roadmap.routes import (
     energy_graph,
     positions,
 )
-from energyplan.planning.scene.compiled import CompiledProblem, compiled
-from energyplan.planning.scene.guide import distance_to_go
-from energyplan.planning.scene.guide_kernels import node_at
-from energyplan.planning.scene.motions import DIRECTIONS
-from energyplan.planning.scene.prices import Prices
+from energyplan.planning.search.optimise import refine as refine_motions
+from energyplan.planning.space.compiled import CompiledProblem, compiled
+from energyplan.planning.space.cost_to_go import distance_to_go, node_at
+from energyplan.planning.space.motions import DIRECTIONS
+from energyplan.planning.space.prices import Prices
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.terrain.collision import first_collision
 

@@ -25,11 +25,11 @@ from energyplan.errors import (
 )
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning.budget import Budget
-from energyplan.planning.lattice import planner as lattice
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.ready import compile_planning
 from energyplan.planning.roadmap.routes import Graph, State, edges_of
-from energyplan.planning.scene.compiled import compiled
+from energyplan.planning.search import planner as lattice
+from energyplan.planning.space.compiled import compiled
 
 EFFORT = 4000
 """Units of work for each edge."""

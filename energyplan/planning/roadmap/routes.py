@@ -21,7 +21,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError
 from energyplan.path import FloatArray, Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import UNLIMITED, Budget
-from energyplan.planning.scene.prices import Prices
+from energyplan.planning.space.prices import Prices
 from energyplan.terrain import SurfaceMap, path_price
 
 Graph = Any

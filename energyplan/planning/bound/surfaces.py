@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import FlagTable, FloatTable, njit
-from energyplan.planning.scene.compiled import CompiledProblem
-from energyplan.planning.scene.field import pop, push, with_room
+from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.queues import pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
 MOST_CELLS = 250_000

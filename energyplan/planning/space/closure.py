@@ -16,19 +16,22 @@ from numpy.typing import NDArray
 from energyplan.compilation import Flags, Ints, Words, njit
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import Budget
-from energyplan.planning.scene.compiled import MARGIN, CompiledProblem
-from energyplan.planning.scene.field import STEP_COLUMNS, STEP_ROWS, longer_ints
-from energyplan.planning.scene.free_space import shrunk
-from energyplan.planning.scene.guide import TURNS, distance_to_go, places_for, reached
-from energyplan.planning.scene.guide_kernels import (
+from energyplan.planning.space.compiled import MARGIN, CompiledProblem
+from energyplan.planning.space.configurations import shrunk
+from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     RIM,
+    TURNS,
     DistanceToGo,
     Places,
+    distance_to_go,
     heading_of,
     place_of,
+    places_for,
+    reached,
 )
-from energyplan.planning.scene.motions import KernelProblem
+from energyplan.planning.space.motions import KernelProblem
+from energyplan.planning.space.queues import STEP_COLUMNS, STEP_ROWS, longer_ints
 from energyplan.terrain.collision import Body, Space, pose_free
 
 NEIGHBOURS = 8

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from energyplan.compilation import Floats, Ints, ShortInts, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import Budget
-from energyplan.planning.scene.compiled import Segments
-from energyplan.planning.scene.field import angle_between, pop, push, slot_of
-from energyplan.planning.scene.guide_kernels import DistanceToGo, node_at
-from energyplan.planning.scene.motions import (
+from energyplan.planning.space.compiled import Segments
+from energyplan.planning.space.cost_to_go import DistanceToGo, node_at
+from energyplan.planning.space.motions import (
     KernelProblem,
     connection,
     free_energy,
@@ -28,6 +27,7 @@ from energyplan.planning.scene.motions import (
     motion_cost,
     price,
 )
+from energyplan.planning.space.queues import angle_between, pop, push, slot_of
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
 from energyplan.terrain.collision import in_cells, motion_free
 

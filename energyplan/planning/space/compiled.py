@@ -19,9 +19,9 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose, point_ahead
 from energyplan.planning.problem import PlanningProblem, is_length
-from energyplan.planning.scene import prices as _prices
-from energyplan.planning.scene.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
-from energyplan.planning.scene.prices import LeastPrices, Minorant, Prices, least_prices
+from energyplan.planning.space import prices as _prices
+from energyplan.planning.space.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
+from energyplan.planning.space.prices import LeastPrices, Minorant, Prices, least_prices
 from energyplan.terrain import OccupancyGrid, Terrain
 from energyplan.terrain.collision import Body, pose_free
 

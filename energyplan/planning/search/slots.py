@@ -16,18 +16,19 @@ import numpy as np
 
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.budget import Budget, Work
-from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.lattice.search import Search, lattice_for
-from energyplan.planning.lattice.way_along import way_along
-from energyplan.planning.scene.compiled import Segments
-from energyplan.planning.scene.guide import (
+from energyplan.planning.search.follow import way_along
+from energyplan.planning.search.lattice import Search, lattice_for
+from energyplan.planning.search.optimise import Refiner
+from energyplan.planning.space.compiled import Segments
+from energyplan.planning.space.cost_to_go import (
+    HEADINGS,
     TURNS,
+    DistanceToGo,
     distance_at_start,
     distance_through_slots,
     regions_for,
 )
-from energyplan.planning.scene.guide_kernels import HEADINGS, DistanceToGo
-from energyplan.planning.scene.motions import KernelProblem
+from energyplan.planning.space.motions import KernelProblem
 from energyplan.terrain.collision import Body, motions_free, poses_free
 
 AGAIN = 0.5

@@ -18,11 +18,11 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError, Planning
 from energyplan.path import Path
 from energyplan.planning.budget import Budget
 from energyplan.planning.driven import DrivenPath, drive_plan
-from energyplan.planning.lattice.refine import Refiner
-from energyplan.planning.lattice.turning import ways_with_turns
-from energyplan.planning.scene.compiled import CompiledProblem, Segments
-from energyplan.planning.scene.guide_kernels import DistanceToGo
-from energyplan.planning.scene.motions import DIRECTIONS, KernelProblem
+from energyplan.planning.search.optimise import Refiner
+from energyplan.planning.search.routes import ways_with_turns
+from energyplan.planning.space.compiled import CompiledProblem, Segments
+from energyplan.planning.space.cost_to_go import DistanceToGo
+from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
 
 WORTH = 1e-3
 """Part of the energy that stops must take for them to be looked at."""

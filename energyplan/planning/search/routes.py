@@ -16,17 +16,9 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import Flags, Ints, njit
 from energyplan.planning.budget import Budget
-from energyplan.planning.lattice.way_along import chain_from, way_along
-from energyplan.planning.scene.compiled import Segments
-from energyplan.planning.scene.field import (
-    STEP_COLUMNS,
-    STEP_ROWS,
-    angle_between,
-    pop,
-    push,
-    slot_of,
-)
-from energyplan.planning.scene.guide_kernels import (
+from energyplan.planning.search.follow import chain_from, way_along
+from energyplan.planning.space.compiled import Segments
+from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     RIM,
     STEPS,
@@ -36,12 +28,20 @@ from energyplan.planning.scene.guide_kernels import (
     node_at,
     to_and_fro,
 )
-from energyplan.planning.scene.motions import (
+from energyplan.planning.space.motions import (
     KernelProblem,
     motion_cost,
     price,
     surface_at,
     turn_prices,
+)
+from energyplan.planning.space.queues import (
+    STEP_COLUMNS,
+    STEP_ROWS,
+    angle_between,
+    pop,
+    push,
+    slot_of,
 )
 
 FACINGS = 16
