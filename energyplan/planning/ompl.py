@@ -11,7 +11,7 @@ wait for Python's lock for ever, and AORRTC ignores the objective.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import pairwise
 from math import inf
 from typing import Any
@@ -22,6 +22,7 @@ from typing_extensions import override
 
 from energyplan.compilation import njit
 from energyplan.errors import TimeLimitError, UnknownNameError
+from energyplan.path import Pose
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import PlanningProblem
@@ -31,21 +32,16 @@ from energyplan.planning.space.motions import KernelProblem, drive, steering_cos
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.terrain.collision import pose_free
 
-CALL = 0.5
-"""Units of work that a motion that OMPL asks for counts as."""
+MOTION, ESTIMATE = 0.5, 0.1
+"""Units of work of a motion that OMPL asks for, and of a round or a cost that it estimates."""
 
-ASKED = 0.1
-"""Units of work that each round of a planner, and each cost that it only estimates, count as."""
 
-_NO_PARAMETER = ("setName", "setProblemDefinition", "setup")
+def _pose(state: Any) -> Pose:
+    return Pose(state.getX(), state.getY(), state.getYaw())
 
 
 class EnergyObjective(base.OptimizationObjective):
-    """Cost of the exact minimum-energy motion between two states.
-
-    The cost is directed: driving back the way one came costs the same on level ground, but not on
-    every model, so that OMPL must not take it for symmetric.
-    """
+    """Cost of the exact minimum-energy motion between two states; it is directed."""
 
     def __init__(
         self, information: Any, query: CompiledProblem, budget: Budget = UNLIMITED
@@ -68,43 +64,27 @@ class EnergyObjective(base.OptimizationObjective):
     @override
     def motionCost(self, first: Any, second: Any) -> Any:
         """Return the cost of the exact motion from one state to another."""
-        self._budget.spend(CALL)
-        return base.Cost(
-            steering_cost(
-                self._setting,
-                first.getX(),
-                first.getY(),
-                first.getYaw(),
-                second.getX(),
-                second.getY(),
-                second.getYaw(),
-            )
-        )
+        self._budget.spend(MOTION)
+        return base.Cost(steering_cost(self._setting, _pose(first), _pose(second)))
 
     @override
     def motionCostHeuristic(self, first: Any, second: Any) -> Any:
         """Return what no motion from one state to another costs less than."""
-        self._budget.spend(ASKED)
-        return base.Cost(
-            steer_energy(
-                second.getX() - first.getX(),
-                second.getY() - first.getY(),
-                first.getYaw(),
-                second.getYaw(),
-                self._setting.steering,
-            )
-        )
+        self._budget.spend(ESTIMATE)
+        a, b = _pose(first), _pose(second)
+        steering = self._setting.steering
+        return base.Cost(steer_energy(b.x - a.x, b.y - a.y, a.yaw, b.yaw, steering))
 
 
 @njit
-def steering_free(
-    setting: KernelProblem, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
-) -> bool:
+def steering_free(setting: KernelProblem, pose: Pose, to: Pose) -> bool:
     """Tell whether the body is free along the exact steering motion between two poses."""
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
-    count = steer_path(to_x - x, to_y - y, yaw, to_yaw, setting.steering, ds, dtheta)
-    return drive(setting, x, y, yaw, ds, dtheta, count, inf) < inf
+    dx = to.x - pose.x
+    dy = to.y - pose.y
+    count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
+    return drive(setting, pose, ds, dtheta, count, inf) < inf
 
 
 class SteeringValidator(base.MotionValidator):
@@ -120,18 +100,8 @@ class SteeringValidator(base.MotionValidator):
     @override
     def checkMotion(self, first: Any, second: Any) -> bool:
         """Tell whether the motion from one state to another is free."""
-        self._budget.spend(CALL)
-        return bool(
-            steering_free(
-                self._setting,
-                first.getX(),
-                first.getY(),
-                first.getYaw(),
-                second.getX(),
-                second.getY(),
-                second.getYaw(),
-            )
-        )
+        self._budget.spend(MOTION)
+        return bool(steering_free(self._setting, _pose(first), _pose(second)))
 
 
 class PoseChecker(base.StateValidityChecker):
@@ -144,8 +114,7 @@ class PoseChecker(base.StateValidityChecker):
     @override
     def isValid(self, state: Any) -> bool:
         """Tell whether the footprint is free."""
-        x, y, yaw = state.getX(), state.getY(), state.getYaw()
-        return bool(pose_free(self._setting.space, self._setting.body, x, y, yaw))
+        return bool(pose_free(self._setting.space, self._setting.body, *_pose(state)))
 
 
 def pose_space(query: CompiledProblem) -> Any:
@@ -173,102 +142,17 @@ def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
     return state
 
 
-def end_states(space: Any, query: CompiledProblem) -> tuple[Any, Any]:
-    """Return states of OMPL's at start and goal."""
-    here = query.setting
-    return (
-        pose_state(space, here.start_x, here.start_y, here.start_yaw),
-        pose_state(space, here.goal_x, here.goal_y, here.goal_yaw),
-    )
-
-
-def set_parameters(planner: Any, name: str, parameters: Mapping[str, object]) -> None:
-    """Call the setters of one of OMPL's planners."""
-    for key, value in parameters.items():
-        setter = "set" + "".join(word.capitalize() for word in key.split("_"))
-        if not hasattr(planner, setter):
-            known = [m[3:] for m in dir(planner) if m.startswith("set") and m not in _NO_PARAMETER]
-            raise UnknownNameError(f"parameter of {name}", key, known)
-        getattr(planner, setter)(value)
-
-
-def condition(budget: Budget) -> Any:
-    """Return OMPL's termination condition for a budget."""
-
-    def over() -> bool:
-        # asking counts too: not every round of a planner tries a motion
-        budget.spend(ASKED)
-        return budget.over
-
-    return base.PlannerTerminationCondition(over)
-
-
-def none_in(name: str, budget: Budget, query: CompiledProblem, last: Any) -> TimeLimitError:
-    """Return the error that says that a planner of OMPL's found nothing within its budget.
-
-    `last` is the pose nearest to the goal that it reached; None where there is none.
-    """
-    near = ""
-    if last is not None:
-        x, y = last.getX(), last.getY()
-        left = float(np.hypot(x - query.setting.goal_x, y - query.setting.goal_y))
-        near = f"; it got as near to the goal as ({x:.2f}, {y:.2f}), {left:.2f} m from it"
+def _none(name: str, budget: Budget, query: CompiledProblem, near: Pose | None) -> TimeLimitError:
+    """Return the error that says that a planner of OMPL's found nothing within its budget."""
+    goal = query.setting.goal
+    text = "" if near is None else (
+        f"; it got as near to the goal as ({near.x:.2f}, {near.y:.2f}), "
+        f"{np.hypot(near.x - goal.x, near.y - goal.y):.2f} m from it"
+    )  # fmt: skip
     return TimeLimitError(
-        f"{name} found no path in {budget.name}{near}; give more {budget.remedy}, or use the "
+        f"{name} found no path in {budget.name}{text}; give more {budget.remedy}, or use the "
         "planner 'lattice'"
     )
-
-
-def _joined(query: CompiledProblem, states: list[tuple[float, float, float]]) -> Segments:
-    """Return the exact motions from one state to the next."""
-    ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
-    parts = [Segments(np.empty(0), np.empty(0))]
-    for (x, y, yaw), (to_x, to_y, to_yaw) in pairwise(states):
-        count = steer_path(to_x - x, to_y - y, yaw, to_yaw, query.setting.steering, ds, dtheta)
-        parts.append(Segments(ds[:count].copy(), dtheta[:count].copy()))
-    return Segments(
-        np.concatenate([part.ds for part in parts]), np.concatenate([part.dtheta for part in parts])
-    )
-
-
-def _geometric(
-    make: Callable[[Any], Any],
-    name: str,
-    problem: PlanningProblem,
-    budget: Budget,
-    seed: int,
-    parameters: Mapping[str, object],
-) -> Candidate:
-    """Let one of OMPL's geometric planners solve a problem."""
-    query = compiled(problem)
-    check_way(query)
-    util.setLogLevel(util.LOG_NONE)
-    util.RNG.setSeed(seed)
-    space = pose_space(query)
-    information = base.SpaceInformation(space)
-    checker = PoseChecker(information, query)
-    validator = SteeringValidator(information, query, budget)
-    information.setStateValidityChecker(checker)
-    information.setMotionValidator(validator)
-    information.setup()
-    definition = base.ProblemDefinition(information)
-    definition.setStartAndGoalStates(*end_states(space, query))
-    objective = EnergyObjective(information, query, budget)
-    definition.setOptimizationObjective(objective)
-    planner = make(information)
-    set_parameters(planner, name, parameters)
-    planner.setProblemDefinition(definition)
-    planner.setup()
-    planner.solve(condition(budget))
-    if not definition.hasExactSolution():
-        known = definition.hasApproximateSolution()
-        last = definition.getSolutionPath().getStates()[-1] if known else None
-        raise none_in(name, budget, query, last)
-    states = [
-        (state.getX(), state.getY(), state.getYaw())
-        for state in definition.getSolutionPath().getStates()
-    ]
-    return Candidate(query.path(_joined(query, states)))
 
 
 def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
@@ -277,7 +161,50 @@ def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
     def plan(
         problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
     ) -> Candidate:
-        return _geometric(make, name, problem, budget, seed, parameters)
+        query = compiled(problem)
+        check_way(query)
+        util.setLogLevel(util.LOG_NONE)
+        util.RNG.setSeed(seed)
+        space = pose_space(query)
+        information = base.SpaceInformation(space)
+        checker = PoseChecker(information, query)  # OMPL holds these no longer than Python does
+        validator = SteeringValidator(information, query, budget)
+        information.setStateValidityChecker(checker)
+        information.setMotionValidator(validator)
+        information.setup()
+        definition = base.ProblemDefinition(information)
+        ends = (pose_state(space, *end) for end in (query.setting.start, query.setting.goal))
+        definition.setStartAndGoalStates(*ends)
+        objective = EnergyObjective(information, query, budget)
+        definition.setOptimizationObjective(objective)
+        planner = make(information)
+        for key, value in parameters.items():
+            setter = "set" + "".join(word.capitalize() for word in key.split("_"))
+            if not hasattr(planner, setter):
+                known = sorted({m[3:] for m in dir(planner) if m.startswith("set")})
+                raise UnknownNameError(f"parameter of {name}", key, known)
+            getattr(planner, setter)(value)
+        planner.setProblemDefinition(definition)
+        planner.setup()
+
+        def over() -> bool:
+            budget.spend(ESTIMATE)  # not every round of a planner tries a motion
+            return budget.over
+
+        planner.solve(base.PlannerTerminationCondition(over))
+        if not definition.hasExactSolution():
+            near = None
+            if definition.hasApproximateSolution():
+                near = _pose(definition.getSolutionPath().getStates()[-1])
+            raise _none(name, budget, query, near)
+        poses = [_pose(state) for state in definition.getSolutionPath().getStates()]
+        ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+        parts = [np.empty((2, 0))]
+        for a, b in pairwise(poses):
+            steering = query.setting.steering
+            count = steer_path(b.x - a.x, b.y - a.y, a.yaw, b.yaw, steering, ds, dtheta)
+            parts.append(np.array([ds[:count], dtheta[:count]]))
+        return Candidate(query.path(Segments(*np.concatenate(parts, axis=1))))
 
     plan.__name__ = plan.__qualname__ = name
     return plan

@@ -355,7 +355,7 @@ def _search(setting: KernelProblem, lattice: kernels.Lattice, limit: float, effo
     search = Search(setting, no_distance(), lattice, 0.0)
     budget, status = Budget(effort=effort), kernels.RUNNING
     while status == kernels.RUNNING and search.frontier <= limit and not budget.over:
-        status = search.run(budget, stop_at_first=False, expansions=STRIDE)
+        status = search.run(budget, STRIDE)
     return search
 
 
@@ -377,7 +377,7 @@ def _table(
     rows, columns = _shape(setting, spacing)
     column = np.clip((space.cos * x + space.sin * y) / spacing, 0, columns - 1).astype(int)
     row = np.clip((-space.sin * x + space.cos * y) / spacing, 0, rows - 1).astype(int)
-    yaw = search.setting.start_yaw + tree.heading[:count][live] * lattice.turn - space.yaw
+    yaw = search.setting.start.yaw + tree.heading[:count][live] * lattice.turn - space.yaw
     heading = np.round(yaw / lattice.turn).astype(int) % lattice.headings
     out = np.full((lattice.headings, rows, columns), np.inf)
     np.minimum.at(out, (heading, row, column), tree.g[:count][live])

@@ -73,7 +73,7 @@ def first_path(problem: PlanningProblem) -> tuple[CompiledProblem, Search]:
     to_go = distance_to_go(asked.setting)
     for scale in (1.0, 0.5, 0.25, 0.125, 0.0625):
         search = Search(asked.setting, to_go, lattice_for(asked.setting, scale), 2.0)
-        search.run(Budget(), stop_at_first=True, expansions=EXPANSIONS)
+        search.run(Budget(), EXPANSIONS)
         if search.found:
             break
     return asked, search
@@ -117,7 +117,7 @@ def test_the_way_to_go_knows_what_the_body_cannot_pass():
     assert search.found
     assert max(asked.path(search.segments()).vertices[:, 1]) > 9.0
     to_go = distance_to_go(asked.setting)
-    node = node_at(to_go, grid.space, 2.5, 4.0, 0.0)
+    node = node_at(to_go, grid.space, Pose(2.5, 4.0, 0.0))
     # up, across and down again: no less than this, and little more
     assert 22.0 < to_go.distance[node] < 28.0
 

@@ -164,8 +164,7 @@ def test_few_regions_tell_what_all_places_tell(kind, monkeypatch):
         # what leads to the goal is told to
         assert np.isfinite(found.distance[np.isfinite(every.distance)]).all()
         if reached(every, kernel):
-            here = kernel.start_x, kernel.start_y, kernel.start_yaw
-            node = node_at(every, kernel.space, *here)
+            node = node_at(every, kernel.space, kernel.start)
             ratios.append(found.distance[node] / every.distance[node])
     # a way among fewer places is no shorter; in tight places that of the regions may be another
     assert len(ratios) >= 4

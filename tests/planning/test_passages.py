@@ -63,7 +63,7 @@ def test_motions_follow_poses_through_a_gap():
     ds, dtheta = np.empty((2, 10_000))
     led = follow(setting, found.poses, 10_000, ds, dtheta)
     assert led.last == len(found.poses) - 1
-    assert np.isfinite(drive(setting, *begin, ds, dtheta, led.motions, np.inf))
+    assert np.isfinite(drive(setting, begin, ds, dtheta, led.motions, np.inf))
 
 
 def test_poses_follow_no_gap_that_is_too_narrow():

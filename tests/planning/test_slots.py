@@ -56,8 +56,7 @@ def to_the_left(angle: float, poses: np.ndarray) -> float:
 
 def is_driven(setting: KernelProblem, way: Segments) -> bool:
     """Tell whether motions are free and lead from start to goal."""
-    pose = Pose(setting.start_x, setting.start_y, setting.start_yaw)
-    cost = drive(setting, *pose, way.ds, way.dtheta, len(way.ds), np.inf)
+    cost = drive(setting, setting.start, way.ds, way.dtheta, len(way.ds), np.inf)
     return bool(np.isfinite(cost))
 
 
@@ -88,10 +87,7 @@ def straight_through(spare: float) -> tuple[KernelProblem, Segments, float]:
     start = Pose(-1.2 * c - aside * s, -1.2 * s + aside * c, angle + askew)
     way = Segments(np.array([2.4]), np.array([0.0]))
     goal = arc_end(start, 2.4, 0.0)
-    setting = CompiledProblem(problem).setting._replace(
-        start_x=start.x, start_y=start.y, start_yaw=start.yaw,
-        goal_x=goal.x, goal_y=goal.y, goal_yaw=goal.yaw,
-    )  # fmt: skip
+    setting = CompiledProblem(problem).setting._replace(start=start, goal=goal)
     return setting, way, 0.1
 
 

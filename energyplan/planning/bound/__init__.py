@@ -61,7 +61,7 @@ def lower_bound(
 ) -> Bound:
     """Return a lower bound on the cost of every path from start to goal."""
     setting = query.setting
-    free = float(free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw))
+    free = float(free_energy(setting, setting.start))
     radius = inscribed(setting) - MARGIN * query.grid.resolution
     limit = BEYOND * cost
     if free >= limit or radius <= 0:
@@ -88,7 +88,7 @@ def prepare_bound(query: CompiledProblem) -> None:
     surfaces = query.problem.surfaces
     if surfaces is not None:
         certain_regions(query, surfaces)
-    ends = Ends(setting.start_x, setting.start_y, setting.goal_x, setting.goal_y)
+    ends = Ends(*setting.start[:2], *setting.goal[:2])
     apart = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
     coarsest = sights(grid, radius, DETAILS[-1]).outline
     finest = _finest(coarsest, ends, DETOURS[0] * apart)
@@ -101,8 +101,8 @@ def _without_obstacles(kernel: KernelProblem) -> float:
     """Return the least cost between the two poses where metres and radians are paid apart."""
     metre, radian = kernel.least_metre, kernel.least_radian
     if radian <= metre * SHORT_TRACK:
-        return metre * hypot(kernel.goal_x - kernel.start_x, kernel.goal_y - kernel.start_y)
-    return float(free_energy(_apart(kernel), kernel.start_x, kernel.start_y, kernel.start_yaw))
+        return metre * hypot(kernel.goal.x - kernel.start.x, kernel.goal.y - kernel.start.y)
+    return float(free_energy(_apart(kernel), kernel.start))
 
 
 def _apart(kernel: KernelProblem) -> KernelProblem:
@@ -121,8 +121,8 @@ def _among_obstacles(
     effort: float,
     spent: Spent,
 ) -> Bound:
-    ends = Ends(kernel.start_x, kernel.start_y, kernel.goal_x, kernel.goal_y)
-    turn = abs(remainder(kernel.goal_yaw - kernel.start_yaw, 2.0 * pi))
+    ends = Ends(*kernel.start[:2], *kernel.goal[:2])
+    turn = abs(remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi))
     # ways of that length cost more than the path that is known
     longest = (cost - kernel.least_radian * turn) / kernel.least_metre
     found = _fine_enough(grid, radius, ends, longest)
@@ -133,8 +133,8 @@ def _among_obstacles(
     rates = Rates(
         kernel.least_metre,
         kernel.least_radian,
-        kernel.start_yaw,
-        kernel.goal_yaw,
+        kernel.start.yaw,
+        kernel.goal.yaw,
         free,
         kernel.steering,
     )

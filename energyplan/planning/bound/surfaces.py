@@ -55,7 +55,7 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     reach = 1 + ceil(lateral / size)
     least = ndimage.minimum_filter(per_metre, 2 * reach + 1, mode="nearest")
     setting = query.setting
-    ends = [(setting.start_x, setting.start_y), (setting.goal_x, setting.goal_y)]
+    ends = [setting.start[:2], setting.goal[:2]]
     columns, rows = (grid.to_cells(ends) / factor).astype(int).T
     return float(
         least_steps(size * least, passable, rows[0], columns[0], rows[1], columns[1], limit)

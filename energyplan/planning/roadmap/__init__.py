@@ -304,7 +304,7 @@ def _first_reach(query: CompiledProblem) -> float:
     """Return how long a good route may be, in metres of the least price, its turns included."""
     setting = query.setting
     to_go = distance_to_go(setting)
-    start = node_at(to_go, setting.space, setting.start_x, setting.start_y, setting.start_yaw)
+    start = node_at(to_go, setting.space, setting.start)
     way = float(to_go.distance[start]) if start >= 0 else np.inf
     radian = float(setting.prices[0, DIRECTIONS // 4]) * setting.half_track
     return 1.02 * way + np.pi * radian / setting.least_metre

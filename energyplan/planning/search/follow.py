@@ -69,6 +69,12 @@ class Threaded(NamedTuple):
 
 
 @njit
+def _pose(poses: FloatTable, k: int) -> Pose:
+    """Return a row as a pose."""
+    return Pose(poses[k, 0], poses[k, 1], poses[k, 2])
+
+
+@njit
 def thread(
     setting: KernelProblem,
     roomy: Body,
@@ -237,7 +243,7 @@ def follow(
     at = 0
     written = 0
     tried = 0
-    here = Pose(poses[0, 0], poses[0, 1], poses[0, 2])
+    here = _pose(poses, 0)
     far = LONGEST
     while at < last and tried < limit and written + MAX_SEGMENTS <= len(ds):
         # so many poses further, or that part of the way to the next one
@@ -253,10 +259,7 @@ def follow(
                 here.yaw + part * turn,
             )
             tried += 1
-            cost, n = join(
-                setting, here.x, here.y, here.yaw, there.x, there.y, there.yaw, inf,
-                part_ds, part_dtheta,
-            )  # fmt: skip
+            cost, n = join(setting, here, there, inf, part_ds, part_dtheta)
             if cost < inf:
                 moved = True
                 for s in range(n):
@@ -362,7 +365,7 @@ def led_along(
                 break
         else:
             break
-    x, y = poses[at, :2].tolist() if len(poses) else (setting.start_x, setting.start_y)
+    x, y = poses[at, :2].tolist() if len(poses) else setting.start[:2]
     if at < end or not parts:
         return Led(None, x, y)
     return Led(Segments(*(np.concatenate([part[n] for part in parts]) for n in range(2))), x, y)
@@ -372,18 +375,14 @@ def _across(
     setting: KernelProblem, to_go: DistanceToGo, begin: FloatArray, end: FloatArray, budget: Budget
 ) -> Segments | None:
     """Return the motions that short searches find from one pose to another, if they find any."""
-    x, y, yaw = begin.tolist()
-    goal_x, goal_y, goal_yaw = end.tolist()
-    part = setting._replace(
-        start_x=x, start_y=y, start_yaw=yaw, goal_x=goal_x, goal_y=goal_y, goal_yaw=goal_yaw
-    )
+    part = setting._replace(start=Pose(*begin.tolist()), goal=Pose(*end.tolist()))
     for scale, most in ACROSS:
         search = Search(part, to_go, lattice_for(setting, scale), WEIGHT)
-        search.run(budget, stop_at_first=True, expansions=most)
+        search.run(budget, most)
         if search.found:
             return search.segments()
     cell = to_go.places.spacing * CELL
-    return _threaded(setting, Pose(x, y, yaw), Pose(goal_x, goal_y, goal_yaw), cell, budget)
+    return _threaded(setting, part.start, part.goal, cell, budget)
 
 
 def _threaded(
@@ -414,7 +413,7 @@ def _grown(body: Body, by: float) -> Body:
 @njit
 def chain_along(to_go: DistanceToGo, setting: KernelProblem) -> Ints:
     """Return the nodes from the start to the goal; none where the way is not known."""
-    start = node_at(to_go, setting.space, setting.start_x, setting.start_y, setting.start_yaw)
+    start = node_at(to_go, setting.space, setting.start)
     return chain_from(to_go, start if start >= 0 and to_go.distance[start] < inf else -1)
 
 
@@ -450,10 +449,10 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     # cost of being at a place with a heading, before and after the turn there
     cost = np.empty(HEADINGS)
     came = np.empty((count, HEADINGS), np.int64)
-    first = heading_of(space, setting.start_yaw)
-    last = heading_of(space, setting.goal_yaw)
+    first = heading_of(space, setting.start.yaw)
+    last = heading_of(space, setting.goal.yaw)
     if not even:
-        kind = surface_at(setting, setting.start_x, setting.start_y, setting.start_yaw)
+        kind = surface_at(setting, setting.start)
         per_turn = turning[kind] * turn
     for h in range(HEADINGS):
         off = abs(h - first)
@@ -468,7 +467,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
             up = (place // across - RIM + 0.5) * places.spacing
             x = space.x + space.cos * along - space.sin * up
             y = space.y + space.sin * along + space.cos * up
-            per_turn = turning[surface_at(setting, x, y, setting.start_yaw)] * turn
+            per_turn = turning[surface_at(setting, Pose(x, y, setting.start.yaw))] * turn
         if k > 0:
             row = places.home[chain[k]] // across - places.home[chain[k - 1]] // across
             column = places.home[chain[k]] % across - places.home[chain[k - 1]] % across
@@ -505,9 +504,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     # what is kept of these, from the goal back
     poses = np.empty((2 * count + 2, 3))
     kept = 1
-    poses[0, 0] = setting.goal_x
-    poses[0, 1] = setting.goal_y
-    poses[0, 2] = setting.goal_yaw
+    poses[0, :] = setting.goal
     gone = 0.0
     for k in range(count - 1, -1, -1):
         place = int(places.home[chain[k]])
@@ -530,9 +527,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 kept += 1
             gone = 0.0
         heading = before
-    poses[kept, 0] = setting.start_x
-    poses[kept, 1] = setting.start_y
-    poses[kept, 2] = setting.start_yaw
+    poses[kept, :] = setting.start
     return poses[: kept + 1][::-1].copy()
 
 
@@ -602,18 +597,7 @@ def join_poses(
             if steer_energy(dx, dy, poses[i, 2], poses[j, 2], setting.steering) >= left:
                 continue
             tried += 1
-            cost, _ = join(
-                setting,
-                poses[i, 0],
-                poses[i, 1],
-                poses[i, 2],
-                poses[j, 0],
-                poses[j, 1],
-                poses[j, 2],
-                left,
-                part_ds,
-                part_dtheta,
-            )
+            cost, _ = join(setting, _pose(poses, i), _pose(poses, j), left, part_ds, part_dtheta)
             if cost < left:
                 best[j] = best[i] + cost
                 before[j] = i
@@ -631,18 +615,7 @@ def join_poses(
     for k in range(n - 1, 0, -1):
         i = order[k]
         j = order[k - 1]
-        _, m = join(
-            setting,
-            poses[i, 0],
-            poses[i, 1],
-            poses[i, 2],
-            poses[j, 0],
-            poses[j, 1],
-            poses[j, 2],
-            inf,
-            part_ds,
-            part_dtheta,
-        )
+        _, m = join(setting, _pose(poses, i), _pose(poses, j), inf, part_ds, part_dtheta)
         for s in range(m):
             ds[written + s] = part_ds[s]
             dtheta[written + s] = part_dtheta[s]

@@ -8,11 +8,10 @@ straight along the heading, a pivot about either tread's ICR, or a spin.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, floor, hypot, inf, pi, remainder
-from typing import NamedTuple, TypeVar
+from math import atan2, floor, hypot, inf, pi
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.compilation import Floats, Ints, ShortInts, njit
 from energyplan.path import Pose
@@ -21,7 +20,6 @@ from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.cost_to_go import DistanceToGo, node_at
 from energyplan.planning.space.motions import (
     KernelProblem,
-    connection,
     free_energy,
     join,
     motion_cost,
@@ -65,19 +63,19 @@ class Tree(NamedTuple):
     heap_f: Floats  # binary heap of open nodes
     heap_node: ShortInts  # binary heap of open nodes
     counts: Ints  # (5,)
-    best: Floats  # (1,): cost of the best motion to the goal so far
 
 
 @njit
-def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, yaw: float) -> float:
+def _estimate(setting: KernelProblem, to_go: DistanceToGo, pose: Pose) -> float:
     """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
     space = setting.space
-    node = node_at(to_go, space, x, y, yaw)
+    yaw = pose.yaw
+    node = node_at(to_go, space, pose)
     if node < 0 or to_go.distance[node] == inf:
         return inf
     # 16 neighbours overestimate distances by up to 2.8 per cent
     far = 0.973 * float(to_go.distance[node])
-    turn = angle_between(yaw, setting.goal_yaw)
+    turn = angle_between(yaw, setting.goal.yaw)
     if far > to_go.far:
         # on its way the robot takes the heading of the way, or drives it backwards
         ahead = float(to_go.direction[node]) + space.yaw
@@ -85,13 +83,13 @@ def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, y
         for way in range(2):
             heading = ahead + way * pi
             through = min(
-                through, angle_between(yaw, heading) + angle_between(heading, setting.goal_yaw)
+                through, angle_between(yaw, heading) + angle_between(heading, setting.goal.yaw)
             )
         turn = max(turn, through - 2.0 * TOLERANCE)
     round_obstacles = setting.least_metre * far + setting.least_radian * turn
     # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
-    dx = setting.goal_x - x
-    dy = setting.goal_y - y
+    dx = setting.goal.x - pose.x
+    dy = setting.goal.y - pose.y
     above = round_obstacles - setting.steering.per_metre * hypot(dx, dy)
     if above >= 0.0:
         straight = atan2(dy, dx)
@@ -99,11 +97,11 @@ def _estimate(setting: KernelProblem, to_go: DistanceToGo, x: float, y: float, y
         for way in range(2):
             heading = straight + way * pi
             turning = min(
-                turning, angle_between(yaw, heading) + angle_between(heading, setting.goal_yaw)
+                turning, angle_between(yaw, heading) + angle_between(heading, setting.goal.yaw)
             )
         if above >= setting.steering.per_radian * turning:
             return round_obstacles
-    return max(round_obstacles, free_energy(setting, x, y, yaw))
+    return max(round_obstacles, free_energy(setting, pose))
 
 
 @njit
@@ -128,7 +126,6 @@ def grow(
     lattice: Lattice,
     weight: float,
     expansions: int,
-    stop_at_first: bool,
     limit: float,
 ) -> int:
     """Expand nodes until a motion to the goal is found, or so many were expanded."""
@@ -137,15 +134,15 @@ def grow(
     half = setting.half_track
     even = setting.surface.size == 1
     capacity = len(tree.x)
+    to_ds = np.empty(MAX_SEGMENTS)
+    to_dtheta = np.empty(MAX_SEGMENTS)
     if counts[0] == 0:
-        tree.x[0] = setting.start_x
-        tree.y[0] = setting.start_y
+        tree.x[0] = setting.start.x
+        tree.y[0] = setting.start.y
         tree.heading[0] = 0
         tree.g[0] = 0.0
         if weight > 0:
-            tree.h[0] = _estimate(
-                setting, to_go, setting.start_x, setting.start_y, setting.start_yaw
-            )
+            tree.h[0] = _estimate(setting, to_go, setting.start)
         tree.parent[0] = -1
         tree.key[0] = _key(space.x, space.y, lattice, tree.x[0], tree.y[0], 0)
         tree.table[slot_of(tree.table, tree.key, tree.key[0])] = 0
@@ -166,9 +163,6 @@ def grow(
         g = tree.g[node]
         if f > g + weight * tree.h[node] + 1e-9:
             continue
-        if f >= tree.best[0]:
-            # what is left costs more, or at least more than best / weight
-            return EXHAUSTED
         if g + tree.h[node] >= limit:
             continue
         counts[2] += 1
@@ -176,7 +170,8 @@ def grow(
         x = tree.x[node]
         y = tree.y[node]
         index = int(tree.heading[node])
-        yaw = setting.start_yaw + index * lattice.turn
+        yaw = setting.start.yaw + index * lattice.turn
+        here = Pose(x, y, yaw)
 
         # the nearer the goal, the more often the exact motion to it is tried
         if (
@@ -184,17 +179,13 @@ def grow(
             and counts[4] * setting.half_track * setting.least_metre >= 0.2 * tree.h[node]
         ):
             counts[4] = 0
-            through = g + connection(setting, x, y, yaw, tree.best[0] - g)
-            if through < tree.best[0]:
-                tree.best[0] = through
+            if join(setting, here, setting.goal, inf, to_ds, to_dtheta)[0] < inf:
                 counts[3] = node
-                if stop_at_first:
-                    return FOUND
+                return FOUND
 
-        here = in_cells(space, x, y)
+        at = in_cells(space, x, y)
         room = (
-            float(space.clearance[int(here.row), int(here.column)]) * space.resolution
-            - setting.reach
+            float(space.clearance[int(at.row), int(at.column)]) * space.resolution - setting.reach
         )
         for motion in range(MOTIONS):
             ds = 0.0
@@ -216,13 +207,13 @@ def grow(
                 ds = room if motion == 8 else -room
             dtheta = step * lattice.turn
             heading = (index + step) % lattice.headings
-            there = arc_end(Pose(x, y, yaw), ds, dtheta)
+            there = arc_end(here, ds, dtheta)
             xx = there.x
             yy = there.y
             if even:
                 gg = g + price(setting.prices, 0, half, ds, dtheta)
             else:
-                gg = g + motion_cost(setting, x, y, yaw, ds, dtheta)
+                gg = g + motion_cost(setting, here, ds, dtheta)
             key = _key(space.x, space.y, lattice, xx, yy, heading)
             slot = slot_of(tree.table, tree.key, key)
             other = int(tree.table[slot])
@@ -232,10 +223,10 @@ def grow(
                     continue
                 h = tree.h[other]
                 if weight > 0 and (tree.x[other] - xx) ** 2 + (tree.y[other] - yy) ** 2 > 1e-12:
-                    h = _estimate(setting, to_go, xx, yy, yaw + dtheta)
+                    h = _estimate(setting, to_go, Pose(xx, yy, yaw + dtheta))
             else:
-                h = _estimate(setting, to_go, xx, yy, yaw + dtheta) if weight > 0 else 0.0
-            if gg + h >= min(tree.best[0], limit):
+                h = _estimate(setting, to_go, Pose(xx, yy, yaw + dtheta)) if weight > 0 else 0.0
+            if gg + h >= limit:
                 continue
             if not motion_free(space, setting.body, x, y, yaw, ds, dtheta, 0.0):
                 continue
@@ -258,8 +249,6 @@ def grow(
             counts[1] = push(tree.heap_f, tree.heap_node, counts[1], gg + weight * h, new)
     return RUNNING
 
-
-Number = TypeVar("Number", bound=np.generic)
 
 HEADINGS, MOST_HEADINGS = 32, 512
 """Headings of the coarsest lattice, and of the finest one."""
@@ -287,93 +276,47 @@ def coarse_lattice(setting: KernelProblem) -> Lattice:
 
 @dataclass
 class Search:
-    """One search tree."""
+    """One search tree; with a weight of zero it has no goal."""
 
     setting: KernelProblem  # the problem
     to_go: DistanceToGo  # distance to go
     lattice: Lattice  # resolution
     weight: float  # factor on the estimated cost to go
-    aligned: bool = False
 
     def __post_init__(self) -> None:
-        here = self.setting
-        self.spin = 0.0
-        if self.aligned and here.least_radius == 0.0:
-            turn = self.lattice.turn
-            spin = -remainder(here.start_yaw - here.space.yaw, turn)
-            pose = here.start_x, here.start_y, here.start_yaw
-            if motion_free(here.space, here.body, *pose, 0.0, spin, 0.0):
-                self.spin = spin
-                self.setting = here._replace(start_yaw=here.start_yaw + spin)
         nodes = 1 << 14
+        x, y, g, h, ds, dtheta, heap_f = np.zeros((7, nodes))
+        heading, parent, heap_node = np.zeros((3, nodes), np.int32)
+        key, table = np.zeros(nodes, np.int64), np.full(4 * nodes, -1, np.int32)
+        counts = np.array([0, 0, 0, -1, 1 << 30], np.int64)
         self.tree = Tree(
-            x=np.zeros(nodes),
-            y=np.zeros(nodes),
-            heading=np.zeros(nodes, np.int32),
-            g=np.zeros(nodes),
-            h=np.zeros(nodes),
-            parent=np.full(nodes, -1, np.int32),
-            ds=np.zeros(nodes),
-            dtheta=np.zeros(nodes),
-            key=np.zeros(nodes, np.int64),
-            table=np.full(4 * nodes, -1, np.int32),
-            heap_f=np.zeros(nodes),
-            heap_node=np.zeros(nodes, np.int32),
-            counts=np.array([0, 0, 0, -1, 1 << 30], np.int64),
-            best=np.array([np.inf]),
+            x, y, heading, g, h, parent, ds, dtheta, key, table, heap_f, heap_node, counts
         )
-        self._grow(0, False, np.inf)
+        self._grow(0, np.inf)
 
     def _enlarge(self) -> None:
         """Double every array, and rebuild the hash table."""
+        tree, kept = self.tree, ("table", "counts")
+        double = {
+            name: np.concatenate([array, np.zeros_like(array)])
+            for name, array in tree._asdict().items()
+            if name not in kept
+        }
+        self.tree = tree._replace(**double, table=np.full(2 * len(tree.table), -1, np.int32))
+        rehash(self.tree, int(tree.counts[0]))
 
-        def double(array: NDArray[Number]) -> NDArray[Number]:
-            return np.concatenate([array, np.zeros_like(array)])
-
-        tree = self.tree
-        count = int(tree.counts[0])
-        larger = tree._replace(
-            x=double(tree.x),
-            y=double(tree.y),
-            heading=double(tree.heading),
-            g=double(tree.g),
-            h=double(tree.h),
-            parent=double(tree.parent),
-            ds=double(tree.ds),
-            dtheta=double(tree.dtheta),
-            key=double(tree.key),
-            heap_f=double(tree.heap_f),
-            heap_node=double(tree.heap_node),
-            table=np.full(2 * len(tree.table), -1, np.int32),
-        )
-        rehash(larger, count)
-        self.tree = larger
-
-    def _grow(self, expansions: int, stop_at_first: bool, limit: float) -> int:
+    def _grow(self, expansions: int, limit: float) -> int:
         return grow(
-            self.tree,
-            self.setting,
-            self.to_go,
-            self.lattice,
-            self.weight,
-            expansions,
-            stop_at_first,
-            limit,
+            self.tree, self.setting, self.to_go, self.lattice, self.weight, expansions, limit
         )
 
-    def run(
-        self,
-        budget: Budget,
-        stop_at_first: bool,
-        expansions: int | None = None,
-        limit: float = np.inf,
-    ) -> int:
+    def run(self, budget: Budget, expansions: float = np.inf, limit: float = np.inf) -> int:
         """Search until something is found, nothing is left, or the budget is over."""
-        most = np.inf if expansions is None else self.tree.counts[2] + expansions
+        most = self.tree.counts[2] + expansions
         while True:
             before = int(self.tree.counts[2])
             slice_ = int(min(SLICE, max(most - before, 1), max(budget.left / EXPANSION, 1)))
-            status = self._grow(slice_, stop_at_first, limit)
+            status = self._grow(slice_, limit)
             budget.spend(EXPANSION * (int(self.tree.counts[2]) - before))
             if status == FULL:
                 self._enlarge()
@@ -381,11 +324,6 @@ class Search:
                 return status
             if budget.over or self.tree.counts[2] >= most:
                 return RUNNING
-
-    @property
-    def best(self) -> float:
-        """Cost of the best motion to the goal so far; infinite where none is known."""
-        return float(self.tree.best[0])
 
     @property
     def found(self) -> bool:
@@ -403,33 +341,18 @@ class Search:
         node = int(np.argmin(self.tree.h[: int(self.tree.counts[0])]))
         return float(self.tree.x[node]), float(self.tree.y[node])
 
-    def segments(self, setting: KernelProblem | None = None, node: int | None = None) -> Segments:
-        """Return the motions to the goal; by way of `node` to that of `setting`, where given."""
-        tree = self.tree
-        setting = self.setting if setting is None else setting
-        node = int(tree.counts[3]) if node is None else node
-        last = (
-            float(tree.x[node]),
-            float(tree.y[node]),
-            self.setting.start_yaw + int(tree.heading[node]) * self.lattice.turn,
-        )
-        chain = []
+    def segments(self) -> Segments:
+        """Return the motions to the goal."""
+        tree, chain = self.tree, []
+        last = node = int(tree.counts[3])
         while tree.parent[node] >= 0:
-            chain.append((float(tree.ds[node]), float(tree.dtheta[node])))
+            chain.append((tree.ds[node], tree.dtheta[node]))
             node = int(tree.parent[node])
+        yaw = self.setting.start.yaw + int(tree.heading[last]) * self.lattice.turn
+        pose = Pose(float(tree.x[last]), float(tree.y[last]), yaw)
+        ds, dtheta = np.empty((2, MAX_SEGMENTS))
+        _, count = join(self.setting, pose, self.setting.goal, np.inf, ds, dtheta)
         steps = np.array(chain[::-1]).reshape(-1, 2)
-        ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
-        _, count = join(
-            setting,
-            *last,
-            setting.goal_x,
-            setting.goal_y,
-            setting.goal_yaw,
-            np.inf,
-            ds,
-            dtheta,
-        )
         return Segments(
-            np.concatenate([[0.0], steps[:, 0], ds[:count]]),
-            np.concatenate([[self.spin], steps[:, 1], dtheta[:count]]),
+            np.concatenate([steps[:, 0], ds[:count]]), np.concatenate([steps[:, 1], dtheta[:count]])
         )

@@ -97,7 +97,7 @@ def shortcut(
             if steer_energy(dx, dy, a.yaw, b.yaw, setting.steering) >= limit:
                 continue
             tested += 1
-            cost, n = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
+            cost, n = join(setting, a, b, limit, ds, dtheta)
             blocked = blocked + 1 if cost == inf else 0
             if cost + stop * (n - 1) < limit:
                 best[j] = best[i] + cost + stop * n
@@ -188,9 +188,7 @@ def _try_move(
     for part in range(2):
         first = a if part == 0 else pose
         last = pose if part == 0 else b
-        cost, _ = join(
-            setting, first.x, first.y, first.yaw, last.x, last.y, last.yaw, limit, ds, dtheta
-        )
+        cost, _ = join(setting, first, last, limit, ds, dtheta)
         if cost == inf:
             return False
         costs = (costs[1], cost)
@@ -222,9 +220,7 @@ def insert_pose(
     for part in range(3):
         first = pose if part == 2 else a
         last = pose if part == 1 else b
-        cost, n = join(
-            setting, first.x, first.y, first.yaw, last.x, last.y, last.yaw, inf, ds, dtheta
-        )
+        cost, n = join(setting, first, last, inf, ds, dtheta)
         if part == 0:
             if n == 0:
                 return count
@@ -283,7 +279,7 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
             a = pose_of(chain, k - 1)
             b = pose_of(chain, k + 1)
             limit = old * (1 + 1e-12)
-            cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, limit, ds, dtheta)
+            cost, _ = join(setting, a, b, limit, ds, dtheta)
             if cost < inf:
                 for i in range(k, count - 1):
                     _copy(chain, i, i + 1)
@@ -314,14 +310,7 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
 def fill_costs(chain: Chain, setting: KernelProblem, count: int) -> None:
     """Price the motions given between the poses of a chain."""
     for k in range(count - 1):
-        chain.cost[k] = motion_cost(
-            setting,
-            chain.poses[k, 0],
-            chain.poses[k, 1],
-            chain.poses[k, 2],
-            chain.ds[k],
-            chain.dtheta[k],
-        )
+        chain.cost[k] = motion_cost(setting, pose_of(chain, k), chain.ds[k], chain.dtheta[k])
 
 
 @njit
@@ -344,7 +333,7 @@ def unfold(
             continue
         a = pose_of(chain, k)
         b = pose_of(chain, k + 1)
-        _, m = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, inf, part_ds, part_dtheta)
+        _, m = join(setting, a, b, inf, part_ds, part_dtheta)
         for i in range(m):
             ds[n + i] = part_ds[i]
             dtheta[n + i] = part_dtheta[i]
@@ -375,7 +364,7 @@ def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Fl
     """Join pose `k` to the next one, and tell whether that is free."""
     a = pose_of(chain, k)
     b = pose_of(chain, k + 1)
-    cost, _ = join(setting, a.x, a.y, a.yaw, b.x, b.y, b.yaw, inf, ds, dtheta)
+    cost, _ = join(setting, a, b, inf, ds, dtheta)
     chain.cost[k] = cost
     chain.kept[k] = False
     return cost < inf
@@ -498,9 +487,7 @@ class Refiner:
         """Take motions, cut to pieces, as the chain."""
         setting = self.setting
         whole = merged(segments)
-        path = Path(
-            Pose(setting.start_x, setting.start_y, setting.start_yaw), whole.ds, whole.dtheta
-        )
+        path = Path(setting.start, whole.ds, whole.dtheta)
         extent = path.length + setting.half_track * path.turning
         spare = max(self._poses - len(path), 20)
         piece = max(extent / spare, 0.2)
@@ -518,7 +505,7 @@ class Refiner:
         self.count = count
         self.chain.poses[:count] = fine.vertices
         # the last pose is the goal itself, not the sum of rounded motions
-        self.chain.poses[count - 1] = (setting.goal_x, setting.goal_y, setting.goal_yaw)
+        self.chain.poses[count - 1] = setting.goal
         self.chain.ds[: count - 1] = fine.ds
         self.chain.dtheta[: count - 1] = fine.dtheta
         fill_costs(self.chain, setting, count)

@@ -80,15 +80,6 @@ SEARCH_SHARE = 0.6
 ROUTES_SHARE = 0.5
 """Part of that for routes."""
 
-COARSE = 2.0
-"""Scale of the lattice on which all ways that are not tight are compared."""
-
-COARSE_SHARE = 0.3
-"""Part of what searches have left that this may take."""
-
-HOPE = 1.08
-"""Estimate, in units of the best cost, at which that search turns away: refinement gains less."""
-
 BOUND_SHARE = 0.15
 """Part of what is left that the bound may take at a time: twice."""
 
@@ -211,9 +202,7 @@ class Paths:
                 break
             # a finer lattice has shorter turns, since most paths are found on the first
             tasks = [
-                partial(
-                    Search.run, one.search, stop_at_first=True, expansions=int(turn * one.scale)
-                )
+                partial(Search.run, one.search, expansions=int(turn * one.scale))
                 for one in open_ones
             ]
             states = side_by_side(self.budget, tasks, turn)
@@ -306,8 +295,7 @@ class Paths:
                 self._enter(way)
 
         routing = Work(routes, ROUTES_SHARE * searching.left, take)
-        works = [routing, self._compared(searching)]
-        do_together(searching, [*self.portfolio.turns(self.enough), *works])
+        do_together(searching, [*self.portfolio.turns(self.enough), routing])
         if searching.over or self.done:
             return
         works = self.bounding.work(self.cost, self.kept)
@@ -315,21 +303,6 @@ class Paths:
             works += slot_work(setting, self.to_go, self.cost, searching, self._enter)
         self._together(searching, works)
         self.portfolio.run(searching, self.enough)
-
-    def _compared(self, budget: Budget) -> Work:
-        """Return a search of a coarse lattice: it compares all ways that are not tight."""
-        setting = self.ends.between(self.setting)
-        lattice = lattice_for(setting, COARSE)
-        search = Search(setting, self.to_go, lattice, 1.0, aligned=True)
-        limit = HOPE * self.cost
-
-        def run(own: Budget) -> None:
-            search.run(own, stop_at_first=False, limit=limit)
-
-        def take(_: None) -> None:
-            self._enter(search.segments() if search.found else None)
-
-        return Work(run, COARSE_SHARE * budget.left, take)
 
     def finish(self) -> None:
         """Refine the paths until the budget is over, the gap closed, or nothing is gained."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import Flags, Ints, njit
+from energyplan.path import Pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.search.follow import chain_from, way_along
 from energyplan.planning.space.compiled import Segments
@@ -175,13 +176,13 @@ def cheapest_chain(
     heap_f = np.empty(room)
     heap_state = np.empty(room, np.int32)
     none = np.empty(0, np.int64)
-    start = node_at(to_go, space, setting.start_x, setting.start_y, setting.start_yaw)
+    start = node_at(to_go, space, setting.start)
     if start < 0 or to_go.distance[start] == inf:
         return Counted(none, inf, 0)
     count = 0
     size = 0
-    yaw = setting.start_yaw - space.yaw
-    goal_yaw = setting.goal_yaw - space.yaw
+    yaw = setting.start.yaw - space.yaw
+    goal_yaw = setting.goal.yaw - space.yaw
     best = -1
     least = inf
     for b in range(FACINGS):
@@ -191,9 +192,7 @@ def cheapest_chain(
             parent[count] = -1
             off = max(angle_between(b * turn, yaw) - 0.5 * turn, 0.0)
             if not even:
-                here_turn = turning[
-                    surface_at(setting, setting.start_x, setting.start_y, setting.start_yaw)
-                ]
+                here_turn = turning[surface_at(setting, setting.start)]
             g[count] = here_turn * off
             h[count] = _rest(to_go, start, b * turn, goal_yaw, per_metre, per_turn)
             key[count] = _key(places, setting, start, b)
@@ -221,7 +220,7 @@ def cheapest_chain(
         x = space.x + space.cos * along_x - space.sin * along_y
         y = space.y + space.sin * along_x + space.cos * along_y
         if not even:
-            here_turn = turning[surface_at(setting, x, y, space.yaw + b * turn)]
+            here_turn = turning[surface_at(setting, Pose(x, y, space.yaw + b * turn))]
         if to_go.distance[node] <= NEAR * spacing:
             through = (
                 g[state] + per_metre * float(to_go.distance[node])
@@ -275,14 +274,8 @@ def cheapest_chain(
                     paid = length * (forwards if ahead else backwards)
                 else:
                     toward = atan2(STEP_ROWS[k], STEP_COLUMNS[k]) + space.yaw
-                    paid = motion_cost(
-                        setting,
-                        x,
-                        y,
-                        toward if ahead else toward + pi,
-                        length if ahead else -length,
-                        0.0,
-                    )
+                    pose = Pose(x, y, toward if ahead else toward + pi)
+                    paid = motion_cost(setting, pose, length if ahead else -length, 0.0)
                 if passed.size > 1 and passed[there]:
                     paid *= AGAIN
                 gg += paid

@@ -119,7 +119,7 @@ def way_through_slots(
         way = way_along(slim, to_go, budget)
         if way is None:
             search = Search(slim, to_go, lattice_for(setting), WEIGHT)
-            search.run(budget, stop_at_first=True, expansions=EXPANSIONS, limit=cost)
+            search.run(budget, EXPANSIONS, cost)
             if not search.found:
                 return None
             way = search.segments()
@@ -141,11 +141,11 @@ def _opened(
     setting: KernelProblem, way: Segments, to_go: DistanceToGo, by: float, budget: Budget
 ) -> Segments | list[Pose]:
     """Return the whole body's way, or the poses where it does not fit."""
-    start = Pose(setting.start_x, setting.start_y, setting.start_yaw)
+    start = setting.start
     piece = setting.reach
     fine = Path(start, way.ds, way.dtheta).subdivide(max_ds=piece, max_dtheta=1.0)
     poses = [Pose(*pose) for pose in fine.vertices.tolist()]
-    poses[-1] = Pose(setting.goal_x, setting.goal_y, setting.goal_yaw)
+    poses[-1] = setting.goal
     needed = _needed(setting, fine, by)
     tight = needed > 0.0
     # with a motion before and after, in which what leads there can change
@@ -158,7 +158,7 @@ def _opened(
     # the one that is least likely to open comes first
     for first, end in sorted(parts, key=lambda ends: -needed[ends[0] : ends[1]].max()):
         if tight[first]:
-            through = between(setting, poses[first], poses[end])
+            through = setting._replace(start=poses[first], goal=poses[end])
             found = _through(through, parts[first, end], to_go, by, budget)
             if isinstance(found, list):
                 return found
@@ -187,20 +187,12 @@ def _through(
     if grown.motions is None and not budget.over:
         lattice = lattice_for(setting, AGAIN)
         search = Search(slimmer(setting, AGAIN * by), to_go, lattice, WEIGHT)
-        search.run(budget, stop_at_first=True, expansions=ACROSS)
+        search.run(budget, ACROSS)
         if search.found:
             other = grow(setting, search.segments(), AGAIN * by, budget)
             if AGAIN * other.lacking < grown.lacking:
                 grown = other
     return grown.closed if grown.motions is None else grown.motions
-
-
-def between(setting: KernelProblem, start: Pose, goal: Pose) -> KernelProblem:
-    """Return the problem between other poses."""
-    return setting._replace(
-        start_x=start.x, start_y=start.y, start_yaw=start.yaw,
-        goal_x=goal.x, goal_y=goal.y, goal_yaw=goal.yaw,
-    )  # fmt: skip
 
 
 class Grown(NamedTuple):
@@ -254,7 +246,7 @@ def grow(setting: KernelProblem, way: Segments, by: float, budget: Budget, seed:
 
 def _blocked(setting: KernelProblem, way: Segments, body: Body) -> list[Pose]:
     """Return the poses on a way at which a body is not free."""
-    start = Pose(setting.start_x, setting.start_y, setting.start_yaw)
+    start = setting.start
     piece = CLOSE * setting.reach
     fine = Path(start, way.ds, way.dtheta).subdivide(max_ds=piece, max_dtheta=CLOSE)
     for fitting in (body, setting.body):

@@ -305,12 +305,8 @@ class Ends:
         start, goal = (query.centre(end) for end in ends)
         return setting._replace(
             body=query.grown if all(query.roomy(end) for end in ends) else setting.body,
-            start_x=start.x,
-            start_y=start.y,
-            start_yaw=start.yaw,
-            goal_x=goal.x,
-            goal_y=goal.y,
-            goal_yaw=goal.yaw,
+            start=start,
+            goal=goal,
         )
 
     def around(self, inner: Path) -> Path:
@@ -421,9 +417,9 @@ def _way_out(
             node = int(tree.parent[node])
         here = room if goal else pose
         begin, end = (far, room) if goal else (room, far)
-        rest = steering_cost(setting, *begin, *end)
+        rest = steering_cost(setting, begin, end)
         for ds, dtheta in chain if goal else chain[::-1]:
-            rest += motion_cost(setting, *here, ds, dtheta)
+            rest += motion_cost(setting, here, ds, dtheta)
             here = arc_end(here, ds, dtheta)
         ways.append(Way(Segments(*np.array(chain if goal else chain[::-1]).T), rest))
     return min(ways, key=lambda way: way.promise, default=None)

@@ -368,10 +368,7 @@ class _Closer:
         self.known = self.tested.copy()
         self.ends = [
             (int(place_of(self.places, space, x, y)), heading_of(space, yaw))
-            for x, y, yaw in (
-                (kernel.start_x, kernel.start_y, kernel.start_yaw),
-                (kernel.goal_x, kernel.goal_y, kernel.goal_yaw),
-            )
+            for x, y, yaw in (kernel.start, kernel.goal)
         ]
         for place, heading in self.ends:
             bit = np.uint64(1 << heading)
@@ -510,11 +507,7 @@ def check_configurations(query: CompiledProblem, to_go: DistanceToGo) -> None:
     if reached(to_go, setting):
         return
     check_way(query)
-    back = setting._replace(
-        start_x=setting.goal_x, start_y=setting.goal_y, start_yaw=setting.goal_yaw,
-        goal_x=setting.start_x, goal_y=setting.start_y, goal_yaw=setting.start_yaw,
-    )  # fmt: skip
-    away = distance_to_go(back)
+    away = distance_to_go(setting._replace(start=setting.goal, goal=setting.start))
     homes = away.places.home[np.isfinite(away.distance)]
     raise _none(query, away.places, homes, CANNOT, certainty="proven")
 

@@ -271,7 +271,6 @@ class CompiledProblem:
         problem = self.problem
         body = self.grown if self.ends_roomy else self.body
         static = self.steering
-        start, goal = self.centre(problem.start), self.centre(problem.goal)
         return KernelProblem(
             space=self.grid.space,
             body=body,
@@ -291,19 +290,15 @@ class CompiledProblem:
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
             least_metre=self.least.metre,
             least_radian=self.least.radian,
-            start_x=start.x,
-            start_y=start.y,
-            start_yaw=start.yaw,
-            goal_x=goal.x,
-            goal_y=goal.y,
-            goal_yaw=goal.yaw,
+            start=self.centre(problem.start),
+            goal=self.centre(problem.goal),
         )
 
     @property
     def least_in_free_space(self) -> float:
         """What every path costs at least, obstacles or not, in the unit of the objective."""
         setting = self.setting
-        free = free_energy(setting, setting.start_x, setting.start_y, setting.start_yaw)
+        free = free_energy(setting, setting.start)
         return float(free) + self.potential(self.problem.goal)
 
     # -- translation ----------------------------------------------------------------------------

@@ -197,14 +197,14 @@ def heading_of(space: Space, yaw: float) -> int:
 
 
 @njit
-def node_at(to_go: DistanceToGo, space: Space, x: float, y: float, yaw: float) -> int:
+def node_at(to_go: DistanceToGo, space: Space, pose: Pose) -> int:
     """Return the node of a pose, or of the one next to it that is nearest to the goal; or -1.
 
     The poses that were tested may all be blocked although this one is not.
     """
     places = to_go.places
-    place = place_of(places, space, x, y)
-    h = heading_of(space, yaw)
+    place = place_of(places, space, pose.x, pose.y)
+    h = heading_of(space, pose.yaw)
     bit = np.uint64(1) << np.uint64(h)
     if places.masks[place] & bit != 0:
         for node in range(places.first[place], places.first[place + 1]):
@@ -713,7 +713,7 @@ def reached(to_go: DistanceToGo, kernel: KernelProblem) -> bool:
 
 def distance_at_start(to_go: DistanceToGo, kernel: KernelProblem) -> float:
     """Return the distance to go at the start [m]; infinite where it does not lead to the goal."""
-    node = node_at(to_go, kernel.space, kernel.start_x, kernel.start_y, kernel.start_yaw)
+    node = node_at(to_go, kernel.space, kernel.start)
     return float(to_go.distance[node]) if node >= 0 else np.inf
 
 
@@ -764,8 +764,8 @@ def _guide(
     distance, direction = np.zeros((2, len(places.arcs)), np.float32)
     after = np.full(len(places.arcs), -1, np.int32)
     to_go = DistanceToGo(places, distance, direction, after, far, 0)
-    goal = node_at(to_go, space, kernel.goal_x, kernel.goal_y, kernel.goal_yaw)
-    start = node_at(to_go, space, kernel.start_x, kernel.start_y, kernel.start_yaw)
+    goal = node_at(to_go, space, kernel.goal)
+    start = node_at(to_go, space, kernel.start)
     straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
     # what is uphill forwards is downhill for one who faces the other way
     cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])

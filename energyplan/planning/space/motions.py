@@ -76,12 +76,8 @@ class KernelProblem(NamedTuple):
     reach: float  # distance of the body's furthest corner [m]
     least_metre: float  # no motion costs less than ``least_metre |ds| + least_radian |dtheta|``
     least_radian: float  # no motion costs less than ``least_metre |ds| + least_radian |dtheta|``
-    start_x: float  # start and goal
-    start_y: float  # start and goal
-    start_yaw: float  # start and goal
-    goal_x: float  # start and goal
-    goal_y: float  # start and goal
-    goal_yaw: float  # start and goal
+    start: Pose  # of the centre
+    goal: Pose  # of the centre
 
 
 @njit
@@ -125,10 +121,12 @@ def turn_prices(setting: KernelProblem) -> Floats:
 
 
 @njit
-def surface_at(setting: KernelProblem, x: float, y: float, yaw: float) -> int:
+def surface_at(setting: KernelProblem, pose: Pose) -> int:
     """Class of the surface that the robot is on, that of the nearest cell outside the map."""
     rows, columns = setting.surface.shape
-    here = in_cells(setting.space, x + setting.lateral * sin(yaw), y - setting.lateral * cos(yaw))
+    x = pose.x + setting.lateral * sin(pose.yaw)
+    y = pose.y - setting.lateral * cos(pose.yaw)
+    here = in_cells(setting.space, x, y)
     row = int(here.row)
     column = int(here.column)
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
@@ -154,9 +152,7 @@ def height_at(hills: Hills, x: float, y: float) -> float:
 
 
 @njit
-def sloping_cost(
-    setting: KernelProblem, x: float, y: float, yaw: float, ds: float, dtheta: float
-) -> float:
+def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
     """Price of a motion on slopes, less what the rise of its reference point is worth.
 
     Each piece pays for the mean slope along it, and for the surface under its middle.
@@ -179,6 +175,7 @@ def sloping_cost(
     travel = (ds + setting.lateral * dtheta) / pieces
     turn = dtheta / pieces
     chord = ds / pieces * chord_factor(turn)
+    x, y, yaw = pose
     px = x + setting.lateral * sin(yaw)
     py = y - setting.lateral * cos(yaw)
     height = height_at(hills, px, py)
@@ -189,7 +186,7 @@ def sloping_cost(
         if several:
             mx = x + 0.5 * chord * cos(mid)
             my = y + 0.5 * chord * sin(mid)
-            row = hills.bins * surface_at(setting, mx, my, mid)
+            row = hills.bins * surface_at(setting, Pose(mx, my, mid))
         x += chord * cos(mid)
         y += chord * sin(mid)
         if abs(travel) > STILL:
@@ -215,9 +212,7 @@ def sloping_cost(
 
 
 @njit
-def motion_cost(
-    setting: KernelProblem, x: float, y: float, yaw: float, ds: float, dtheta: float
-) -> float:
+def motion_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
     """Price of a motion of constant curvature that starts at a pose.
 
     Where surfaces differ, each piece of half a cell pays for the surface under its middle.
@@ -225,12 +220,13 @@ def motion_cost(
     if setting.surface.size == 1:
         return price(setting.prices, 0, setting.half_track, ds, dtheta)
     if setting.hills.bins > 1:
-        return sloping_cost(setting, x, y, yaw, ds, dtheta)
+        return sloping_cost(setting, pose, ds, dtheta)
     furthest = max(abs(ds), abs(ds + setting.lateral * dtheta))
     pieces = max(ceil(2.0 * furthest / setting.space.resolution), 1)
     piece_ds = ds / pieces
     piece_turn = dtheta / pieces
     chord = piece_ds * chord_factor(piece_turn)
+    x, y, yaw = pose
     total = 0.0
     last = -1
     unit = 0.0
@@ -238,7 +234,7 @@ def motion_cost(
         mid = yaw + (k + 0.5) * piece_turn
         mx = x + 0.5 * chord * cos(mid)
         my = y + 0.5 * chord * sin(mid)
-        kind = surface_at(setting, mx, my, mid)
+        kind = surface_at(setting, Pose(mx, my, mid))
         if kind != last:
             unit = price(setting.prices, kind, setting.half_track, piece_ds, piece_turn)
             last = kind
@@ -249,34 +245,26 @@ def motion_cost(
 
 
 @njit
-def free_energy(setting: KernelProblem, x: float, y: float, yaw: float) -> float:
+def free_energy(setting: KernelProblem, pose: Pose) -> float:
     """Least cost from a pose to the goal if there were no obstacles."""
-    return steer_energy(
-        setting.goal_x - x, setting.goal_y - y, yaw, setting.goal_yaw, setting.steering
-    )
+    goal = setting.goal
+    return steer_energy(goal.x - pose.x, goal.y - pose.y, pose.yaw, goal.yaw, setting.steering)
 
 
 @njit
 def drive(
-    setting: KernelProblem,
-    x: float,
-    y: float,
-    yaw: float,
-    ds: Floats,
-    dtheta: Floats,
-    count: int,
-    limit: float,
+    setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
     """Cost of a sequence of motions from a pose; infinite if one collides or it reaches `limit`."""
     total = 0.0
-    here = Pose(x, y, yaw)
+    here = pose
     for k in range(count):
-        total += motion_cost(setting, here.x, here.y, here.yaw, ds[k], dtheta[k])
+        total += motion_cost(setting, here, ds[k], dtheta[k])
         if total >= limit:
             return inf
         here = arc_end(here, ds[k], dtheta[k])
     # collisions after the costs, which are cheaper to find out
-    here = Pose(x, y, yaw)
+    here = pose
     for k in range(count):
         if not motion_free(
             setting.space, setting.body, here.x, here.y, here.yaw, ds[k], dtheta[k], 0.0
@@ -287,60 +275,46 @@ def drive(
 
 
 @njit
-def spin_drive_spin(
-    dx: float,
-    dy: float,
-    yaw0: float,
-    yaw1: float,
-    backwards: bool,
-    ds: Floats,
-    dtheta: Floats,
-) -> int:
+def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: Floats) -> int:
     """Write the motion that turns on the spot, drives straight, and turns on the spot."""
+    dx = to.x - pose.x
+    dy = to.y - pose.y
     way = atan2(dy, dx) + (pi if backwards else 0.0)
     length = hypot(dx, dy)
     if length < 1e-9:
-        way = yaw0
+        way = pose.yaw
     ds[0] = 0.0
-    dtheta[0] = pi - (pi - (way - yaw0)) % (2 * pi)
+    dtheta[0] = pi - (pi - (way - pose.yaw)) % (2 * pi)
     ds[1] = -length if backwards else length
     dtheta[1] = 0.0
     ds[2] = 0.0
-    dtheta[2] = pi - (pi - (yaw1 - way)) % (2 * pi)
+    dtheta[2] = pi - (pi - (to.yaw - way)) % (2 * pi)
     return 3
 
 
 @njit
 def join(
-    setting: KernelProblem,
-    x: float,
-    y: float,
-    yaw: float,
-    to_x: float,
-    to_y: float,
-    to_yaw: float,
-    limit: float,
-    ds: Floats,
-    dtheta: Floats,
+    setting: KernelProblem, pose: Pose, to: Pose, limit: float, ds: Floats, dtheta: Floats
 ) -> tuple[float, int]:
     """Join two poses by the cheapest free motion known, if it costs less than `limit`.
 
     Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
     room at times.
     """
-    dx = to_x - x
-    dy = to_y - y
-    if setting.surface.size == 1 and steer_energy(dx, dy, yaw, to_yaw, setting.steering) >= limit:
+    dx = to.x - pose.x
+    dy = to.y - pose.y
+    even = setting.surface.size == 1
+    if even and steer_energy(dx, dy, pose.yaw, to.yaw, setting.steering) >= limit:
         return inf, 0
-    count = steer_path(dx, dy, yaw, to_yaw, setting.steering, ds, dtheta)
-    cost = drive(setting, x, y, yaw, ds, dtheta, count, limit)
-    if cost < inf and setting.surface.size == 1:
+    count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
+    cost = drive(setting, pose, ds, dtheta, count, limit)
+    if cost < inf and even:
         return cost, count
     other_ds = np.empty(3)
     other_dtheta = np.empty(3)
     for way in range(2 if setting.least_radius == 0.0 else 0):
-        n = spin_drive_spin(dx, dy, yaw, to_yaw, way == 1, other_ds, other_dtheta)
-        other = drive(setting, x, y, yaw, other_ds, other_dtheta, n, min(limit, cost))
+        n = spin_drive_spin(pose, to, way == 1, other_ds, other_dtheta)
+        other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost))
         if other < cost:
             cost = other
             count = n
@@ -351,30 +325,18 @@ def join(
 
 
 @njit
-def connection(setting: KernelProblem, x: float, y: float, yaw: float, limit: float) -> float:
-    """Cost of the cheapest free motion known from a pose to the goal; infinite if there is none."""
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    return join(
-        setting, x, y, yaw, setting.goal_x, setting.goal_y, setting.goal_yaw, limit, ds, dtheta
-    )[0]
-
-
-@njit
-def steering_cost(
-    setting: KernelProblem, x: float, y: float, yaw: float, to_x: float, to_y: float, to_yaw: float
-) -> float:
+def steering_cost(setting: KernelProblem, pose: Pose, to: Pose) -> float:
     """Cost of the exact steering motion between two poses, whatever lies in its way."""
-    dx = to_x - x
-    dy = to_y - y
+    dx = to.x - pose.x
+    dy = to.y - pose.y
     if setting.surface.size == 1:
-        return float(steer_energy(dx, dy, yaw, to_yaw, setting.steering))
+        return float(steer_energy(dx, dy, pose.yaw, to.yaw, setting.steering))
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
-    count = steer_path(dx, dy, yaw, to_yaw, setting.steering, ds, dtheta)
+    count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
     total = 0.0
-    here = Pose(x, y, yaw)
+    here = pose
     for k in range(count):
-        total += motion_cost(setting, here.x, here.y, here.yaw, ds[k], dtheta[k])
+        total += motion_cost(setting, here, ds[k], dtheta[k])
         here = arc_end(here, ds[k], dtheta[k])
     return total
