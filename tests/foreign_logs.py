@@ -255,6 +255,28 @@ def readings_in_rows(at: At, folder: Path) -> Path:
     return csv(rows.sort_values("timestamp", kind="stable"), folder / "readings.csv")
 
 
+def signals_with_units(at: At, folder: Path) -> Path:
+    """A signal a row with its number and unit, each at its own time, as a bus is recorded."""
+    signals = (
+        ("WheelSpeedLeft", 3.6 * at.left, "km/h"),
+        ("BattVoltage", at.volts, "V"),
+        ("WheelSpeedRight", 3.6 * at.right, "km/h"),
+        ("BattCurrent", at.amps, "A"),
+    )
+    rows = pd.concat([
+        pd.DataFrame({"Timestamp": at.t + 0.002 * k, "Id": 257 + k, "Signal": name, "Value": values,
+                      "Unit": unit}) for k, (name, values, unit) in enumerate(signals)
+    ])  # fmt: skip
+    return csv(rows.sort_values("Timestamp"), folder / "bus.csv")
+
+
+def knots(at: At, folder: Path) -> Path:
+    return csv({
+        "utc": at.stamps, "left_speed_kn": at.left / 0.514444,
+        "right_speed_kn": at.right / 0.514444, "watts": at.power, "gyro_z": at.yaw_rate,
+    }, folder / "boat.csv")  # fmt: skip
+
+
 def coarse_stamps(at: At, folder: Path) -> Path:
     return csv(at.house().assign(t=np.round(at.t * 4) / 4), folder / "coarse.csv")
 
@@ -607,6 +629,32 @@ def hundredths(at: At, folder: Path) -> Path:
     }, folder / "hoverboard.csv")  # fmt: skip
 
 
+def no_time(at: At, folder: Path) -> Path:
+    head = "started;2026-05-04 10:00:00\nsample rate;10 Hz\n"
+    return csv(at.house().drop(columns="t"), folder / "no_time.csv", head=head, sep=";")
+
+
+def no_reading_by_a_number(at: At, folder: Path) -> Path:
+    house = at.house()
+    house.loc[100:140, "v_left"] = -9999.0
+    return csv(house, folder / "sentinel.csv")
+
+
+def minutes_and_seconds(at: At, folder: Path) -> Path:
+    written = [f"{t // 60:02.0f}:{t % 60:06.3f}" for t in at.t]
+    return csv(at.house().assign(t=written), folder / "stopwatch.csv")
+
+
+def commas_in_decimals(at: At, folder: Path) -> Path:
+    return csv(at.house().map("{:.3f}".format).replace(r"\.", ",", regex=True),
+               folder / "commas.csv", quoting=3, escapechar=" ")  # fmt: skip
+
+
+def matlab(at: At, folder: Path) -> Path:
+    (folder / "drive.mat").write_bytes(b"MATLAB 7.3 MAT-file")
+    return folder / "drive.mat"
+
+
 Writer = Callable[[At, Path], Path]
 READ: tuple[Writer, ...] = (
     four_wheels_in_rpm, four_motors, byte_order_mark, units_in_a_second_row,
@@ -615,7 +663,8 @@ READ: tuple[Writer, ...] = (
     what_changed_alone, readings_in_rows, a_row_for_each_message, stamps_in_two_columns,
     date_and_time_of_day, aligned_by_spaces, newest_first, units_in_names, rostopic_echo,
     flattened_messages, days, motors_in_the_mirror, rates_beside_a_blank_gyroscope,
-    energy_counter, energy_counter_beside_the_current, speed_and_yaw_rate,
+    energy_counter, energy_counter_beside_the_current, speed_and_yaw_rate, signals_with_units,
+    knots,
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {
@@ -645,6 +694,11 @@ REFUSED: dict[Writer, str] = {
     row_numbers: r"'n' counts rows: .* t=n\[\*0.05\]",
     a_dead_wheel: "fl_rpm and rl_rpm .* do not go alike .* one is dead",
     a_wheel_in_the_mirror: "fr_rpm and rr_rpm .* go opposite ways",
+    no_time: r"rows come at a steady rate, .* t=row\[\*0.05\]",
+    no_reading_by_a_number: "where -9999 stands for no reading, leave the cell empty",
+    minutes_and_seconds: "line 2: 't' is '00:00.000', .* times since the start in seconds",
+    commas_in_decimals: "more cells than the 5 names .* write decimals with a point",
+    matlab: r"drive.mat is of MATLAB; writetable\(struct2table\(LOG\)",
     thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks",
 }
 """Logs that must be refused, and the words of the remedy."""

@@ -371,11 +371,10 @@ def read_bag(
         aligned = align(one, clock)
         channels[name] = aligned.values
         told = f"{name} is {chosen[name].topic} {chosen[name].written}"
-        if aligned.error is None and aligned.how == AS_LOGGED:
+        if aligned.how == AS_LOGGED:
             plain.append(told)
-            continue
-        error = "" if aligned.error is None else f", error about {aligned.error:.2g} (rms)"
-        warnings.append(f"{told}, {aligned.how}{error}")
+        else:
+            warnings.append(f"{told}, {aligned.how}")
     if plain:
         warnings.append(f"{AS_LOGGED}: {', '.join(plain)}")
     log = DriveLog.from_columns(channels, file.name)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from energyplan.errors import DriveLogError
 from energyplan.io.files import is_file
 from energyplan.logs import DriveLog, SetAside
-from energyplan.logs.align import Offset, find_offset, find_runs
+from energyplan.logs.align import LARGEST_OFFSET, Offset, find_offset, find_runs
 from energyplan.logs.tables import Table, column_names, read_table
 from energyplan.path import FloatArray
 
@@ -50,14 +50,7 @@ class HuskyDrive:
         return self.back_emf * self.gear / self.wheel_radius
 
 
-def read_husky(
-    wheels: str | Path,
-    imu: str | Path | None = None,
-    *,
-    drive: HuskyDrive | None = None,
-    blind: Literal["keep", "drop"] = "keep",
-    largest_offset: float = 2.0,
-) -> DriveLog:
+def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -> DriveLog:
     r"""Read a drive of a Husky.
 
     The mechanical power of a side is motor constant times current times tread speed. Currents in
@@ -69,7 +62,7 @@ def read_husky(
 
     Source: LaRocque et al. (2024), arXiv 2403.16877.
     """
-    train = drive or HuskyDrive()
+    train = HuskyDrive()
     table = read_table(wheels, DriveLogError)
     t, current_left, current_right, left, right = (_bounded(table, name) for name in WHEEL_COLUMNS)
     channels = {"t": t, "v_left": left, "v_right": right}
@@ -94,12 +87,12 @@ def read_husky(
         "the current sensors see no direction: what a motor returns while it generates or "
         "brakes is not known",
     ]
-    file = _beside(Path(wheels), imu)
+    file = _beside(Path(wheels))
     if file is None:
         warnings.append("there is no IMU, so the yaw rate and the tread ICRs are not known")
     else:
         readings = read_table(file, DriveLogError)
-        channels |= _inertial(readings, t, right - left, largest_offset, warnings)
+        channels |= _inertial(readings, t, right - left, warnings)
     label = "/".join(Path(wheels).parts[-2:])
     log = DriveLog.from_columns(channels, label, table.place)
     if blind == "drop":
@@ -158,16 +151,14 @@ def _blind_inner(
     )
 
 
-def _beside(wheels: Path, imu: str | Path | None) -> Path | None:
-    """Return the IMU file: the one named, or the one that belongs to the wheel file."""
-    if imu is not None:
-        return Path(imu)
+def _beside(wheels: Path) -> Path | None:
+    """Return the IMU file that belongs to the wheel file."""
     file = wheels.with_name(wheels.name.replace("pro_", "imu_", 1))
     return file if file != wheels and is_file(file) else None
 
 
 def _inertial(
-    imu: Table, t: FloatArray, difference: FloatArray, largest: float, warnings: list[str]
+    imu: Table, t: FloatArray, difference: FloatArray, warnings: list[str]
 ) -> dict[str, FloatArray]:
     """Yaw rate and forward acceleration at the times of the wheel samples; NaN where unknown."""
     clock, rate, forward = (_bounded(imu, name) for name in ("time", "wz", "ax"))
@@ -178,7 +169,7 @@ def _inertial(
             f"{imu.source}, {imu.place(k)}: time must increase, and wz and ax must be finite, over "
             "three rows or more; repair the file or read the drive without it"
         )
-    offset = _clock_offset(clock, rate, t, difference, largest)
+    offset = _clock_offset(clock, rate, t, difference)
     seconds = 0.0
     if offset is None:
         warnings.append(
@@ -205,7 +196,7 @@ def _inertial(
 
 
 def _clock_offset(
-    clock: FloatArray, rate: FloatArray, t: FloatArray, difference: FloatArray, largest: float
+    clock: FloatArray, rate: FloatArray, t: FloatArray, difference: FloatArray
 ) -> Offset | None:
     """Find by how much the IMU's clock lags behind the wheels', if the drive tells."""
     common = (clock >= t[0]) & (clock <= t[-1])
@@ -216,7 +207,7 @@ def _clock_offset(
     regressor = np.interp(now, t, difference)
     if np.std(regressor) < 0.02:  # a couple of speed steps: straight, or one steady spin
         return None
-    largest = min(largest, float(now[-1] - now[0]) / 5)
+    largest = min(LARGEST_OFFSET, float(now[-1] - now[0]) / 5)
     offset = find_offset(
         "yaw_rate", now, rate[common], [regressor], find_runs(now), largest=largest
     )

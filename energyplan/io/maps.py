@@ -7,7 +7,8 @@ import math
 import struct
 import warnings
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
@@ -48,6 +49,12 @@ LUMA = (0.212656, 0.715158, 0.072186)
 
 MOVINGAI_FREE = b".GS"
 """Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
+
+
+_BROKEN = (
+    OSError, SyntaxError, ValueError, EOFError, OverflowError, TypeError, KeyError, IndexError,
+    struct.error, MemoryError, Image.DecompressionBombError,
+)  # fmt: skip
 
 
 def _lower(value: Any) -> Any:
@@ -259,44 +266,46 @@ class _Pixels(NamedTuple):
     opaque: NDArray[np.bool_]
 
 
-def _pixels(file: Path) -> _Pixels:
-    """Return the pixels of an image of any depth, with colours, a palette or alpha."""
+@contextmanager
+def _opened(file: Path, formats: tuple[str, ...], otherwise: str) -> Iterator[Image.Image]:
+    """Open an image whose size is sane; what goes wrong inside it becomes a named error."""
     content = read_bytes(file, MAX_FILE)
     try:
         # the size stands in the header: nothing is decompressed before it is known to be sane
         with (
-            warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning),
-            Image.open(io.BytesIO(content), formats=("PPM", "PNG", "BMP")) as image,
+            warnings.catch_warnings(action="ignore"),
+            Image.open(io.BytesIO(content), formats=formats) as image,
         ):
-            width, height = image.size
-            if width * height > MAX_CELLS:
+            if image.width * image.height > MAX_CELLS:
                 raise MapError(
-                    f"{file}: {width} x {height} pixels; at most {MAX_CELLS} are taken: crop or "
-                    "coarsen the map"
+                    f"{file}: {image.width} x {image.height} pixels; at most {MAX_CELLS} are "
+                    "taken: crop or coarsen it"
                 )
-            clear = image.info.get("transparency")
-            if image.mode.startswith("I") or image.mode == "F":
-                deep = np.asarray(image, np.float64)  # sixteen bits
-                grey = np.round(deep / 257)
-                return _Pixels(
-                    grey, grey, np.full(grey.shape, True) if clear is None else deep != clear
-                )
-            if image.mode in {"1", "L"} and clear is None:
-                grey = np.asarray(image.convert("L"), np.float64)
-                return _Pixels(grey, grey, np.full(grey.shape, True))
-            rgba = np.asarray(image.convert("RGBA"), np.float64)
-            colours = rgba[..., :3]
-            return _Pixels(
-                np.round(colours.mean(axis=2)), np.round(colours @ LUMA), rgba[..., 3] == 255
-            )
+            yield image
+    except MapError:
+        raise
     except UnidentifiedImageError:
-        raise MapError(f"{file}: not a PGM, PNG or BMP image") from None
-    except (OSError, SyntaxError, ValueError, EOFError, OverflowError) as error:
-        if isinstance(error, MapError):
-            raise
+        raise MapError(f"{file}: {otherwise}") from None
+    except _BROKEN as error:
         raise MapError(f"{file}: a broken image: {error}") from None
-    except Image.DecompressionBombError as error:
-        raise MapError(f"{file}: {error}") from None
+
+
+def _pixels(file: Path) -> _Pixels:
+    """Return the pixels of an image of any depth, with colours, a palette or alpha."""
+    with _opened(file, ("PPM", "PNG", "BMP"), "not a PGM, PNG or BMP image") as image:
+        clear = image.info.get("transparency")
+        if image.mode.startswith("I") or image.mode == "F":
+            deep = np.asarray(image, np.float64)  # sixteen bits
+            grey = np.round(deep / 257)
+            opaque = np.full(grey.shape, True) if clear is None else deep != clear
+            return _Pixels(grey, grey, opaque)
+        if image.mode in {"1", "L"} and clear is None:
+            grey = np.asarray(image.convert("L"), np.float64)
+            return _Pixels(grey, grey, np.full(grey.shape, True))
+        rgba = np.asarray(image.convert("RGBA"), np.float64)
+        colours = rgba[..., :3]
+        luma = np.round(colours @ LUMA)
+        return _Pixels(np.round(colours.mean(axis=2)), luma, rgba[..., 3] == 255)
 
 
 def _read_movingai(file: Path) -> OccupancyGrid:
@@ -367,11 +376,6 @@ LAYERS = ("elevation_inpainted", "elevation_smooth", "elevation", "height")
 _SCALE, _TIE_POINT, _TRANSFORM, _GEO_KEYS, _GDAL_NO_DATA = 33550, 33922, 34264, 34735, 42113
 _MODEL, _RASTER, _LINEAR_UNITS, _VERTICAL_UNITS = 1024, 1025, 3076, 4099
 _GEOGRAPHIC, _POINT, _METRE, _BY_USER = 2, 2, 9001, 32767
-_BROKEN = (
-    OSError, SyntaxError, ValueError, EOFError, OverflowError, TypeError, KeyError, IndexError,
-    struct.error, MemoryError, Image.DecompressionBombError,
-)  # fmt: skip
-
 _GRID_MAP = "grid_map_msgs/msg/GridMap"
 _DEFINITIONS = {
     "grid_map_msgs/msg/GridMapInfo": (
@@ -552,27 +556,11 @@ def _from_image(file: Path) -> _Raster:
 
 def _decoded(file: Path, form: str) -> tuple[NDArray[np.generic], Mapping[int, Any]]:
     """Return the values of an image of one band, and its tags."""
-    content = read_bytes(file, MAX_FILE)
-    try:
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Image.open(io.BytesIO(content), formats=(form,)) as image,
-        ):
-            if image.width * image.height > MAX_CELLS:
-                raise MapError(f"{file}: {image.size} pixels; crop it to {MAX_CELLS} at most")
-            if image.mode != "F" and not image.mode.startswith("I") and image.mode != "L":
-                raise MapError(f"{file}: pixels of the kind {image.mode}; give one band of heights")
-            tags = dict(getattr(image, "tag_v2", {}))
-            return np.asarray(image), tags
-    except MapError:
-        raise
-    except UnidentifiedImageError:
-        raise MapError(
-            f"{file}: no {form} that can be read; give one band of 16 or 32 bits (gdal_translate "
-            "-ot Float32 writes one)"
-        ) from None
-    except _BROKEN as error:
-        raise MapError(f"{file}: a broken image: {error}") from None
+    remedy = "give one band of 16 or 32 bits (gdal_translate -ot Float32 writes one)"
+    with _opened(file, (form,), f"no {form} that can be read; {remedy}") as image:
+        if image.mode != "F" and not image.mode.startswith("I") and image.mode != "L":
+            raise MapError(f"{file}: pixels of the kind {image.mode}; give one band of heights")
+        return np.asarray(image), dict(getattr(image, "tag_v2", {}))
 
 
 def _from_geotiff(file: Path) -> _Raster:

@@ -19,15 +19,14 @@ from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
-from energyplan.logs.checks import FAR, find_checks, grows, mirrored_side
+from energyplan.logs.checks import find_checks, grows, mirrored_side
 from energyplan.logs.clean import RECORDING, join_rows, possible
 from energyplan.logs.consistency import (
     Check,
-    Evidence,
+    Drive,
     Measures,
     check_consistency,
     correlation,
-    gather,
     strain,
 )
 from energyplan.logs.guess import (
@@ -42,6 +41,7 @@ from energyplan.logs.guess import (
 )
 from energyplan.logs.mapping import (
     RATE,
+    ROW,
     SINCE,
     TOTAL,
     Column,
@@ -102,12 +102,12 @@ class Robot(NamedTuple):
     assumed: dict[str, str]
 
 
-def build_vehicle(file: Path, log: DriveLog, evidence: Evidence, known: Given) -> Robot:
+def build_vehicle(file: Path, log: DriveLog, drive: Drive, known: Given) -> Robot:
     """Build a vehicle from what is given; the rest from the log, or as robots usually are."""
     assumed: dict[str, str] = {}
     measures = known_measures(known)
     track, wheelbase, mass = measures.track, measures.wheelbase, measures.mass
-    slip = evidence.slip_track
+    slip = drive.slip_track
     if not isfinite(track):
         if not isfinite(slip):
             raise InvalidInputError(
@@ -130,10 +130,10 @@ def build_vehicle(file: Path, log: DriveLog, evidence: Evidence, known: Given) -
         )
     if not isfinite(mass):
         mass = _DENSITY * track * wheelbase
-        if isfinite(evidence.inertia):
-            mass = evidence.inertia
+        if isfinite(drive.inertia):
+            mass = drive.inertia
         assumed["mass"] = (
-            f"{mass:.3g} kg, {'from speeding up' if isfinite(evidence.inertia) else 'a guess'}; "
+            f"{mass:.3g} kg, {'from speeding up' if isfinite(drive.inertia) else 'a guess'}; "
             "only its product with the friction coefficient shows in the power"
         )
     like = known.like
@@ -228,11 +228,12 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
                 "; of the body's speed V and turn rate W they are made as in v_left=V-0.25*W,"
                 "v_right=V+0.25*W with half the track, though slip is then unseen"
             )
-    numbers = [name for name, values in table.columns.items() if counts_rows(values)]
-    if "t" in needed and numbers:
+    if "t" in needed:
+        number = next((n for n, values in table.columns.items() if counts_rows(values)), "")
+        counts = f"{number!r} counts rows: if they" if number else "where rows"
         hint += (
-            f"; {numbers[0]!r} counts rows: if they come at a steady rate, give the time from row "
-            f"to row, as in t={numbers[0]}[*0.05] for 50 ms"
+            f"; {counts} come at a steady rate, give the time from row to row, as in "
+            f"t={number or ROW}[*0.05] for 50 ms"
         )
     used = [
         (name, channel, unit)
@@ -636,12 +637,16 @@ def _with_units(
     joined = join_rows(raw, [name for name in raw if name in _NEEDED])
     raw = raw if joined is None else joined.channels
     raw = _whole_rows(raw)
-    mirrored = mirrored_side(raw, find_runs(raw["t"])) if len(raw["t"]) >= RECORDING else ""
+    mirrored = (
+        mirrored_side(Drive(raw, raw["t"], find_runs(raw["t"])))
+        if len(raw["t"]) >= RECORDING
+        else ""
+    )
     raw |= {mirrored: -raw[mirrored]} if mirrored else {}  # `read_signed` turns it round
     measures = known_measures(known)
     first = {channel: units[0] for channels, units in choices for channel in channels}
     rolling = {channel for channel, unit in first.items() if unit.endswith("*")}
-    best: tuple[float, dict[str, str], Evidence] | None = None
+    best: tuple[float, dict[str, str], Drive] | None = None
     for each in product(*(units for _, units in choices)):
         chosen = {
             channel: unit
@@ -655,15 +660,15 @@ def _with_units(
         sized = {c: v for c, v in trial.items() if isfinite(radius) or c not in rolling}
         if len(trial["t"]) < RECORDING or not possible(sized):
             continue
-        evidence = gather(trial, total_power(trial), find_runs(trial["t"]))
+        drive = Drive(trial, total_power(trial), find_runs(trial["t"]))
         rank = sum(units.index(u) for (_, units), u in zip(choices, each, strict=True))
         # The measures may be what is wrong: they only decide where the log alone does not.
-        cost = strain(evidence, Measures()) + 0.2 * strain(evidence, measures) + 0.01 * rank
+        cost = strain(drive, Measures()) + 0.2 * strain(drive, measures) + 0.01 * rank
         # A heading in another unit does not turn with the treads, or a gyroscope, at all.
-        cost += 0.5 * bool(np.isnan(evidence.slip_track))
-        cost += 0.5 * ({"yaw", "yaw_rate"} <= set(trial) and bool(np.isnan(evidence.rotation)))
+        cost += 0.5 * bool(np.isnan(drive.slip_track))
+        cost += 0.5 * ({"yaw", "yaw_rate"} <= set(trial) and bool(np.isnan(drive.rotation)))
         if best is None or cost < best[0] - 1e-9:
-            best = cost, chosen, evidence
+            best = cost, chosen, drive
     chosen = best[1] if best else first
     if best:
         _sure_of_current(table, columns, chosen, best[2].force / (measures.mass * GRAVITY))
@@ -706,10 +711,10 @@ _NEAR = 1.35  # ratio of two units up to which turning does not tell one from th
 
 def _sure_of_speeds(
     table: Table, columns: Mapping[str, Column], units: Sequence[str],
-    chosen: Mapping[str, str], evidence: Evidence, known: Given,
+    chosen: Mapping[str, str], drive: Drive, known: Given,
 ) -> None:  # fmt: skip
     """Refuse a unit of speeds that is nearly another one, where no pose tells which it is."""
-    if len(units) < 2 or isfinite(evidence.distance):
+    if len(units) < 2 or isfinite(drive.distance):
         return
     size = _factor("v_left", chosen["v_left"], known)
     near = [
@@ -793,8 +798,8 @@ def _radius_from(raw: Mapping[str, FloatArray], chosen: Mapping[str, str]) -> fl
         channel: values * _factor(channel, chosen.get(channel, ""), Given(wheel_radius=1.0))
         for channel, values in raw.items()
     }
-    evidence = gather(trial, total_power(trial), find_runs(trial["t"]))
-    return _radius_of(evidence.distance)
+    drive = Drive(trial, total_power(trial), find_runs(trial["t"]))
+    return _radius_of(drive.distance)
 
 
 def _radius_of(angle: float) -> float:
@@ -845,8 +850,8 @@ def _start_bag(file: Path, known: Given) -> Start:
     log = read_bag(file, mapped(radius if isfinite(radius) else 1.0))
     assumed: dict[str, str] = {}
     if rates and not isfinite(radius):
-        evidence = gather(log.channels, log.power, log.runs)
-        radius = _radius_of(evidence.distance)
+        drive = Drive(log.channels, log.power, log.runs)
+        radius = _radius_of(drive.distance)
         if not isfinite(radius):
             raise InvalidInputError(f"{file.name}: {_no_radius(log.channels)}")
         assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
@@ -868,11 +873,11 @@ def _finish(
     assumed: dict[str, str],
 ) -> Start:
     """Build the vehicle, and hold the log against it."""
-    evidence = gather(log.channels, log.power, log.runs)
-    robot = build_vehicle(file, log, evidence, known)
+    drive = Drive(log.channels, log.power, log.runs)
+    robot = build_vehicle(file, log, drive, known)
     found = [one for one in find_checks(log.channels, log.power, log.runs) if one.refuses]
-    wrong = [one for one in found if not one.what.startswith(FAR)]  # measures tell more of that
-    checks = [*check_consistency(evidence, known_measures(known), columns), *wrong]
+    wrong = [one for one in found if not isfinite(one.value)]  # measures tell more of ratios
+    checks = [*check_consistency(drive, known_measures(known), columns), *wrong]
     project = Project(
         name=robot.vehicle.name, vehicle=robot.vehicle, columns=columns, topics=topics,
         log=file.name, defaults={**assumed, **robot.assumed},
@@ -903,7 +908,7 @@ def read_signed(file: Path, columns: Mapping[str, Column]) -> Signed:
             if not turned or done & set(turned):
                 raise
         else:
-            side = mirrored_side(log.channels, log.runs)
+            side = mirrored_side(Drive(log.channels, log.power, log.runs))
             if not side or side in done:
                 return Signed(log, made, tuple(notes))
             turned = (side,)

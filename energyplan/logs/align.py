@@ -29,15 +29,10 @@ class Series(NamedTuple):
 
 
 class Aligned(NamedTuple):
-    """A channel on another clock, NaN where it is unknown, and how it got there.
-
-    ``error`` is the root mean square error of interpolation [the channel's unit], or None where the
-    channel was averaged or its clock is the same.
-    """
+    """A channel on another clock, NaN where it is unknown, and how it got there."""
 
     values: FloatArray
     how: str
-    error: float | None
 
 
 def gap_limit(t: FloatArray) -> float:
@@ -73,9 +68,9 @@ def align(series: Series, clock: FloatArray) -> Aligned:
     """
     t, values = series
     if len(t) == len(clock) and np.array_equal(t, clock):
-        return Aligned(values, AS_LOGGED, None)
+        return Aligned(values, AS_LOGGED)
     if len(t) < 2:
-        return Aligned(np.full(len(clock), np.nan), "sampled once", None)
+        return Aligned(np.full(len(clock), np.nan), "sampled once")
     step, period = float(np.median(np.diff(t))), float(np.median(np.diff(clock)))
     after = np.clip(np.searchsorted(t, clock), 1, len(t) - 1)
     hole = t[after] - t[after - 1] > max(LONGEST_BRIDGE, gap_limit(t))
@@ -88,34 +83,9 @@ def align(series: Series, clock: FloatArray) -> Aligned:
         high = np.clip(clock + period / 2, t[0], t[-1])
         width = np.where(high > low, high - low, 1.0)
         found = (np.interp(high, t, integral) - np.interp(low, t, integral)) / width
-        return Aligned(np.where(unknown, np.nan, found), f"averaged from {1 / step:.3g} Hz", None)
+        return Aligned(np.where(unknown, np.nan, found), f"averaged from {1 / step:.3g} Hz")
     found = np.where(unknown, np.nan, np.interp(clock, t, values))
-    how = f"interpolated from {1 / step:.3g} Hz"
-    return Aligned(found, how, interpolation_error(series))
-
-
-def interpolation_error(series: Series) -> float:
-    """Root mean square error of linear interpolation halfway between samples.
-
-    Each sample is interpolated from its neighbours at one and at two steps. How the error shrinks
-    from the one to the other, by four for a smooth channel, by less for one that jumps or is noisy,
-    is carried on to half a step.
-    """
-    t, values = series
-    if len(t) < 5:
-        return float("nan")
-    near, far = (_midway_error(t, values, reach) for reach in (1, 2))
-    if near == 0 or far == 0:
-        return 0.0
-    return near / float(np.clip(far / near, 1.0, 4.0))
-
-
-def _midway_error(t: FloatArray, values: FloatArray, reach: int) -> float:
-    """Root mean square error of interpolating each sample from those `reach` before and after."""
-    before, here, after = slice(None, -2 * reach), slice(reach, -reach), slice(2 * reach, None)
-    share = (t[here] - t[before]) / (t[after] - t[before])
-    guess = (1 - share) * values[before] + share * values[after]
-    return float(np.sqrt(np.mean((values[here] - guess) ** 2)))
+    return Aligned(found, f"interpolated from {1 / step:.3g} Hz")
 
 
 class Means(NamedTuple):

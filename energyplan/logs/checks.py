@@ -5,9 +5,8 @@ Each check looks at a drive and returns what is wrong, with its remedy; `find_ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,14 +15,21 @@ from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.logs.align import Offset, derivative, find_offset, gap_limit
-from energyplan.logs.consistency import Check, correlation, distance_ratio, lasts, yaw_rates
+from energyplan.logs.consistency import (
+    Channels,
+    Check,
+    Drive,
+    Measures,
+    check_consistency,
+    correlation,
+    lasts,
+)
 from energyplan.logs.mapping import ROW, UNITS
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog
 
-Channels = Mapping[str, FloatArray]
 POWERS = ("p_left", "p_right", "power", "current")
 """Channels of what is drawn."""
 LONGEST_STEP = 20.0
@@ -35,55 +41,7 @@ _USUAL_STEP = 0.05  # of logs of drives [s]
 _PAUSE, _BURSTS = 10.0, 0.05  # usual steps, and share of the rows, that tell rows in bursts
 
 
-@dataclass(frozen=True)
-class _Drive:
-    """A drive as the checks look at it."""
-
-    channels: Channels
-    power: FloatArray
-    runs: Sequence[slice]
-
-    @cached_property
-    def t(self) -> FloatArray:
-        return self.channels["t"]
-
-    @cached_property
-    def left(self) -> FloatArray:
-        return self.channels["v_left"]
-
-    @cached_property
-    def right(self) -> FloatArray:
-        return self.channels["v_right"]
-
-    @cached_property
-    def difference(self) -> FloatArray:
-        return self.right - self.left
-
-    @cached_property
-    def effort(self) -> FloatArray:
-        return np.abs(self.left) + np.abs(self.right)
-
-    @cached_property
-    def step(self) -> float:
-        return float(np.median(np.diff(self.t)))
-
-    @cached_property
-    def moving(self) -> NDArray[np.bool_]:
-        """Where it moves, by what is usual in the drive."""
-        return self.effort > 0.15 * float(np.quantile(self.effort, 0.95))
-
-    @cached_property
-    def rates(self) -> dict[str, FloatArray]:
-        return yaw_rates(self.channels, self.runs)
-
-    @cached_property
-    def sides(self) -> bool:
-        return {"p_left", "p_right"} <= set(self.channels)
-
-    def each_side(self) -> Iterator[tuple[str, str]]:
-        yield from (("left", "right"), ("right", "left"))
-
-
+_EACH_SIDE = (("left", "right"), ("right", "left"))
 _Found = Iterable[Check]
 
 
@@ -93,14 +51,14 @@ class Invariant:
 
     what: str
     needs: frozenset[str]  # channels without which nothing can be said
-    find: Callable[[_Drive], _Found]
+    find: Callable[[Drive], _Found]
     refuses: str = "trust"  # what a check rules out that says nothing of it
     of_two_sides: bool = False  # of a dead side, the other one seems to break it
 
 
 def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) -> list[Check]:
     """Return what is wrong with a drive."""
-    drive = _Drive(channels, power, runs)
+    drive = Drive(channels, power, runs)
     dead = any(True for _ in _dead(drive))
     return [
         check if check.refuses else replace(check, refuses=one.refuses)
@@ -112,7 +70,7 @@ def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) ->
 def refuse_one_side(logs: Sequence[DriveLog]) -> None:
     """Refuse logs that lack a side: what is identified from the other one is half of what is."""
     for log in logs:
-        drive = _Drive(log.channels, log.power, log.runs)
+        drive = Drive(log.channels, log.power, log.runs)
         rules = (_dead, _false_speeds, *((_unlike,) if drive.sides else ()))
         for check in (one for rule in rules for one in rule(drive)):
             raise NotIdentifiableError(f"{log.name}: {check}")
@@ -121,9 +79,9 @@ def refuse_one_side(logs: Sequence[DriveLog]) -> None:
 # -- time ---------------------------------------------------------------------------------------
 
 
-def _time(drive: _Drive) -> _Found:
+def _time(drive: Drive) -> _Found:
     """Time in another unit; gaps."""
-    t, runs, step = drive.t, drive.runs, drive.step
+    t, runs, step = drive.t, drive.runs, drive.usual_step
     if not 1e-4 <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
         unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / _USUAL_STEP)))
@@ -170,7 +128,7 @@ def grows(values: FloatArray) -> int:
     return int(np.sign(net)) if counted else 0
 
 
-def _counters(drive: _Drive) -> _Found:
+def _counters(drive: Drive) -> _Found:
     """Energy or charge for power or current: it only grows, though the robot slows down, too."""
     steps = np.diff(drive.effort)
     total = float(np.abs(steps).sum())
@@ -221,7 +179,7 @@ def _late(offset: Offset) -> Check:
     )
 
 
-def _turning(drive: _Drive) -> _Found:
+def _turning(drive: Drive) -> _Found:
     """Measured turning against the tread speeds."""
     t, difference, runs = drive.t, drive.difference, drive.runs
     if np.count_nonzero(np.abs(difference) > _TURNING) < _ENOUGH:
@@ -256,16 +214,16 @@ def _turning(drive: _Drive) -> _Found:
             )
 
 
-def _against(drive: _Drive, name: str, alike: float) -> Check:
+def _against(drive: Drive, name: str, alike: float) -> Check:
     """Say what is wrong where a yaw rate falls while the right tread is the faster."""
     said = f"{name} falls while v_right exceeds v_left (correlation {alike:.2f}): "
-    mirrored = mirrored_side(drive.channels, drive.runs)
+    mirrored = mirrored_side(drive)
     if mirrored:
         one = _in_the_mirror(mirrored)
         return Check(said + one.what, remedy=one.remedy, turned=one.turned, refuses="reading")
     flip = f"map {name}=NAME[-{'rad' if name == 'yaw' else 'rad/s'}]"
     others = [correlation(r, drive.difference) for key, r in drive.rates.items() if key != name]
-    backwards = _way(drive).direct.angle_if_alike
+    backwards = _way(drive).angle
     if any(value > 0.3 for value in others):
         kind = "the gyroscope's axis is flipped" if name == "yaw_rate" else "yaw counts clockwise"
         what, remedy = f"{kind}, for the other channel turns with the treads", flip
@@ -290,49 +248,46 @@ def _against(drive: _Drive, name: str, alike: float) -> Check:
     return Check(said + what, remedy=remedy, refuses="reading")
 
 
-class _Factors(NamedTuple):
-    """By what the sides' speeds must be multiplied to make the yaw rate [1/m]."""
+def _factors(drive: Drive) -> Iterator[tuple[float, float]]:
+    """Return by what the sides' speeds make each yaw rate that their difference makes worse [1/m].
 
-    left: float
-    right: float
-
-    @property
-    def mirrored(self) -> str:
-        """The side that counts the other way; empty where none does."""
-        if self.left * self.right > 0 and 0.4 < abs(self.right / self.left) < 2.5:
-            return "v_right" if self.right < 0 else "v_left"
-        return ""
-
-
-def _factors(drive: _Drive) -> list[_Factors]:
-    """Return the factors of each yaw rate that the speeds' difference does not make as well."""
+    They have opposite signs and one size if all is well, one sign where a side counts the other
+    way, and two sizes where the sides have two units.
+    """
     speeds = np.stack([drive.left, drive.right])
     gram = speeds @ speeds.T
     scale = np.sqrt(np.diag(gram))
     if np.any(scale <= 0):
-        return []
+        return
     # Speeds that hardly differ but for their sign tell no factor of each, only that of the sum.
     apart = np.linalg.cond(gram / np.outer(scale, scale)) <= 400
     total = speeds.sum(axis=0)
-    found = []
     for rate in filter(lasts, drive.rates.values()):
         if apart:
             factors = np.linalg.solve(gram, speeds @ rate)
-        elif speeds[0] @ speeds[1] < 0.0 < total @ total:
+        elif gram[0, 1] < 0.0 < total @ total:
             factors = np.full(2, total @ rate / (total @ total))
         else:
             continue
-        alike = correlation(factors @ speeds, rate)
-        as_they_are = correlation(drive.difference, rate)
+        alike, as_they_are = (
+            correlation(factors @ speeds, rate),
+            correlation(drive.difference, rate),
+        )
         if alike >= 0.93 and 1.0 - as_they_are**2 >= 2.0 * (1.0 - alike**2):
-            found.append(_Factors(*map(float, factors)))
-    return found
+            yield float(factors[0]), float(factors[1])
 
 
-def mirrored_side(channels: Channels, runs: Sequence[slice]) -> str:
+def mirrored_side(drive: Drive) -> str:
     """Name the side whose speed counts the other way, as of a motor mounted in the mirror."""
-    found = _factors(_Drive(channels, channels["t"], runs))
-    return next((one.mirrored for one in found), "")
+    found = (_mirrored(left, right) for left, right in _factors(drive))
+    return next(found, "")
+
+
+def _mirrored(left: float, right: float) -> str:
+    """Name the side that counts the other way by the factors of both; empty where none does."""
+    if left * right > 0 and 0.4 < abs(right / left) < 2.5:
+        return "v_right" if right < 0 else "v_left"
+    return ""
 
 
 def _in_the_mirror(side: str) -> Check:
@@ -343,43 +298,36 @@ def _in_the_mirror(side: str) -> Check:
     )  # fmt: skip
 
 
-def _counting(drive: _Drive) -> _Found:
-    """Whether the sides' speeds count alike: the yaw rate must be that of their difference.
-
-    The yaw rate is fitted by both speeds: with opposite factors of one size if all is well, with
-    factors of one sign where a side counts the other way, and with factors of two sizes where the
-    sides have two units.
-    """
+def _counting(drive: Drive) -> _Found:
+    """Whether the sides' speeds count alike: the yaw rate must be that of their difference."""
     scale = np.sqrt([np.sum(speed**2) for speed in (drive.left, drive.right)])
-    for one in _factors(drive):
-        shares = np.abs(one) * scale
-        size = abs(one.right / one.left) if one.left else np.inf
+    for left, right in _factors(drive):
+        shares = np.abs((left, right)) * scale
+        size = abs(right / left) if left else np.inf
         if shares.min() < 0.08 * shares.max():
             turning = ("v_left", "v_right")[int(np.argmax(shares))]
-            yield Check(
+            return [Check(
                 f"the yaw rate follows {turning} alone, as if it were an angular speed and the "
                 "other the robot's forward speed: tread speeds are those of the left and of the "
                 "right wheels",
                 remedy="of speed V and yaw rate W make them, as in v_left=V-0.25*W,v_right="
                 "V+0.25*W with half the track",
-            )
-        elif one.mirrored:
-            yield _in_the_mirror(one.mirrored)
-        elif one.left * one.right < 0 and not 0.6 < size < 1.6:
-            yield Check(
+            )]  # fmt: skip
+        if _mirrored(left, right):
+            return [_in_the_mirror(_mirrored(left, right))]
+        if left * right < 0 and not 0.6 < size < 1.6:
+            return [Check(
                 f"the yaw rate shows that v_left counts {size:.3g} times as much as v_right: one "
                 "side is in another unit or has another wheel radius",
                 remedy=f"give both the same, or map v_left=NAME[*{1 / size:.4g}]",
-            )
-        else:
-            continue
-        return
+            )]  # fmt: skip
+    return []
 
 
 _OPPOSED = 0.7  # share of the driving in which no drive turns on the spot
 
 
-def _opposed(drive: _Drive) -> _Found:
+def _opposed(drive: Drive) -> _Found:
     """Without a heading, sides that go against each other as no drive does: one is mirrored.
 
     They do so nearly all the time, or it costs less power than to go the same way.
@@ -389,7 +337,7 @@ def _opposed(drive: _Drive) -> _Found:
     effort, driving = drive.effort, float(drive.effort[drive.moving].sum())
     spun = float(effort[drive.moving & (drive.left * drive.right < 0.0)].sum()) / driving
     if {"x", "y"} <= set(drive.channels):  # a robot that turns on the spot stays there
-        edges = np.arange(drive.t[0], drive.t[-1], max(3.0, 5 * drive.step))
+        edges = np.arange(drive.t[0], drive.t[-1], max(3.0, 5 * drive.usual_step))
         steps = 0.25 * np.diff(drive.t) * (effort[1:] + effort[:-1])
         gone = np.hypot(*(np.diff(np.interp(edges, drive.t, drive.channels[n])) for n in "xy"))
         if float(gone.sum()) < 0.5 * float(steps.sum()):
@@ -406,7 +354,7 @@ def _opposed(drive: _Drive) -> _Found:
     )
 
 
-def _turning_saves(drive: _Drive) -> bool:
+def _turning_saves(drive: Drive) -> bool:
     """Whether the power falls the more the sides' speeds differ, beyond chance."""
     X = np.stack([drive.effort, np.abs(drive.difference), np.ones(len(drive.t))], axis=1)
     if np.linalg.matrix_rank(X / np.maximum(np.abs(X).max(axis=0), 1e-300), 1e-3) < 3:
@@ -414,84 +362,42 @@ def _turning_saves(drive: _Drive) -> bool:
     found = np.linalg.lstsq(X, drive.power, rcond=None)[0]
     rest = drive.power - X @ found
     # Neighbouring samples repeat each other for about a second.
-    repeats = max(1.0, 1.0 / drive.step)
+    repeats = max(1.0, 1.0 / drive.usual_step)
     error = float(np.sqrt(np.mean(rest**2) * repeats * np.linalg.inv(X.T @ X)[1, 1]))
     return bool(found[1] < -0.2 * abs(found[0]) and found[1] < -5.0 * error)
 
 
-def _frozen(drive: _Drive) -> _Found:
-    """Find a yaw that is the same from some time on, or up to it, while the treads turn."""
-    t, difference = drive.t, drive.difference
-    turns = np.abs(difference) > 0.4 * float(np.quantile(np.abs(difference), 0.95))
-    time = np.gradient(t) * turns
-    for name, rate in drive.rates.items():
-        values = drive.channels[name]
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
-        lasts_at = np.append(starts[1:], len(t)) - 1
-        turned = np.add.reduceat(time, starts)
-        for k in {0, len(starts) - 1}:
-            frozen = np.zeros(len(t), bool)
-            frozen[starts[k] : lasts_at[k] + 1] = True
-            alive = np.abs(rate[turns & ~frozen])
-            # A steady turn may repeat a reading; one that is far below all others does not.
-            still = len(alive) and np.median(np.abs(rate[frozen])) < 0.1 * np.median(alive)
-            if turned[k] > _LONG and still:
-                yield Check(
-                    f"{name} stays at {values[starts[k]]:.4g} from t = {t[starts[k]]:.2f} to "
-                    f"{t[lasts_at[k]]:.2f} s while the treads turn: its sensor is dead there, or "
-                    "the wheels are off the ground",
-                    remedy="leave that stretch out",
-                )
-
-
-class _Course(NamedTuple):
+class _Way(NamedTuple):
     """From where the treads would take the robot to where the pose goes."""
 
-    angle: float  # angle between both [rad]
+    angle: float  # angle between both [rad]; NaN where neither follows the other
     alike: float  # how well one follows the other, at most 1
 
-    @property
-    def angle_if_alike(self) -> float:
-        return self.angle if self.alike >= 0.7 else np.nan
 
-
-class _Courses(NamedTuple):
-    """The pose against the treads' way, and against that way's mirror image in the x axis."""
-
-    direct: _Course
-    mirrored: _Course
-
-
-def _way(drive: _Drive) -> _Courses:
-    """Compare the pose with the treads' way, and with that way's mirror image in the x axis."""
-    nothing = _Courses(_Course(np.nan, 0.0), _Course(np.nan, 0.0))
+def _way(drive: Drive, mirrored: bool = False) -> _Way:
+    """Compare the pose with the treads' way, or with that way's mirror image in the x axis."""
     if not {"x", "y", "yaw"} <= set(drive.channels):
-        return nothing
+        return _Way(np.nan, 0.0)
     t, speed = drive.t, 0.5 * (drive.left + drive.right)
-    heading = np.unwrap(drive.channels["yaw"])
+    heading = np.unwrap(drive.channels["yaw"]) * (-1.0 if mirrored else 1.0)
     place = drive.channels["x"] + 1j * drive.channels["y"]
-    product, image, predicted, measured = 0.0 + 0.0j, 0.0 + 0.0j, 0.0, 0.0
+    product, size = 0.0 + 0.0j, np.zeros(2)
     for run in drive.runs:
-        edges = np.arange(t[run][0], t[run][-1], max(1.0, 5 * drive.step))
-        if len(edges) < 2:
-            continue
+        edges = np.arange(t[run][0], t[run][-1], max(1.0, 5 * drive.usual_step))
         # The heading amid two readings: in a step, a robot that turns goes along neither.
         amid, rolled = (0.5 * (part[run][1:] + part[run][:-1]) for part in (heading, speed))
         way = np.append(0.0, np.cumsum(rolled * np.exp(1j * amid) * np.diff(t[run])))
         goes, went = (np.diff(np.interp(edges, t[run], one)) for one in (way, place[run]))
         product += complex(np.vdot(goes, went))
-        image += complex(np.vdot(goes.conj(), went))
-        predicted += float(np.vdot(goes, goes).real)
-        measured += float(np.vdot(went, went).real)
-    norm = np.sqrt(predicted * measured)
-    if norm <= 0:
-        return nothing
-    return _Courses(*(_Course(float(np.angle(z)), abs(z) / norm) for z in (product, image)))
+        size += [np.vdot(goes, goes).real, np.vdot(went, went).real]
+    norm = np.sqrt(size.prod())
+    alike = abs(product) / norm if norm > 0 else 0.0
+    return _Way(float(np.angle(product)) if alike >= 0.7 else np.nan, alike)
 
 
-def _pose(drive: _Drive) -> _Found:
+def _pose(drive: Drive) -> _Found:
     """Whether the pose goes where treads and heading take the robot."""
-    direct, mirrored = _way(drive)
+    direct, mirrored = _way(drive), _way(drive, mirrored=True)
     if mirrored.alike > 0.9 and direct.alike < 0.9 * mirrored.alike:
         if abs(abs(mirrored.angle) - 0.5 * np.pi) < 0.6:
             what, remedy = "x and y are swapped", "swap them"
@@ -500,7 +406,7 @@ def _pose(drive: _Drive) -> _Found:
             remedy = f"map {'y' if abs(mirrored.angle) < 0.6 else 'x'}=NAME[-m]"
         yield Check(f"the pose is a mirror image of the motion: {what}", remedy=remedy)
         return
-    angle = direct.angle_if_alike
+    angle = direct.angle
     if not np.isfinite(angle) or abs(angle) < 0.6:
         return
     if abs(angle) > 2.4:
@@ -517,19 +423,10 @@ def _pose(drive: _Drive) -> _Found:
         )
 
 
-def _distance(drive: _Drive) -> _Found:
-    """Tread speeds against the distance travelled."""
-    ratio = distance_ratio(drive.channels, drive.runs)
-    if np.isfinite(ratio) and not 0.7 < ratio < 1.5:
-        yield Check(
-            f"{FAR} go {ratio:.3g} times as far as x and y",
-            remedy="check the units and the wheel radius, as in v_left=NAME[*0.165], or the wheels "
-            "slip",
-        )
+def _measured_twice(drive: Drive) -> _Found:
+    """Ways, turns and powers that a log tells twice, whatever the robot."""
+    return (one for one in check_consistency(drive, Measures()) if not one.ok)
 
-
-FAR = "on straight stretches the treads"
-"""How the check of distances begins, which `check_consistency` knows more of."""
 
 # -- sides --------------------------------------------------------------------------------------
 
@@ -546,9 +443,9 @@ def _ahead(left: FloatArray, right: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(np.abs(left - right) < 0.1 * np.abs(left + right))
 
 
-def _dead(drive: _Drive) -> _Found:
+def _dead(drive: Drive) -> _Found:
     """Find a side that shows nothing while the robot drives."""
-    for side, other in drive.each_side():
+    for side, other in _EACH_SIDE:
         speed, theirs = drive.channels[f"v_{side}"], drive.channels[f"v_{other}"]
         about = any(abs(correlation(rate, theirs)) > 0.9 for rate in drive.rates.values())
         moves = np.count_nonzero(theirs) >= _ENOUGH and np.ptp(theirs) > 0.0
@@ -572,34 +469,59 @@ def _dead(drive: _Drive) -> _Found:
             )
 
 
-def _dying(drive: _Drive) -> _Found:
-    """Find a side's power that is the same from or up to some time, while both go ahead."""
-    t, time = drive.t, np.gradient(drive.t) * _ahead(drive.left, drive.right)
-    for side, other in drive.each_side():
+def _ends(values: FloatArray) -> Iterator[slice]:
+    """Yield the stretches at the beginning and at the end in which a reading stays the same."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
+    ends = np.append(starts[1:], len(values))
+    for k in sorted({0, len(starts) - 1}):
+        yield slice(int(starts[k]), int(ends[k]))
+
+
+def _dying(drive: Drive) -> _Found:
+    """Find a sensor that shows the same from or up to some time, while what it measures changes.
+
+    A side's power does so on straight lines, a heading where the treads turn. What died stays dead;
+    between others, such a stretch may be one of little power.
+    """
+    time = np.gradient(drive.t)
+    ahead = _ahead(drive.left, drive.right)
+    for side, other in _EACH_SIDE if drive.sides else ():
         power, drawn = drive.channels[f"p_{side}"], drive.channels[f"p_{other}"]
-        if np.ptp(power) == 0.0:
-            continue
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(power)) + 1])
-        ends = np.append(starts[1:], len(power)) - 1
-        changes = np.cumsum(np.diff(drawn, prepend=drawn[0]) != 0.0)
-        driven = np.add.reduceat(time * (drawn > 0), starts)
-        # What died stays dead; between others, such a stretch may be one of little power.
-        at_an_end = (starts == 0) | (ends == len(power) - 1)
-        varied = changes[ends] - changes[starts] >= _ENOUGH
-        long = np.flatnonzero(at_an_end & varied & (driven > _LONG))
-        if len(long):
-            first, last = t[starts[long[0]]], t[ends[long[0]]]
-            yield Check(
-                f"p_{side} stays at {power[starts[long[0]]]:g} from t = {first:.2f} to {last:.2f} "
-                f"s while p_{other} changes, on straight lines too: its sensor is dead there",
-                remedy="leave that stretch out",
+        for some in _ends(power):
+            varied = np.count_nonzero(np.diff(drawn[some])) >= _ENOUGH
+            if np.ptp(power) and varied and float((time * ahead)[some] @ (drawn[some] > 0)) > _LONG:
+                yield _stays(drive, f"p_{side}", some, f"p_{other} changes, on straight lines too",
+                             "is dead there")  # fmt: skip
+                break
+    size = np.abs(drive.difference)
+    turns = size > 0.4 * float(np.quantile(size, 0.95))
+    for name, rate in drive.rates.items():
+        for some in _ends(drive.channels[name]):
+            alive = turns.copy()
+            alive[some] = False
+            # A steady turn may repeat a reading; one that is far below all others does not.
+            still = alive.any() and np.median(np.abs(rate[some])) < 0.1 * np.median(
+                np.abs(rate[alive])
             )
+            if float((time * turns)[some].sum()) > _LONG and still:
+                yield _stays(drive, name, some, "the treads turn",
+                             "is dead there, or the wheels are off the ground")  # fmt: skip
 
 
-def _false_speeds(drive: _Drive) -> _Found:
+def _stays(drive: Drive, name: str, some: slice, though: str, why: str) -> Check:
+    """Say of a sensor that it shows the same for a stretch."""
+    value, t = drive.channels[name][some.start], drive.t[some]
+    return Check(
+        f"{name} stays at {value:.4g} from t = {t[0]:.2f} to {t[-1]:.2f} s while {though}: its "
+        f"sensor {why}",
+        remedy="leave that stretch out",
+    )
+
+
+def _false_speeds(drive: Drive) -> _Found:
     """Speeds that are not those of two sides: one column twice, or without signs."""
     left, right, difference = drive.left, drive.right, drive.difference
-    second = max(int(1.0 / drive.step), 1)
+    second = max(int(1.0 / drive.usual_step), 1)
     if np.array_equal(left, right):
         for name, rate in drive.rates.items():
             mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
@@ -649,7 +571,7 @@ def _turns_by(
     return abs(tracks[0]) > 0.5 * abs(tracks[1])
 
 
-def _unlike(drive: _Drive) -> _Found:
+def _unlike(drive: Drive) -> _Found:
     """Both sides' powers that are not two powers, or not in one unit."""
     p_left, p_right = drive.channels["p_left"], drive.channels["p_right"]
     apart = np.abs(np.abs(drive.left) - np.abs(drive.right))
@@ -683,17 +605,13 @@ def _unlike(drive: _Drive) -> _Found:
             )  # fmt: skip
 
 
-UNSIGNED = "never negative"
-"""What is said of powers that lost their sign."""
-
-
 def find_lost_sign(channels: Channels) -> str:
     """Tell whether the sides' powers, or that of one side, lost their sign."""
-    drive = _Drive(channels, channels["t"], ())
+    drive = Drive(channels, channels["t"], ())
     return "".join(str(one) for one in _lost_sign(drive)) if drive.sides else ""
 
 
-def _lost_sign(drive: _Drive) -> _Found:
+def _lost_sign(drive: Drive) -> _Found:
     """Powers of the sides, or of one side, that lost their sign.
 
     In arcs a force of slip F and a resistance K give the outer side (F + K) v, the inner one
@@ -706,7 +624,7 @@ def _lost_sign(drive: _Drive) -> _Found:
     turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
     straight = np.abs(difference) < 0.01 * np.abs(drive.left + drive.right)
     # Samples of a slow log lie apart, and few of them tell as much.
-    enough = int(np.clip(_TOLD / drive.step, _FEW, _ENOUGH))
+    enough = int(np.clip(_TOLD / drive.usual_step, _FEW, _ENOUGH))
     lost: list[str] = []
     returned = False
     for side, speed, outwards in (("p_left", drive.left, -1.0), ("p_right", drive.right, 1.0)):
@@ -728,15 +646,15 @@ def _lost_sign(drive: _Drive) -> _Found:
         lost.append(side)
     if len(lost) == 1 and returned:
         yield Check(
-            f"{lost[0]} is {UNSIGNED}, where the other side's is in arcs, and seems to be held "
+            f"{lost[0]} is never negative, where the other side's is in arcs, and seems to be held "
             "back far more on the inside of them than on straight lines: its sensor shows what it "
             "returns as power drawn",
             remedy="log it with its sign",
         )
     elif lost:
         yield Check(
-            f"p_left and p_right are {UNSIGNED}, and in arcs the inner side seems to be held back "
-            "far more than on straight lines: the sensors show what it returns as power drawn",
+            "p_left and p_right are never negative, and in arcs the inner side seems to be held "
+            "back far more than on straight lines: the sensors show what it returns as power drawn",
             remedy="log signed currents, or let diagnose find unsigned_power",
         )
 
@@ -744,7 +662,7 @@ def _lost_sign(drive: _Drive) -> _Found:
 # -- power --------------------------------------------------------------------------------------
 
 
-def _powers(drive: _Drive) -> _Found:
+def _powers(drive: Drive) -> _Found:
     """Power against the tread speeds: its sign, its side, its time."""
     t, channels, effort = drive.t, drive.channels, drive.effort
     moving = effort > 2 * _MOVING
@@ -829,7 +747,7 @@ def _step(values: FloatArray, usual: float) -> float:
     return step if coarse else 0.0
 
 
-def _steps(drive: _Drive, moving: NDArray[np.bool_]) -> _Found:
+def _steps(drive: Drive, moving: NDArray[np.bool_]) -> _Found:
     """Find readings with so few digits that a steady one is not known, however long it lasts."""
     speeds = np.concatenate([drive.left, drive.right])
     read = {"the tread speeds": (speeds[np.abs(speeds) > _MOVING], "m/s")}
@@ -853,7 +771,7 @@ def held_periods(channels: Channels) -> dict[str, float]:
 
     Held readings change with a clock. Those that are steady, or have few digits, do not.
     """
-    drive = _Drive(channels, channels["t"], ())
+    drive = Drive(channels, channels["t"], ())
     changing = np.append(False, np.diff(drive.effort) != 0.0)
     found = {}
     for name in (name for name in POWERS if name in channels):
@@ -874,7 +792,7 @@ def held_periods(channels: Channels) -> dict[str, float]:
     return found
 
 
-def _flipped(drive: _Drive, side: str) -> bool:
+def _flipped(drive: Drive, side: str) -> bool:
     """Whether a side's power is negative where the side can only draw.
 
     On the outside of an arc and on the spot it works against slip and resistance at once. The inner
@@ -886,7 +804,7 @@ def _flipped(drive: _Drive, side: str) -> bool:
     turn = drive.difference if right else -drive.difference
     outer = (turn * speed > 0) & (np.abs(turn) > np.maximum(_TURNING, 0.15 * drive.effort))
     outer &= np.abs(speed) > _MOVING
-    enough = max(_ENOUGH, 3.0 / drive.step)  # stops, which give back, are short
+    enough = max(_ENOUGH, 3.0 / drive.usual_step)  # stops, which give back, are short
     drawn = drive.channels[side][outer]
     negative = _wrong_sign(drawn)
     if len(drawn) >= enough or (len(drawn) and not negative):
@@ -901,12 +819,39 @@ def _flipped(drive: _Drive, side: str) -> bool:
     return _wrong_sign(power) and bool(0.5 < -opposite.mean() / power.mean() < 2.0)
 
 
+def _directed(drive: Drive) -> _Found:
+    """Find a power that counts backwards where the robot goes so, as torques and currents may."""
+    name = "current" if "current" in drive.channels and "power" not in drive.channels else "power"
+    parts = [(name, drive.power, drive.left + drive.right, drive.moving)]
+    if drive.sides:
+        size = {"left": np.abs(drive.left), "right": np.abs(drive.right)}
+        parts = [  # the inner side of an arc may return power
+            (f"p_{one}", drive.channels[f"p_{one}"], drive.channels[f"v_{one}"],
+             drive.moving & ((size[one] >= 0.95 * size[two]) | (drive.left * drive.right < 0.0)))
+            for one, two in _EACH_SIDE
+        ]  # fmt: skip
+    found = []
+    for name, power, speed, some in parts:
+        ahead, back = (some & (sign * speed > _MOVING) for sign in (1.0, -1.0))
+        enough = min(np.count_nonzero(ahead), np.count_nonzero(back)) >= _ENOUGH
+        if enough and _wrong_sign(-power[ahead]) and _wrong_sign(power[back]):
+            found.append(name)
+    if found:
+        yield Check(
+            f"{' and '.join(found)} {'are' if len(found) > 1 else 'is'} positive forwards and "
+            "negative backwards, as a motor's torque or current with the sign of its direction is: "
+            "who drives draws power both ways",
+            remedy="log the battery's current, or multiply by the speed, as in "
+            "p_left=CURRENT*SPEED[*V_S_PER_M]",
+        )
+
+
 def _wrong_sign(power: FloatArray) -> bool:
     """Whether power is negative on the whole, beyond chance."""
     return bool(len(power) and power.mean() < -0.3 * np.abs(power).mean() and np.median(power) < 0)
 
 
-def _descends(drive: _Drive) -> bool:
+def _descends(drive: Drive) -> bool:
     """Whether the drive goes downhill on the whole, as far as the log tells."""
     if "slope" not in drive.channels:
         return False
@@ -914,14 +859,14 @@ def _descends(drive: _Drive) -> bool:
     return float(np.sin(drive.channels["slope"]) @ forward) < -0.02 * float(np.abs(forward).sum())
 
 
-def _repeats(drive: _Drive) -> _Found:
+def _repeats(drive: Drive) -> _Found:
     """Find a power that changes with every sample, but stays the same for a while in driving.
 
     A sensor that hangs, one that drops out and one at the end of its range all repeat a reading to
     the last bit. One that reads in steps does so all the time, or wherever the robot goes steadily.
     """
     t, moving = drive.t, drive.moving
-    least = max(5, round(0.3 / drive.step))
+    least = max(5, round(0.3 / drive.usual_step))
     turned = np.append(False, np.diff(drive.effort) != 0.0)
     speeds = np.stack([drive.left, drive.right])
     change = np.abs(np.diff(speeds, prepend=speeds[:, :1])).sum(axis=0)
@@ -959,7 +904,7 @@ def _repeats(drive: _Drive) -> _Found:
         )
 
 
-def _motor_current(drive: _Drive) -> _Found:
+def _motor_current(drive: Drive) -> _Found:
     """Find a current that is that of the motors, which follows torque and not power."""
     top = float(np.quantile(drive.effort, 0.95))
     rest, moving = drive.effort < 0.02 * top, drive.effort > 0.15 * top
@@ -1004,8 +949,7 @@ INVARIANTS = (
     Invariant("who drives draws power, at that time", _ALL, _powers, "", of_two_sides=True),
     Invariant("speeds are those of two sides, with their signs", _ALL, _false_speeds),
     Invariant("both sides show something", _ALL, _dead),
-    Invariant("the power of a side changes to the end", _SIDES, _dying),
-    Invariant("a heading changes while the treads turn", _ALL, _frozen),
+    Invariant("a side's power, and a heading, change to the end", _ALL, _dying),
     Invariant("both speeds count alike", _ALL, _counting),
     Invariant("sides seldom go against each other", _ALL, _opposed),
     Invariant("two powers are two, in one unit", _SIDES, _unlike),
@@ -1013,7 +957,8 @@ INVARIANTS = (
     Invariant("a noisy power does not repeat", _ALL, _repeats),
     Invariant("the pose goes where treads and heading do", _PLACE | {"yaw"}, _pose),
     Invariant("power depends on speed", _ALL, _motor_current),
-    Invariant("treads and pose go as far", _PLACE, _distance),
+    Invariant("power is drawn backwards, too", _ALL, _directed, of_two_sides=True),
+    Invariant("what is measured twice is the same", _ALL, _measured_twice),
 )
 """What is asked of every drive, in the order in which it is told."""
 

@@ -328,10 +328,13 @@ class _Cleaner:
         if self.many_strays(name):
             count = int(np.count_nonzero(stray))
             value = float(values[stray][0])
+            kinds = np.unique(values[stray])
+            blank = f"; where {value:g} stands for no reading, leave the cell empty"
             raise DriveLogError(
                 f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
                 f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
                 f"{unit}; name its unit, as in {name}=NAME[{likely_unit(name, unit, values)}]"
+                f"{blank if len(kinds) == 1 and count < len(values) else ''}"
             )
         self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
         values[stray] = np.nan

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf, isfinite, log, nan
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.logs.align import derivative
 from energyplan.logs.mapping import RATES, UNITS, Column, known_unit
@@ -34,55 +36,140 @@ _DRAWN = frozenset({"current", "power", "p_left", "p_right"})
 _INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What a log shows of a robot; NaN where it does not."""
-
-    slip_track: float = np.nan  # [m]
-    from_pose: bool = False
-    distance: float = np.nan  # way of the treads over that of the pose, on straight stretches
-    rotation: float = np.nan  # gyroscope's yaw rate over that of the heading, whatever their signs
-    top_speed: float = np.nan  # speed that is reached one hundredth of the time [m/s]
-    force: float = np.nan  # mean power over mean speed while driving [N]
-    electric: float = np.nan  # power over voltage times current
-    inertia: float = np.nan  # mass that the power of speeding up tells [kg]
-    step: float = np.nan  # time between samples [s]
-    voltage: float = np.nan  # the usual one [V]
-    channels: frozenset[str] = frozenset()  # what the log holds
-    whole: frozenset[str] = frozenset()  # electric channels that come in many whole numbers
+Channels = Mapping[str, FloatArray]
 
 
-def gather(
-    channels: Mapping[str, FloatArray], power: FloatArray, runs: Sequence[slice]
-) -> Evidence:
-    """Find what a log shows of the robot."""
-    t, left, right = channels["t"], channels["v_left"], channels["v_right"]
-    rates = yaw_rates(channels, runs)
-    rate = rates.get("yaw_rate", rates.get("yaw"))
-    mean = 0.5 * (left + right)
-    effort = 0.5 * (np.abs(left) + np.abs(right))
-    top = float(np.quantile(effort, 0.99))
-    moving = effort > max(0.1 * top, 1e-6)
-    force = np.nan
-    if np.count_nonzero(moving) >= _ENOUGH:
-        drawn = power[moving]
-        chance = _CHANCE * float(drawn.std()) / np.sqrt(len(drawn))  # a dead sensor's noise
-        if abs(drawn.mean()) > chance:
-            force = float(np.abs(drawn.mean()) / effort[moving].mean())
-    return Evidence(
-        slip_track=np.nan if rate is None else _slip_track(rate, right - left),
-        from_pose="yaw_rate" not in rates,
-        distance=distance_ratio(channels, runs),
-        rotation=_rotation(t, channels, rates),
-        top_speed=top if np.count_nonzero(moving) >= _ENOUGH else np.nan,
-        force=force if force else np.nan,
-        electric=_electric(channels),
-        inertia=_inertia(t, mean, effort, right - left, power, runs),
-        step=float(np.quantile(np.diff(t), 0.1)) if len(t) >= 5 * _ENOUGH else np.nan,
-        voltage=float(np.median(channels["voltage"])) if "voltage" in channels else np.nan,
-        channels=frozenset(channels),
-        whole=frozenset(name for name in (*_DRAWN, "voltage") if _whole(channels.get(name))),
-    )
+class Drive:
+    """A drive and what it shows of a robot, each computed when it is asked for; NaN if unseen."""
+
+    def __init__(self, channels: Channels, power: FloatArray, runs: Sequence[slice]) -> None:
+        self.channels, self.power, self.runs = channels, power, runs
+        self.t, self.left, self.right = (channels[name] for name in ("t", "v_left", "v_right"))
+        self.difference = self.right - self.left
+        self.effort = np.abs(self.left) + np.abs(self.right)  # [m/s], whatever their signs
+        self.sides = {"p_left", "p_right"} <= set(channels)
+        self.usual_step = float(np.median(np.diff(self.t))) if len(self.t) > 1 else np.nan
+        # Nothing but the heading tells the slip track.
+        self.from_pose = "yaw_rate" not in channels
+
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """Where it moves, by what is usual in the drive."""
+        return self.effort > 0.15 * float(np.quantile(self.effort, 0.95))
+
+    @cached_property
+    def rates(self) -> dict[str, FloatArray]:
+        """Yaw rates by the channel that they come from [rad/s]."""
+        return yaw_rates(self.channels, self.runs)
+
+    @cached_property
+    def step(self) -> float:
+        """Time between samples where they are close [s]."""
+        steps = np.diff(self.t)
+        return float(np.quantile(steps, 0.1)) if len(self.t) >= 5 * _ENOUGH else np.nan
+
+    @cached_property
+    def slip_track(self) -> float:
+        """Difference of the tread speeds over the yaw rate [m]; NaN if they are not alike."""
+        rate = self.rates.get("yaw_rate", self.rates.get("yaw"))
+        if rate is None or not lasts(self.difference):
+            return np.nan
+        if abs(correlation(rate, self.difference)) < _ALIKE:
+            return np.nan
+        return abs(float(self.difference @ self.difference) / float(self.difference @ rate))
+
+    @cached_property
+    def distance(self) -> float:
+        """Way of the treads over that of the pose, on straight stretches."""
+        return distance_ratio(self.channels, self.runs)
+
+    @cached_property
+    def rotation(self) -> float:
+        """Gyroscope over heading; of a heading that jitters, over what it changes in seconds."""
+        if len(self.rates) < 2 or not lasts(self.rates["yaw_rate"]):
+            return np.nan
+        t, gyro, heading = self.t, self.rates["yaw_rate"], self.rates["yaw"]
+        angles = _integral(t, gyro), np.unwrap(self.channels["yaw"])
+        for window in (0.0, _WINDOW, 3 * _WINDOW):
+            if window > 0.0:
+                edges = np.arange(t[0], t[-1], window)
+                gyro, heading = (np.diff(np.interp(edges, t, angle)) for angle in angles)
+            if len(gyro) >= _ENOUGH and abs(correlation(gyro, heading)) >= 0.7:
+                # The jitter of the heading is in the denominator only where it is the regressor.
+                return abs(float(gyro @ gyro) / float(gyro @ heading))
+        return np.nan
+
+    @cached_property
+    def _driving(self) -> NDArray[np.bool_]:
+        """Where it surely moves; nowhere if that is too seldom to conclude from."""
+        fast = self.effort > max(0.1 * float(np.quantile(self.effort, 0.99)), 2e-6)
+        return fast if np.count_nonzero(fast) >= _ENOUGH else np.zeros(len(fast), bool)
+
+    @cached_property
+    def top_speed(self) -> float:
+        """Speed that is reached one hundredth of the time [m/s]."""
+        return 0.5 * float(np.quantile(self.effort, 0.99)) if self._driving.any() else np.nan
+
+    @cached_property
+    def force(self) -> float:
+        """Mean power over mean speed while driving [N]."""
+        drawn = self.power[self._driving]
+        # A dead sensor's noise has a mean, too.
+        if not len(drawn) or abs(drawn.mean()) <= _CHANCE * drawn.std() / np.sqrt(len(drawn)):
+            return np.nan
+        return float(2.0 * np.abs(drawn.mean()) / self.effort[self._driving].mean())
+
+    @cached_property
+    def electric(self) -> float:
+        """Power over voltage times current, where a log has both."""
+        if not {"voltage", "current"} <= set(self.channels):
+            return np.nan
+        if not (self.sides or "power" in self.channels):
+            return np.nan
+        product = self.channels["voltage"] * self.channels["current"]
+        if abs(correlation(self.power, product)) < 0.8:
+            return np.nan
+        return abs(float(self.power @ product) / float(product @ product))
+
+    @cached_property
+    def voltage(self) -> float:
+        """Usual voltage [V]."""
+        return float(np.median(self.channels["voltage"])) if "voltage" in self.channels else np.nan
+
+    @cached_property
+    def inertia(self) -> float:
+        """Mass that the power of speeding up tells [kg]; NaN where it hardly tells it."""
+        mean = 0.5 * (self.left + self.right)
+        gain = mean * derivative(self.t, mean, self.runs, 0.4)
+        best, found = inf, np.nan
+        for lag in np.arange(-0.2, 0.81, 0.1):
+            shifted, back = (
+                np.interp(self.t - lag, self.t, np.clip(gain, *ends))
+                for ends in ((0, None), (None, 0))
+            )
+            one = np.ones(len(self.t))
+            X = np.stack([shifted, back, 0.5 * self.effort, np.abs(self.difference), one])
+            scale = np.sqrt((X * X).sum(axis=1))
+            if scale[0] == 0 or not np.all(np.isfinite(scale)):
+                return np.nan
+            scale[scale == 0] = 1.0
+            unit = X / scale[:, None]
+            gram = unit @ unit.T + 1e-9 * np.eye(len(X))
+            solution = np.linalg.solve(gram, unit @ self.power)
+            residual = self.power - solution @ unit
+            loss = float(residual @ residual)
+            if loss < best:
+                best = loss
+                variance = loss / len(self.t) * _repeats(residual) * np.linalg.inv(gram)[0, 0]
+                error = np.sqrt(variance) / scale[0]
+                mass = float(solution[0] / scale[0])
+                found = mass if mass > 0 and error < _INERTIA_ERROR * mass else np.nan
+        return found
+
+    @cached_property
+    def whole(self) -> frozenset[str]:
+        """Electric channels that come in many whole numbers."""
+        return frozenset(n for n in (*_DRAWN, "voltage") if _whole(self.channels.get(n)))
 
 
 def _whole(values: FloatArray | None) -> bool:
@@ -92,7 +179,7 @@ def _whole(values: FloatArray | None) -> bool:
     return len(np.unique(values)) > _FEW_NUMBERS or float(np.median(np.abs(values))) > 60.0
 
 
-def yaw_rates(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> dict[str, FloatArray]:
+def yaw_rates(channels: Channels, runs: Sequence[slice]) -> dict[str, FloatArray]:
     """Return the yaw rates that a log tells [rad/s], by the channel that they come from."""
     found = {}
     if "yaw_rate" in channels:
@@ -114,34 +201,7 @@ def lasts(values: FloatArray) -> bool:
     return bool(np.count_nonzero(size > 0.2 * np.max(size, initial=0.0)) >= _ENOUGH)
 
 
-def _slip_track(rate: FloatArray, difference: FloatArray) -> float:
-    """Difference of the tread speeds over the yaw rate; NaN where they do not follow each other."""
-    if not lasts(difference):
-        return np.nan
-    if abs(correlation(rate, difference)) < _ALIKE:
-        return np.nan
-    return abs(float(difference @ difference) / float(difference @ rate))
-
-
-def _rotation(
-    t: FloatArray, channels: Mapping[str, FloatArray], rates: Mapping[str, FloatArray]
-) -> float:
-    """Gyroscope over heading; of a heading that jitters, over what it changes in some seconds."""
-    if len(rates) < 2 or not lasts(rates["yaw_rate"]):
-        return np.nan
-    gyro, heading = rates["yaw_rate"], rates["yaw"]
-    angles = _integral(t, gyro), np.unwrap(channels["yaw"])
-    for window in (0.0, _WINDOW, 3 * _WINDOW):
-        if window > 0.0:
-            edges = np.arange(t[0], t[-1], window)
-            gyro, heading = (np.diff(np.interp(edges, t, angle)) for angle in angles)
-        if len(gyro) >= _ENOUGH and abs(correlation(gyro, heading)) >= 0.7:
-            # The jitter of the heading is in the denominator only where it is the regressor.
-            return abs(float(gyro @ gyro) / float(gyro @ heading))
-    return np.nan
-
-
-def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) -> float:
+def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
     """Way of the treads over that of the pose, on straight stretches.
 
     Displacements over whole stretches are compared, not the lengths of paths: a pose that jitters
@@ -190,56 +250,6 @@ def distance_ratio(channels: Mapping[str, FloatArray], runs: Sequence[slice]) ->
 
 def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
-
-
-def _electric(channels: Mapping[str, FloatArray]) -> float:
-    """Power over voltage times current, where a log has both."""
-    if not {"voltage", "current"} <= set(channels):
-        return np.nan
-    if "power" in channels:
-        power = channels["power"]
-    elif {"p_left", "p_right"} <= set(channels):
-        power = channels["p_left"] + channels["p_right"]
-    else:
-        return np.nan
-    product = channels["voltage"] * channels["current"]
-    if abs(correlation(power, product)) < 0.8:
-        return np.nan
-    return abs(float(power @ product) / float(product @ product))
-
-
-def _inertia(
-    t: FloatArray,
-    mean: FloatArray,
-    effort: FloatArray,
-    difference: FloatArray,
-    power: FloatArray,
-    runs: Sequence[slice],
-) -> float:
-    """Mass that the power of speeding up tells; NaN where it hardly tells it."""
-    accel = derivative(t, mean, runs, 0.4)
-    gain = mean * accel
-    best, found = inf, np.nan
-    for lag in np.arange(-0.2, 0.81, 0.1):
-        shifted = np.interp(t - lag, t, np.clip(gain, 0, None))
-        back = np.interp(t - lag, t, np.clip(gain, None, 0))
-        X = np.stack([shifted, back, effort, np.abs(difference), np.ones(len(t))])
-        scale = np.sqrt((X * X).sum(axis=1))
-        if np.any(scale[:1] == 0) or not np.all(np.isfinite(scale)):
-            return np.nan
-        scale[scale == 0] = 1.0
-        unit = X / scale[:, None]
-        gram = unit @ unit.T + 1e-9 * np.eye(len(X))
-        solution = np.linalg.solve(gram, unit @ power)
-        residual = power - solution @ unit
-        loss = float(residual @ residual)
-        if loss < best:
-            best = loss
-            variance = loss / len(t) * _repeats(residual) * float(np.linalg.inv(gram)[0, 0])
-            error = np.sqrt(variance) / scale[0]
-            mass = float(solution[0] / scale[0])
-            found = mass if mass > 0 and error < _INERTIA_ERROR * mass else np.nan
-    return found
 
 
 def _repeats(residual: FloatArray) -> float:
@@ -335,8 +345,8 @@ _WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whol
 _WHOLE_VOLTAGE = replace(_VOLTAGE, high=100.0, why="batteries of robots, read in whole numbers")
 
 
-def _ratios(seen: Mapping[str, float], evidence: Evidence) -> list[tuple[_Range, float]]:
-    """Return the known ratios that evidence and measures make."""
+def _ratios(seen: Mapping[str, float], drive: Drive) -> list[tuple[_Range, float]]:
+    """Return the known ratios that drive and measures make."""
     track, wheelbase, mass = (seen[key] for key in ("track", "wheelbase", "mass"))
     geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else nan
     found = [
@@ -347,10 +357,10 @@ def _ratios(seen: Mapping[str, float], evidence: Evidence) -> list[tuple[_Range,
         (_TURNING, seen["slip_track"] / geometric),
         (_ASPECT, wheelbase / track),
         (_DENSITY, mass / (wheelbase * track)),
-        (_WHOLE_FORCE if evidence.whole & _DRAWN else _FORCE, seen["force"] / (mass * GRAVITY)),
+        (_WHOLE_FORCE if drive.whole & _DRAWN else _FORCE, seen["force"] / (mass * GRAVITY)),
         (_ELECTRIC, seen["electric"]),
-        (_WHOLE_VOLTAGE if "voltage" in evidence.whole else _VOLTAGE, seen["voltage"]),
-        (_INERTIA, seen["inertia"] / mass),
+        (_WHOLE_VOLTAGE if "voltage" in drive.whole else _VOLTAGE, seen["voltage"]),
+        (_INERTIA, seen.get("inertia", nan) / mass),
     ]
     return [(span, value) for span, value in found if isfinite(value)]
 
@@ -385,15 +395,13 @@ class _Mistake(NamedTuple):
     rarity: float = 0.0
     instead: str = ""  # what to do, where that is not to map the channels in the unit
 
-    def undo(
-        self, seen: Mapping[str, float], evidence: Evidence, factor: float
-    ) -> dict[str, float]:
+    def undo(self, seen: Mapping[str, float], drive: Drive, factor: float) -> dict[str, float]:
         """Return what would be seen without the mistake."""
         acts = dict(_ACTS[self.channels])
         if self.channels[0] in ("t", "yaw", "yaw_rate"):  # of what the slip track is told by
             power = {"t": 1, "yaw": -1, "yaw_rate": -1}[self.channels[0]]
-            acts["slip_track"] = power * (evidence.from_pose != (self.channels[0] == "yaw_rate"))
-        if self.channels[-1] in ("voltage", "current") and isfinite(evidence.electric):
+            acts["slip_track"] = power * (drive.from_pose != (self.channels[0] == "yaw_rate"))
+        if self.channels[-1] in ("voltage", "current") and isfinite(drive.electric):
             acts = {"electric": -1, "voltage": acts.get("voltage", 0)}
         size = factor**2 if self.channels == ("voltage", "current") else factor
         return {
@@ -499,16 +507,16 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
 
 
 def check_consistency(
-    evidence: Evidence, known: Measures, columns: _Columns = MappingProxyType({})
+    drive: Drive, known: Measures, columns: _Columns = MappingProxyType({})
 ) -> list[Check]:
     """Compare the quantities of a log with each other and with the robot's measures.
 
     The first ratio that is wrong bears the remedy: what explains them all.
     """
-    seen = _seen(evidence, known)
-    ratios = _ratios(seen, evidence)
+    seen = _seen(drive, known)
+    ratios = _ratios(seen, drive)
     wrong = [span for span, value in ratios if not span.holds(value)]
-    remedy = _explain(seen, evidence, known, columns) if wrong else ""
+    remedy = _explain(seen, drive, known, columns) if wrong else ""
     if wrong and not remedy:
         remedy = (
             "no single mistake explains it: check that the vehicle is this robot, the units, the "
@@ -524,30 +532,28 @@ def check_consistency(
 
 def contradictions(log: DriveLog, vehicle: Vehicle) -> list[Check]:
     """Return what of a drive contradicts the vehicle, and what mistake would explain it."""
-    evidence = gather(log.channels, log.power, log.runs)
-    return [one for one in check_consistency(evidence, Measures.of(vehicle)) if not one.ok]
+    drive = Drive(log.channels, log.power, log.runs)
+    return [one for one in check_consistency(drive, Measures.of(vehicle)) if not one.ok]
 
 
-def _seen(evidence: Evidence, known: Measures) -> dict[str, float]:
+def _seen(drive: Drive, known: Measures) -> dict[str, float]:
     """Return what is seen of log and robot, by name."""
-    quantities = ("slip_track", "distance", "rotation", "top_speed", "force", "electric", "inertia",
-                  "step", "voltage")  # fmt: skip
-    return {key: getattr(evidence, key) for key in quantities} | {
+    quantities = ["slip_track", "distance", "rotation", "top_speed", "force", "electric", "step",
+                  "voltage", *(["inertia"] if isfinite(known.mass) else [])]  # fmt: skip
+    return {key: getattr(drive, key) for key in quantities} | {
         "track": known.track, "wheelbase": known.wheelbase, "mass": known.mass
     }  # fmt: skip
 
 
-def strain(evidence: Evidence, known: Measures) -> float:
-    """How far evidence and measures are from what is usual: the sum of squares over the ratios."""
-    return sum(span.strain(value) for span, value in _ratios(_seen(evidence, known), evidence))
+def strain(drive: Drive, known: Measures) -> float:
+    """How far drive and measures are from what is usual: the sum of squares over the ratios."""
+    return sum(span.strain(value) for span, value in _ratios(_seen(drive, known), drive))
 
 
-def _explain(
-    seen: Mapping[str, float], evidence: Evidence, known: Measures, columns: _Columns
-) -> str:
+def _explain(seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns) -> str:
     """Name the mistakes that explain all the ratios, the likeliest first."""
     fitting: list[tuple[float, str]] = []
-    there = evidence.channels | {"track", "wheelbase", "mass"}
+    there = {*drive.channels} | {"track", "wheelbase", "mass"}
     for one in [*_MISTAKES, *_of_speeds(seen, known, columns)]:
         if not there.issuperset(one.channels):
             continue
@@ -557,12 +563,12 @@ def _explain(
         factor = one.factor / scale if absolute else one.factor
         if abs(factor - 1.0) < 1e-9:
             continue  # so it is read already
-        ratios = _ratios(one.undo(seen, evidence, factor), evidence)
+        ratios = _ratios(one.undo(seen, drive, factor), drive)
         if all(span.holds(value) for span, value in ratios):
             cost = sum(span.strain(value) for span, value in ratios) + one.rarity
             fitting.append((cost, f"perhaps {one.name}: {_remedy(one, columns)}"))
     swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
-    ratios = _ratios(swapped, evidence)
+    ratios = _ratios(swapped, drive)
     if all(span.holds(value) for span, value in ratios):
         cost = sum(span.strain(value) for span, value in ratios) + 0.1
         fitting.append((cost, "perhaps track and wheelbase are swapped: swap them"))

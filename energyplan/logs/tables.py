@@ -251,6 +251,8 @@ _REMEDIES = (
      "write the column without marks between thousands, as in 12345.6"),
     (re.compile(r"'\d{1,4}[-./]\d{1,2}[-./]\d{1,4}"),
      "write instants by ISO 8601, as in 2026-05-04T23:58:30.125"),
+    (re.compile(r"'\d+:\d\d(\.\d*)?'$"),
+     "write times of day as 14:03:27.5, and times since the start in seconds"),
     (re.compile(r"'[-+]?[\d.]+ ?[^\d\s']+'$"),
      "write the unit in the column's name, as in 'speed [m/s]', and numbers alone in its cells"),
     (re.compile(""), "correct the cell or map another column"),
@@ -391,7 +393,23 @@ _SUFFIXES = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".gz"), ".csv"),
     **dict.fromkeys((".parquet", ".pq"), ".parquet"),
 }
-_SHEETS = (".xlsx", ".xls", ".xlsm", ".ods")
+_OTHERS = {
+    **dict.fromkeys((".xlsx", ".xls", ".xlsm", ".ods"),
+                    "a workbook; save the sheet that holds the log as CSV and give that"),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"),
+                    "JSON; pandas.json_normalize(ROWS).to_csv(FILE) makes a table of it"),
+    ".mat": "of MATLAB; writetable(struct2table(LOG), 'log.csv') there makes a table of a "
+    "structure of columns, and timetable2table of a timetable",
+    **dict.fromkeys((".npz", ".npy"), "of NumPy; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a "
+                    "table of it, with a name for each column"),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), "of HDF5; pandas.DataFrame(COLUMNS).to_csv(FILE) "
+                    "makes a table of its data sets, with a name for each"),
+    **dict.fromkeys((".blf", ".asc", ".mf4", ".mdf"), "a recording of a bus; export its decoded "
+                    "signals as CSV, as asammdf does"),
+    **dict.fromkeys((".ulg", ".tlog", ".bin"), "a flight controller's; export it as CSV, as "
+                    "ulog2csv and mavlogdump.py --format csv do"),
+}  # fmt: skip
+"""What files are that are not read, and what makes a table of them, by suffix."""
 _INTERRUPTED = "Calling read(nbytes) on source failed"
 """What the parser makes of Ctrl-C at the moment when it asks for bytes; errors it passes on."""
 
@@ -500,13 +518,10 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
             f"{str(file)!r} is a folder; give a .csv, .csv.gz or .parquet file in it, or several "
             "as one drive, as in odom.csv+battery.csv"
         )
-    if suffix is None and file.suffix.lower() in _SHEETS:
-        raise error(f"{file} is a workbook; save the sheet that holds the log as CSV and give that")
+    if suffix is None and file.suffix.lower() in _OTHERS:
+        raise error(f"{file} is {_OTHERS[file.suffix.lower()]}")
     if suffix is None:
-        hint = ""
-        if file.suffix.lower() in (".json", ".jsonl", ".ndjson"):
-            hint = ", as pandas.json_normalize(ROWS).to_csv(FILE) makes one"
-        raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file{hint}")
+        raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
     return suffix
 
 
@@ -656,7 +671,8 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
     except pd.errors.ParserWarning:
         raise error(
             f"{file}: rows have more cells than the {len(names)} names of line "
-            f"{max(dialect.line - 1, 1)}; name every column"
+            f"{max(dialect.line - 1, 1)}; name every column, and write decimals with a point "
+            "where commas separate cells"
         ) from None
     except pd.errors.ParserError as problem:
         if _INTERRUPTED in str(problem):
@@ -685,15 +701,26 @@ def _wide(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | None:
     """Return a column for each name of a table of one reading a row; None of any other table."""
     import pandas as pd
 
-    varied = [name for name in names if frame[name].nunique() > 1]
+    kinds = frame.nunique()
+    varied = [name for name in names if kinds[name] > 1]
     times = [name for name in varied if "t" in guess([name])][:1]
     words = [
-        name for name in varied if name not in times and frame[name].nunique() < len(frame) / 4
+        name for name in varied if name not in times and kinds[name] < len(frame) / 4
         and pd.to_numeric(frame[name], errors="coerce").isna().all() and frame[name].notna().all()
     ]  # fmt: skip
-    readings = [name for name in varied if name not in (*words, *times)]
-    if not times or len(words) != 1 or len(readings) != 1:
+    words = sorted(words, key=lambda name: -kinds[name])[:1]
+    if not times or not words:
         return None
+    # What each name has but one of is of the name: its unit, or its number.
+    told = frame.groupby(words[0]).nunique().max()
+    readings = [name for name in varied if name not in (*words, *times) and told[name] > 1]
+    if len(readings) != 1:
+        return None
+    for name in (n for n in varied if n not in (*words, *times, *readings)):
+        if frame[name].dropna().astype(str).map(is_unit).mean() > 0.5:
+            units = [_with_unit(*pair) for pair in zip(frame[words[0]], frame[name].astype(str),
+                                                       strict=True)]  # fmt: skip
+            frame = frame.assign(**{words[0]: units})
     frame = frame.assign(**{readings[0]: pd.to_numeric(frame[readings[0]], errors="coerce")})
     made = frame.pivot_table(readings[0], times[0], words[0], aggfunc="last", sort=False)
     return made.reset_index()

@@ -406,62 +406,6 @@ def test_gaps_are_reported_and_never_bridged(raw):
 # -- plausibility -------------------------------------------------------------------------------
 
 
-def test_a_sound_log_passes_without_a_warning(raw):
-    log = DriveLog.from_columns(raw)
-    assert log.warnings == ()
-    assert log.set_aside == ()
-
-
-def spoil(raw, what):
-    left, right = raw["v_left"], raw["v_right"]
-    return {
-        "sides": {"v_left": right, "v_right": left},
-        "clockwise": {"yaw": -raw["yaw"], "yaw_rate": -raw["yaw_rate"]},
-        "power": {"p_left": -raw["p_left"], "p_right": -raw["p_right"]},
-        "one power": {"p_right": -raw["p_right"]},
-        "degrees": {"yaw": np.degrees(raw["yaw"])},
-        "degrees wrapped": {"yaw": np.degrees(np.angle(np.exp(1j * raw["yaw"])))},
-        "degrees per second": {"yaw_rate": np.degrees(raw["yaw_rate"])},
-        "milliseconds": {"t": 1e3 * raw["t"]},
-        "milliwatts": {"p_left": 1e3 * raw["p_left"]},
-    }[what]
-
-
-@pytest.mark.parametrize(
-    ("what", "words"),
-    [
-        ("sides", "left and right are swapped"),
-        ("clockwise", r"yaw_rate=NAME\[-rad/s\]"),
-        ("power", r"p_left and p_right has the wrong sign"),
-        ("one power", r"p_right=NAME\[-W\]"),
-        ("degrees", r"yaw=NAME\[deg\]"),
-        ("degrees wrapped", r"yaw=NAME\[deg\]"),
-        ("degrees per second", r"yaw_rate=NAME\[deg/s\]"),
-        ("milliseconds", r"t=NAME\[ms\]"),
-        ("milliwatts", r"p_left=NAME\[mW\]"),
-    ],
-)
-def test_contradictions_are_refused_with_the_remedy(raw, what, words):
-    with pytest.raises(DriveLogError, match=words):
-        DriveLog.from_columns({**raw, **spoil(raw, what)})
-
-
-def test_a_charging_current_is_refused(model):
-    log = identification_drive(model, measured="battery")
-    raw = {**log.channels, "current": -log.channels["current"]}
-    with pytest.raises(DriveLogError, match=r"current=NAME\[-A\]"):
-        DriveLog.from_columns(raw)
-
-
-def test_doubtful_logs_are_read_with_a_warning(raw):
-    swapped = DriveLog.from_columns({**raw, "p_left": raw["p_right"], "p_right": raw["p_left"]})
-    assert "p_left and p_right seem to be swapped" in swapped.warnings[0]
-    fast = {"v_left": 3.6 * raw["v_left"], "v_right": 3.6 * raw["v_right"]}
-    assert "wheel radius" in DriveLog.from_columns({**raw, **fast}).warnings[0]
-    still = {**raw, "v_left": 0.0 * raw["t"], "v_right": 0.0 * raw["t"]}
-    assert any("hardly moves" in warning for warning in DriveLog.from_columns(still).warnings)
-
-
 @pytest.mark.parametrize("pattern", ["straight", "spin", "spiral", "figure8", "survey"])
 @pytest.mark.parametrize("preset", ["quadriga:full:marble", "quadriga:empty:concrete"])
 def test_every_pattern_passes_without_a_warning(preset, pattern):

@@ -13,7 +13,7 @@ import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError, NotIdentifiableError
 from energyplan.io.logs import read_log
-from energyplan.logs.consistency import Measures, check_consistency, gather
+from energyplan.logs.consistency import Drive, Measures, check_consistency
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import LINEAR_INERTIA
 from energyplan.vehicle import Vehicle
@@ -48,7 +48,7 @@ def told(columns: Columns, measures: Measures) -> list[str]:
         log = ep.DriveLog.from_columns(columns, "drive")
     except DriveLogError as error:
         return [str(error)]
-    checks = check_consistency(gather(log.channels, log.power, log.runs), measures)
+    checks = check_consistency(Drive(log.channels, log.power, log.runs), measures)
     warnings = [text for text in log.warnings if "lags" not in text and "leads" not in text]
     return [*warnings, *(str(check) for check in checks if not check.ok)]
 
@@ -150,6 +150,13 @@ LOGS = {
     "power in kW": (powers(1e-3), r"NAME\[kW\]"),
     "power in mW": (powers(1e3), r"NAME\[mW\]"),
     "yaw in degrees": (scaled(yaw=180 / np.pi), r"yaw=NAME\[deg\]"),
+    "yaw in degrees, wrapped": (
+        lambda made: {**made, "yaw": np.degrees(made["yaw"]) % 360}, r"yaw=NAME\[deg\]"),
+    "one side's power in mW": (scaled(p_left=1e3), r"p_left=NAME\[mW\]"),
+    "currents with the sign of the direction": (
+        lambda made: {**made, **{f"p_{side}": made[f"p_{side}"] * np.sign(made[f"v_{side}"])
+                                 for side in ("left", "right")}},
+        r"p_left and p_right are positive forwards and negative backwards.*CURRENT\*SPEED"),
     "yaw rate in deg/s": (scaled(yaw_rate=180 / np.pi), r"yaw_rate=NAME\[deg/s\]"),
     "gyroscope's axis flipped": (scaled(yaw_rate=-1.0), r"gyroscope's axis is flipped.*\[-rad/s\]"),
     "yaw clockwise": (scaled(yaw=-1.0), r"yaw counts clockwise.*yaw=NAME\[-rad\]"),
@@ -196,6 +203,9 @@ LOGS = {
 BATTERY = {
     "current's sign": (scaled(current=-1.0), r"current has the wrong sign.*\[-A\]"),
     "current in mA": (scaled(current=1e3), r"current=NAME\[mA\]"),
+    "power in kW beside voltage and current": (
+        lambda made: {**made, "power": 1e-3 * made["voltage"] * made["current"]},
+        r"power over voltage times current: 0.001.*power=NAME\[kW\]"),
     "voltage in mV": (scaled(voltage=1e3), r"voltage=NAME\[mV\]"),
 }  # fmt: skip
 MEASURES = {
@@ -356,7 +366,7 @@ def test_real_drives_raise_no_alarm(shared_data: Path) -> None:
     count = 0
     for log, measures in real_logs(shared_data):
         count += 1
-        checks = check_consistency(gather(log.channels, log.power, log.runs), measures)
+        checks = check_consistency(Drive(log.channels, log.power, log.runs), measures)
         alarms += [f"{log.name}: {check}" for check in checks if not check.ok]
         words = ("counts the other way", "another unit", "backwards", "beside", "jumps up",
                  "swapped", "as far as", "their sign", "alone",

@@ -157,7 +157,7 @@ def test_a_jittering_pose_does_not_accuse_the_wheel_radius() -> None:
         shaken = {name: made[name] + rng.normal(0.0, jitter, len(made[name])) for name in "xy"}
         speeds = {name: factor * made[name] for name in ("v_left", "v_right")}
         log = ep.DriveLog.from_columns({**made, **shaken, **speeds}, "straight")
-        assert any("straight stretches" in text for text in log.warnings) == told, jitter
+        assert any("distance by the treads" in text for text in log.warnings) == told, jitter
 
 
 def test_few_readings_of_driving_are_not_called_a_standstill() -> None:
