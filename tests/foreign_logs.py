@@ -650,6 +650,16 @@ def commas_in_decimals(at: At, folder: Path) -> Path:
                folder / "commas.csv", quoting=3, escapechar=" ")  # fmt: skip
 
 
+def unknown_units(at: At, folder: Path) -> Path:
+    names = {"v_left": "left speed [furlong/h]", "v_right": "right speed [furlong/h]"}
+    return csv(at.house().rename(columns=names), folder / "furlongs.csv")
+
+
+def dates_of_a_spreadsheet(at: At, folder: Path) -> Path:
+    stamps = at.stamps.strftime("%d/%m/%Y %H:%M:%S.%f")
+    return csv(at.house().drop(columns="t").assign(Date=stamps), folder / "dates.csv")
+
+
 def matlab(at: At, folder: Path) -> Path:
     (folder / "drive.mat").write_bytes(b"MATLAB 7.3 MAT-file")
     return folder / "drive.mat"
@@ -698,6 +708,8 @@ REFUSED: dict[Writer, str] = {
     no_reading_by_a_number: "where -9999 stands for no reading, leave the cell empty",
     minutes_and_seconds: "line 2: 't' is '00:00.000', .* times since the start in seconds",
     commas_in_decimals: "more cells than the 5 names .* write decimals with a point",
+    unknown_units: r"unit of 'left speed \[furlong/h\]' is not known: .* NAME\[\*0.01\]",
+    dates_of_a_spreadsheet: "line 2: 'Date' is '04/05/2026 .* write instants by ISO 8601",
     matlab: r"drive.mat is of MATLAB; writetable\(struct2table\(LOG\)",
     thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks",
 }

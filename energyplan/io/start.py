@@ -48,9 +48,11 @@ from energyplan.logs.mapping import (
     column_from,
     counting,
     is_count,
+    is_unit,
     is_wheel_rate,
     parse_columns,
     scale_of,
+    split_unit,
     time_unit,
     unit_in,
 )
@@ -199,8 +201,16 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
             table.column(one.field)  # says which cell is no number
     names = (*table.columns, *table.text)
     hint = ""
+    for name, cell in table.text.items():
+        if "t" in needed and re.search(r"is '\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", cell):
+            table.column(name)  # says how to write instants
+    for name in names:
+        bare, unit = split_unit(name)
+        if unit and not is_unit(unit) and {*guess([bare])} & {*needed, "p_left", "p_right"}:
+            hint += f"; the unit of {name!r} is not known: give its factor, as in NAME[*0.01]"
+            break
     if {"v_left", "v_right"} & set(needed):
-        hint = "; v_left and v_right are the speeds of the left and right wheels"
+        hint += "; v_left and v_right are the speeds of the left and right wheels"
         counted = [name for name in names if ENCODER & set(words(name))]
         numbered = numbered_speeds(names)
         electric = [name for name in names if "erpm" in words(name)]

@@ -111,11 +111,12 @@ def _time(drive: Drive) -> _Found:
 
 
 _GROWS = 0.9  # share of all change that is growth, of a counter
+_GAINS = 0.5  # the same of a counter of what a side draws, which it may return
 _STEADY = 0.5  # the same of a drive that speeds up and slows down
 _CHANGES = 8  # of a counter, from which chance does not explain that all go one way
 
 
-def grows(values: FloatArray) -> int:
+def grows(values: FloatArray, share: float = _GROWS) -> int:
     """Tell whether readings go one way all along, as a counter does: 1 up, -1 down, 0 neither."""
     steps = np.diff(values[np.isfinite(values)])
     total = float(np.abs(steps).sum())
@@ -124,7 +125,7 @@ def grows(values: FloatArray) -> int:
         steps = steps[np.abs(steps) < max(0.5 * total, 1e-300)]
         total = float(np.abs(steps).sum())
     net = float(steps.sum())
-    counted = np.count_nonzero(steps) >= _CHANGES and abs(net) > _GROWS * total
+    counted = np.count_nonzero(steps) >= _CHANGES and abs(net) > share * total
     return int(np.sign(net)) if counted else 0
 
 
@@ -135,7 +136,7 @@ def _counters(drive: Drive) -> _Found:
     if abs(float(steps.sum())) > _STEADY * total or total < 0.5 * float(drive.effort.max()):
         return  # nothing that the robot does would make a power fall
     for name in (name for name in POWERS if name in drive.channels):
-        way = grows(drive.channels[name])
+        way = grows(drive.channels[name], _GAINS)
         if way:
             what, unit, other = (
                 ("charge", "mAh", "Ah") if name == "current" else ("energy", "Wh", "J")
@@ -480,18 +481,20 @@ def _ends(values: FloatArray) -> Iterator[slice]:
 def _dying(drive: Drive) -> _Found:
     """Find a sensor that shows the same from or up to some time, while what it measures changes.
 
-    A side's power does so on straight lines, a heading where the treads turn. What died stays dead;
-    between others, such a stretch may be one of little power.
+    What died stays dead; between others, such a stretch may be one of little power.
     """
     time = np.gradient(drive.t)
-    ahead = _ahead(drive.left, drive.right)
-    for side, other in _EACH_SIDE if drive.sides else ():
-        power, drawn = drive.channels[f"p_{side}"], drive.channels[f"p_{other}"]
-        for some in _ends(power):
-            varied = np.count_nonzero(np.diff(drawn[some])) >= _ENOUGH
-            if np.ptp(power) and varied and float((time * ahead)[some] @ (drawn[some] > 0)) > _LONG:
-                yield _stays(drive, f"p_{side}", some, f"p_{other} changes, on straight lines too",
-                             "is dead there")  # fmt: skip
+    electric = ["p_left", "p_right"] if drive.sides else ["power", "current"]
+    for name in (n for n in ("v_left", "v_right", *electric) if n in drive.channels):
+        values = drive.channels[name]
+        repeats = np.append(False, np.diff(values) == 0.0) & drive.moving
+        for some in _ends(values):
+            elsewhere = drive.moving.copy()
+            elsewhere[some] = False
+            # Without noise, or with few digits, all that is steady repeats.
+            lively = np.count_nonzero(repeats & elsewhere) < 0.05 * np.count_nonzero(elsewhere)
+            if lively and float((time * drive.moving)[some].sum()) > _LONG:
+                yield _stays(drive, name, some, "the robot drives", "is dead there")
                 break
     size = np.abs(drive.difference)
     turns = size > 0.4 * float(np.quantile(size, 0.95))
@@ -949,7 +952,7 @@ INVARIANTS = (
     Invariant("who drives draws power, at that time", _ALL, _powers, "", of_two_sides=True),
     Invariant("speeds are those of two sides, with their signs", _ALL, _false_speeds),
     Invariant("both sides show something", _ALL, _dead),
-    Invariant("a side's power, and a heading, change to the end", _ALL, _dying),
+    Invariant("what sensors show changes to the end", _ALL, _dying),
     Invariant("both speeds count alike", _ALL, _counting),
     Invariant("sides seldom go against each other", _ALL, _opposed),
     Invariant("two powers are two, in one unit", _SIDES, _unlike),

@@ -33,7 +33,7 @@ class Scale(NamedTuple):
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048,
-          "in/s": 0.0254, "kn": 0.514444}  # fmt: skip
+          "in/s": 0.0254, "kn": 0.514444, "m/min": 1 / 60, "ft/min": 0.3048 / 60}  # fmt: skip
 _ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
 RATES = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
 _COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
@@ -68,7 +68,7 @@ _ALIASES = {
     "meter": "m", "meters": "m", "metre": "m", "metres": "m",
     "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s", "meters/s": "m/s", "kmh": "km/h",
     "kph": "km/h", "kmph": "km/h", "ips": "in/s", "inch/s": "in/s", "inches/s": "in/s",
-    "knot": "kn", "knots": "kn", "kt": "kn", "kts": "kn",
+    "knot": "kn", "knots": "kn", "kt": "kn", "kts": "kn", "fpm": "ft/min",
     "fps": "ft/s", "feet/s": "ft/s", "inch": "in", "inches": "in", "feet": "ft", "foot": "ft",
     "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "\u00b0": "deg",
     "rads": "rad/s", "radps": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",

@@ -195,6 +195,17 @@ LOGS = {
     "a power's sensor dead": (dead("p_left"), r"p_left is 0 throughout .* sensor is dead"),
     "a power's sensor stuck": (dead("p_right", 7.3), r"p_right is 7\.3 throughout"),
     "a power's sensor dies": (dying, r"p_left stays at 0 from t = .* sensor is dead there"),
+    "all power's sensors die": (
+        lambda made: {**{k: v for k, v in made.items() if k[:2] != "p_"},
+                      "power": (made["p_left"] + made["p_right"]) * (made["t"] < 60.0)},
+        r"power stays at 0 from t = 60"),
+    "an encoder stuck": (
+        lambda made: {**made, "v_left": made["v_left"][np.minimum(np.arange(len(made["t"])), 900)]},
+        r"v_left stays at .* its sensor is dead there"),
+    "counters for a side's power": (
+        lambda made: {**made, **{f"p_{side}": 0.05 * np.cumsum(made[f"p_{side}"])
+                                 for side in ("left", "right")}},
+        r"p_left only ever grows.*it counts energy.*p_left=NAME\[Wh\]"),
     "an encoder dead": (
         without(dead("v_left"), *POSE, "yaw_rate"), r"v_left is 0 throughout"),
     "power's sensors at their end": (at_its_end, r"p_right ends at .* end of its range"),
