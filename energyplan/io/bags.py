@@ -606,6 +606,20 @@ class BagFields:
                 found[channel] = current.changed(channel=channel, times=voltage.field)
         return found
 
+    def torques(self, sources: Mapping[str, Column]) -> str:
+        """Say how efforts of the joints that make a tread speed make its side's power."""
+        one = sources.get("v_left")
+        joints = "" if one is None else one.field.removeprefix("velocity[").removesuffix("]")
+        if one is None or f"effort[{joints.partition('|')[0]}]" not in {
+            other.field for other in self.fields.values() if other.topic == one.topic
+        }:
+            return ""
+        return (
+            f"; where the efforts of {one.topic} are torques [N m], p_left is {{topic: {one.topic},"
+            f" field: '{joints.count('|') + 1}*effort[{joints}]', times: '{one.field}'}}, and so "
+            "is p_right"
+        )
+
     def wheel_rates(self, sources: Mapping[str, Column]) -> bool:
         """Tell whether the tread speeds are rates of joints, which take a wheel radius."""
         one = sources["v_left"]

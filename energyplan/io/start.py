@@ -850,6 +850,7 @@ def _start_bag(file: Path, known: Given) -> Start:
         raise DriveLogError(
             f"{file.name}: no field of a message seems to be {' or '.join(lacks)}; the fields are "
             f"{', '.join([*fields.fields][:30])}; write a topic map and give --topics FILE.yaml"
+            f"{fields.torques(sources) if lacks == ['power'] else ''}"
         )
     rates = fields.wheel_rates(sources)
     radius = known.wheel_radius

@@ -151,6 +151,24 @@ def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
         TopicMap(channels={"x": {"topic": "odom", "field": "a.b c.d"}})
 
 
+def test_efforts_of_joints_make_a_power_as_it_is_told() -> None:
+    every = {
+        f"{kind}.{side}{k}": Column(topic="/joints", field=f"{kind}[{side}{k}]")
+        for kind in ("velocity", "effort")
+        for side in ("left", "right")
+        for k in "ab"
+    }
+    fields = BagFields(every, {"/joints": "sensor_msgs/msg/JointState"})
+    told = fields.torques(fields.channels())
+    assert "field: '2*effort[lefta|leftb]', times: 'velocity[lefta|leftb]'" in told
+    part = {"topic": "/joints", "field": "2*effort[lefta|leftb]", "times": "velocity[lefta|leftb]"}
+    (column,) = TopicMap(channels={"p_left": part}).channels["p_left"]
+    message = SimpleNamespace(
+        name=["lefta", "leftb", "righta"], velocity=[2.0, 2.0, 9.0], effort=[3.0, 4.0, 9.0]
+    )
+    assert read_message(column, message) == pytest.approx(2.0 * 3.0 + 2.0 * 4.0)
+
+
 TENTHS = {"volts": np.round(10 * AT.volts), "amps": np.round(10 * AT.amps)}
 HUNDREDTHS = {"volts": AT.volts, "amps": np.round(100 * AT.amps)}
 USED = {"volts": AT.volts, "charge_used_Ah": np.cumsum(AT.amps) * 0.1 / 3600.0}
