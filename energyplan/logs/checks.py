@@ -37,7 +37,6 @@ LONGEST_STEP = 20.0
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
-_USUAL_STEP = 0.05  # of logs of drives [s]
 _PAUSE, _BURSTS = 10.0, 0.05  # usual steps, and share of the rows, that tell rows in bursts
 
 
@@ -84,7 +83,7 @@ def _time(drive: Drive) -> _Found:
     t, runs, step = drive.t, drive.runs, drive.usual_step
     if not 1e-4 <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
-        unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / _USUAL_STEP)))
+        unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / 0.05)))
         yield Check(
             f"the time step of t is {step:g} s; between 0.1 ms and {LONGEST_STEP:g} s is possible",
             remedy=f"name its unit, as in t=NAME[{unit}]", refuses="reading",
@@ -111,8 +110,7 @@ def _time(drive: Drive) -> _Found:
 
 
 _GROWS = 0.9  # share of all change that is growth, of a counter
-_GAINS = 0.5  # the same of a counter of what a side draws, which it may return
-_STEADY = 0.5  # the same of a drive that speeds up and slows down
+_STEADY = 0.5  # the same of a drive that speeds up and slows down, or of a side that may return
 _CHANGES = 8  # of a counter, from which chance does not explain that all go one way
 
 
@@ -136,7 +134,7 @@ def _counters(drive: Drive) -> _Found:
     if abs(float(steps.sum())) > _STEADY * total or total < 0.5 * float(drive.effort.max()):
         return  # nothing that the robot does would make a power fall
     for name in (name for name in POWERS if name in drive.channels):
-        way = grows(drive.channels[name], _GAINS)
+        way = grows(drive.channels[name], _STEADY)
         if way:
             what, unit, other = (
                 ("charge", "mAh", "Ah") if name == "current" else ("energy", "Wh", "J")

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from energyplan import simulate
@@ -241,27 +239,6 @@ def test_a_document_that_explodes_is_refused(tmp_path):
         read_vehicle(write(tmp_path, "name: " + "x" * (1 << 20)))
     with pytest.raises(ConfigError, match="cannot be read"):
         read_vehicle(tmp_path / "absent.yaml")
-
-
-TEXTS = st.lists(
-    st.sampled_from([*(MODEL + DIMENSIONS + WHEELS).splitlines(), "- 1", "vehicle:", "  mass: 3",
-                     "icr: {left: 1e308, right: 1e308}", "mass: 1e308", "kind: vehicle", "a: *b"]),
-    max_size=9,
-).map("\n".join)  # fmt: skip
-
-
-@settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(text=st.one_of(TEXTS, st.text(max_size=60)), cut=st.integers(0, 400))
-def test_any_text_gives_a_result_or_a_named_error(tmp_path, text, cut):
-    file = tmp_path / "any.yaml"
-    file.write_bytes(text.encode("utf-8", "surrogatepass")[:cut])
-    for read in (read_vehicle, read_model):
-        try:
-            read(file)
-        except EnergyPlanError as error:
-            assert "any.yaml" in str(error)
 
 
 # -- files --------------------------------------------------------------------------------------

@@ -427,35 +427,6 @@ FUZZ = settings(
 )
 
 
-@FUZZ
-@given(st.binary(max_size=300))
-def test_any_bytes_end_in_a_map_or_a_named_error(tmp_path, content):
-    for name in ("f.yaml", "f.map"):
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(EnergyPlanError):
-            read_map(tmp_path / name)
-    file = write(tmp_path, np.zeros((2, 2), np.uint8))
-    (tmp_path / "m.png").write_bytes(content)
-    with pytest.raises(EnergyPlanError):
-        read_map(file)
-
-
-@FUZZ
-@given(st.integers(0, 10_000), st.integers(1, 255), st.sampled_from(["m.png", "m.pgm", "m.yaml"]))
-def test_a_flipped_byte_ends_in_a_map_or_a_named_error(tmp_path, where, mask, name):
-    image = name if name != "m.yaml" else "m.png"
-    file = write(tmp_path, (np.arange(64).reshape(8, 8) * 4).astype(np.uint8), image)
-    content = bytearray((tmp_path / name).read_bytes())
-    content[where % len(content)] ^= mask
-    (tmp_path / name).write_bytes(content)
-    try:
-        grid = read_map(file)
-    except EnergyPlanError:
-        return
-    assert grid.resolution > 0
-    assert np.all(np.isfinite(grid.origin))
-
-
 # -- surfaces ---------------------------------------------------------------------------------
 
 

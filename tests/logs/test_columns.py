@@ -10,7 +10,7 @@ import pytest
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
-from energyplan.logs.mapping import UNITS, known_unit, parse_columns
+from energyplan.logs.mapping import known_unit, parse_columns
 
 MODEL = ep.PowerModel.preset("quadriga:empty:marble")
 RADIUS = 0.2
@@ -115,12 +115,6 @@ def test_two_columns_are_multiplied(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_units_are_known_by_what_people_write(channel: str, written: str, meant: str) -> None:
     assert known_unit(channel, written) == meant
-
-
-def test_every_unit_is_known_by_its_own_name() -> None:
-    for channel, units in UNITS.items():
-        for unit in units:
-            assert known_unit(channel, unit) == unit
 
 
 def test_times_that_are_none_stay_text(drive: ep.DriveLog, tmp_path: Path) -> None:

@@ -94,31 +94,6 @@ def test_lines_are_counted_across_pieces(tmp_path, monkeypatch):
     assert (aside.count, aside.where) == (2, "line 21, line 22")
 
 
-def test_columns_are_mapped_and_converted(tmp_path, noisy):
-    raw = dict(noisy.channels)
-    foreign = {
-        **raw,
-        "t": 1e3 * raw["t"],
-        "yaw": np.degrees(raw["yaw"]),
-        "v_left": raw["v_left"] / 0.165,
-        "p_left": -1e-3 * raw["p_left"],
-    }
-    names = {"t": "stamp", "yaw": "heading", "v_left": "wheel L", "p_left": "PL"}
-    file = write(tmp_path, csv_text(foreign, **names))
-    text = "t=stamp[ms], yaw=heading[deg],v_left=wheel L[*0.165],p_left=PL[-kW]"
-    mapping = {
-        "t": "stamp[ms]",
-        "yaw": "heading[deg]",
-        "v_left": "wheel L[*0.165]",
-        "p_left": "PL[-kW]",
-    }
-    for columns in (text, mapping):
-        log = DriveLog.read(file, columns)
-        for channel, values in raw.items():
-            assert_allclose(log.channels[channel], values, rtol=1e-12, atol=1e-12)
-        assert not set(names.values()) & set(log.channels)
-
-
 def test_every_unit_is_a_positive_multiple_of_the_first():
     for channel, units in UNITS.items():
         assert next(iter(units.values())) == 1.0
@@ -341,17 +316,6 @@ def test_any_text_gives_a_log_or_a_named_error(tmp_path, header, rows, ending):
     else:
         assert all(np.all(np.isfinite(values)) for values in log.channels.values())
         assert np.isfinite(log.energy)
-
-
-@settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(data=st.binary(max_size=200), name=st.sampled_from(["a.csv", "a.csv.gz", "a.parquet"]))
-def test_any_bytes_give_a_log_or_a_named_error(tmp_path, data, name):
-    file = tmp_path / name
-    file.write_bytes(data)
-    with pytest.raises(EnergyPlanError, match=re.escape(name)):
-        DriveLog.read(file)
 
 
 # -- cleaning -----------------------------------------------------------------------------------

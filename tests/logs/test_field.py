@@ -153,18 +153,22 @@ def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
 
 def test_efforts_of_joints_make_a_power_as_it_is_told() -> None:
     every = {
-        f"{kind}.{side}{k}": Column(topic="/joints", field=f"{kind}[{side}{k}]")
+        f"{kind}.{side}_{k}": Column(topic="/joints", field=f"{kind}[{side}_{k}]")
         for kind in ("velocity", "effort")
         for side in ("left", "right")
         for k in "ab"
     }
     fields = BagFields(every, {"/joints": "sensor_msgs/msg/JointState"})
     told = fields.torques(fields.channels())
-    assert "field: '2*effort[lefta|leftb]', times: 'velocity[lefta|leftb]'" in told
-    part = {"topic": "/joints", "field": "2*effort[lefta|leftb]", "times": "velocity[lefta|leftb]"}
+    assert "field: '2*effort[left_a|left_b]', times: 'velocity[left_a|left_b]'" in told
+    part = {
+        "topic": "/joints",
+        "field": "2*effort[left_a|left_b]",
+        "times": "velocity[left_a|left_b]",
+    }
     (column,) = TopicMap(channels={"p_left": part}).channels["p_left"]
     message = SimpleNamespace(
-        name=["lefta", "leftb", "righta"], velocity=[2.0, 2.0, 9.0], effort=[3.0, 4.0, 9.0]
+        name=["left_a", "left_b", "right_a"], velocity=[2.0, 2.0, 9.0], effort=[3.0, 4.0, 9.0]
     )
     assert read_message(column, message) == pytest.approx(2.0 * 3.0 + 2.0 * 4.0)
 
