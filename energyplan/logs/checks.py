@@ -134,8 +134,10 @@ def _counters(drive: Drive) -> _Found:
     if abs(float(steps.sum())) > _STEADY * total or total < 0.5 * float(drive.effort.max()):
         return  # nothing that the robot does would make a power fall
     for name in (name for name in POWERS if name in drive.channels):
-        way = grows(drive.channels[name], _STEADY)
-        if way:
+        values = drive.channels[name]
+        way = grows(values, _STEADY)
+        # A power changes as the robot speeds up; what is counted, as long as it drives.
+        if way and abs(correlation(np.diff(values), drive.effort[1:])) > 0.5:
             what, unit, other = (
                 ("charge", "mAh", "Ah") if name == "current" else ("energy", "Wh", "J")
             )
