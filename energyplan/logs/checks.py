@@ -487,12 +487,12 @@ def _dying(drive: Drive) -> _Found:
     electric = ["p_left", "p_right"] if drive.sides else ["power", "current"]
     for name in (n for n in ("v_left", "v_right", *electric) if n in drive.channels):
         values = drive.channels[name]
-        repeats = np.append(False, np.diff(values) == 0.0) & drive.moving
         for some in _ends(values):
             elsewhere = drive.moving.copy()
             elsewhere[some] = False
+            others = values[elsewhere]
             # Without noise, or with few digits, all that is steady repeats.
-            lively = np.count_nonzero(repeats & elsewhere) < 0.05 * np.count_nonzero(elsewhere)
+            lively = len(others) >= _ENOUGH and len(np.unique(others)) > 0.5 * len(others)
             if lively and float((time * drive.moving)[some].sum()) > _LONG:
                 yield _stays(drive, name, some, "the robot drives", "is dead there")
                 break
