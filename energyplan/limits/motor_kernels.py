@@ -42,16 +42,19 @@ def cut_intervals(
             if a * b < 0.0:
                 part = a / (a - b)
                 if SHARE < part < 1.0 - SHARE:
-                    cuts[count] = part
+                    place = count  # where it comes in order
+                    while place > 0 and cuts[place - 1] > part:
+                        cuts[place] = cuts[place - 1]
+                        place -= 1
+                    cuts[place] = part
                     count += 1
         if count == 0:
             interval[total], begin[total], end[total] = k, 0.0, 1.0
             total += 1
             continue
-        ordered = np.sort(cuts[:count])
         low = 0.0
         for j in range(count + 1):
-            high = ordered[j] if j < count else 1.0
+            high = cuts[j] if j < count else 1.0
             if high - low > SHARE:
                 interval[total], begin[total], end[total] = k, low, high
                 total += 1
@@ -82,19 +85,9 @@ class Nodes(NamedTuple):
 
 @njit
 def piece_nodes(
-    t: Column,
-    x: Column,
-    y: Column,
-    yaw: Column,
-    v: Column,
-    omega: Column,
-    left: float,
-    right: float,
-    interval: AnyInts,
-    begin: Column,
-    end: Column,
-    scale: float,
-) -> Nodes:
+    t: Column, x: Column, y: Column, yaw: Column, v: Column, omega: Column, left: float,
+    right: float, interval: AnyInts, begin: Column, end: Column, scale: float,
+) -> Nodes:  # fmt: skip
     """Motion at the begin, the middle and the end of pieces, driven `scale` times as fast.
 
     A speed that rounding alone keeps from zero is zero. One that is zero at the edge of a piece

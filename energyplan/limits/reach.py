@@ -293,7 +293,7 @@ def fastest_rates(
         for j in range(n - 2, -1, -1):
             if length[j] == 0.0:  # a stop
                 continue
-            alike = np.abs(sides[j] - sides[j + 1]).max() == 0.0
+            alike = sides[j, 0] == sides[j + 1, 0] and sides[j, 1] == sides[j + 1, 1]
             best = -1.0
             for share in (1.0, 0.97, 0.93, 0.87, 0.8, 0.7, 0.6, 0.45, 0.3, 0.15, 0.0):
                 last = share * cap[j + 1]

@@ -45,14 +45,8 @@ def least(q: float, m: Floats, g: Floats) -> float:
 
 @njit
 def _integral(
-    rho: float,
-    psi: float,
-    a: float,
-    b: float,
-    m: Floats,
-    g: Floats,
-    q: Floats,
-) -> tuple[float, float, float]:
+    rho: float, psi: float, a: float, b: float, m: Floats, g: Floats, q: Floats,
+) -> tuple[float, float, float]:  # fmt: skip
     """Cost, and displacement along x and y, of the best corners for ``p = rho n(psi)``.
 
     Headings run from `a` to `b`. At a heading the best corner is the last one whose breakpoint
@@ -80,16 +74,9 @@ def _integral(
 
 @njit
 def dual_value(
-    px: float,
-    py: float,
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    left: FloatTable,
+    px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float]:  # fmt: skip
     """Dual function and its gradient, the displacement left to straight lines."""
     rho, psi = math.hypot(px, py), math.atan2(py, px)
     cost, fx, fy = _integral(rho, psi, lo, hi, left[0], left[1], left[2])
@@ -146,17 +133,9 @@ def between(a: float, b: float, f_a: float, f_b: float) -> float:
 
 @njit
 def _ray(
-    px: float,
-    py: float,
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    left: FloatTable,
-    right: FloatTable,
-    tolerance: float,
-) -> float:
+    px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
+    right: FloatTable, tolerance: float,
+) -> float:  # fmt: skip
     """Fraction of p at which the dual function is greatest along the ray to p."""
     low, high, f_low, f_high, last = 0.0, 1.0, 0.0, 0.0, 0
     for i in range(160):
@@ -196,16 +175,9 @@ def _curvature(
 
 @njit
 def _interior(
-    px: float,
-    py: float,
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    left: FloatTable,
+    px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, float, float, float]:  # fmt: skip
     """Return ``(energy, px, py, |r|)``: a maximum regardless of the constraints, by Newton."""
     value, rx, ry = dual_value(px, py, dx, dy, lo, hi, eta, left, right)
     for _ in range(40):
@@ -245,17 +217,9 @@ def _inside(px: float, py: float, lo: float, hi: float, af: float, ab: float) ->
 
 @njit
 def corner_dual(
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    side: int,
-    af: float,
-    ab: float,
-    left: FloatTable,
-    right: FloatTable,
-) -> tuple[float, float, float, float, float]:
+    dx: float, dy: float, lo: float, hi: float, eta: float, side: int, af: float, ab: float,
+    left: FloatTable, right: FloatTable,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Dual vector at which both ends' constraints are active: `side` at hi, ``-side`` at lo.
 
     Returned as by `maximise`; it is the maximum if ``side * at_hi`` and ``-side * at_lo`` are not
@@ -271,17 +235,9 @@ def corner_dual(
 
 @njit
 def maximise(
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    af: float,
-    ab: float,
-    left: FloatTable,
-    right: FloatTable,
-    tolerance: float,
-) -> tuple[float, float, float, float, float]:
+    dx: float, dy: float, lo: float, hi: float, eta: float, af: float, ab: float, left: FloatTable,
+    right: FloatTable, tolerance: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Return ``(energy, px, py, at_lo, at_hi)`` of the schedule with extent [lo, hi].
 
     `tolerance` is that of the direction of p [rad]. The last two are the signed lengths of

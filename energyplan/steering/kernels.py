@@ -44,14 +44,9 @@ class Between(NamedTuple):
 
 @njit
 def between_poses(
-    dx: float,
-    dy: float,
-    theta0: float,
-    theta1: float,
-    half_track: float,
-    longitudinal: float,
+    dx: float, dy: float, theta0: float, theta1: float, half_track: float, longitudinal: float,
     lateral: float,
-) -> Between:
+) -> Between:  # fmt: skip
     """Return two poses as they are seen from the middle of their headings."""
     if longitudinal != 0.0 or lateral != 0.0:
         c0, s0, c1, s1 = math.cos(theta0), math.sin(theta0), math.cos(theta1), math.sin(theta1)
@@ -128,15 +123,9 @@ def _free_switches(x: float, y: float, eta: float) -> Switches:
 
 @njit
 def _sweep(
-    start: float,
-    stop: float,
-    z1: float,
-    z2: float,
-    sign: float,
-    ds: Floats,
-    dtheta: Floats,
+    start: float, stop: float, z1: float, z2: float, sign: float, ds: Floats, dtheta: Floats,
     n: int,
-) -> int:
+) -> int:  # fmt: skip
     """Append the pivots of a sweep of headings; they change direction at ``z1`` and ``z2``."""
     up = stop >= start
     here = start
@@ -166,13 +155,8 @@ def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
 
 @njit
 def _word_path(
-    word: Word,
-    x: float,
-    y: float,
-    eta: float,
-    ds: Floats,
-    dtheta: Floats,
-) -> int:
+    word: Word, x: float, y: float, eta: float, ds: Floats, dtheta: Floats,
+) -> int:  # fmt: skip
     """Write the segments of a word, in its units, for a sweep to the left."""
     code, sx, sy, q1, q2, q3 = word.code, word.sx, word.sy, word.q1, word.q2, word.q3
     lo, hi, z1, z2, sign = -eta, eta, 9.0, 9.0, 1.0  # pivots go by `sign` below z1 and above z2
@@ -220,14 +204,9 @@ def _word_path(
 
 @njit
 def steer_path(
-    dx: float,
-    dy: float,
-    theta0: float,
-    theta1: float,
-    cost: StaticSteering,
-    ds: Floats,
+    dx: float, dy: float, theta0: float, theta1: float, cost: StaticSteering, ds: Floats,
     dtheta: Floats,
-) -> int:
+) -> int:  # fmt: skip
     """Write the segments of a motion of least energy; see the module's contract."""
     C = cost.half_track
     x, y, turn = between_poses(dx, dy, theta0, theta1, C, cost.longitudinal, cost.lateral)

@@ -31,14 +31,9 @@ from energyplan.steering.kernels import arc_end, between_poses
 
 @njit
 def _pays(
-    px: float,
-    py: float,
-    end: float,
-    outward: float,
-    length: float,
-    left: FloatTable,
+    px: float, py: float, end: float, outward: float, length: float, left: FloatTable,
     right: FloatTable,
-) -> float:
+) -> float:  # fmt: skip
     """Logarithm of what a further excursion saves over what it costs, within +-60.
 
     Straight driving of `length` at the heading `end` gains from going further out as far as the
@@ -57,17 +52,9 @@ def _pays(
 
 @njit
 def _extend(
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    af: float,
-    ab: float,
-    left: FloatTable,
-    right: FloatTable,
-    upper: bool,
-) -> tuple[float, float]:
+    dx: float, dy: float, lo: float, hi: float, eta: float, af: float, ab: float, left: FloatTable,
+    right: FloatTable, upper: bool,
+) -> tuple[float, float]:  # fmt: skip
     """Best extent ``(lo, hi)`` when only its upper end, or only its lower one, moves outwards."""
     near, far = (hi, max(lo + math.pi, hi)) if upper else (lo, min(hi - math.pi, lo))
     f_near, f_far, last, end = 0.0, 0.0, 0, near
@@ -89,17 +76,9 @@ def _extend(
 
 @njit
 def _both(
-    dx: float,
-    dy: float,
-    lo: float,
-    hi: float,
-    eta: float,
-    side: int,
-    af: float,
-    ab: float,
-    left: FloatTable,
-    right: FloatTable,
-) -> tuple[float, float, bool]:
+    dx: float, dy: float, lo: float, hi: float, eta: float, side: int, af: float, ab: float,
+    left: FloatTable, right: FloatTable,
+) -> tuple[float, float, bool]:  # fmt: skip
     """Best extent ``(lo, hi, found)`` beyond both ends, by Newton's method.
 
     Straight lines at both ends, and both excursions exactly worth their cost.
@@ -126,17 +105,9 @@ def _both(
 
 @njit
 def _gains(
-    dx: float,
-    dy: float,
-    a: float,
-    b: float,
-    eta: float,
-    side: int,
-    af: float,
-    ab: float,
-    left: FloatTable,
-    right: FloatTable,
-) -> tuple[float, float]:
+    dx: float, dy: float, a: float, b: float, eta: float, side: int, af: float, ab: float,
+    left: FloatTable, right: FloatTable,
+) -> tuple[float, float]:  # fmt: skip
     """Return by how much both excursions pay, given the logarithms of their sizes."""
     lo, hi = -eta - math.exp(min(a, 1.0)), eta + math.exp(min(b, 1.0))
     _, px, py, at_lo, at_hi = corner_dual(dx, dy, lo, hi, eta, side, af, ab, left, right)
@@ -148,15 +119,9 @@ def _gains(
 
 @njit
 def best_extent(
-    dx: float,
-    dy: float,
-    eta: float,
-    af: float,
-    ab: float,
-    left: FloatTable,
-    right: FloatTable,
+    dx: float, dy: float, eta: float, af: float, ab: float, left: FloatTable, right: FloatTable,
     bound: float,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float]:  # fmt: skip
     """Return ``(energy, lo, hi)`` of the best schedule that sweeps to the left.
 
     The search is given up once no schedule can cost less than `bound`; the energy returned is then
@@ -284,15 +249,9 @@ def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTa
 
 @njit
 def _sweep(
-    start: float,
-    stop: float,
-    px: float,
-    py: float,
-    table: FloatTable,
-    ds: Floats,
-    dtheta: Floats,
+    start: float, stop: float, px: float, py: float, table: FloatTable, ds: Floats, dtheta: Floats,
     n: int,
-) -> int:
+) -> int:  # fmt: skip
     """Append the turns from heading `start` to `stop`, each at its cheapest corner."""
     here = start
     while here != stop:
@@ -317,18 +276,9 @@ def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
 
 @njit
 def _schedule_path(
-    x: float,
-    y: float,
-    eta: float,
-    lo: float,
-    hi: float,
-    af: float,
-    ab: float,
-    left: FloatTable,
-    right: FloatTable,
-    ds: Floats,
-    dtheta: Floats,
-) -> int:
+    x: float, y: float, eta: float, lo: float, hi: float, af: float, ab: float, left: FloatTable,
+    right: FloatTable, ds: Floats, dtheta: Floats,
+) -> int:  # fmt: skip
     """Write the segments of the best motion with the headings [lo, hi], sweeping to the left."""
     half = max(eta, 0.5 * NARROW)
     _, px, py, at_lo, at_hi = maximise(x, y, lo, hi, half, af, ab, left, right, EXACT)
@@ -373,14 +323,9 @@ def _schedule_path(
 
 @njit
 def polygon_path(
-    dx: float,
-    dy: float,
-    theta0: float,
-    theta1: float,
-    cost: PolygonSteering,
-    ds: Floats,
+    dx: float, dy: float, theta0: float, theta1: float, cost: PolygonSteering, ds: Floats,
     dtheta: Floats,
-) -> int:
+) -> int:  # fmt: skip
     """Write the segments of a motion of least energy, and return how many there are."""
     C = cost.half_track
     x, y, turn = between_poses(dx, dy, theta0, theta1, C, cost.longitudinal, cost.lateral)

@@ -87,147 +87,161 @@ def free(x: float, y: float, eta: float) -> bool:
     return (ax + k) ** 2 + ay * ay <= 16.0
 
 
+class Sweep(NamedTuple):
+    """A sweep from ``-eta`` to ``eta`` and its displacement, flipped by signs."""
+
+    x: float
+    y: float
+    sx: float
+    sy: float
+    eta: float
+    k: float  # cosine of eta
+    g: float  # sine of eta
+    c: float
+    reach: float  # distance from (0, 2 k)
+    base: float  # cost of the sweep alone
+    least: float  # no word costs less
+
+
+@njit
+def _without_excursion(at: Sweep, best: Word) -> Word:
+    """Return the cheapest word of the sweep alone, or the best so far."""
+    x, y, sx, sy, eta, k, g, base = at.x, at.y, at.sx, at.sy, at.eta, at.k, at.g, at.base
+    if sy > 0:
+        L = math.hypot(x - 2.0 * g, y)
+        if base + L < best.cost:
+            psi = math.atan2(y, x - 2.0 * g)
+            if abs(psi) <= eta + TINY:
+                best = Word(base + L, N_STRAIGHT, sx, sy, psi, L, 0.0)
+        L = math.hypot(x + 2.0 * g, y) - 4.0
+        if eta > HALF_PI and L >= 0.0 and base + L < best.cost:
+            psi = math.atan2(y, x + 2.0 * g)
+            if abs(psi) <= eta - HALF_PI + TINY:
+                best = Word(base + L, N_TWO_ZEROS, sx, sy, psi, L, 0.0)
+    N = at.reach
+    if N >= 2.0 and base + N - 2.0 < best.cost:
+        psi = math.atan2(y - 2.0 * k, x)
+        if -eta - TINY <= psi <= eta - HALF_PI + TINY:
+            best = Word(base + N - 2.0, N_INNER, sx, sy, psi, N - 2.0, 0.0)
+    if eta >= HALF_PI:
+        return best
+    wx, wy = x, y + 2.0 * k
+    along = wx * k + wy * g
+    inside = along * along - (wx * wx + wy * wy) + 4.0
+    if inside >= 0.0:
+        root = math.sqrt(inside)
+        for L in (along - root, along + root):
+            if L >= 0.0 and base + L < best.cost:
+                z = math.atan2(-(wx - L * k), wy - L * g)
+                if abs(z) <= eta + TINY:
+                    best = Word(base + L, N_END, sx, sy, z, L, 0.0)
+    if sx > 0 and g > 0:
+        both, less = (y - 2.0 + 2.0 * k) / g, x / k
+        if both >= abs(less) and base + both < best.cost:
+            halves = 0.5 * (both + less), 0.5 * (both - less)
+            best = Word(base + both, N_ENDS, sx, sy, 0.0, halves[0], halves[1])
+    return best
+
+
+@njit
+def _beyond_one_end(at: Sweep, best: Word) -> Word:
+    """Return the cheapest word with an excursion beyond the upper end, or the best so far."""
+    x, y, sx, sy, eta, k, g, c, N, base, least = at
+    turn = 1.0 + c
+    if N >= 2.0:
+        L = math.sqrt(N * N - 4.0)
+        h = math.atan2(y - 2.0 * k, x) + math.atan2(2.0, L)
+        if h < eta - TINY:
+            h += 2.0 * math.pi
+        cost = 2.0 * turn * max(h, eta) + L
+        if h >= eta - TINY and least <= cost < best.cost:
+            best = Word(cost, E_PLAIN, sx, sy, h, L, 0.0)
+    # e: what pivots give, with the zero of p.u inside the sweep or out in the excursion
+    for e, px, py in ((2.0, x + 2.0 * g, y), (4.0, x, y + 2.0 * k)):
+        length = math.hypot(px, py)
+        if e == 4.0 and length < 2.0:
+            continue
+        w = _cubic(c, e, length)
+        t = math.sqrt(w * w - 1.0)
+        L = 2.0 * c * t
+        if base + L >= best.cost:
+            continue
+        h = math.atan2(py, px) - math.atan2(e / w - 2.0, e * t / w + L)
+        z = h - math.atan(t)
+        cost = 2.0 * turn * max(h, eta) + L
+        if h >= eta - TINY and least <= cost < best.cost:
+            if e == 2.0 and abs(z) <= eta + TINY:
+                best = Word(cost, E_ZERO, sx, sy, h, L, z)
+            elif e == 4.0 and z >= eta - TINY:
+                best = Word(cost, E_ZERO_OUT, sx, sy, h, L, z)
+    for e, px, py in ((2.0, x + 2.0 * g, y), (4.0, x, y + 2.0 * k)):
+        across, along = px * g + py * k, px * k - py * g
+        inside = e * e - 16.0 * turn * (across - 2.0 - 4.0 * c)
+        if inside < 0.0:
+            continue
+        root = math.sqrt(inside)
+        for q in ((e + root) / (8.0 * turn), (e - root) / (8.0 * turn)):
+            if not 0.0 < q <= 1.0:
+                continue
+            s = math.sqrt(1.0 - q * q)
+            L = 2.0 * c * s / q
+            L0 = 4.0 * s * q - e * s + L * (2.0 * q * q - 1.0) - along
+            if L0 < 0.0 or base + L + L0 >= best.cost:
+                continue
+            tau = math.acos(q)
+            h = 2.0 * tau - eta
+            cost = 2.0 * turn * max(h, eta) + L + L0
+            if h < eta - TINY or not least <= cost < best.cost:
+                continue
+            if (tau <= 2.0 * eta) == (e == 2.0):
+                best = Word(cost, E_ENDS if e == 2.0 else E_ENDS_OUT, sx, sy, h, L, L0)
+    return best
+
+
+@njit
+def _beyond_both_ends(at: Sweep, best: Word) -> Word:
+    """Return the cheapest word with excursions beyond both ends, or the best so far."""
+    x, y, sx, sy, eta, k, g, c, N, _, least = at
+    turn = 1.0 + c
+    vx, vy = x, y - 2.0 * k
+    ox, oy = x - 2.0 * g, y
+    cases = (
+        (2.0, N, vx, -vy), (2.0, -N, -vx, vy), (4.0, -math.hypot(ox, oy), -ox, oy),
+    )  # fmt: skip
+    for e, value, across, along in cases:
+        if e == 2.0 and (sx < 0 or value > 2.0):
+            continue
+        root = math.sqrt((e + value) ** 2 + 64.0 * turn * c)
+        q = (e + value + root) / (8.0 * turn) if value > -e else 8.0 * c / (root - e - value)
+        q = min(q, 1.0)
+        tau, L = math.acos(q), 2.0 * c * math.sqrt(1.0 - q * q) / q
+        cost = turn * max(4.0 * tau - 2.0 * eta, 2.0 * eta) + 2.0 * L
+        if not least <= cost < best.cost:
+            continue
+        z = math.atan2(across, along)
+        if e == 2.0 and abs(z) <= eta + TINY and tau >= eta + abs(z) - TINY:
+            best = Word(cost, B_ZERO, sx, sy, z + tau, L, z)
+        elif e == 4.0 and z >= eta - TINY and tau >= eta + z - TINY:
+            best = Word(cost, B_ZERO_OUT, sx, sy, z + tau, L, z)
+    return best
+
+
 @njit
 def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
     """Return the cheapest word for one sweep."""
     base = 2.0 * (1.0 + c) * eta
-    best, code, bx, by, q1, q2, q3 = bound, -1, 1.0, 1.0, 0.0, 0.0, 0.0
-    if base >= best:
-        return Word(best, code, bx, by, q1, q2, q3)
+    best = Word(bound, -1, 1.0, 1.0, 0.0, 0.0, 0.0)
+    if base >= best.cost:
+        return best
     if free(x, y, eta):
-        return Word(base, FREE, bx, by, q1, q2, q3)
-    turn = 1.0 + c
+        return Word(base, FREE, 1.0, 1.0, 0.0, 0.0, 0.0)
     # no word costs less than the distance: what seems to is a difference lost to rounding
     least = math.hypot(x, y) * (1.0 - 1e-9)
     k, g = math.cos(eta), math.sin(eta)
-    for flip in range(4):
-        sx = 1.0 if flip < 2 else -1.0
-        sy = 1.0 if flip % 2 == 0 else -1.0
-        X, Y = sx * x, sy * y
-
-        # -- no excursion -----------------------------------------------------------------------
-        if sy > 0:
-            vx, vy = X - 2.0 * g, Y
-            L = math.hypot(vx, vy)
-            if base + L < best and abs(math.atan2(vy, vx)) <= eta + TINY:
-                best, code, bx, by, q1, q2 = base + L, N_STRAIGHT, sx, sy, math.atan2(vy, vx), L
-            if eta > HALF_PI:
-                vx = X + 2.0 * g
-                L = math.hypot(vx, vy) - 4.0
-                if L >= 0 and base + L < best:
-                    psi = math.atan2(vy, vx)
-                    if abs(psi) <= eta - HALF_PI + TINY:
-                        best, code, bx, by, q1, q2 = base + L, N_TWO_ZEROS, sx, sy, psi, L
-        vx, vy = X, Y - 2.0 * k
-        N = math.hypot(vx, vy)
-        if N >= 2.0 and base + N - 2.0 < best:
-            psi = math.atan2(vy, vx)
-            if -eta - TINY <= psi <= eta - HALF_PI + TINY:
-                best, code, bx, by, q1, q2 = base + N - 2.0, N_INNER, sx, sy, psi, N - 2.0
-        wx, wy = X, Y + 2.0 * k
-        M2 = wx * wx + wy * wy
-        if eta < HALF_PI:
-            along = wx * k + wy * g
-            inside = along * along - M2 + 4.0
-            if inside >= 0.0:
-                root = math.sqrt(inside)
-                for j in range(2):
-                    L = along - root if j == 0 else along + root
-                    if L >= 0.0 and base + L < best:
-                        z = math.atan2(-(wx - L * k), wy - L * g)
-                        if abs(z) <= eta + TINY:
-                            best, code, bx, by, q1, q2 = base + L, N_END, sx, sy, z, L
-            if sx > 0 and g > 0:
-                both, less = (Y - 2.0 + 2.0 * k) / g, X / k
-                if both >= abs(less) and base + both < best:
-                    best, code, bx, by = base + both, N_ENDS, sx, sy
-                    q1, q2, q3 = 0.0, 0.5 * (both + less), 0.5 * (both - less)
-
-        # -- excursion beyond the upper end -------------------------------------------------------
-        if N >= 2.0:
-            L = math.sqrt(N * N - 4.0)
-            h = math.atan2(vy, vx) + math.atan2(2.0, L)
-            if h < eta - TINY:
-                h += 2.0 * math.pi
-            cost = 2.0 * turn * max(h, eta) + L
-            if h >= eta - TINY and least <= cost < best:
-                best, code, bx, by, q1, q2 = cost, E_PLAIN, sx, sy, h, L
-        ax, ay = X + 2.0 * g, Y
-        A = math.hypot(ax, ay)
-        w = _cubic(c, 2.0, A)
-        t = math.sqrt(w * w - 1.0)
-        L = 2.0 * c * t
-        if base + L < best:
-            h = math.atan2(ay, ax) - math.atan2(2.0 / w - 2.0, 2.0 * t / w + L)
-            cost = 2.0 * turn * max(h, eta) + L
-            if h >= eta - TINY and least <= cost < best:
-                z = h - math.atan(t)
-                if abs(z) <= eta + TINY:
-                    best, code, bx, by, q1, q2, q3 = cost, E_ZERO, sx, sy, h, L, z
-        M = math.sqrt(M2)
-        if M >= 2.0:
-            w = _cubic(c, 4.0, M)
-            t = math.sqrt(w * w - 1.0)
-            L = 2.0 * c * t
-            if base + L < best:
-                h = math.atan2(wy, wx) - math.atan2(4.0 / w - 2.0, 4.0 * t / w + L)
-                cost = 2.0 * turn * max(h, eta) + L
-                z = h - math.atan(t)
-                if z >= eta - TINY and least <= cost < best:
-                    best, code, bx, by, q1, q2, q3 = cost, E_ZERO_OUT, sx, sy, h, L, z
-        for out in range(2):
-            e = 2.0 if out == 0 else 4.0
-            px, py = (ax, ay) if out == 0 else (wx, wy)
-            across, along = px * g + py * k, px * k - py * g
-            inside = e * e - 16.0 * turn * (across - 2.0 - 4.0 * c)
-            if inside < 0.0:
-                continue
-            root = math.sqrt(inside)
-            for j in range(2):
-                q = (e + root if j == 0 else e - root) / (8.0 * turn)
-                if not 0.0 < q <= 1.0:
-                    continue
-                s = math.sqrt(1.0 - q * q)
-                L = 2.0 * c * s / q
-                L0 = 4.0 * s * q - e * s + L * (2.0 * q * q - 1.0) - along
-                if L0 < 0.0 or base + L + L0 >= best:
-                    continue
-                tau = math.acos(q)
-                h = 2.0 * tau - eta
-                cost = 2.0 * turn * max(h, eta) + L + L0
-                if h < eta - TINY or not least <= cost < best:
-                    continue
-                if (tau <= 2.0 * eta) == (out == 0):
-                    best, code, bx, by = cost, E_ENDS if out == 0 else E_ENDS_OUT, sx, sy
-                    q1, q2, q3 = h, L, L0
-
-        # -- excursions beyond both ends ----------------------------------------------------------
-        if sx > 0:
-            for j in range(2):
-                value = N if j == 0 else -N
-                if value > 2.0:
-                    continue
-                root = math.sqrt((2.0 + value) ** 2 + 64.0 * turn * c)
-                if value > -2.0:
-                    q = (2.0 + value + root) / (8.0 * turn)
-                else:
-                    q = 8.0 * c / (root - 2.0 - value)
-                q = min(q, 1.0)
-                tau, L = math.acos(q), 2.0 * c * math.sqrt(1.0 - q * q) / q
-                cost = turn * max(4.0 * tau - 2.0 * eta, 2.0 * eta) + 2.0 * L
-                if least <= cost < best:
-                    z = math.atan2(vx, -vy) if j == 0 else math.atan2(-vx, vy)
-                    if abs(z) <= eta + TINY and tau >= eta + abs(z) - TINY:
-                        best, code, bx, by, q1, q2, q3 = cost, B_ZERO, sx, sy, z + tau, L, z
-        ox, oy = X - 2.0 * g, Y
-        value = -math.hypot(ox, oy)
-        root = math.sqrt((4.0 + value) ** 2 + 64.0 * turn * c)
-        q = (4.0 + value + root) / (8.0 * turn) if value > -4.0 else 8.0 * c / (root - 4.0 - value)
-        q = min(q, 1.0)
-        tau, L = math.acos(q), 2.0 * c * math.sqrt(1.0 - q * q) / q
-        cost = turn * max(4.0 * tau - 2.0 * eta, 2.0 * eta) + 2.0 * L
-        if least <= cost < best:
-            z = math.atan2(-ox, oy)
-            if z >= eta - TINY and tau >= eta + z - TINY:
-                best, code, bx, by, q1, q2, q3 = cost, B_ZERO_OUT, sx, sy, z + tau, L, z
-    return Word(best, code, bx, by, q1, q2, q3)
+    for sx, sy in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+        N = math.hypot(sx * x, sy * y - 2.0 * k)
+        at = Sweep(sx * x, sy * y, sx, sy, eta, k, g, c, N, base, least)
+        best = _without_excursion(at, best)
+        best = _beyond_one_end(at, best)
+        best = _beyond_both_ends(at, best)
+    return best

@@ -228,15 +228,9 @@ def _swept_box(body: Body, centre_x: float, centre_y: float, half: float) -> Bod
 
 @njit
 def motion_free(
-    space: Space,
-    body: Body,
-    x: float,
-    y: float,
-    yaw: float,
-    ds: float,
-    dtheta: float,
+    space: Space, body: Body, x: float, y: float, yaw: float, ds: float, dtheta: float,
     longitudinal: float,
-) -> bool:
+) -> bool:  # fmt: skip
     """Tell whether the body stays free along a motion of constant curvature."""
     if abs(dtheta) <= _STRAIGHT:
         # swept as a straight line at the mean heading; no point strays further than this from it
@@ -291,13 +285,8 @@ def motion_free(
 
 @njit
 def first_collision(
-    space: Space,
-    body: Body,
-    vertices: AnyTable,
-    ds: Column,
-    dtheta: Column,
-    longitudinal: float,
-) -> int:
+    space: Space, body: Body, vertices: AnyTable, ds: Column, dtheta: Column, longitudinal: float,
+) -> int:  # fmt: skip
     """Return the index of the first segment along which the body is not free, or -1.
 
     `vertices` are the poses of the body frame at the ends of the segments, as `Path.vertices`.
@@ -319,13 +308,8 @@ def first_collision(
 
 @njit
 def motions_free(
-    space: Space,
-    body: Body,
-    starts: AnyTable,
-    ds: Column,
-    dtheta: Column,
-    longitudinal: float,
-) -> Flags:
+    space: Space, body: Body, starts: AnyTable, ds: Column, dtheta: Column, longitudinal: float,
+) -> Flags:  # fmt: skip
     """Tell of many motions, each from its own pose (x, y, yaw), which are free."""
     out = np.empty(len(starts), np.bool_)
     for k in range(len(starts)):
