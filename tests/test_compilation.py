@@ -79,14 +79,6 @@ def test_an_edit_two_calls_away_changes_what_runs(copy: Path, tmp_path: Path) ->
     assert run(CALL, path=copy, **kept).stdout.split()[0] == "41.0"
 
 
-def test_an_edit_elsewhere_changes_nothing(copy: Path, tmp_path: Path) -> None:
-    kept = str(tmp_path / "kept")
-    run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=kept)
-    with (copy / "energyplan" / "demo.py").open("a") as file:
-        file.write("\n# an edit\n")
-    assert run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=kept).stdout.split() == ["31.0"]
-
-
 def test_the_digest_follows_imports_of_every_form(copy: Path) -> None:
     package = copy / "energyplan"
     lines = (
@@ -163,14 +155,6 @@ def test_the_command_line_says_it_in_one_line(unwritable: str, tmp_path: Path) -
     assert "Warning" not in found.stderr
 
 
-def test_the_folder_is_where_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
-    monkeypatch.delenv("ENERGYPLAN_CACHE_DIR", raising=False)
-    assert cache_folder() == Path("/somewhere/energyplan")
-    monkeypatch.setenv("ENERGYPLAN_CACHE_DIR", "/elsewhere")
-    assert cache_folder() == Path("/elsewhere")
-
-
 def test_only_machine_code_that_was_not_used_for_long_is_deleted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -238,12 +222,6 @@ def test_without_a_second_process_the_first_does_it_all(many: Path, tmp_path: Pa
             code, path=many, ENERGYPLAN_CACHE_DIR=str(tmp_path / nobody[1:].replace("/", ""))
         )
         assert found.stdout.startswith("7 0 2 True 20.0\n"), found.stderr
-
-
-def test_where_nothing_can_be_kept_one_process_compiles(many: Path, unwritable: str) -> None:
-    found = run(MANY, path=many, ENERGYPLAN_CACHE_DIR=unwritable)
-    assert found.stdout.startswith("7 0 1 False 20.0\n"), found.stderr
-    assert found.stderr.count("KernelCacheWarning") == 1
 
 
 def test_two_programs_may_compile_at_once(many: Path, tmp_path: Path) -> None:

@@ -44,33 +44,7 @@ def kinds(report):
     return {(violation.kind, violation.side) for violation in report.violations}
 
 
-# -- kernels against plain twins ----------------------------------------------------------------
-
-
-def test_pieces_and_their_motion_are_alike_compiled_and_plain():
-    rng = np.random.default_rng(2)
-    n = 60
-    t = np.cumsum(rng.uniform(0.05, 0.2, n))
-    x, y, yaw = np.cumsum(rng.normal(0, 0.1, (3, n)), axis=1)
-    v, omega = rng.normal(0, 0.5, (2, n)) * (rng.random((2, n)) > 0.2)
-    cut = motor_kernels.cut_intervals(v, omega, 0.4, 0.5, 3, n - 1)
-    plain = motor_kernels.cut_intervals.py_func(v, omega, 0.4, 0.5, 3, n - 1)
-    assert all(np.array_equal(a, b) for a, b in zip(cut, plain, strict=True))
-    interval, begin, end = cut
-    assert np.allclose(np.bincount(interval, end - begin)[3:], 1.0, rtol=1e-14)
-    nodes = t, x, y, yaw, v, omega, 0.4, 0.5, *cut, 1.7
-    found, expected = motor_kernels.piece_nodes(*nodes), motor_kernels.piece_nodes.py_func(*nodes)
-    for a, b in zip(found, expected, strict=True):
-        assert np.allclose(a, b, rtol=1e-14, atol=1e-16)
-    # Within a piece nothing changes its direction, and its ends are the samples.
-    v_left, v_right, accel, _, px, py, heading = found
-    for speed in (v_left, v_right, v_right - v_left):
-        assert np.all(speed[:, 0] * speed[:, 2] >= 0.0)
-    first, last = begin == 0.0, end == 1.0
-    for value, known in ((px, x), (py, y), (heading, yaw)):
-        assert np.allclose(value[first, 0], known[interval[first]], atol=1e-12)
-        assert np.allclose(value[last, 2], known[interval[last] + 1], atol=1e-12)
-    assert np.allclose(accel[:, 0], 1.7**2 * (np.diff(v) / np.diff(t))[interval])
+# -- kernels against integrals ------------------------------------------------------------------
 
 
 def test_the_motion_of_pieces_is_that_of_fine_integration():
@@ -111,10 +85,8 @@ def test_the_motion_of_pieces_is_that_of_fine_integration():
         assert np.all(np.abs(found - expected - 0.01 * when) <= sagitta + 1e-9)
 
 
-@pytest.mark.parametrize("kernel", ["compiled", "plain"])
-def test_intervals_are_those_of_the_interpolated_value(kernel):
+def test_intervals_are_those_of_the_interpolated_value():
     run = motor_kernels.intervals
-    run = run if kernel == "compiled" else run.py_func
     rng = np.random.default_rng(3)
     for _ in range(20):
         t = np.cumsum(rng.uniform(0.1, 1, 40))
@@ -138,18 +110,14 @@ def brute_window_mean(t, power, window):
     return (np.interp(t, fine, energy) - np.interp(t - window, fine, energy)) / window
 
 
-@pytest.mark.parametrize("kernel", ["compiled", "plain"])
 @pytest.mark.parametrize("window", [0.03, 2.0, 7.3, 1e3])
-def test_window_mean_agrees_with_brute_force(kernel, window):
-    run = motor_kernels.window_mean
-    run = run if kernel == "compiled" else run.py_func
+def test_window_mean_agrees_with_brute_force(window):
     rng = np.random.default_rng(5)
     t = np.cumsum(rng.uniform(0.05, 0.6, 80))
     power = np.maximum(rng.normal(100, 100, 80), 0)
     # The window before the first sample is empty, where the brute force has a ramp of one step.
-    assert np.allclose(
-        run(t, power, window), brute_window_mean(t, power, window), rtol=5e-3, atol=0.5
-    )
+    found = motor_kernels.window_mean(t, power, window)
+    assert np.allclose(found, brute_window_mean(t, power, window), rtol=5e-3, atol=0.5)
 
 
 def test_shortest_window_is_where_the_window_mean_meets_the_budget():
@@ -159,7 +127,6 @@ def test_shortest_window_is_where_the_window_mean_meets_the_budget():
         power = np.maximum(rng.normal(100, 100, 60), 0)
         budget = float(rng.uniform(50, 1500))
         window = motor_kernels.shortest_window(t, power, budget)
-        assert window == motor_kernels.shortest_window.py_func(t, power, budget)
         top = motor_kernels.window_mean(t, power, window).max() * window
         assert top == pytest.approx(budget, rel=1e-9)
     assert motor_kernels.shortest_window(t, power, 1e9) == np.inf

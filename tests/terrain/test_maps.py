@@ -11,7 +11,6 @@ from shapely import affinity
 from energyplan import OccupancyGrid, Path, Pose, Vehicle
 from energyplan.errors import MapError
 from energyplan.terrain import collision as _collision
-from energyplan.terrain import footprint
 from energyplan.terrain.updates import distance_to_blocked
 
 VEHICLE = Vehicle.preset("quadriga")
@@ -132,23 +131,6 @@ def test_clearance_is_exact():
     expected = ndimage.distance_transform_edt(~fine)[1::2, 1::2] / 2
     assert np.allclose(distance_to_blocked(blocked), expected, atol=1e-5)
     assert np.allclose(distance_to_blocked(np.zeros((4, 9), bool)).max(), 2.0 - 0.5)
-
-
-def test_kernels_agree_with_plain_python():
-    """The compiled kernels and the functions they were compiled from."""
-    rng = np.random.default_rng(4)
-    grid = random_grid(rng, (30, 30), 0.01)
-    poses = random_poses(rng, grid, 60)
-    body, space = footprint(VEHICLE), grid.space
-    plain = _collision.poses_free.py_func(space, body, poses)
-    assert np.array_equal(plain, grid.footprint_free(poses, VEHICLE))
-    assert np.array_equal(
-        _collision.next_blocked.py_func(grid.blocked), _collision.next_blocked(grid.blocked)
-    )
-    assert np.allclose(distance_to_blocked.py_func(grid.blocked), distance_to_blocked(grid.blocked))
-    for pose, turn in zip(poses, rng.uniform(-2, 2, 60), strict=True):
-        args = (space, body, *pose, 0.4, turn, 0.1)
-        assert _collision.motion_free.py_func(*args) == _collision.motion_free(*args)
 
 
 def test_unknown_cells_are_obstacles_unless_asked():
