@@ -45,12 +45,12 @@ def warehouse() -> ep.PlanningProblem:
 
 
 def iso_energy() -> Figure:
-    """Least energy from the origin, for cheap and dear turning and two headings at the goal."""
+    """Least energy from the origin, for cheap and expensive turning and two headings at the goal."""
     side = np.linspace(-3, 3, 121)
     x, y = np.meshgrid(side, side)
     made = Figure(figsize=(plots.WIDTH, 5.2), layout="constrained")
     axes = made.subplots(2, 2, sharex=True, sharey=True)
-    for row, (c, ground) in zip(axes, ((0.2, "turning is cheap"), (2.7, "turning is dear")),
+    for row, (c, ground) in zip(axes, ((0.2, "turning is cheap"), (2.7, "turning is expensive")),
                                 strict=True):  # fmt: skip
         cost = ep.EnergyCost.from_coefficients(per_metre=1.0, per_radian=c, icr=1.0)
         for ax, heading in zip(row, (0, 90), strict=True):
