@@ -45,7 +45,7 @@ def warehouse() -> ep.PlanningProblem:
 
 
 def iso_energy() -> Figure:
-    """Least energy from the origin, for cheap and expensive turning and two headings at the goal."""
+    """Least energy from the origin, for two prices of turning and two headings at the goal."""
     side = np.linspace(-3, 3, 121)
     x, y = np.meshgrid(side, side)
     made = Figure(figsize=(plots.WIDTH, 5.2), layout="constrained")
