@@ -12,11 +12,9 @@ figures into docs/diagnosis.md.
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
-standstill; a gyroscope and a pose, or neither. Effects that no power can tell apart count as
-one, and so do explanations that the report says these drives cannot tell apart. A border that no
-wheel of the training drives crosses is not hidden in them. Sizes are those that powers tell: of a
-border, with the sign of the side that the report calls beyond; of a resistance backwards beside a
-force that pulls one way, which together are one of them beside another resistance, that one.
+standstill; a gyroscope and a pose, or neither. Explanations that the report says these drives
+cannot tell apart count as one. A border that no wheel of the training drives crosses is not hidden
+in them, and has the sign of the side that the report calls beyond.
 """
 
 from __future__ import annotations
@@ -38,8 +36,6 @@ from energyplan.power import HOTEL, REGENERATION_LOSS
 from energyplan.power import effects as known
 from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
-    LEFT_TURN_DRAG_LEFT,
-    REVERSE_DRAG,
     SLIP_BEYOND,
     SLIP_SPEED,
     STRIBECK,
@@ -48,17 +44,6 @@ from energyplan.power.effect_terms import (
     TURN_ASYMMETRY,
 )
 from energyplan.vehicle import Vehicle
-
-SAME = {
-    "power_offset": "hotel_load", "traction_asymmetry": "dragging_wheel_left",
-    "dragging_wheel_right": "dragging_wheel_left", "surface_change": "payload_change",
-    "drive_efficiency": "round_trip", "regeneration_efficiency": "round_trip",
-    "unsigned_power": "round_trip", "reverse_drag": "towing_force",
-}  # fmt: skip
-"""Effects that powers cannot tell apart, and what stands for them."""
-
-STRANGER = ("something else",)
-"""What the report states of causes that the catalogue lacks."""
 
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 PAGE = Path(__file__).parents[1] / "docs" / "diagnosis.md"
@@ -100,8 +85,7 @@ class Outcome:
     @property
     def first(self) -> bool:
         """Whether the most probable explanation is the right one."""
-        named = [one for one in self.stated if one[0] != STRANGER]
-        return max(named, key=lambda one: one[1])[0] == self.hidden
+        return max(self.stated, key=lambda one: one[1])[0] == self.hidden
 
 
 @dataclass(frozen=True)
@@ -122,12 +106,6 @@ class Hidden:
         if effect.name == "surface_border":
             apart = float(effect.details["direction"]) - self.direction
             return self.sizes[effect.name] * float(np.sign(np.cos(apart)))
-        if {"reverse_drag", "towing_force"} <= set(self.sizes):
-            # A pull is a force of both sides together, a resistance one of each.
-            back = self.sizes["reverse_drag"] - self.sizes["towing_force"]
-            return {"reverse_drag": back, "towing_force": -back}.get(
-                effect.name, self.sizes[effect.name]
-            )
         return self.sizes[effect.name]
 
 
@@ -163,13 +141,12 @@ def hidden(
         "air_drag": (known.AIR_DRAG, 0.5 * K / speed**2),
         "copper_loss": (known.COPPER_LOSS, 0.07 * speed / K),
         "dragging_wheel_left": (DRAGGING_LEFT, 0.35 * K), "towed_drag": (TOWED_DRAG, 0.4 * K),
-        "towing_force": (TOWING_FORCE, 0.3 * K * side), "reverse_drag": (REVERSE_DRAG, 0.4 * K),
+        "towing_force": (TOWING_FORCE, 0.3 * K * side),
         "turn_asymmetry": (TURN_ASYMMETRY, 0.12 * mu * side),
         "slip_speed_friction": (SLIP_SPEED, 0.4 * mu * side / speed),
         "warm_up": (replace(known.WARM_UP, params={"time_constant": 50.0}), 0.4 * K),
         "regeneration_efficiency": (REGENERATION_LOSS, 0.5),
         "stribeck_friction": (replace(STRIBECK, params={"slip_speed": 0.08}), 0.4 * mu),
-        "left_turn_drag_left": (LEFT_TURN_DRAG_LEFT, 0.5 * K),
     }  # fmt: skip
     posed, direction, offset = rng.random() >= 0.25, 0.0, 0.3
     if posed:  # what depends on the place or the heading
@@ -242,18 +219,13 @@ def case(seed: int, robots: str, fewest: int, most: int, drives: int) -> Outcome
     usual = {name for name, entry in entries.items() if entry.usual}
 
     def told_apart(names: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(sorted({SAME.get(name, name) for name in names if name not in usual}))
+        return tuple(sorted({name for name in names if name not in usual}))
 
-    # What the report says that these drives cannot tell apart is one statement: any of them. Where
-    # the truth is one of them, it stands for all.
     true = told_apart(tuple(sizes))
     stated: dict[tuple[str, ...], float] = {}
     for one in told.explanations:
-        alike = [told_apart(names) for names in (one.effects, *one.alike)]
-        key = true if true in alike else next((k for k in stated if k in alike), alike[0])
+        key = told_apart(one.effects)
         stated[key] = stated.get(key, 0.0) + one.probability
-    if told.none_of_these > 0.0:
-        stated[STRANGER] = told.none_of_these
     covered = tuple(
         bool(abs(effect.value - made.size(effect)) <= 1.96 * effect.std_error)
         for effect in told.effects if effect.name in sizes

@@ -32,7 +32,6 @@ from energyplan.power.effect_terms import (
     MOBILISATION,
     SLIP_SPEED,
     TOWING_FORCE,
-    TRACTION_ASYMMETRY,
     TURN_ASYMMETRY,
 )
 from energyplan.vehicle import Vehicle
@@ -42,7 +41,7 @@ TRUE = {
     "com_offset": ("centre_of_mass",),
     "copper_loss": ("copper_loss",),
     "dragging_wheel": ("dragging_wheel_left",),
-    "driver_efficiency": ("drive_efficiency", "regeneration_efficiency"),
+    "driver_efficiency": ("regeneration_efficiency",),
     "hotel_load": ("hotel_load",),
     "load_change": ("payload_change",),
     "quadratic_drag": ("air_drag",),
@@ -70,8 +69,7 @@ def hidden_effect(name: str, rng: np.random.Generator, model: PowerModel) -> tup
         "air_drag": (catalogue.AIR_DRAG, 80 * share),
         "copper_loss": (catalogue.COPPER_LOSS, 5e-4 * share),
         "regeneration_efficiency": (REGENERATION_LOSS, min(0.8 * share, 1.0)),
-        "traction_asymmetry": (TRACTION_ASYMMETRY, 20 * share * side),
-        "dragging_wheel_left": (DRAGGING_LEFT, 30 * share),
+        "dragging_wheel_left": (DRAGGING_LEFT, 30 * share * side),
         "turn_asymmetry": (TURN_ASYMMETRY, 0.06 * share * side),
         "slip_speed_friction": (SLIP_SPEED, 0.4 * share * side),
         "towing_force": (TOWING_FORCE, 25 * share * side),
@@ -117,7 +115,7 @@ def hidden_effect(name: str, rng: np.random.Generator, model: PowerModel) -> tup
 
 HIDDEN = (
     "hotel_load", "viscous_loss", "air_drag", "copper_loss", "regeneration_efficiency",
-    "traction_asymmetry", "dragging_wheel_left", "turn_asymmetry", "slip_speed_friction",
+    "dragging_wheel_left", "turn_asymmetry", "slip_speed_friction",
     "towing_force", "tilted_plane", "grade", "linear_inertia", "angular_inertia", "warm_up",
     "friction_mobilisation", "payload_change", "time_offset",
 )  # fmt: skip

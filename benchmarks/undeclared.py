@@ -375,8 +375,6 @@ def main(count: int, first: int, names: list[str]) -> None:
             left = told.adequacy
             effects = ", ".join(f"{one.name} {one.probability:.2f}" for one in told.effects)
             seen = "; ".join(f"{one.channel}: {one.shape}" for one in told.unexplained[:2])
-            if told.none_of_these > 0.0:
-                effects += f" or something else {told.none_of_these:.2f}"
             print(
                 f"{kind.__name__:16} {seed} {told.verdict:12} noise {left.noise:.2g} "
                 f"residual {left.residual:.2g}{' coloured' if left.coloured else ''} "

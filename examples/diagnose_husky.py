@@ -36,8 +36,6 @@ def main(folder: Path) -> None:
             f"  {effect.name}{rivals}: {effect.symbol} = {effect.value:.4g} +- "
             f"{effect.std_error:.2g} {effect.unit}; {effect.meaning}"
         )
-    for name in told.withdrawn:
-        print(f"  taken back, because the held-out runs got worse: {name}")
     for found in told.unexplained:
         print(f"  unexplained: {found.shape} ({found.explained_variance:.0%} of the error)")
     for name, error in (("before", told.before), ("after", told.after)):

@@ -14,11 +14,9 @@ from energyplan.vehicle import MotorLimits, TreadICR
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 SIZES = {
     "hotel_load": 200.0, "viscous_loss": 80.0, "air_drag": 40.0, "copper_loss": 1e-3,
-    "traction_asymmetry": 40.0, "dragging_wheel_left": 60.0, "dragging_wheel_right": 60.0,
-    "turn_asymmetry": 0.2, "slip_speed_friction": 0.4, "friction_mobilisation": 0.627,
-    "towing_force": 60.0, "towed_drag": 60.0, "reverse_drag": 60.0, "stribeck_friction": 0.3,
-    "left_turn_drag_left": 50.0, "left_turn_drag_right": 50.0, "right_turn_drag_left": 50.0,
-    "right_turn_drag_right": 50.0,
+    "dragging_wheel_left": 60.0, "turn_asymmetry": 0.2, "slip_speed_friction": 0.4,
+    "friction_mobilisation": 0.627, "towing_force": 60.0, "towed_drag": 60.0,
+    "stribeck_friction": 0.3,
 }  # fmt: skip
 """Effects that a planner can use on level ground, and the greatest size tried."""
 

@@ -30,7 +30,6 @@ from energyplan.diagnosis.judge import (
     predict,
     score,
     size_error,
-    size_spread,
     tested,
     with_contacts,
     without_mimics,
@@ -47,7 +46,7 @@ from energyplan.diagnosis.result import (
     Unexplained,
     Verdict,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, Presence, Search, SearchResult
+from energyplan.diagnosis.search import SIGNIFICANCE, Search, SearchResult
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words, usual_effects
@@ -267,7 +266,7 @@ class _Case:
             return final_fit(self.problem, ()).model, False
 
     def _mass_centre(self, vehicle: Vehicle) -> MassCentre | None:
-        if not any(entry.name == "centre_of_mass" for entry in self.entries):
+        if not any(entry.acts == "kinematics" for entry in self.entries):
             return None
         mu = self.paper.coefficient("slip_friction")
         found = find_mass_centre(self.problem.drives, vehicle, mu)
@@ -284,28 +283,26 @@ class _Case:
         plain = self.paper if keep else None
         fighting = next((one for one in self.entries if one.acts == "hold"), None)
 
-        def test(some: tuple[Part, ...]) -> Tested:
+        def test(some: Sequence[Part]) -> Tested:
             return tested(
-                searched, some, plain=plain, fights=fighting is not None,
-                otherwise=self.mass_centre is not None,
+                searched, tuple(some), plain=plain, fights=fighting is not None,
                 smooth=lambda part: empirical and self._carry(part),
             )  # fmt: skip
 
-        outcome = test(parts)
-        mimics: list[str] = []
-        maps: tuple[Part, ...] = ()
+        outcome, mimics, vague = test(parts), list[str](), list[Part]()
         if choose and outcome.doubtful:
             parts, mimics = without_mimics(best.problem, parts)
             outcome = test(parts) if mimics else outcome
-        if choose and outcome.maps:
-            maps = outcome.maps
-            outcome = test(tuple(part for part in parts if part not in maps))
-        vague: list[Part] = []
+        maps = [part for part in outcome.effects if choose and part.effect.acts == "place"]
+        if outcome.quality.adequate:  # else what fits the ways of these drives may fit no others
+            maps = []
+        if maps:
+            outcome = test([part for part in outcome.effects if part not in maps])
         while choose and (least := least_known(outcome.fitted.model, outcome.effects)) is not None:
             vague.append(least)
-            outcome = test(tuple(part for part in outcome.effects if part is not least))
+            outcome = test([part for part in outcome.effects if part is not least])
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
-        fitted, quality, present = outcome.fitted, outcome.quality, outcome.present
+        fitted, quality = outcome.fitted, outcome.quality
         weighed = (
             averaged(best.problem, fitted, parts, len(self.entries), self._common(parts))
             if choose else None
@@ -319,9 +316,8 @@ class _Case:
         if any(part.effect.acts == "change" for part in parts):
             foretold = [predict(told.model, parts, drive, dated=False) for drive in self.held]
             undated = score(foretold)
-        further = searched.further * (1.0 - present.stranger)
-        others = self._explanations(searched, 1.0 - present.stranger - further)
-        found = self._found(chosen, fitted, searched, after, present, others)
+        others = self._explanations(searched)
+        found = self._found(chosen, fitted, searched, after)
         if outcome.fight is not None and fighting is not None:
             found = (*found, outcome.fight.effect(fighting))
         unexplained = tuple(
@@ -345,9 +341,8 @@ class _Case:
             *_advice.vague_advice([part.effect for part in vague]),
             *_advice.adequacy_advice(quality, bool(left)),
             *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
-            *_advice.small_advice(searched.likely),
             *_advice.rival_advice(found, {entry.name: entry for entry in self.entries}),
-            *_advice.mass_advice(fitted.model, names),
+            *_advice.mass_advice(fitted.model, used),
             *_advice.log_advice(used),
             *_advice.worse_advice(names, *errors, known),
             *([] if held else _advice.unheld_advice(names, quality, known)),
@@ -362,7 +357,7 @@ class _Case:
             usual = {entry.name for entry in self.entries if entry.usual}.issuperset(names)
             enough = quality.adequate
             if not usual:
-                enough = explains(quality, errors[0].rmse, known.rmse, present.stranger)
+                enough = explains(quality, errors[0].rmse, known.rmse)
             verdict = "effect_found" if held and enough else "unexplained"
         elif left or not (quality.adequate and held):
             verdict = "unexplained"
@@ -380,12 +375,9 @@ class _Case:
             paper=replace(self.paper, residual=errors[0]),
             dependences_before=told_before,
             dependences_after=outcome.dependences,
-            withdrawn=(*mimics, *(part.effect.name for part in (*maps, *vague))),
             predictions_before=self._on_given_samples(before),
             predictions_after=self._on_given_samples(after),
             explanations=others,
-            none_of_these=present.stranger,
-            further_effects=further,
             adequacy=quality,
             predictions=energies(best.problem, told, foretold),
             training=tuple(log.name for log in self.logs[0]),
@@ -412,14 +404,13 @@ class _Case:
         names = [log.name for log in self.logs[0]]
         return tuple(names if len(names) >= 4 else (f"blocks of {name}" for name in names))
 
-    def _explanations(self, searched: SearchResult, share: float) -> tuple[Explanation, ...]:
-        moved = () if self.mass_centre is None else ("centre_of_mass",)
+    def _explanations(self, searched: SearchResult) -> tuple[Explanation, ...]:
+        moved = tuple(e.name for e in self.entries if e.acts == "kinematics" and self.mass_centre)
         return tuple(
             Explanation(
-                (*moved, *one.names), share * one.probability,
+                (*moved, *one.names), one.probability,
                 _for_planners(final_fit(one.problem, one.parts).model,
                               [part.effect for part in one.parts], None),
-                tuple((*moved, *names) for names in one.alike),
             )
             for one in searched.explanations[:_SHOWN]
             if one.probability >= _POSSIBLE * searched.best.probability
@@ -431,13 +422,11 @@ class _Case:
         fitted: FinalFit,
         searched: SearchResult,
         after: Sequence[Prediction],
-        present: Presence,
-        others: Sequence[Explanation],
     ) -> tuple[FoundEffect, ...]:
         model, errors = fitted.model, fitted.errors
         found = []
         if self.mass_centre is not None:
-            entry = next(entry for entry in self.entries if entry.name == "centre_of_mass")
+            entry = next(entry for entry in self.entries if entry.acts == "kinematics")
             found.append(self.mass_centre.effect(entry))
         for part in parts:
             entry, params = part.effect, dict(part.params)
@@ -455,13 +444,12 @@ class _Case:
                         details[f"time in {one.drive.name}"] = one.change
             value = entry.value(model) if entry.terms else Late.of(part.params).mean
             error = size_error(entry, model) if entry.terms else errors["late"]
-            error = float(np.hypot(error, size_spread(entry, value, others)))
             gain = searched.best.gains[searched.best.parts.index(part)]
             found.append(
                 FoundEffect(
                     entry.name, entry.symbol, value, entry.unit, error,
                     Evidence(gain.improvement, gain.error, gain.p_value),
-                    present.of(entry.name) * searched.probability(entry.name),
+                    searched.probability(entry.name),
                     searched.rivals(entry.name),
                     details, entry.meaning, entry.planner,
                 )

@@ -174,12 +174,7 @@ class _Table:
         cls, plain: Problem, explanation: _Explanation, parts: Sequence[Part],
         common: Sequence[Term],
     ) -> _Table:  # fmt: skip
-        """Average the columns of drives over windows.
-
-        Inertia, which comes to nothing over a run, is in the two terms of few runs, too. A friction
-        that the drives leave open is the explanation's; where they leave both open, both are in its
-        proportion.
-        """
+        """Average the columns of drives over windows."""
         fitted = explanation.fitted
         values = {term.name: fitted.model.coefficient(term.name) for term in fitted.terms}
         usual = () if common else tuple(
@@ -290,13 +285,7 @@ def least_absolute(
 
 
 def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArray:
-    """Return the weights of models: pseudo Bayesian model averaging, bootstrapped.
-
-    Two terms, the first of them, are as probable before as all extensions together. Errors of folds
-    have Laplace's distribution, so that one run like no other does not decide, and a size that is
-    not known; few folds tell it roughly, which the Bayesian bootstrap allows for (Yao et al. 2018,
-    "Using stacking to average Bayesian predictive distributions").
-    """
+    """Return the weights of models: pseudo Bayesian model averaging, bootstrapped."""
     errors = np.abs([one.errors[telling] for one in members])
     count = errors.shape[1]
     prior = np.exp([-one.handicap for one in members])
@@ -315,21 +304,14 @@ def averaged(
     tried: int = 1,
     common: Sequence[Term] = (),
 ) -> Averaged | None:
-    """Average two terms, extensions and an explanation, by how each predicts what it has not met.
-
-    A coefficient beside the two takes one from the logarithm of the odds (Akaike's weight of a
-    parameter), and an effect that was picked out of many the logarithm of their number (Foster and
-    George 1994, "The risk inflation criterion for multiple regression"): the runs that are left
-    out have picked it, too. With losses, coefficients multiply each other and have no mean: such an
-    explanation is handed on alone, or not.
-    """
+    """Average two terms, extensions and an explanation, by how each predicts unseen runs."""
     count = len(problem.drives)
     picked = sum(bool(part.terms) and not part.effect.usual for part in parts)
     telling = _telling(problem)
     few = int(telling.sum()) < FEWEST_RUNS
     if few and not picked and (count == 1 or not parts):
         return None
-    plain = problem.as_predicted.with_factors([1.0] * count)
+    plain = problem.as_predicted
     handicap = picked * float(np.log(max(tried, 1)))
     explanation = _Explanation.of(problem, plain, fitted, parts, handicap)
     if few and explanation.leaves_nothing:
@@ -413,11 +395,7 @@ def _mixed(fitted: FinalFit, members: Sequence[_Member], weights: FloatArray) ->
 
 
 def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
-    """Group the longest windows by what the robot did in them, as far as it takes power.
-
-    Speed and yaw rate, with and without their signs, each by the power that it takes; Lloyd's
-    grouping (k-means), from windows that are far from each other.
-    """
+    """Group the longest windows by what the robot did in them, as far as it takes power."""
     driving = 2.0 * abs(float(paper[1]))
     turning = abs(float(paper[0])) * problem.vehicle.slip_moment
     scale = np.array([driving, driving, turning, turning])

@@ -183,11 +183,7 @@ class Ground:
 
     @cached_property
     def places(self) -> tuple[FloatArray, ...]:
-        """Place of each contact on each drive, shape (n, contacts, 2) [m]; NaN at rest.
-
-        A robot that spins on the spot has its contacts on both sides of a line, and its middle on
-        none.
-        """
+        """Place of each contact on each drive, shape (n, contacts, 2) [m]; NaN at rest."""
         found = []
         for drive in self.drives:
             motion = drive.motion
@@ -306,11 +302,7 @@ def _at(effect: Effect, line: FloatArray) -> Part:
 
 
 def _visits(drive: Drive, there: NDArray[np.bool_]) -> int:
-    """Return how often half of the contacts came to a side of a line.
-
-    Half a second after they left it at least: a pose that is noisy seems to come and go while it
-    stands by the line.
-    """
+    """Return how often half of the contacts came to a side of a line."""
     half = there.mean(axis=1) >= 0.5
     some = drive.windows[0].mean(half.astype(float)) > 0.0
     return int(np.count_nonzero(np.diff(some, prepend=False) & some))
@@ -327,7 +319,6 @@ OF_LOG = -1.0
 PAIRED = 24
 """Effects of which all pairs are tried."""
 
-_NEAR = 4.0  # logarithm of the odds at which a replacement is a rival
 _BEAM = 8  # sets that grow
 _EXACT = 6  # sets that are worth a closer look
 _FOLDS = 40  # most folds
@@ -403,7 +394,7 @@ class Proposals:
         self.problem, self.limit, self.judged = problem, limit, tuple(judged)
         self.untested: list[tuple[str, str]] = []
         testable = [effect for effect in effects if self._testable(effect)]
-        self.delay = next((e for e in testable if e.name == "time_offset"), None)
+        self.delay = next((e for e in testable if e.delays), None)
         self.effects = [
             e for e in testable if e.acts not in ("kinematics", "hold") and e is not self.delay
         ]
@@ -507,11 +498,7 @@ class Proposals:
         return np.asarray(found + np.array(prior))
 
     def _bounds(self, candidates: Sequence[Candidate]) -> FloatArray:
-        """Return the range of each column's coefficient, shape (2, columns); a usual one's is free.
-
-        What nearly every robot has stays in while others are tried, however little it is. A loss
-        has no upper end here: about forces that are not yet right it seems larger than it is.
-        """
+        """Return the range of each column's coefficient, (2, columns); a usual one's is free."""
         rows = [(-np.inf, np.inf)] * len(PAPER)
         for one in candidates:
             for term in one.part.terms:
@@ -609,8 +596,7 @@ class Proposals:
         ]
         # What is usual, alone: where all else turns out to be nonsense.
         plain = tuple(k for k, one in enumerate(candidates) if one.part in usual)
-        sets = [*list(dict.fromkeys(sets))[:_EXACT], plain]
-        return candidates, [*sets, *self._swapped(sets[0], candidates, design, errors)]
+        return candidates, [*list(dict.fromkeys(sets))[:_EXACT], plain]
 
     def _marked(
         self, problem: Problem, parts: Sequence[Part], errors: FloatArray
@@ -669,20 +655,3 @@ class Proposals:
                 break
             chosen = rest[best - 1]
         return chosen
-
-    def _swapped(
-        self, best: Set, candidates: Sequence[Candidate], design: Design, errors: FloatArray
-    ) -> list[Set]:
-        """Return the best set with one of its effects replaced, where that fits about as well."""
-        trials = [
-            tuple(sorted({*best, new} - {old}))
-            for old in best for new in range(len(candidates))
-            if new not in best and not candidates[old].always
-        ]  # fmt: skip
-        trials = [one for one in dict.fromkeys(trials) if self.compatible(candidates, one)]
-        if not trials:
-            return []
-        scores = self.scores(design, candidates, [best, *trials], errors)
-        near = np.flatnonzero(scores[1:] > scores[0] - _NEAR)
-        order = near[np.argsort(-scores[1:][near], kind="stable")]
-        return [trials[k] for k in order[:_EXACT]]

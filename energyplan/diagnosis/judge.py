@@ -21,10 +21,9 @@ from energyplan.diagnosis.result import (
     EnergyPrediction,
     ErrorInterval,
     Evidence,
-    Explanation,
     FoundEffect,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, Presence, SearchResult, presence
+from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, SearchResult
 from energyplan.errors import VehicleError
 from energyplan.fit.doubts import Adequacy, adequacy, left_over, shown_of_contacts, statistics
 from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late
@@ -65,7 +64,7 @@ def predict(
 ) -> Prediction:
     """Predict a drive; when it changed state is found on the drive itself."""
     for part in parts:
-        if part.effect.name == "time_offset":
+        if part.effect.delays:
             drive = replace(drive, late=Late.of(part.params))
     whole = model.battery_side() if drive.battery else model
     steps = [
@@ -295,12 +294,7 @@ class FinalFit:
 
 
 def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
-    """Fit the paper's terms and those of the parts together.
-
-    The covariance is the jackknife's over blocks, by Student's distribution. Where a part has a
-    parameter that was searched, such as a time constant, the derivative of its power by it joins
-    the columns, so that the standard errors allow for the search.
-    """
+    """Fit the paper's terms and those of the parts together."""
     terms = [*PAPER, *(term for part in parts for term in part.terms)]
     moved: dict[str, list[FloatArray]] = {}
 
@@ -323,11 +317,7 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
 
 
 def _between_samples(problem: Problem, rise: Sequence[FloatArray]) -> float:
-    """Return the variance of a delay that is due to what happens between samples [s^2].
-
-    A change of the power happens at any time between two samples, and is taken for even over it.
-    The delay is a mean over all changes, each of which counts by the square of its size.
-    """
+    """Return the variance of a delay that is due to what happens between samples [s^2]."""
     square = fourth = 0.0
     for drive, power in zip(problem.drives, rise, strict=True):
         size = power[:, 0] ** 2
@@ -342,7 +332,7 @@ def _derivatives(
     """Differentiate the power by each searched parameter, on each drive."""
     found = {}
     for part in parts:
-        if part.effect.name == "time_offset":
+        if part.effect.delays:
             terms = [*PAPER, *(term for other in parts for term in other.terms)]
             whole = PowerModel(
                 problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
@@ -391,11 +381,7 @@ def size_error(effect: Effect, model: PowerModel) -> float:
 
 
 def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
-    """Return the effect whose size is known least, where the error exceeds the size.
-
-    Where a parameter was searched, the size may be far from zero at the value that was found, and
-    be anything at others, which fit as well: so it may be with a time constant, or a delay.
-    """
+    """Return the effect whose size is known least, where the error exceeds the size."""
     sized = [part for part in parts if part.terms]
     ratios = [
         size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
@@ -404,20 +390,6 @@ def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
     if not ratios or max(ratios) <= 1.0:
         return None
     return sized[int(np.argmax(ratios))]
-
-
-def size_spread(effect: Effect, size: float, explanations: Sequence[Explanation]) -> float:
-    """Return by how much the size of an effect differs among explanations that have it.
-
-    Which of them is right is not known either: of two efficiencies that powers cannot tell apart,
-    one divides the sizes of all other effects (docs/theory, section 6).
-    """
-    some = [one for one in explanations if effect.name in one.effects]
-    share = np.array([one.probability for one in some])
-    if not effect.terms or effect.acts == "log" or not share.any():
-        return 0.0
-    apart = np.array([effect.value(one.model) - size for one in some])
-    return float(np.sqrt(share @ apart**2 / share.sum()))
 
 
 # -- what it costs that the sides push against each other on straights -----------------------------
@@ -446,12 +418,7 @@ class WheelFight:
 
 
 def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
-    """Find what the moment between the sides costs while contacts hold.
-
-    Without losses it costs nothing: what one side pushes the other gets back (docs/theory,
-    section 6). With them it does. The power of both sides shows it at each instant, a total what
-    it costs on each stretch.
-    """
+    """Find what the moment between the sides costs while contacts hold."""
     if not all(is_lossy(drive, model.terms) for drive in problem.drives):
         return None
     cases = [_Case.of(drive, problem, model) for drive in problem.drives]
@@ -544,7 +511,6 @@ class _Case:
 
 # -- a set of effects as a model, and what that leaves of the training drives ----------------------
 
-
 _MOSTLY = 0.3
 """Share of the error from which on a channel is asked whether it makes effects unnecessary."""
 
@@ -556,10 +522,7 @@ def smooth_part(found: Dependence) -> Part:
 
 
 def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], list[str]]:
-    """Take out effects that only stand in for what the catalogue does not have.
-
-    A smooth term of the channel that explains most without them is what they may stand in for.
-    """
+    """Take out effects that a smooth term of one channel makes unnecessary."""
     usual = [part for part in parts if part.effect.usual or not part.terms]
     if not any(part.terms and not part.effect.usual for part in parts):
         return parts, []
@@ -592,9 +555,6 @@ def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Par
 _TELLING = 0.1
 """Share of the error that a channel must explain to be called a reason."""
 
-_DOUBTED = 0.5
-"""Chance that an effect is there, below which a map of it is worth nothing elsewhere."""
-
 
 @dataclass(frozen=True)
 class Tested:
@@ -607,7 +567,6 @@ class Tested:
     quality: Adequacy  # what the model leaves, against noise
     dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
     left: list[Dependence]  # those that are reasons
-    present: Presence  # chances that the effects are there
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -621,27 +580,12 @@ class Tested:
 
     @property
     def doubtful(self) -> bool:
-        """Whether effects may only stand in for a smooth dependence.
-
-        What was looked for at any time or place fits anything. What has a constant that was looked
-        for, such as a time constant, fits much: it is doubted where the rest still depends on a
-        channel. Other effects of the motion foretell other drives, whatever is behind them.
-        """
+        """Whether effects, looked for at any time or place, may only follow a smooth dependence."""
+        # What has a searched constant is doubted where the rest still depends on a channel.
         kinds = {part.effect.acts for part in self.effects}
         searched = any(p.terms and p.effect.grid and not p.effect.usual for p in self.effects)
         rest = self.first is not None and bool(self.first.knots)
         return bool(kinds & {"change", "place"}) or (searched and rest)
-
-    @property
-    def maps(self) -> tuple[Part, ...]:
-        """Effects of a place that probably stand in for something else.
-
-        What they follow on the ways of these drives, they do not follow on others.
-        """
-        return tuple(
-            part for part in self.effects
-            if part.effect.acts == "place" and self.present.of(part.effect.name) < _DOUBTED
-        )  # fmt: skip
 
 
 def _first(left: list[Dependence]) -> Dependence | None:
@@ -654,7 +598,6 @@ def tested(
     *,
     plain: PowerModel | None,
     fights: bool,
-    otherwise: bool,
     smooth: Callable[[Part], bool],
 ) -> Tested:
     """Fit effects of the best explanation and test what they leave."""
@@ -675,8 +618,7 @@ def tested(
     if fight is not None:
         fitted = replace(fitted, model=fight.model)
     quality = adequacy(problem.drives, left_over(fitted.model, problem.drives))
-    present = presence(searched, parts, quality, left, otherwise or fight is not None)
-    return Tested(parts, added, fitted, fight, quality, told, left, present)
+    return Tested(parts, added, fitted, fight, quality, told, left)
 
 
 # -- does what was found hold on other drives? Prediction intervals of energies --------------------
@@ -690,10 +632,7 @@ _ASSUMED = 2  # of a spread that is assumed: robots and grounds differ much in i
 
 
 def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
-    """Return a prediction with what the drive's total shows of what contacts hold.
-
-    That is no prediction any more, but tells whether the model holds.
-    """
+    """Return a prediction with what the drive's total shows of what contacts hold."""
     shown = shown_of_contacts(model, one.drive)
     return one if shown is None else replace(one, power=one.power + shown)
 
@@ -703,28 +642,20 @@ def holds(quality: Adequacy, error: float) -> bool:
     return error <= _HOLDS * max(quality.residual, quality.noise)
 
 
-def explains(quality: Adequacy, before: float, after: float, stranger: float = 0.0) -> bool:
+def explains(quality: Adequacy, before: float, after: float) -> bool:
     """Tell whether what was found explains the error, where more is left than noise."""
-    strange = stranger > 0.5
-    if quality.adequate and not strange:
+    if quality.adequate:
         return True
-    gross = strange or quality.residual > _GROSS * quality.noise
+    gross = quality.residual > _GROSS * quality.noise
     return after <= (_EXPLAINED if gross else 1.0) * before
 
 
 def energies(
     problem: Problem, fitted: FinalFit, predictions: Sequence[Prediction]
 ) -> tuple[EnergyPrediction, ...]:
-    """Predict the energy of drives that took no part, with intervals.
-
-    Their variance is that of the coefficients, that of what is left within a run, and that of what
-    differs from run to run as a whole. Fewer than three training drives do not show the latter: it
-    is taken to be that of robots elsewhere, by a distribution that says how little is known of it.
-    Where runs were left out, one at a time, an interval is no narrower than what they were missed
-    by tells: runs that a model was fitted to differ less from it than others do.
-    """
+    """Predict the energy of drives that took no part, with intervals."""
     model = fitted.model
-    plain = problem.as_predicted.with_factors([1.0] * len(problem.drives))
+    plain = problem.as_predicted
     design = plain.design(fitted.terms, None, model_values(model))
     values = np.array(model.coefficients)
     spread = RunSpread.of(design, values)

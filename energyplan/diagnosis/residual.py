@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import next_fast_len
 from scipy.optimize import brentq
 from scipy.stats import f as fisher
 
@@ -28,7 +27,6 @@ from energyplan.power.empirical import (
     carries,
     carry,
     described,
-    place,
     signal,
 )
 
@@ -36,14 +34,8 @@ _KNOTS = 6
 _NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "yaw_rate"}
 _POWER_PARTS = ("current", "voltage")  # of a battery, a motor, a side: parts of power, no reasons
 _CONSEQUENCE = 0.9  # correlation with the measured power from which a channel is a part of it
-_PLACES = 7  # points of a grid each way, about which friction may differ
-_REACHES = (0.08, 0.2)  # of a patch, over the size of the ground that was driven on
-_SLOW = 1  # scale at which a patch is looked for: two seconds
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]
 _WAVES = 12  # drives in which a periodic load is looked for
-_TURNS = (0.7, 10.0)  # of a wheel [s], at the usual speed
-_PARTS = 16  # of the shortest way a wheel turns on: a wave differs by a fifth of a radian in one
-_FAST = 4.0  # speeds over the usual one that are none
 _WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
 
 
@@ -131,10 +123,9 @@ def dependences(
     now = fit(design, errors)
     width = len(terms)
     found = []
-    here = _place(problem, now, design)
     forces = [held_forces(d, problem.vehicle, terms, now.values) for d in problem.drives]
     known = channels_of(problem.drives)
-    for name in [*signals(problem.drives), *([here] if here else [])]:
+    for name in signals(problem.drives):
         each = [signal(drive.motion, name) for drive in problem.drives]
         values = np.concatenate(each)
         knots = _knots(values)
@@ -151,58 +142,16 @@ def dependences(
             new = fit(full, errors)
             shape = new.values[width:]
             shape = shape if skipped < 0 else np.insert(shape, skipped, 0.0)
-            one = _dependence(name, carrier, knots, shape, now, new, width)
-            # The place was looked for.
-            looks = _PLACES**2 * len(_REACHES) if name == here else 1
-            found.append(replace(one, p_value=min(looks * one.p_value, 1.0)))
-    found += [*_periodic(problem, now, errors, design), *_every_turn(problem, now, errors, design)]
-    plain = problem.with_factors([1.0] * len(problem.drives)).design(terms, errors)
-    settled = [*_holm(found), *_between_drives(now, plain)]
-    return tuple(sorted(settled, key=lambda one: -one.explained_variance))
-
-
-def _place(problem: Problem, now: Fit, design: Design) -> str | None:
-    """Find the place from which on the residual's friction falls or rises most.
-
-    A bump of friction about every point of a grid, of several reaches, is held against the means
-    over two seconds.
-    """
-    drives = problem.drives
-    if not {"x", "y"} <= channels_of(drives):
-        return None
-    x, y = (
-        np.concatenate([d.windows[_SLOW].mean(d.motion.channels[name]) for d in drives])
-        for name in ("x", "y")
-    )
-    table = design.rows[_SLOW]
-    residual = table[:, -1] - table[:, :-1] @ now.values
-    base, _ = np.linalg.qr(table[:, :-1])
-    size = max(float(np.ptp(x)), float(np.ptp(y)))
-    if size <= 0.0:
-        return None
-    best = (0.0, 0.0, 0.0)
-    for cx in np.linspace(x.min(), x.max(), _PLACES):
-        for cy in np.linspace(y.min(), y.max(), _PLACES):
-            far = (x - cx) ** 2 + (y - cy) ** 2
-            for reach in _REACHES:
-                bump = table[:, 1] * np.exp(-0.5 * far / (reach * size) ** 2)
-                free = bump - base @ (base.T @ bump)
-                norm = float(np.sqrt(free @ free))
-                if norm > 1e-6 * float(np.sqrt(bump @ bump)):
-                    best = max(best, (abs(float(free @ residual)) / norm, float(cx), float(cy)))
-    return place(best[1], best[2]) if best[0] > 0.0 else None
+            found.append(_dependence(name, carrier, knots, shape, now, new, width))
+    found += _periodic(problem, now, errors, design)
+    every = [*_holm(found), *_between_drives(now, design)]
+    return tuple(sorted(every, key=lambda one: -one.explained_variance))
 
 
 def _between_drives(now: Fit, design: Design) -> list[Dependence]:
-    """Test whether drives differ as a whole, each by a factor of its power.
-
-    Welch's analysis of variance of the drives' relative errors, as drives scatter differently; the
-    part of their variance that the scatter within drives does not explain is Paule's and Mandel's.
-    What only differs from drive to drive no other drive can foretell; no term is made of it.
-
-    Source: Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87,
-    377-385.
-    """
+    """Test whether drives differ as a whole, each by a factor of its power."""
+    # Source: Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87,
+    # 377-385.
     table, owner = design.longest
     predicted = table[:, :-1] @ now.values
     residual = table[:, -1] - predicted
@@ -287,80 +236,6 @@ def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) ->
     p_value = min(new.p_value(range(width, len(new.values))) * len(frequencies), 1.0)
     words = f"periodic load, period {1 / frequency:.2g} s"
     return [Dependence("t", "power", words, gain / len(errors), error / len(errors), p_value)]
-
-
-def _every_turn(problem: Problem, now: Fit, errors: FloatArray, design: Design) -> list[Dependence]:
-    """Test for a force that comes back with each turn of a side's wheels, its phase free.
-
-    A bent axle drags whichever way it turns; a wheel that is not round pushes as often as it
-    drags, by the way it turns.
-    """
-    path = [
-        [
-            np.concatenate([[0.0], np.cumsum(0.5 * np.diff(drive.t) * (v[1:] + v[:-1]))])
-            for v in (drive.motion.v_left, drive.motion.v_right)
-        ]
-        for drive in problem.drives
-    ]
-    covered = np.array([max(float(np.abs(np.diff(s)).sum()) for s in each) for each in path])
-    chosen = np.sort(np.argsort(-covered, kind="stable")[:_WAVES])
-    drives, design = [problem.drives[k] for k in chosen], design.of_drives(chosen)
-    path = [path[k] for k in chosen]
-    speeds = np.concatenate([np.abs(d.motion.v_left) for d in drives])
-    usual = float(np.quantile(speeds, 0.9))
-    # A glitch of the speed makes a way of any length.
-    longest = min(float(covered.max()), _FAST * usual * max(float(d.t[-1]) for d in drives))
-    if usual <= 0.0 or longest < 4 * _TURNS[0] * usual:
-        return []
-    # Sums of waves at many counts of turns a metre: a Fourier transform of what each short piece of
-    # the path shows.
-    piece = _TURNS[0] * usual / _PARTS
-    pieces = next_fast_len(int(np.ceil(2.0 * longest / piece)) + 2, real=True)
-    counts = np.fft.rfftfreq(pieces, piece)
-    least = max(1.0 / (_TURNS[1] * usual), 4.0 / longest)
-    band = (counts >= least) & (counts < 1.0 / (_TURNS[0] * usual))
-    counts = counts[band]
-    if not len(counts):
-        return []
-    table, owner = design.rows[0], design.drives[design.blocks[0]]
-    residual = table[:, -1] - table[:, :-1] @ now.values
-    best = (0.0, 0, False, counts[0])
-    for side in (0, 1):
-        for dragging in (False, True):
-            explained = 0.0 * counts
-            for k, drive in enumerate(drives):
-                speed = (drive.motion.v_left, drive.motion.v_right)[side]
-                windows = drive.windows[0]
-                pull = windows.mean(np.abs(speed) if dragging else speed)
-                power = float(pull @ pull)
-                if power > 0.0:
-                    along = windows.mean(path[k][side])
-                    at = np.round((along - along.min()) / piece).astype(np.intp) % pieces
-                    shown = np.bincount(at, residual[owner == k] * pull, pieces)
-                    explained += np.abs(np.fft.rfft(shown)[band]) ** 2 / power
-            most = int(np.argmax(explained))
-            best = max(best, (float(explained[most]), side, dragging, float(counts[most])))
-    _, side, dragging, count = best
-    tables, level = [], []
-    for k, drive in enumerate(drives):
-        speed = (drive.motion.v_left, drive.motion.v_right)[side]
-        angle = 2 * np.pi * count * path[k][side]
-        waves = np.zeros((len(drive.t), 2 * len(drives)))
-        waves[:, 2 * k], waves[:, 2 * k + 1] = np.cos(angle), np.sin(angle)
-        pull = np.abs(speed) if dragging else speed
-        tables.append(drive.seen(waves * pull[:, None])[:, None])
-        level.append(drive.seen(np.abs(speed)[:, None])[:, None])
-    # What drags for a part of each turn has a mean, which is no wave.
-    design = design.joined(window_means(drives, level))
-    new = fit(design.joined(window_means(drives, tables)), errors, by_block=True)
-    gain, error = difference(fit(design, errors, by_block=True).losses, new.losses)
-    width = len(now.values) + 1
-    looks = 4 * len(counts)
-    p_value = min(new.p_value(range(width, len(new.values))) * looks, 1.0)
-    name = ("left", "right")[side]
-    words = f"force on the {name} side that comes back every {1 / count:.3g} m of its tread"
-    scale = len(errors)
-    return [Dependence(f"{name} tread", "traction", words, gain / scale, error / scale, p_value)]
 
 
 def _holm(found: Sequence[Dependence]) -> list[Dependence]:

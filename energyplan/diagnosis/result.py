@@ -67,7 +67,6 @@ class Explanation:
     effects: tuple[str, ...]  # their names, the one that explains most first
     probability: float  # that it is the right one
     model: PowerModel  # the model with these effects, fitted to the training drives
-    alike: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,10 +81,7 @@ class EnergyPrediction:
 
 @dataclass(frozen=True)
 class Average:
-    """What the model for runs to come is made of: an explanation, two terms, and extensions.
-
-    Each counts by how it predicts energies of what it was not fitted to.
-    """
+    """What the model for runs to come is made of: an explanation, two terms, and extensions."""
 
     weight: float  # weight of the explanation, in [0, 1]
     left_out: str  # what was left out, one after the other
@@ -113,8 +109,8 @@ class Diagnosis(html.Readable):
     ----------
     verdict : {"effect_found", "no_effect", "unexplained"}
         The answer in a word. ``no_effect``: the paper's model leaves no more than noise.
-        ``unexplained``: it leaves more, and no entry of the catalogue helps, or behind what was
-        found is more probably something else, or it does not hold on the hold-out drives.
+        ``unexplained``: it leaves more, and no entry of the catalogue helps, or what was found does
+        not hold on the hold-out drives.
     effects : tuple of FoundEffect
         Those of the most probable explanation: the one that explains most first, last what nearly
         every robot has.
@@ -133,20 +129,10 @@ class Diagnosis(html.Readable):
         The paper's model, fitted alike.
     dependences_before, dependences_after : tuple of Dependence
         How the residual on the training drives depends on every signal, before and after.
-    withdrawn : tuple of str
-        Effects that helped only as long as an unexplained channel was left out, and borders that
-        probably stand for something else.
     predictions_before, predictions_after : tuple of ndarray
         Predicted power of each hold-out drive [W].
     explanations : tuple of Explanation
         The sets of effects that these drives leave possible, the most probable one first.
-    none_of_these : float
-        Probability that none of them is right: that behind a name is something else, which the
-        catalogue lacks. Zero where no more than noise is left, which depends on nothing.
-    further_effects : float
-        Probability that there are effects of the catalogue beside those of the first explanation,
-        which are too small or too improbable to be named. It belongs to the probability of each
-        effect, not to that of the explanation.
     adequacy : Adequacy
         What is left, against noise.
     predictions : tuple of EnergyPrediction
@@ -188,7 +174,6 @@ class Diagnosis(html.Readable):
     paper: PowerModel
     dependences_before: tuple[Dependence, ...]
     dependences_after: tuple[Dependence, ...]
-    withdrawn: tuple[str, ...]
     predictions_before: tuple[FloatArray, ...]
     predictions_after: tuple[FloatArray, ...]
     explanations: tuple[Explanation, ...]
@@ -200,8 +185,6 @@ class Diagnosis(html.Readable):
     set_aside: Mapping[str, Mapping[str, int]]
     after_undated: Residual | None = None
     average: Average | None = None
-    none_of_these: float = 0.0
-    further_effects: float = 0.0
 
     def _summaries(self) -> list[html.Summary]:
         effects = html.Summary(
@@ -228,19 +211,6 @@ class Diagnosis(html.Readable):
 
 _MEAN_OF_NORMAL = (2 / pi) ** 0.5
 """Mean size of a normal variable over its standard deviation."""
-
-_MASSES = ("grade", "linear_inertia", "specific_force")
-
-
-def small_advice(names: Sequence[str]) -> list[str]:
-    """Name what may well be there, and is too small or too weakly shown to be named."""
-    if not names:
-        return []
-    some = " or ".join(_plain(name) for name in names)
-    return [
-        f"there may be a little of {some}: too little here to be told from noise or from an "
-        "imperfection of the other effects; drive longer where it would be largest"
-    ]
 
 
 def rival_advice(found: Sequence[FoundEffect], entries: Mapping[str, Effect]) -> list[str]:
@@ -270,10 +240,7 @@ def adequacy_advice(quality: Adequacy, named: bool) -> list[str]:
 def worse_advice(
     effects: Sequence[str], before: Residual, after: Residual, known: Residual
 ) -> list[str]:
-    """Say that the hold-out drives are predicted worse than without any effect, and why.
-
-    `known` is the error with what the total of these drives shows of what contacts hold.
-    """
+    """Say that the hold-out drives are predicted worse than without any effect, and why."""
     if not effects or after.rmse <= before.rmse:
         return []
     names = ", ".join(_plain(name) for name in effects)
@@ -311,16 +278,17 @@ def change_advice(undated: Residual | None) -> list[str]:
     ]
 
 
-def mass_advice(model: PowerModel, effects: Sequence[str]) -> list[str]:
+def mass_advice(model: PowerModel, effects: Sequence[Effect]) -> list[str]:
     """Compare a mass that was found with the vehicle's own."""
     lines = []
-    for name in effects:
-        if name not in _MASSES:
+    for effect in effects:
+        if effect.of_mass is None or len(effect.terms) != 1:
             continue
+        name = effect.name
         value, error = model.coefficient(name), model.std_error(name) or 0.0
         own = model.vehicle.mass
         # Wheels and gears turn as well: the mass that speeds up is larger than what scales show.
-        most = 1.0 if name == "grade" else 1.25
+        most = 1.25 if effect.usual else 1.0
         if value > most * own + max(3 * error, 0.1 * own) or value < 0.9 * own - 3 * error:
             lines.append(
                 f"{_plain(name)} gives {value:.0f} +- {error:.0f} kg, the vehicle has "

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import f as fisher
 
@@ -29,8 +28,6 @@ from energyplan.diagnosis.candidates import (
     terms_of,
     with_changes,
 )
-from energyplan.diagnosis.residual import Dependence
-from energyplan.fit.doubts import Adequacy, usual_friction
 from energyplan.fit.drive import (
     DELAYS,
     ON_TIME,
@@ -41,9 +38,9 @@ from energyplan.fit.drive import (
     least_late,
     speed_noise,
 )
-from energyplan.fit.estimate import FLOOR, PAPER, ROUNDS, WEIGHTS, Fit, Problem, fit, weighted
+from energyplan.fit.estimate import FLOOR, PAPER, ROUNDS, Fit, Problem, fit
 from energyplan.fit.regressors import Design, held_loss
-from energyplan.fit.solvers import column_scale, innovation_share
+from energyplan.fit.solvers import innovation_share
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, Sides, Term
 from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE
@@ -58,11 +55,7 @@ _USUAL = 0.99  # quantile over the samples: single ones may be noise of a speed'
 
 
 def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool:
-    """Tell whether the force of an effect is one that this robot's treads can have given.
-
-    The drives were driven, so that no part of what the motors gave exceeds what they can: their
-    force, their peak power at the speed of the tread, and the weight, beyond which wheels spin.
-    """
+    """Tell whether the force of an effect is one that this robot's treads can have given."""
     forces = [term for term in terms if term.kind == "force"]
     if not forces:
         return True
@@ -105,10 +98,7 @@ class Rest:
         self._drawn: dict[Late, tuple[int, float]] = {}
 
     def drawn(self, late: Late) -> tuple[int, float]:
-        """Return how many samples show the robot at rest, and the mean of their power [W].
-
-        Where the power is logged late, what a sample shows is of before.
-        """
+        """Return how many samples show the robot at rest, and the mean of their power [W]."""
         if late not in self._drawn:
             late_drives = [replace(drive, late=late) for drive in self.drives]
             power = np.concatenate([drive.power[drive.rests] for drive in late_drives])
@@ -157,11 +147,6 @@ class Rest:
 
 # -- what a residual counts as evidence, and which explanations drives cannot tell apart -----------
 
-Likelihood = Callable[[FloatArray, FloatArray], float]
-
-_TOLD = 3.0
-"""Logarithm of the odds, some 20 to 1, that drives must be expected to give to tell two apart."""
-
 
 def residuals(design: Design, values: FloatArray) -> list[FloatArray]:
     """Return what coefficients leave of each window, at each scale [W]."""
@@ -180,60 +165,8 @@ def innovations(design: Design, left: Sequence[FloatArray]) -> FloatArray:
     return np.array(shares)
 
 
-@dataclass(frozen=True)
-class Account:
-    """An explanation as it accounts for the drives."""
-
-    design: Design  # its columns about its coefficients
-    fit: Fit  # the coefficients
-    errors: FloatArray  # (scales,): reference mean square errors, by which scales weigh [W^2]
-
-    def told_from(self, other: Account, likelihood: Likelihood) -> bool:
-        """Tell whether drives like these would tell the other explanation apart, were this true.
-
-        The other is fitted to what this one predicts; what it cannot follow would be left in its
-        residual, on top of what is left in this one's.
-        """
-        own = residuals(self.design, self.fit.values)
-        gaps = [b - a for a, b in zip(own, residuals(other.design, other.fit.values), strict=True)]
-        rows = tuple(
-            np.column_stack([table[:, :-1], gap])
-            for table, gap in zip(other.design.rows, gaps, strict=True)
-        )
-        gram = weighted(Design(rows, other.design.blocks, other.design.drives), self.errors)
-        normal = gram.sum(axis=0)
-        follows = np.linalg.lstsq(normal[:-1, :-1], normal[:-1, -1], rcond=1e-12)[0]
-        left = [gap - row[:, :-1] @ follows for gap, row in zip(gaps, rows, strict=True)]
-        counts = self.design.counts
-        more = np.array([float(np.sum(part**2)) for part in left]) / counts
-        plain = self.fit.errors * innovations(self.design, own)
-        both = [a + b for a, b in zip(own, left, strict=True)]
-        worse = (self.fit.errors + more) * innovations(self.design, both)
-        windows = self.design.evidence
-        return likelihood(plain, windows) - likelihood(worse, windows) > _TOLD
-
-
-def classes(accounts: Sequence[Account], likelihood: Likelihood) -> list[int]:
-    """Give explanations that the drives cannot tell apart the same number."""
-    heads: list[int] = []
-    found: list[int] = []
-    for k, one in enumerate(accounts):
-        for head in heads:
-            first = accounts[head]
-            if len(first.design.rows) != len(one.design.rows):
-                continue
-            if not (first.told_from(one, likelihood) and one.told_from(first, likelihood)):
-                found.append(head)
-                break
-        else:
-            heads.append(k)
-            found.append(k)
-    return found
-
-
 # -- what the search weighs: sets of effects, what each effect is worth, probabilities -------------
 
-_LIKELY = 0.5  # odds of an effect beside the best explanation from which on it is worth a word
 _RIVAL = 0.05  # probability of another explanation, over that of the best, that is worth naming
 
 
@@ -243,9 +176,8 @@ class EffectSet:
 
     parts: tuple[Part, ...]  # the effects, the one that explains most first
     probability: float  # that this set is the right one, among those of the catalogue
-    problem: Problem  # the drives, with delays, factors and times of changes as this set has them
+    problem: Problem  # the drives, with delays and times of changes as this set has them
     gains: tuple[Gain, ...]  # what each effect of the set is worth in it
-    alike: tuple[tuple[str, ...], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -268,33 +200,15 @@ class Gain:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Outcome of the search: explanations, the most probable one first.
-
-    `followed` is how well each effect would be followed by another one, were it not known, and
-    `odds` those of each effect beside the best explanation that is too small or too improbable to
-    be named.
-    """
+    """Outcome of the search: explanations, the most probable one first."""
 
     explanations: tuple[EffectSet, ...]
     untested: tuple[tuple[str, str], ...]
-    followed: FloatArray
-    odds: Mapping[str, float]
 
     @property
     def best(self) -> EffectSet:
         """The most probable explanation."""
         return self.explanations[0]
-
-    @property
-    def further(self) -> float:
-        """Probability that there are effects beside the best explanation; one half at most."""
-        odds = min(sum(self.odds.values()), 1.0)
-        return odds / (1.0 + odds)
-
-    @property
-    def likely(self) -> tuple[str, ...]:
-        """Effects beside the best explanation that may well be there."""
-        return tuple(name for name, odds in self.odds.items() if odds > _LIKELY)
 
     def rivals(self, name: str) -> tuple[str, ...]:
         """Return the effects that may stand in for one of the best explanation."""
@@ -309,17 +223,12 @@ class SearchResult:
 
     def probability(self, name: str) -> float:
         """Return the probability that an effect is there."""
-        named = sum(one.probability for one in self.explanations if name in one.names)
-        return float((1.0 - self.further) * named + self.further * (name in self.best.names))
+        return float(sum(one.probability for one in self.explanations if name in one.names))
 
 
 @dataclass
 class Evaluated:
-    """A set fitted as it is.
-
-    `shares` are those of the residual's variance, at each scale, that its past does not foretell;
-    `odds` the logarithm of what it took from the likelihood that what contacts hold was not known.
-    """
+    """A set fitted as it is."""
 
     counts: FloatArray
     shares: FloatArray
@@ -333,102 +242,6 @@ class Evaluated:
 
 
 # -- how well one effect stands in for another that a catalogue lacks ------------------------------
-
-_ALMOST = 1e-9  # share of a column's square that the model's own columns leave of it, and is none
-
-
-def followed(
-    gram: FloatArray, base: Sequence[int], groups: Mapping[str, Sequence[tuple[int, ...]]]
-) -> FloatArray:
-    """Return how well each effect is followed by the best other one."""
-    own = list(base)
-    size = np.diagonal(gram)
-    scale = 1.0 / np.sqrt(np.maximum(size, 1e-300))
-    unit = gram * np.outer(scale, scale)
-    left = (
-        unit
-        - unit[:, own] @ np.linalg.pinv(unit[np.ix_(own, own)], 1e-9, hermitian=True) @ unit[own]
-    )
-    square = np.diagonal(left)
-    shown = square > _ALMOST
-    best: dict[str, FloatArray] = {}
-    for name, variants in groups.items():
-        most = np.zeros(len(left))
-        for columns in variants:
-            some = [k for k in columns if shown[k]]
-            if some:
-                cross = left[:, some]
-                inner = np.linalg.pinv(left[np.ix_(some, some)], 1e-9, hermitian=True)
-                most = np.maximum(most, np.einsum("ki,ij,kj->k", cross, inner, cross))
-        best[name] = most
-    shares = []
-    for name, variants in groups.items():
-        others = [best[other] for other in groups if other != name]
-        mine = [k for columns in variants for k in columns if shown[k]]
-        if others and mine:
-            most = np.max(others, axis=0)[mine] / square[mine]
-            shares.append(float(np.median(np.clip(most, 0.0, 1.0))))
-    return np.sort(np.array(shares))
-
-
-def followed_in(design: Design, candidates: Sequence[Candidate], best: Evaluated) -> FloatArray:
-    """Return how well each effect is followed by the best other one in drives."""
-    base, groups = [*range(len(PAPER))], dict[str, list[tuple[int, ...]]]()
-    usual = {part.effect.name for part in best.parts if part.effect.usual}
-    for one in candidates:
-        if one.name in usual:
-            base.extend(one.columns)
-        else:
-            groups.setdefault(one.name, []).append(one.columns)
-    return followed(weighted(design, best.errors).sum(axis=0)[:-1, :-1], base, groups)
-
-
-def chance_to_stand_in(share: float, known: FloatArray) -> float:
-    """Return the chance that a cause the catalogue lacks is followed as well as this, or better."""
-    at = np.concatenate([[0.0], known, [1.0]])
-    return float(np.interp(share, at, np.linspace(1.0, 0.0, len(at))))
-
-
-@dataclass(frozen=True)
-class Presence:
-    """Whether what was named is there, or stands in for what the catalogue lacks."""
-
-    chances: Mapping[str, float]  # of each effect, that it is there
-    stranger: float  # that behind a name, or behind none, is something that the catalogue lacks
-
-    def of(self, name: str) -> float:
-        """Return the chance that an effect is there."""
-        return self.chances.get(name, 1.0)
-
-
-def presence(
-    searched: SearchResult,
-    parts: Sequence[Part],
-    quality: Adequacy,
-    left: Sequence[Dependence],
-    otherwise: bool,
-) -> Presence:
-    """Return the chances that effects are there, and do not stand in for what is missing.
-
-    Where more than noise is left, a name is as probable as few effects of the catalogue, were they
-    not known, would be followed as well by another. What lasts counts for more, as in the
-    likelihood of explanations.
-    """
-    depends = max((one.explained_variance for one in left if one.channel != "drive"), default=0.0)
-    if (quality.adequate and depends == 0.0) or not len(searched.followed):
-        return Presence({}, 0.0)
-    missing = np.maximum(quality.missing, depends * quality.slow_residual**2)
-    chances, named = dict[str, float](), list[float]()
-    for part, gain in zip(searched.best.parts, searched.best.gains, strict=True):
-        if part not in parts:
-            continue
-        falls = np.maximum(gain.falls, 0.0)
-        share = float(WEIGHTS @ (falls / np.maximum(falls + missing, 1e-300)))
-        if not part.effect.usual:
-            chances[part.effect.name] = 1.0 - chance_to_stand_in(share, searched.followed)
-            named.append(chances[part.effect.name])
-    return Presence(chances, 1.0 - min(named, default=1.0 if otherwise else 0.0))
-
 
 # -- sets of effects fitted as they are, losses included, and what an effect earns in one ----------
 
@@ -469,11 +282,7 @@ Make = Callable[[FloatArray], tuple[list[Part], Problem]]
 
 
 def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
-    """Move the parameters of a part to where the loss is least.
-
-    While they move, losses are linear about the coefficients found where they start; the outcome is
-    taken where the fit with losses as they are finds it better, too.
-    """
+    """Move the parameters of a part to where the loss is least."""
     start = part.values
     trial, case = made(start)
     ground = Ground(case.drives, case.vehicle) if part.effect.acts == "place" else None
@@ -497,7 +306,7 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     span = _span(part) if ground is None else ground.first_step
     inside = (
         [(0.3 * x, 3.0 * x) for x in start]
-        if part.effect.grid and not _is_delay(part)
+        if part.effect.grid and not part.effect.delays
         else [(x - 2 * s, x + 2 * s) for x, s in zip(start, span, strict=True)]
     )
     found = minimize(
@@ -518,13 +327,9 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     return np.asarray(found.x) if ground is None else ground.from_origin(found.x)
 
 
-def _is_delay(part: Part) -> bool:
-    return part.effect.name == "time_offset"
-
-
 def _span(part: Part) -> FloatArray:
     """First step of each searched parameter: a good part of the grid's."""
-    if _is_delay(part):
+    if part.effect.delays:
         return np.array([0.03, 0.05])[: len(part.params)]
     return np.asarray(0.2 * np.abs(part.values))
 
@@ -551,64 +356,9 @@ _TRIED = 18  # neighbours of a set, each of other effects, that are fitted as th
 
 # -- which set of effects explains the drives, with a probability for each -------------------------
 
-_NOISE = 0.05
-"""Singular value of regressors, each of unit size in means over two seconds, that the noise of
-speeds makes: up to 0.042 where they are read in steps as large as a third of them. Drives of many
-motions show 0.11 and more."""
-
-_WEIGHT = 0.1
-"""Weight of an effect in a combination of regressors that is noise: had it more, it would change by
-more than a tenth of the power with how friction is shared between mu and K."""
-
-_TURNING = np.array([1.0, -1.0])
-"""Deviations of mu and K from the usual at which turning takes most of the power."""
-
-
-def separable(problem: Problem, parts: Sequence[Part]) -> NDArray[np.bool_]:
-    """Tell which effects drives tell from the paper's two terms."""
-    usual = _friction(problem)
-    means = [_means(problem, parts, usual[0] + by * usual[1]) for by in (0.0, _TURNING)]
-    owner = np.repeat(np.arange(len(parts)), np.array([len(part.terms) for part in parts], int))
-    told = np.bincount(owner, np.any([_tells(one) for one in means], axis=0), len(parts)) > 0
-    acts = np.bincount(owner, means[0][:, len(PAPER) :].any(axis=0), len(parts)) > 0
-    return np.asarray(told | ~acts)
-
-
-def _tells(means: FloatArray) -> NDArray[np.bool_]:
-    """Tell which regressors after the paper's are in no combination that is noise, nor zero."""
-    table, count = means / column_scale(means), len(PAPER)
-    gram = table.T @ table / len(table)
-    tells = np.diagonal(gram)[count:] > 0.0
-    for new in np.flatnonzero(tells):
-        which = [*range(count), count + new]
-        square, axes = np.linalg.eigh(gram[np.ix_(which, which)])
-        tells[new] = np.linalg.norm(axes[-1, square < _NOISE**2]) < _WEIGHT
-    return tells
-
-
-def varies(problem: Problem) -> bool:
-    """Tell whether the power of drives changes by more than noise: only then it can be late."""
-    friction = _friction(problem)[0]
-    power = _means(problem, (), friction) @ friction
-    return bool(np.std(power) > _NOISE * np.sqrt(np.mean(power**2)))
-
-
-def _friction(problem: Problem) -> FloatArray:
-    """Coefficients of the paper's terms that are usual for the robot, and their deviations."""
-    return np.array([usual_friction(term, problem.vehicle) for term in PAPER]).T
-
-
-def _means(problem: Problem, parts: Sequence[Part], friction: FloatArray) -> FloatArray:
-    """Return means over two seconds of the regressors, losses about a friction."""
-    terms = terms_of(parts)
-    values = np.append(friction, np.zeros(len(terms) - len(PAPER)))
-    return problem.as_predicted.design_about(terms, values).rows[1][:, :-1]
-
-
 SIGNIFICANCE = 0.01
 """Chance that a channel is called a reason where it is none, over all channels together."""
 
-_COMPARED = 1e-3  # probability from which on explanations are held against each other
 _APART = 0.05  # delays that are worth sets of their own [s]
 _PERIOD = 0.1  # over which the search averages drives [s]; sizes are fitted to all samples
 _MOST_SAMPLES = 60_000  # that the search works on
@@ -631,16 +381,9 @@ class Search:
         self.whole, self.excerpted = problem, False
         self.rest = Rest(problem)
         self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
-        self.followed: FloatArray = np.array([])
-        self.odds: dict[str, float] = {}
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
-        """Return the time offset of the power at which a model predicts best.
-
-        Nothing is taken as known of what contacts hold: beside a turn it would stand for a delay.
-        Where losses make it cost power, that may leave more than one offset: then what contacts
-        hold decides which.
-        """
+        """Return the time offset of the power at which a model predicts best."""
         terms, unknown = terms_of(parts), problem.as_predicted
 
         def loss(late: Late) -> float:
@@ -648,11 +391,7 @@ class Search:
             errors = fit(design, np.ones(len(design.rows))).errors
             return -float(self.quick.problem.likelihood(errors, design.evidence))
 
-        found = least_late(loss, -RARE, _APART)
-        if len(found) == 1 or not any(part.lossy for part in parts):
-            return found[0]
-        totals = problem.of_totals
-        return max(found, key=lambda late: self.score(self._fitted(totals.delayed(late), parts)))
+        return least_late(loss, -RARE, _APART)
 
     def _delays(self, nuisance: Sequence[Part]) -> list[Late]:
         if self.quick.delay is None:
@@ -665,21 +404,6 @@ class Search:
         )
         return [ON_TIME, found] if late + RARE + OF_LOG > plain else [ON_TIME]
 
-    def _masked_delay(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Late | None:
-        """Return a time offset that a strong effect hid; None where there is none."""
-        if self.quick.delay is None:
-            return None
-        best = self._best_of(pools)
-        totals = best.problem.of_totals.delayed(ON_TIME)
-        found = self._best_delay(best.parts, totals)
-        if min(max(abs(found.mean - one.mean), abs(found.lag - one.lag)) for one in pools) < _APART:
-            return None
-        plain, late = (
-            self.score(self._fitted(totals.delayed(each), best.parts))
-            for each in (best.problem.drives[0].late, found)
-        )
-        return found if late + LATE > plain else None
-
     def run(self) -> SearchResult:
         """Search, and return the explanations, the most probable one first."""
         self.progress(0.0, f"trying {len(self.quick.effects)} effects together")
@@ -688,18 +412,13 @@ class Search:
             for part in self.quick.variants(effect)
         ]  # fmt: skip
         nuisance = [*usual, *(Part(e) for e in self.quick.effects if e.terms == (HOTEL,))]
-        self.whole = self.whole.levelled(terms_of(nuisance))
         means = self.whole.averaged(_PERIOD)
         self.quick.problem = means.excerpt(_MOST_SAMPLES, _MOST_DRIVES)
         self.excerpted = self.quick.problem is not means
-        self._leave_inseparable()
         pools: dict[Late, tuple[list[Candidate], list[Set]]] = {}
         for late in self._delays(nuisance):
             pools[late] = self.quick.pool(late, usual)
         self.progress(0.5, "fitting the best sets")
-        masked = self._masked_delay(pools)
-        if masked is not None:
-            pools[masked] = self.quick.pool(masked, usual)
         self.quick.errors = self._best_of(pools).errors
         weighed: Weighed = {}
         for late, (candidates, sets) in pools.items():
@@ -709,105 +428,19 @@ class Search:
         self._climb(weighed, candidates_at)
         return self._explained(weighed, candidates_at)
 
-    def _leave_inseparable(self) -> None:
-        """Leave out effects that drives of such motions do not tell from friction."""
-        tried = [e for e in self.quick.effects if e.terms and e.acts in ("motion", "log")]
-        parts = [part for effect in tried for part in self.quick.variants(effect)]
-        told = {
-            part.effect.name
-            for part, one in zip(parts, separable(self.quick.problem, parts), strict=True) if one
-        }  # fmt: skip
-        gone = [effect for effect in tried if effect.name not in told]
-        self.quick.effects = [effect for effect in self.quick.effects if effect not in gone]
-        if self.quick.delay is not None and not varies(self.quick.problem):
-            gone.append(self.quick.delay)
-            self.quick.delay = None
-        reason = "these drives hold too few motions to tell it from friction"
-        self.quick.untested.extend((effect.name, reason) for effect in gone)
-
     def _climb(
         self,
         weighed: Weighed,
         pools: dict[Late, list[Candidate]],
     ) -> None:
-        """Add to the best set, or replace in it, one effect after the other while that helps.
-
-        The quick search weighs sets about coefficients of another one. About its own, a set shows
-        what else it needs.
-        """
-        stones: set[tuple[Set, Late]] = set()
+        """Add to the best set, or replace in it, one effect after the other while that helps."""
         for _ in range(self.quick.limit):
             self._settle_best(weighed, pools)
-            self._settle_delay(weighed, pools)
             chosen, late = most_probable(weighed)
-            now, candidates = tuple(sorted(chosen)), pools[late]
             before = set(weighed)
-            sets, scores, self.followed = self._weigh_neighbours(weighed, now, candidates, late)
-            self.odds = self._odds(now, sets, scores, candidates, late)
-            if most_probable(weighed) not in before:
-                continue
-            stone = self._stepping_stone(weighed, pools, stones)
-            if stone is not None:
-                stones.add(stone)
-                self._weigh_neighbours(weighed, stone[0], pools[stone[1]], stone[1])
+            self._weigh_neighbours(weighed, tuple(sorted(chosen)), pools[late], late)
             if most_probable(weighed) in before:
-                self._lessened(weighed, now, candidates, late)
                 return
-
-    def _stepping_stone(
-        self,
-        weighed: Weighed,
-        pools: Mapping[Late, list[Candidate]],
-        stones: set[tuple[Set, Late]],
-    ) -> tuple[Set, Late] | None:
-        """Return a set that is more probable than the best, and of which something earns no place.
-
-        What it lacks may be what hides that: of two strong effects each may be nothing alone.
-        """
-        found = {
-            (some, late): self._posterior(some, pools[late], late)
-            for (some, late), one in self.evaluated.items()
-            if one.sound and late in pools
-            and (frozenset(some), late) not in weighed and (some, late) not in stones
-        }  # fmt: skip
-        best = max(found, key=lambda key: found[key], default=None)
-        return best if best and found[best] > max(weighed.values()) - RARE else None
-
-    def _odds(
-        self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate],
-        late: Late,
-    ) -> dict[str, float]:  # fmt: skip
-        """Return the odds of each effect beside a set's that earns no place in it.
-
-        One that drives do not show is as probable as the quick search says. One that they show and
-        that is too small to be named may as well be an imperfection of the others. What nearly
-        every robot has does not count.
-        """
-        odds: dict[str, float] = {}
-        for some, score in zip(sets, scores, strict=True):
-            if len(some) > len(now) + 1 or not set(now) < set(some):
-                continue
-            (new,) = set(some) - set(now)
-            one, full = candidates[new], self.evaluated.get((some, late))
-            if one.part.effect.usual:
-                continue
-            likely = np.exp(score) if score < 0.0 else 0.0
-            if full is not None and new in full.gains:
-                gain = full.gains[new]
-                if self._shown(gain, one, full) and not self._large(gain, full):
-                    likely = 1.0
-            odds[one.name] = min(odds.get(one.name, 0.0) + float(likely), 1.0)
-        return odds
-
-    def _lessened(
-        self, weighed: Weighed, now: Set, candidates: Sequence[Candidate], late: Late
-    ) -> None:
-        """Weigh a set without one of its effects each."""
-        for k in now:
-            less = tuple(j for j in now if j != k)
-            if self._evaluate(less, candidates, late).sound:
-                self._gains(less, candidates, late)
-                weighed.setdefault((frozenset(less), late), self._posterior(less, candidates, late))
 
     def _explained(
         self,
@@ -853,15 +486,19 @@ class Search:
                 else replace(known, probability=known.probability + new.probability)
             )  # fmt: skip
         total = sum(new.probability for new in joined.values())
-        ranked = self._classed(
-            [
-                replace(new, probability=new.probability / total)
-                for new in sorted(joined.values(), key=lambda n: -round(n.probability / total, 3))
-            ]
-        )
-        ranked = [replace(one, problem=self._of_all(one)) for one in ranked]
+        listed = [effect.name for effect in self.quick.effects]
+
+        def rank(one: EffectSet) -> tuple[float, list[int]]:
+            """Put equally probable ones in the order of the catalogue."""
+            places = [listed.index(name) if name in listed else -1 for name in one.names]
+            return -round(one.probability / total, 3), sorted(places)
+
+        ranked = [
+            replace(one, probability=one.probability / total, problem=self._of_all(one))
+            for one in sorted(joined.values(), key=rank)
+        ]
         ranked[0] = self._refined(ranked[0])
-        return SearchResult(tuple(ranked), tuple(self.quick.untested), self.followed, self.odds)
+        return SearchResult(tuple(ranked), tuple(self.quick.untested))
 
     def _of_all(self, one: EffectSet) -> Problem:
         """Return whole drives with what an explanation says of their means, or of excerpts."""
@@ -876,33 +513,8 @@ class Search:
         drives = [drive.changed_as(means) for drive, means in pairs]
         return Problem(drives, whole.vehicle, whole.memory)
 
-    def _classed(self, ranked: Sequence[EffectSet]) -> list[EffectSet]:
-        """Say of each explanation which others these drives cannot tell it from.
-
-        Of equally probable ones the one is first whose effects the catalogue has first.
-        """
-        compared = [one for one in ranked if one.probability > _COMPARED]
-        accounts = []
-        for one in compared:
-            design = one.problem.design(terms_of(one.parts), self.quick.errors)
-            errors = one.problem.reference(design)
-            accounts.append(Account(design, fit(design, errors), errors))
-        number = classes(accounts, lambda e, n: float(self.quick.problem.likelihood(e, n)))
-        told = list(ranked)
-        for k, one in enumerate(compared):
-            alike = (j for j in range(len(compared)) if j != k and number[j] == number[k])
-            told[k] = replace(one, alike=tuple(compared[j].names for j in alike))
-        order = {effect.name: k for k, effect in enumerate(self.quick.effects)}
-        places = [sorted(order.get(name, -1) for name in one.names) for one in told]
-        shares = [-round(one.probability, 3) for one in told]
-        return [told[k] for k in sorted(range(len(told)), key=lambda k: (shares[k], places[k]))]
-
     def take_all(self) -> SearchResult:
-        """Take every effect whether it helps or not, in the order given.
-
-        Losses are fitted first, and where something changes last: what they take, and what is
-        missing, looks like other effects, whose parameters are chosen one effect after the other.
-        """
+        """Take every effect whether it helps or not, in the order given."""
         parts: list[Part] = []
         problem = self.quick.problem
         order = sorted(
@@ -929,16 +541,15 @@ class Search:
             rest = [other for other in parts if other is not part]
             gains.append(self._gain(full, self._fitted(problem, rest), part, 1.0))
         one = EffectSet(tuple(parts), 1.0, problem, tuple(gains))
-        return SearchResult((self._refined(one),), tuple(self.quick.untested), np.array([]), {})
+        return SearchResult((self._refined(one),), tuple(self.quick.untested))
 
     def _weigh_neighbours(
         self, weighed: Weighed, now: Set, candidates: list[Candidate], late: Late
-    ) -> tuple[list[Set], FloatArray, FloatArray]:
+    ) -> None:
         """Weigh the neighbours of a set that promise most."""
         one = self._evaluate(now, candidates, late)
         about = self.quick.about(one.problem, one.parts, one.errors)
         design = self.quick.table(self.quick.problem.delayed(late), candidates, about)
-        follows = followed_in(design, candidates, one)
         others = [k for k in range(len(candidates)) if k not in now]
         # A change takes up what others of its set are beside the truth by: without one, too.
         cores = [now, tuple(k for k in now if candidates[k].marked is None)]
@@ -963,12 +574,8 @@ class Search:
         for k in np.argsort(-scores, kind="stable"):
             best.setdefault(frozenset(candidates[j].name for j in sets[k]), sets[k])
         tried = [*best.values()][:_TRIED]
-        tried += self._losses(sets, scores, candidates, one)
         for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
             self._weigh(weighed, some, candidates, late)
-        own = float(self.quick.scores(design, candidates, [now], one.errors)[0])
-        # Where the quick search takes the set itself for impossible, it has no odds to tell.
-        return sets, scores - own if np.isfinite(own) else np.full(len(sets), -np.inf), follows
 
     def _pairs(
         self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
@@ -983,23 +590,6 @@ class Search:
         some = (tuple(sorted({*now, *pair})) for pair in pairs)
         return [one for one in some if self.quick.compatible(candidates, one)]
 
-    def _losses(
-        self, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate],
-        now: Evaluated,
-    ) -> list[Set]:  # fmt: skip
-        """Return the best set with each loss.
-
-        How much a loss explains, the quick search cannot see: it takes for linear what multiplies
-        all other forces.
-        """
-        found: dict[str, Set] = {}
-        names = {part.effect.name for part in now.parts}
-        for k in np.argsort(-scores, kind="stable"):
-            for one in (candidates[j] for j in sets[k]):
-                if one.name not in names and one.part.lossy:
-                    found.setdefault(one.name, sets[k])
-        return list(found.values())
-
     def _weigh(
         self, weighed: Weighed, chosen: Set, candidates: Sequence[Candidate], late: Late
     ) -> None:
@@ -1012,10 +602,7 @@ class Search:
         weighed: Weighed,
         pools: Mapping[Late, list[Candidate]],
     ) -> None:
-        """Move the parameters of the best set, which a grid has, to where it fits best.
-
-        What a value of the grid beside the true one leaves would look like one effect or another.
-        """
+        """Move the parameters of the best set, which a grid has, to where it fits best."""
         chosen, late = most_probable(weighed)
         candidates, now = pools[late], tuple(sorted(chosen))
         one = self._evaluate(now, candidates, late)
@@ -1026,35 +613,10 @@ class Search:
         if moved is not None:
             self._weigh(weighed, moved, candidates, late)
 
-    def _settle_delay(
-        self,
-        weighed: Weighed,
-        pools: dict[Late, list[Candidate]],
-    ) -> None:
-        """Move a time offset to where the best set fits best.
-
-        It was found without most of the set, and what it is beside the true one by looks like one
-        effect or another.
-        """
-        chosen, late = most_probable(weighed)
-        if self.quick.delay is None or late == ON_TIME:
-            return
-        one = self._evaluate(tuple(sorted(chosen)), pools[late], late)
-        part = Part(self.quick.delay, late.params)
-        made = self._moved([*one.parts, part], len(one.parts), one.problem)
-        better = settled(part, made, one.errors)
-        if better is not None:
-            moved = Late.of(made(better)[0][-1].params)
-            pools[moved] = pools[late]
-            self._weigh(weighed, tuple(sorted(chosen)), pools[moved], moved)
-
     def _settle(
         self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
     ) -> Set | None:
-        """Return a set with a candidate's parameters moved to where it fits best, if it does.
-
-        What is moved becomes a further candidate, as probable before the data as it was.
-        """
+        """Return a set with a candidate's parameters moved to where it fits best, if it does."""
         parts, at = [candidates[j].part for j in chosen], chosen.index(k)
         if parts[at].effect.acts == "place":
             parts[at] = self._nearest(parts, at, now, _KEPT)
@@ -1073,12 +635,7 @@ class Search:
     def _nearest(
         self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST
     ) -> Part:
-        """Return the line with which a set fits best, of many: the nearest to start from.
-
-        Wheels cross a border one after the other, so that lines beside the best one are worse than
-        others that are far from it. About the best of a grid further ones are tried, closer and
-        closer to each other.
-        """
+        """Return the line with which a set fits best, of many: the nearest to start from."""
         problem = now.problem.thinned(_SAMPLES)
         about = self.quick.about(now.problem, now.parts, now.errors)
         rest = [part for k, part in enumerate(parts) if k != at]
@@ -1115,12 +672,7 @@ class Search:
     def _settled_lines(
         self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
     ) -> list[Set]:
-        """Return the best set with each effect of a place, its line moved to where it fits best.
-
-        Lines of a grid lie up to half a step beside the border, and tell only part of it. One that
-        tells nothing is beside none. Sets with a further loss do not count: the quick search takes
-        it for linear about none.
-        """
+        """Return the best set with each effect of a place, its line moved to where it fits best."""
         found: list[Set] = []
         losses = {part.effect.name for part in now.parts if part.lossy}
         plain = [
@@ -1188,11 +740,7 @@ class Search:
         return max(every, key=self.score)
 
     def score(self, one: Evaluated) -> float:
-        """Return the logarithm of an evaluated set's likelihood, that of its innovations.
-
-        What the past of a residual foretells is no evidence against a set, and a fall of what lasts
-        alone is none for it.
-        """
+        """Return the logarithm of an evaluated set's likelihood, that of its innovations."""
         return (
             float(self.quick.problem.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
         )
@@ -1209,44 +757,12 @@ class Search:
                 self.quick.problem if marked is None else with_changes(self.quick.problem, marked)
             )
             problem = problem.delayed(late)
-            self.evaluated[key] = self._fitted(problem, parts, self._of_a_part(chosen, late))
+            self.evaluated[key] = self._fitted(problem, parts)
         return self.evaluated[key]
 
-    def _of_a_part(self, chosen: Set, late: Late) -> dict[str, float] | None:
-        """Return the coefficients of the best part of a set that was fitted before; None of none.
-
-        A fit with losses that begins there takes fewer steps, and explains no less.
-        """
-        parts = [
-            one for (some, at), one in self.evaluated.items()
-            if at == late and one.sound and set(some) < set(chosen)
-        ]  # fmt: skip
-        return self._coefficients(max(parts, key=self.score)) if parts else None
-
-    def _fitted(
-        self, problem: Problem, parts: Sequence[Part], start: Mapping[str, float] | None = None
-    ) -> Evaluated:
-        """Fit parts, losses included; from the other side of a bound where a loss ends beyond it.
-
-        What losses take is not linear, and may fit as well with the sign that no robot has.
-        """
-        one = self._fitted_from(problem, parts, start)
-        values = self._coefficients(one)
-        beyond = {
-            term.name: 2.0 * term.bounds[0] - values[term.name]
-            for part in parts for term in part.terms
-            if term.kind == "loss" and values[term.name] < term.bounds[0]
-        }  # fmt: skip
-        if one.sound or not beyond:
-            return one
-        other = self._fitted_from(problem, parts, values | beyond)
-        return other if other.sound else one
-
-    def _fitted_from(
-        self, problem: Problem, parts: Sequence[Part], start: Mapping[str, float] | None
-    ) -> Evaluated:
+    def _fitted(self, problem: Problem, parts: Sequence[Part]) -> Evaluated:
         terms = terms_of(parts)
-        design = problem.design(terms, self.quick.errors, start)
+        design = problem.design(terms, self.quick.errors)
         errors = problem.reference(design)
         found = fit(design, errors)
         sound = self.rest.agrees(problem, parts, found)
@@ -1284,11 +800,7 @@ class Search:
         return min(full.fit.p_value(which) * looks, 1.0) if which else 0.0
 
     def _missing(self, one: Evaluated) -> float:
-        """Return what a set leaves beyond noise, over the root mean square power.
-
-        Of means of the total power at each scale, whichever leaves most. By chance noise alone
-        leaves nothing in all but one of a thousand sets.
-        """
+        """Return what a set leaves beyond noise, over the root mean square power."""
         noise, power = [], []
         for drive in one.problem.drives:
             noise.append(speed_noise(drive.power) ** 2 if len(drive.power) > _FEWEST else 0.0)
@@ -1300,10 +812,7 @@ class Search:
         return float(np.sqrt(max(left.max(), 0.0) / max(np.mean(power), 1e-300)))
 
     def _acceptable(self, gain: Gain, one: Candidate, full: Evaluated, less: Evaluated) -> bool:
-        """Tell whether an effect earns its place in a set, given the set with and without it.
-
-        However small, an effect is needed where the others are impossible without it.
-        """
+        """Tell whether an effect earns its place in a set, given the set with and without it."""
         return (self._large(gain, full) or not less.sound) and self._shown(gain, one, full)
 
     def _large(self, gain: Gain, full: Evaluated) -> bool:

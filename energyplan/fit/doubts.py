@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import f as fisher
 
@@ -108,10 +107,7 @@ def linearise(model: PowerModel, motion: Motion, battery: bool = False) -> Linea
 
 
 def signal_motion(drive: Drive, turning: bool = True) -> Motion:
-    """Return a drive's motion averaged over a second: what its manoeuvres tell.
-
-    Regressors of the motion itself are never quite proportional, for the noise of its speeds.
-    """
+    """Return a drive's motion averaged over a second: what its manoeuvres tell."""
     motion, window = drive.motion, min(drive.samples_in(1.0), max(len(drive.t) // 2, 1))
     left, right = np.empty(len(drive.t)), np.empty(len(drive.t))
     for run in drive.runs:
@@ -272,13 +268,7 @@ def with_usual(
     values: FloatArray, covariance: FloatArray, terms: Sequence[Term], gram: FloatArray,
     vehicle: Vehicle,
 ) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:  # fmt: skip
-    """Return coefficients and their covariance with what is usual, where drives tell less than it.
-
-    A friction that no drive shows is not zero. Of two whose regressors are proportional, any share
-    fits, and no block tells another one. Both are taken to be as of robots elsewhere, as far as
-    drives leave that open; the other coefficients move with them. A robot that is unlike all of
-    them, by what its drives tell, is allowed as much as it differs.
-    """
+    """Return coefficients and covariance with what is usual, where drives tell less than it."""
     which = [k for k, term in enumerate(terms) if term.name in USUAL]
     known = [usual_friction(terms[k], vehicle) for k in which]
     mean, error = np.array(known).reshape(-1, 2).T
@@ -393,11 +383,7 @@ def predicted(model: PowerModel, drive: Drive) -> FloatArray:
 
 
 def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
-    """Return what the powers of a drive show of what contacts hold, beyond a prediction [W].
-
-    None where they show nothing: without losses it costs nothing. Nor where nobody knows when the
-    robot changed. A model may have a term for its mean, which what they show replaces.
-    """
+    """Return what the powers of a drive show of what contacts hold, beyond a prediction [W]."""
     changes = any(term.name in (SLIP_CHANGE.name, TRACTION_CHANGE.name) for term in model.terms)
     undated = changes and "changed" not in drive.motion.channels
     if undated or not is_lossy(drive, model.terms):
@@ -443,10 +429,7 @@ class Beside:
 
 
 def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
-    """Return what of some effects, or of all known ones, nearly every drive shows.
-
-    Such as need a channel of their own are left out.
-    """
+    """Return what of some effects, or of all known ones, nearly every drive shows."""
     every = catalogue().values() if entries is None else entries
     return [effect for effect in every if effect.usual and not effect.channels]
 
@@ -464,11 +447,7 @@ def usual_terms(terms: Sequence[Term]) -> list[Term]:
 
 
 def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) -> Beside:
-    """Fit further terms beside those of a model.
-
-    One step of least squares, about the model's coefficients, of all that those terms and the
-    model's own can explain.
-    """
+    """Fit further terms beside those of a model."""
     every, own = (*model.terms, *terms), len(model.terms)
     about = np.append(model.coefficients, np.zeros(len(terms)))
     tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
@@ -485,16 +464,7 @@ def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) ->
 
 
 def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequacy:
-    """Compare what a model leaves of the drives that it was fitted to with their noise.
-
-    The noise of a sample is what neighbouring samples differ by beyond a smooth curve, or the
-    scatter at rest where that is larger; how much of it lasts is told by the samples at rest. The
-    residual is coloured where its means over half a second, two or eight seconds scatter by more
-    than noise would by chance (Fisher's distribution, of as many means as are independent, and of
-    as many samples as told the noise), and by more than is as good as nothing. What contacts hold
-    on a straight no model foretells: where losses make it cost, what the total shows of it is no
-    residual.
-    """
+    """Compare what a model leaves of the drives that it was fitted to with their noise."""
     rests: list[FloatArray] = []
     whites: list[float] = []
     seldom: list[float] = []  # of readings between which the power really changes
@@ -570,98 +540,3 @@ def _means(
     by_chance = float(fisher.isf(_CHANCE / len(SCALES), independent, noise.told))
     limit = float(np.sqrt(own**2 * by_chance + nothing**2))
     return _Means(windows[0].length, own, float(np.sqrt(np.mean(means**2))), limit)
-
-
-# -- how well a model foretells the energy of driving that it was not fitted to --------------------
-
-_FEWEST = 4
-"""Drives from which on whole ones are left out."""
-_STRETCHES = 5
-_LEAST = 0.1
-"""Share of the usual power that what is left out counts as taking at least."""
-
-
-@dataclass(frozen=True)
-class Foretold:
-    """Errors of energies, each foretold from all other driving."""
-
-    left_out: Literal["drive", "stretch"]
-    count: int  # how many
-    duration: float  # their median length [s]
-    error: float  # mean and largest size of the relative error of their energies
-    largest: float  # mean and largest size of the relative error of their energies
-
-    @property
-    def in_words(self) -> str:
-        """What was left out, and how far its energy was missed."""
-        what = "drives" if self.left_out == "drive" else "stretches"
-        return (
-            f"{what} of {self.duration:.3g} s, each predicted from the others, miss their energy "
-            f"by {100 * self.error:.2g} %, at most {100 * self.largest:.2g} %"
-        )
-
-
-def foretold(
-    model: PowerModel, drives: Sequence[Drive], powers: Sequence[FloatArray]
-) -> Foretold | None:
-    """Leave out one drive after the other, or one stretch of few drives, and foretell its energy.
-
-    The coefficients without it are those of the fit, moved by one step of robust least squares of
-    all other samples: those that the fit misses by more than half of the samples count less, as in
-    Huber's estimate. What only the stretch itself shows is taken from it.
-    """
-    parts = _parts(drives)
-    table = np.concatenate(
-        [
-            linearise_drive(drive, model.vehicle, model.terms, model.coefficients).columns[:, 0]
-            for drive in drives
-        ]
-    )
-    power = np.concatenate([drive.power for drive in drives])
-    time = np.concatenate([drive.weights for drive in drives])
-    residual = power - np.concatenate(powers)
-    energy, seconds, missed = (
-        np.bincount(parts, values) for values in (time * power, time, time * residual)
-    )
-    count = len(energy)
-    if count < 2 or energy.sum() <= 0.0:
-        return None
-    size = np.maximum(np.abs(residual), np.median(np.abs(residual)))
-    weight = time / np.maximum(size, 1e-9 * float(np.abs(power).max()))
-    X = table / column_scale(table)
-    grams = np.array([_gram(X[parts == k], weight[parts == k]) for k in range(count)])
-    sums = np.array([(weight * residual)[parts == k] @ X[parts == k] for k in range(count)])
-    every = _step(grams.sum(axis=0), sums.sum(axis=0))
-    steps = np.array(
-        [_step(grams.sum(axis=0) - grams[k], sums.sum(axis=0) - sums[k]) for k in range(count)]
-    )
-    columns = np.array([time[parts == k] @ X[parts == k] for k in range(count)])
-    missed = missed - np.sum(columns * (steps - every), axis=1)
-    usual = energy.sum() / seconds.sum() * seconds
-    errors = np.abs(missed) / np.maximum(np.abs(energy), _LEAST * usual)
-    what: Literal["drive", "stretch"] = "drive" if len(drives) >= _FEWEST else "stretch"
-    return Foretold(
-        what, count, float(np.median(seconds)), float(errors.mean()), float(errors.max())
-    )
-
-
-def _parts(drives: Sequence[Drive]) -> NDArray[np.intp]:
-    """Return the number of the drive, or of the stretch of few drives, of each sample."""
-    whole = sum(float(drive.t[-1]) for drive in drives)
-    numbers: list[NDArray[np.intp]] = []
-    first = 0
-    for drive in drives:
-        share = float(drive.t[-1]) / whole if whole > 0 else 0.0
-        pieces = 1 if len(drives) >= _FEWEST else max(round(_STRETCHES * share), 1)
-        edges = np.linspace(0.0, float(drive.t[-1]), pieces + 1)[1:-1]
-        numbers.append(first + np.searchsorted(edges, drive.t, side="right"))
-        first += pieces
-    return np.unique(np.concatenate(numbers), return_inverse=True)[1]
-
-
-def _gram(X: FloatArray, weight: FloatArray) -> FloatArray:
-    return np.asarray(X.T @ (weight[:, None] * X))
-
-
-def _step(gram: FloatArray, sums: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.pinv(gram, 1e-10, hermitian=True) @ sums)

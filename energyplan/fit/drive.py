@@ -74,11 +74,6 @@ _KEPT_SQUARE = 0.6231  # mean square of that share of standard normal values
 _AGREES = 0.7  # correlation of another sensor of the turn with the wheels, from which it is one
 _RESTING = 20  # samples at rest that tell an offset
 _SHORTEST = 7  # samples in a stretch below which nothing is smoothed
-_HARMONICS = np.arange(1.0, 9.0)  # of the rounding error, of which the higher ones are nothing
-_NOISES = np.linspace(0.0, 1.0, 101)  # over the step: more of it averages rounding out
-_LATTICE = 1e-3  # of a step, by which readings lie beside a whole number of them
-_FEWEST = 8  # readings that tell a step
-_STEADY = 0.25  # of a step, by which a steady state changes at most
 
 
 @dataclass(frozen=True)
@@ -120,15 +115,9 @@ def turning(motion: Motion, t: FloatArray) -> Turning | None:
 
 
 def quiet(motion: Motion, t: FloatArray) -> Motion:
-    """Return a motion without the noise of its speed sensors.
-
-    Friction turns with the sign of a speed, and noise about zero has any sign. Speeds are smoothed
-    by a local parabola. A speed that noise can explain is zero. A difference of both treads'
-    speeds that noise can explain is averaged over longer and longer stretches, and zero where it
-    stays within the noise: the friction of a slight turn is that of a sharp one, so that it matters
-    which way the robot turned, however little. Where a gyroscope or a heading tells slight turns
-    better than the wheels do, it decides. Without noise only creep at rest is taken out.
-    """
+    """Return a motion without the noise of its speed sensors."""
+    # Friction turns with the sign of a speed, and noise about zero has any sign; that of a slight
+    # turn is that of a sharp one, so that it matters which way the robot turned, however little.
     left, right = np.array(motion.v_left), np.array(motion.v_right)
     other = turning(motion, t)
     for run in find_runs(t):
@@ -178,13 +167,7 @@ def _quiet_run(
 def _at_rest(
     left: FloatArray, right: FloatArray, level: float, reach: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return both speeds with zeros where noise explains them, but for starts and stops.
-
-    A start passes through the noise in some samples: as many as the speed beyond it takes to rise
-    as far. Were they zero, as many samples at rest would show the power of driving; were they more,
-    losses that depend on forces, not on speeds, would be expected of a robot at rest. Treads start
-    together: where neither is clear of the noise, one does not move alone.
-    """
+    """Return both speeds with zeros where noise explains them, but for starts and stops."""
     driven = [np.abs(v) >= level for v in (left, right)]
     moves = [_passing(np.abs(v), d, reach // 2) for v, d in zip((left, right), driven, strict=True)]
     together = (moves[0] & moves[1]) | driven[0] | driven[1]
@@ -247,76 +230,15 @@ def _turn(
     return turn
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Steps of a sensor."""
-
-    size: float = 0.0  # between neighbouring readings
-    error: float = 0.0  # standard deviation, over steady states, of the mean of readings of one
-
-    @classmethod
-    def of(cls, values: FloatArray, expected: FloatArray | None = None) -> Steps:
-        """Return the steps of readings.
-
-        Source: Widrow and Kollar (2008), Quantization Noise, chapters 4 and 19.
-        """
-        levels = np.unique(values)
-        gaps = np.diff(levels)
-        gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
-        if len(values) < _FEWEST:
-            return cls()
-        if not len(gaps):
-            only = 0.0 if expected is None else float(np.max(np.abs(levels)))
-            return cls(only, only / np.sqrt(12.0))
-        size = float(np.min(gaps))
-        if np.any(np.abs(gaps / size - np.round(gaps / size)) > _LATTICE * gaps / size):
-            return cls()
-        # Noise and rounding make all of the readings' square error: the mean's, and their scatter.
-        damped = np.exp(-((2.0 * np.pi * np.outer(_NOISES, _HARMONICS)) ** 2))
-        square = 0.5 * damped @ (np.pi * _HARMONICS) ** -2.0
-        scatter = _NOISES**2 + square[0] - square
-        noise = reading_noise(values, None if expected is None else _steady(expected, size))
-        left = np.interp((noise / size) ** 2, scatter, square)
-        return cls(size, size * float(np.sqrt(left)))
-
-    def states(self, values: FloatArray) -> NDArray[np.int64]:
-        """Return the number of the step that each value lies in."""
-        return np.asarray(np.round(values / self.size), np.int64)
-
-
-NO_STEPS = Steps()
-"""Of a sensor without steps."""
-
-
 def speed_noise(values: FloatArray) -> float:
     """Return the deviation of white noise on a smooth signal, from its third differences."""
     return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0))
 
 
-def _steady(expected: FloatArray, size: float) -> NDArray[np.bool_] | None:
-    """Return at which third differences readings are expected to stay within a part of a step.
-
-    None where that is nearly nowhere.
-    """
-    if len(expected) < _FEWEST:
-        return None
-    around = np.lib.stride_tricks.sliding_window_view(expected, 4)
-    steady: NDArray[np.bool_] = np.ptp(around, axis=1) < _STEADY * size
-    return steady if np.count_nonzero(steady) >= _FEWEST else None
-
-
-def reading_noise(values: FloatArray, steady: NDArray[np.bool_] | None = None) -> float:
-    """Return the deviation of white noise on a smooth signal that is read in steps.
-
-    Of readings that mostly repeat, the median third difference is zero though they flicker between
-    two steps: the mean square of all but the largest tenth counts too, up to half a step. Of normal
-    noise both give the same. Readings of nothing but zero are a sensor at rest: however long it
-    stands, they say nothing of its noise in motion.
-    """
+def reading_noise(values: FloatArray) -> float:
+    """Return the deviation of white noise on a smooth signal that is read in steps."""
     rest = values == 0.0
     told = ~(rest[3:] & rest[2:-1] & rest[1:-2] & rest[:-3])
-    if steady is not None:
-        told &= steady
     differences = np.abs(np.diff(values, 3)[told])
     if not len(differences) or np.ptp(values) == 0.0:
         return 0.0
@@ -369,11 +291,7 @@ class Hold:
 
 
 def find_hold(channels: Mapping[str, FloatArray], motion: Motion, power: FloatArray) -> Hold | None:
-    """Find the readings of a power that stand in several rows each, and which kind they are.
-
-    Of a sample and of a mean the one is taken that the motion explains better, at whatever delay of
-    up to a period it does so best.
-    """
+    """Find the readings of a power that stand in several rows each, and which kind they are."""
     there = [name for name in POWERS if name in channels]
     sides = [name for name in there if name.startswith("p_")]
     used = sides if len(sides) == 2 else [name for name in there if name not in sides][:1]
@@ -455,10 +373,7 @@ class Clock:
         self._before: dict[bool, tuple[float, NDArray[np.intp], FloatArray]] = {}
 
     def delayed(self, values: FloatArray, delay: float) -> FloatArray:
-        """Return values, shape (n, ...), as they were a time before: linear between samples.
-
-        Nothing passes across a gap.
-        """
+        """Return values, shape (n, ...), as they were a time before: linear between samples."""
         known, k, share = self._before.get(delay < 0.0, (np.nan, None, None))
         if known != delay or k is None or share is None:
             parts = [(run.start, *_before(self.t[run], delay)) for run in self.runs]
@@ -490,10 +405,7 @@ def _before(t: FloatArray, delay: float) -> tuple[NDArray[np.intp], FloatArray]:
 
 
 def _lagged(values: FloatArray, period: float, lag: float) -> FloatArray:
-    """Return values, shape (n, ...), as a first-order lag passes them on, at rest to begin with.
-
-    Exact for values that are linear between samples a period apart.
-    """
+    """Return values, shape (n, ...), as a first-order lag passes them on, at rest to begin with."""
     ratio = period / lag
     fade = float(np.exp(-ratio))
     new = 1.0 + np.expm1(-ratio) / ratio
@@ -503,16 +415,12 @@ def _lagged(values: FloatArray, period: float, lag: float) -> FloatArray:
     return np.asarray(found)
 
 
-def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> list[Late]:
-    """Return the time offsets of least loss among those near them, the least one first.
-
-    A lag smears as well as it delays, and is taken where that is worth it.
-    """
+def least_late(loss: Callable[[Late], float], worth: float, shortest: float) -> Late:
+    """Return the time offset of least loss."""
     losses = np.array([loss(Late(delay)) for delay in DELAYS.tolist()])
     near = np.pad(losses, 1, constant_values=np.inf)
     lowest = np.flatnonzero((losses <= near[:-2]) & (losses < near[2:]))
-    found = (_near(loss, k, worth, shortest) for k in lowest.tolist())
-    return [late for _, late in sorted(found)]
+    return min(_near(loss, k, worth, shortest) for k in lowest.tolist())[1]
 
 
 def _near(
@@ -562,12 +470,10 @@ class Drive:
     power: FloatArray  # (n,): measured total power [W]
     battery: bool = False  # whether it was measured at the battery
     late: Late = ON_TIME  # by how much the logged power is behind the motion
-    factor: float = 1.0  # power of this drive over that of the model
     between: FloatArray | None = None  # (n,) [W]
     breakaway: float = 0.0  # yaw rate up to which contacts hold [rad/s]
     drift: float = 0.0  # yaw rate by which steering drifts about a straight [rad/s]
     fitted: bool = False  # whether a model is fitted to it
-    steps: Steps = NO_STEPS  # of the speeds' sensors
     hold: Hold | None = None  # readings of the power, where they stand in several rows each
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
@@ -584,7 +490,6 @@ class Drive:
         return cls(
             log.name, t, motion, log.power, log.battery_side,
             between=None if sides is None else np.asarray(sides.right - sides.left),
-            steps=Steps.of(np.concatenate([log.channel("v_left"), log.channel("v_right")])),
             hold=find_hold(log.channels, motion, log.power),
         )  # fmt: skip
 
@@ -617,12 +522,7 @@ class Drive:
 
     @cached_property
     def held(self) -> Motion:
-        """The motion for losses: contacts that hardly slip sideways hold, and carry no moment.
-
-        The moment of friction is anything up to its limit while they hold (docs/theory, section
-        6). Its power is nothing then, but a loss counts the force: with the sign of the least turn
-        a straight line would cost what a spin does.
-        """
+        """The motion for losses: contacts that hardly slip sideways hold, and carry no moment."""
         motion = self.motion
         mean = 0.5 * (motion.v_left + motion.v_right)
         left, right = (np.where(self.holds, mean, v) for v in (motion.v_left, motion.v_right))
@@ -654,11 +554,7 @@ class Drive:
 
     @cached_property
     def slides(self) -> FloatArray:
-        """One where the difference of the sides follows from the motion, else zero.
-
-        Friction turns with the sign of the yaw rate, and the difference with it: around a reversal
-        it is anything between. What the log shows late counts late.
-        """
+        """One where the difference of the sides follows from the motion, else zero."""
         turn = np.where(self.holds, 0.0, np.sign(self.motion.omega))
         width = self.samples_in(MOMENT)
         settled = np.abs(uniform_filter1d(turn, width, mode="nearest")) > 1.0 - 0.5 / width
@@ -678,10 +574,7 @@ class Drive:
         return 2 * round(0.5 * time / self.clock.period) + 1
 
     def observed(self, table: FloatArray) -> FloatArray:
-        """Return predictions of each equation, shape (n, equations, ...), as the log shows them.
-
-        The difference of the sides counts only where contacts slide.
-        """
+        """Return predictions of each equation, shape (n, equations, ...), as the log shows them."""
         seen = self.seen(table)
         if self.between is not None:
             seen = np.array(seen)
@@ -694,29 +587,23 @@ class Drive:
         return time_weights(self.t, self.runs)
 
     def seen(self, power: FloatArray) -> FloatArray:
-        """Return a predicted power, shape (n, ...), as the log shows it: late, and by the factor.
-
-        The prediction is shifted and lags, and the measurement is left as it is: a shifted
-        measurement is smoother, and flatters whoever predicts it.
-        """
+        """Return a predicted power, shape (n, ...), as the log shows it."""
         late = power
         if self.late.delay != 0.0:
             late = self.clock.delayed(late, self.late.delay)
         if self.late.lag > 0.0:
             late = self.clock.lagged(late, self.late.lag)
-        late = late if self.hold is None else self.hold.shown(late)
-        return late if self.factor == 1.0 else late * self.factor
+        return late if self.hold is None else self.hold.shown(late)
 
     @cached_property
     def rests(self) -> NDArray[np.bool_]:
         """Which samples show the power of the robot at rest: where it is late, that of before."""
         still = (self.motion.v_left == 0) & (self.motion.v_right == 0)
-        return self.seen(still.astype(float)) > _STILL * self.factor
+        return self.seen(still.astype(float)) > _STILL
 
     def in_time(self, measured: FloatArray) -> FloatArray:
-        """Return a measured power as the model has it: not late, and without the run's factor."""
-        early = replace(self, late=Late(-self.late.mean), factor=1.0, hold=None)
-        return np.asarray(early.seen(measured) / self.factor)
+        """Return a measured power as the model has it: not late."""
+        return replace(self, late=Late(-self.late.mean), hold=None).seen(measured)
 
     def some(self, rows: NDArray[np.intp]) -> Drive:
         """Return the drive with some of its samples, ascending; what is left out is a gap."""
@@ -734,10 +621,7 @@ class Drive:
         return self.some(np.arange(0, len(self.t), step))
 
     def pieces(self, share: float, turn: float) -> Drive:
-        """Return pieces of the drive, evenly spread, that are a share of it, or one at least.
-
-        `turn`, from zero to one, tells where they begin: other drives show what this one does not.
-        """
+        """Return pieces of the drive, evenly spread, that are a share of it, or one at least."""
         number = len(self.t)
         least = _PIECE / self.clock.period
         count = max(int(number / max(least, share * number / _PIECES)), 1)
@@ -747,10 +631,7 @@ class Drive:
         return self.some(np.flatnonzero(np.isin(piece, chosen)))
 
     def averaged(self, period: float) -> Drive:
-        """Return means over a period [s], none across a gap; the drive where it has no more.
-
-        Powers whose readings stand in several rows are thinned instead: means would mix readings.
-        """
+        """Return means over a period [s], none across a gap; the drive where it has no more."""
         step = int(period / self.clock.period + _PERIOD_ROUNDING)
         if self.hold is not None:
             step = min(step, self.hold.rows // _ROWS)
@@ -806,10 +687,7 @@ def check_long_enough(*lists: Sequence[DriveLog]) -> None:
 
 
 def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
-    """Prepare training drives; very many samples are thinned, to four a shortest window at least.
-
-    Speeds are cleaned before: only the averaging of noise suffers, of which there is plenty left.
-    """
+    """Prepare training drives; very many samples are thinned, to four a window at least."""
     drives = [replace(Drive.of(log, vehicle), fitted=True) for log in logs]
     total = sum(len(drive.t) for drive in drives)
     period = max(drive.clock.period for drive in drives)
@@ -832,10 +710,7 @@ _CACHED = 96  # forces and columns of terms kept a drive
 
 
 def field_of(term: Term, drive: Drive, vehicle: Vehicle, held: bool = False) -> Any:
-    """Return force or power per unit of a term that is no loss, computed once a drive.
-
-    With `held` it is that of contacts that hold.
-    """
+    """Return force or power per unit of a term that is no loss, computed once a drive."""
     key = ("held" if held else "driven", term.name, tuple(term.params.items()), vehicle.slip_moment)
     if key not in drive.fields:
         if len(drive.fields) > _CACHED:
@@ -888,12 +763,7 @@ _CUT = 2.0 * BLOCK / _JUDGED
 
 @checked()
 def split_drives(drives: Sequence[DriveLog]) -> tuple[list[DriveLog], list[DriveLog]]:
-    """Part drives into what to learn from and, two fifths of the time, what to judge by.
-
-    A drive is cut in two where both parts are long enough, or where there is no other one; else it
-    goes as a whole to where the share of time comes nearer to that. ``energyplan diagnose`` does so
-    where it is given no drives to judge by.
-    """
+    """Part drives into what to learn from and, two fifths of the time, what to judge by."""
     if not drives:
         raise InvalidInputError("no logs; give at least one drive")
     learned: list[DriveLog] = []

@@ -14,7 +14,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from energyplan.fit.doubts import with_usual
-from energyplan.fit.drive import SCALES, Drive, Late, Steps, columns_of, parted
+from energyplan.fit.drive import SCALES, Drive, Late, columns_of, parted
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
@@ -40,12 +40,7 @@ class Fit:
 
     @property
     def reported(self) -> FloatArray:
-        """Covariance whose 95 % intervals are those of Student's distribution.
-
-        Of some coefficients few blocks tell nearly all, and a variance that comes from few is
-        itself uncertain. The degrees of freedom are Satterthwaite's: as many as there are blocks
-        where all tell alike.
-        """
+        """Covariance whose 95 % intervals are those of Student's distribution."""
         square = np.sum(self.deviations**2, axis=0)
         freedom = 3.0 * square**2 / np.maximum(np.sum(self.deviations**4, axis=0), 1e-300)
         freedom = np.clip(freedom, 3.0, len(self.deviations)) - 1.0
@@ -143,16 +138,12 @@ class RunSpread:
     """How much runs differ as a whole, each by a factor of its power."""
 
     deviation: float
-    factors: tuple[float, ...]
-    excess: FloatArray  # each run's own estimate of its factor, less 1, and the variance of that
-    variances: FloatArray  # each run's own estimate of its factor, less 1, and the variance of that
+    excess: FloatArray  # each run's own estimate of its factor, less 1
 
     @classmethod
     def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
-        """Compare runs by their longest windows (Paule's and Mandel's estimate).
-
-        Source: Paule and Mandel (1982), J. Res. NBS 87, 377-385.
-        """
+        """Compare runs by their longest windows (Paule's and Mandel's estimate)."""
+        # Source: Paule and Mandel (1982), J. Res. NBS 87, 377-385.
         table, owner = design.longest
         count = int(owner.max()) + 1
         if count < 3 or len(owner) == count:
@@ -175,8 +166,7 @@ class RunSpread:
         if misfit(0.0) > 0.0:
             most = 2.0 * float(np.var(excess, ddof=1)) + 1e-12
             between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
-        shrunk = excess * between / (between + variances)
-        return cls(float(np.sqrt(between)), tuple((1.0 + shrunk).tolist()), excess, variances)
+        return cls(float(np.sqrt(between)), excess)
 
 
 # -- drives and the terms that are to explain them: their columns, losses linearised ---------------
@@ -198,9 +188,7 @@ _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
 _SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better
 _PROMISED = 2.0  # by which a still shorter step is to lower that logarithm, to be tried
 
-_RUNS = 6  # drives from which on each has a factor before effects are looked for
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
-_LEVELLING = 4  # rounds in which factors of runs and coefficients settle
 
 
 @dataclass(frozen=True)
@@ -214,12 +202,7 @@ class Tables:
 
 @dataclass(frozen=True)
 class _Tried:
-    """Coefficients that were tried: the design about them, and what it says of them.
-
-    `misfit` is the negative logarithm of their likelihood, `least` the coefficients that the design
-    takes for the most likely, `hoped` what it takes their misfit for. `drag` tells which are the
-    paper's, `loss` which are those of losses.
-    """
+    """Coefficients that were tried: the design about them, and what it says of them."""
 
     drag: NDArray[np.bool_]
     loss: NDArray[np.bool_]
@@ -231,11 +214,7 @@ class _Tried:
     hoped: float
 
     def step(self, to: FloatArray) -> FloatArray:
-        """Return coefficients to try next: the paper's, and losses, lose nine tenths at most.
-
-        A loss that multiplies all forces asks for so much less of them that they would push, and
-        forces that are too small for so much less of a loss that it would give.
-        """
+        """Return coefficients to try next: the paper's, and losses, lose nine tenths at most."""
         kept = _KEPT * self.values
         return np.where((self.drag | self.loss) & (kept > 0.0), np.maximum(to, kept), to)
 
@@ -251,11 +230,7 @@ class _Tried:
 
     @property
     def rest(self) -> FloatArray:
-        """Coefficients that a step leads to which leaves losses as they are.
-
-        A loss multiplies the forces: the larger the one, the smaller the others. A full step along
-        a tangent leaves that valley, and this one leads back into it.
-        """
+        """Coefficients that a step leads to which leaves losses as they are."""
         free = np.flatnonzero(~self.loss)
         onto = np.zeros((len(self.values) + 1, len(free) + 1))
         onto[free, np.arange(len(free))] = 1.0
@@ -334,10 +309,7 @@ class Problem:
 
     @property
     def as_predicted(self) -> Problem:
-        """The totals of the drives as those to come are predicted: nothing known of contacts.
-
-        What contacts hold is told by the power of a drive, which a prediction does not know.
-        """
+        """The totals of the drives as those to come are predicted: nothing known of contacts."""
         drives = [replace(drive, between=None, fitted=False) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
 
@@ -345,30 +317,6 @@ class Problem:
         """Return the drives with their power taken to be logged late."""
         drives = [replace(drive, late=late) for drive in self.drives]
         return Problem(drives, self.vehicle, self.memory)
-
-    def with_factors(self, factors: Sequence[float]) -> Problem:
-        """Return the drives, each with a factor of its power."""
-        drives = [replace(d, factor=f) for d, f in zip(self.drives, factors, strict=True)]
-        return Problem(drives, self.vehicle, self.memory)
-
-    def levelled(self, terms: Sequence[Term]) -> Problem:
-        """Return the drives, each with the factor by which it differs as a whole.
-
-        A random effect of each run, as far as it is more than the scatter within runs (Henderson's
-        equations, the model and the factors in turn). Without it long runs decide what all share.
-        """
-        problem = self
-        if len(self.drives) < _RUNS:
-            return self
-        for _ in range(_LEVELLING):
-            design = problem.design(terms)
-            values = fit(design, problem.reference(design)).values
-            plain = self.design(terms)
-            spread = RunSpread.of(plain, values)
-            if spread is None:
-                return self
-            problem = self.with_factors(spread.factors)
-        return problem
 
     def likelihood(self, errors: FloatArray, windows: FloatArray) -> FloatArray:
         """Return the logarithm of the likelihood of terms from their cross-validated errors."""
@@ -378,11 +326,7 @@ class Problem:
         return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
 
     def tables(self, terms: Sequence[Term], values: FloatArray) -> Tables:
-        """Return, for each drive, the columns of the terms and the power they are to explain.
-
-        Where a loss depends on the forces, and so on the other coefficients, both are linearised
-        about `values`.
-        """
+        """Return, for each drive, the columns of the terms and the power they are to explain."""
         columns, targets, odds = [], [], 0.0
         for drive in self.drives:
             if is_lossy(drive, terms):
@@ -402,11 +346,7 @@ class Problem:
         return Design.of(self.drives, about.columns, about.targets)
 
     def odds(self, terms: Sequence[Term], values: FloatArray) -> float:
-        """Return what it took from the likelihood that what contacts hold was not known.
-
-        The sum, over stretches on which the total power told it, of the logarithm of the range of
-        powers that was possible over the error that it is known to (docs/theory, section 6).
-        """
+        """Return what it took from the likelihood that what contacts hold was not known."""
         lossy = [drive for drive in self.drives if is_lossy(drive, terms)]
         return sum(linearise_drive(d, self.vehicle, terms, values, ()).odds for d in lossy)
 
@@ -417,15 +357,7 @@ class Problem:
         start: Mapping[str, float] | None = None,
         rounds: int = ROUNDS,
     ) -> Design:
-        """Return the design of some terms: Gauss-Newton where they are not linear.
-
-        What losses take bends where a side begins to return power, or a stretch to be held, and
-        multiplies the forces. A step that leads to nothing better is not undone at once: the other
-        coefficients are found for the losses that it led to, once and again. Then the same is tried
-        with shorter steps, as long as they promise something. What it takes from the likelihood
-        that what contacts hold is not known counts: else a loss that leaves more of it open would
-        seem to fit better.
-        """
+        """Return the design of some terms: Gauss-Newton where they are not linear."""
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return self.design_about(terms, np.zeros(len(terms)))
         starts = self._starts(terms, errors) if start is None else [start]
@@ -485,11 +417,7 @@ class Problem:
         return [plain, self.memory] if self.memory else [plain]
 
     def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
-        """Return coefficients of a fit without losses.
-
-        What losses take looks like other terms, of any size: those that it makes impossible are
-        left out.
-        """
+        """Return coefficients of a fit without losses."""
         linear = [term for term in terms if term.kind != "loss"]
         if len(linear) == len(terms):
             return {}
@@ -531,11 +459,7 @@ class Problem:
 
 
 def _instead(promised: float) -> Iterator[float | None]:
-    """Yield what to try where a step has led to nothing better.
-
-    That is such a part of the step, or, where there is no number, `_Tried.rest`. A step that
-    promises much is made shorter and shorter.
-    """
+    """Yield what to try where a step has led to nothing better."""
     part = _SHORTER
     yield from (None, None, part, None)
     while (part := _SHORTER * part) * promised > _PROMISED:
@@ -546,12 +470,12 @@ def _instead(promised: float) -> Iterator[float | None]:
 
 _SLIP_SPEEDS = np.geomspace(0.003, 0.15, 12)  # mean slip speeds at which classes end [m/s]
 _SCATTER = 0.4  # misfit of the moment between the sides, over it, from which they do not slide
-_LOST = 0.5  # such misfit at its least, from which the difference tells nothing
 _CLEAR = 3.0  # noise beyond which a side should return power
 _RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
 _LITTLE = 0.4  # of the resistance, with which sides return much
 _BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
 _TURNS = 20  # fits in which signs settle, at most
+_LOST = 0.5  # such misfit at its least, from which the difference tells nothing
 _ENOUGH = 20  # samples that a class needs
 _LOSSES = (COPPER_LOSS, REGENERATION_LOSS)  # by which a total shows what contacts hold
 _CLEARLY = 5.0  # logarithm of the odds from which on they do
@@ -560,13 +484,7 @@ _LEFT = 0.1  # share of the samples that must slide
 
 
 def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
-    """Return the drives with the yaw rate up to which their contacts hold.
-
-    While contacts slide, the moment between the sides follows from the way the robot turns; while
-    they hold it is whatever steering built up (docs/theory, section 6). Classes of yaw rate in
-    which the moment scatters by more than noise, from the slowest on, are those that hold.
-    In the slowest one a fit takes contacts to hold in any case.
-    """
+    """Return the drives with the yaw rate up to which their contacts hold."""
     vehicle = problem.vehicle
     edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
     # In the slowest class steering drifts about a straight, and no sensor is sure which way.
@@ -596,10 +514,7 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
 
 
 def _of_totals(problem: Problem, usual: Sequence[Term]) -> Problem:
-    """Return the totals of drives, with contacts that hold where steering drifts, or do not.
-
-    If they hold, what is lost there follows from no motion, and no law of sliding explains it.
-    """
+    """Return the totals of drives, with contacts that hold where steering drifts, or do not."""
     drives = problem.of_totals.drives
     free, held = (
         Problem(
@@ -640,10 +555,7 @@ def _holding(problem: Problem, breakaway: float) -> Problem:
 def _scatter(
     problem: Problem, terms: Sequence[Term], values: FloatArray, edges: FloatArray
 ) -> FloatArray:
-    """Misfit of the moment between the sides in classes of yaw rate, beyond that of noise.
-
-    As a fraction of the moment of sliding, with what a class has in common.
-    """
+    """Misfit of the moment between the sides in classes of yaw rate, beyond that of noise."""
     pushes, residuals, rates, noises = [], [], [], []
     for drive in problem.drives:
         columns = np.column_stack([columns_of(t, drive, problem.vehicle)[:, 1] for t in terms])
@@ -668,12 +580,7 @@ def _scatter(
 
 
 def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether sensors show what sides return as if it were drawn.
-
-    A side that should return the more shows the more then. Of a motor that returns nothing, or less
-    than it should, what is shown is flat, or falls. Only where contacts slide is it known which
-    side should. Where none should, what it returns may be taken for resistance.
-    """
+    """Tell whether sensors show what sides return as if it were drawn."""
     due, shown = [], []
     faint, lowest = 0, np.inf
     for drive in problem.drives:
@@ -693,11 +600,7 @@ def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bo
 
 
 def _signs_lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether the drives fit better with the signs given back that their model asks for.
-
-    Motors may return nothing or a part of what they should: those are fitted, too. From two starts
-    each, since resistance enough that no side returns power is a fit of both.
-    """
+    """Tell whether the drives fit better with the signs given back that their model asks for."""
     wide = [*terms, HOTEL]
     found = dict(zip([term.name for term in terms], values.tolist(), strict=True))
     little = {TRACTION.name: _LITTLE * found[TRACTION.name]}
@@ -741,116 +644,6 @@ def _sides(
     return list(zip(parted(total, more), parted(drive.power, between), strict=True))
 
 
-# -- what sensors that read in steps leave uncertain of coefficients -------------------------------
-
-_SHARE = 1e-3  # step of the logarithm of a speed
-
-
-def _covariance_of(sources: Sequence[tuple[NDArray[np.int64], FloatArray]]) -> FloatArray:
-    """Return the covariance of coefficients, each state of a sensor erring alike whenever it is.
-
-    Of each drive come the states of its samples, shape (n, m), and what the standard error of its
-    state, in that sample, does to the coefficients, shape (n, k).
-    """
-    _, state = np.unique(np.concatenate([one[0] for one in sources]), axis=0, return_inverse=True)
-    moved = np.concatenate([one[1] for one in sources])
-    sums = np.stack([np.bincount(state.ravel(), column) for column in moved.T], axis=-1)
-    return np.asarray(sums.T @ sums)
-
-
-def moved_by(drives: Sequence[Drive], design: Design, errors: FloatArray) -> list[FloatArray]:
-    """Return what one watt more in a sample of each equation does to the coefficients."""
-    normal = weighted(design, errors).sum(axis=0)[:-1, :-1]
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-    unit = np.linalg.pinv(normal * np.outer(scale, scale), 1e-12, hermitian=True)
-    inverse = unit * np.outer(scale, scale)
-    found = [np.zeros((len(drive.t), drive.equations, len(normal))) for drive in drives]
-    for k, (table, error, count) in enumerate(zip(design.rows, errors, design.counts, strict=True)):
-        step, first = table[:, :-1] @ inverse / (error * count), 0
-        for drive, table_of in zip(drives, found, strict=True):
-            windows = drive.windows[k % len(SCALES)]
-            own = step[first : first + len(windows.counts)] / windows.counts[:, None]
-            table_of[:, k // len(SCALES)] += np.repeat(own, windows.counts.astype(np.intp), axis=0)
-            first += len(windows.counts)
-    return found
-
-
-def reading_covariance(
-    problem: Problem, terms: Sequence[Term], values: FloatArray, design: Design, errors: FloatArray
-) -> FloatArray:
-    """Return the covariance of coefficients that the steps of sensors leave."""
-    width = design.rows[0].shape[1] - 1
-    found = np.zeros((width, width))
-    moved = moved_by(problem.drives, design, errors)
-    powers = [_powers(drive.power, drive.between) for drive in problem.drives]
-    expected = [_expected(drive, problem.vehicle, terms, values) for drive in problem.drives]
-    for side in range(problem.drives[0].equations):
-        steps = Steps.of(
-            np.concatenate([one[side] for one in powers]),
-            np.concatenate([one[side] for one in expected]),
-        )
-        if steps.error > 0.0:
-            found += _covariance_of(
-                [
-                    (steps.states(one[side])[:, None], steps.error * _by_side(drive, by, side))
-                    for drive, one, by in zip(problem.drives, powers, moved, strict=True)
-                ]
-            )  # fmt: skip
-    sources = []
-    for drive, by in zip(problem.drives, moved, strict=True):
-        if drive.steps.error <= 0.0:
-            continue
-        motion = drive.motion
-        speed = np.hypot(motion.v_left, motion.v_right) / np.sqrt(2.0)
-        share = np.divide(
-            drive.steps.error, speed, out=np.zeros(len(speed)), where=speed > drive.steps.size
-        )
-        late = round(drive.late.mean / drive.clock.period)
-        at = np.clip(np.arange(len(speed)) - late, 0, len(speed) - 1)
-        states = [drive.steps.states(v)[at] for v in (motion.v_left, motion.v_right)]
-        rise = _rise_with_speed(drive, problem.vehicle, terms, values)
-        sources.append(
-            (np.column_stack(states), np.einsum("te,tek->tk", rise * share[at, None], by))
-        )
-    return found + _covariance_of(sources) if sources else found
-
-
-def _powers(total: FloatArray, between: FloatArray | None) -> tuple[FloatArray, ...]:
-    """Return what each sensor of power reads: the total, or the left side and the right one."""
-    return (total,) if between is None else parted(total, between)
-
-
-def _expected(
-    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
-) -> tuple[FloatArray, ...]:
-    """Return what each sensor of power should read."""
-    power = linearise_drive(drive, vehicle, terms, values, ()).power
-    return _powers(power[:, 0], None if drive.between is None else power[:, 1])
-
-
-def _by_side(drive: Drive, moved: FloatArray, side: int) -> FloatArray:
-    """Return what a watt more that one sensor of power reads does to the coefficients."""
-    if drive.between is None:
-        return moved[:, 0]
-    return np.asarray(moved[:, 0] + (-1.0, 1.0)[side] * drive.slides[:, None] * moved[:, 1])
-
-
-def _rise_with_speed(
-    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
-) -> FloatArray:
-    """Return by how much the power in each equation rises with the logarithm of the speed [W]."""
-    ends = []
-    for factor in (1.0 + _SHARE, 1.0 - _SHARE):
-        motion = drive.motion
-        faster = replace(motion, v_left=factor * motion.v_left, v_right=factor * motion.v_right)
-        moved = replace(
-            drive, motion=faster, breakaway=factor * drive.breakaway, drift=factor * drive.drift,
-            fitted=False, fields={},
-        )  # fmt: skip
-        ends.append(linearise_drive(moved, vehicle, terms, values, ()).power)
-    return np.asarray((ends[0] - ends[1]) / (2.0 * _SHARE))
-
-
 # -- all coefficients of a sum of terms, fitted together to window means of drives -----------------
 
 Further = Callable[[Mapping[str, float]], Sequence[Sequence[FloatArray]]]
@@ -886,9 +679,8 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
         columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
         design = design.joined(window_means(problem.drives, columns))
         covariance = fit(design, errors).reported
-    covariance = covariance + reading_covariance(problem, terms, values, design, errors)
     covariance, rest = covariance[:count, :count], covariance[count:, count:]
-    plain = problem.of_totals.with_factors([1.0] * len(problem.drives))
+    plain = problem.of_totals
     spread = RunSpread.of(plain.design(terms), values)
     if spread is not None:
         # What all runs share is known no better than the mean of runs that differ.
@@ -904,10 +696,7 @@ def _within(
     problem: Problem, terms: Sequence[Term], errors: FloatArray, values: FloatArray,
     assumed: Sequence[str],
 ) -> FloatArray:  # fmt: skip
-    """Put coefficients that are beyond an end of their range there, and fit the others again.
-
-    Those that are assumed stay as they are.
-    """
+    """Put coefficients that are beyond an end of their range there, and fit the others again."""
     least, most = np.array([term.bounds for term in terms]).T
     fixed = np.array([term.name in assumed for term in terms])
     while np.any(beyond := (values < least) | (values > most)):

@@ -62,11 +62,7 @@ class _Increments:
 
 
 def yaw_channel(logs: Sequence[DriveLog]) -> str | None:
-    """Name the channel of the logs that shows how the robot turned, or None.
-
-    One that never changes shows it only where there is no other: an attitude that a driver fills
-    with zeros, say.
-    """
+    """Name the channel of the logs that shows how the robot turned, or None."""
     there = [name for name in ("yaw", "yaw_rate") if any(log.has(name) for log in logs)]
     alive = [
         name for name in there
@@ -138,15 +134,8 @@ def turned(logs: Sequence[DriveLog], icr: TreadICR) -> bool:
 def fit_icr(
     logs: DriveLog | Sequence[DriveLog], prior: TreadICR, *, asymmetric: bool | None = None
 ) -> ICREstimate:
-    """Identify tread ICRs from any logs with yaw or yaw rate.
-
-    Between samples, ``int (V_r - V_l) dt = B dyaw`` (Eq. 1), the body's origin moves forward by
-    ``int (V_l + V_r)/2 dt + (C_l - C_r)/2 dyaw`` and sideways by ``-c_y dyaw``. A bias of the yaw
-    rate, an error of the wheel radius and a pose that looks askew are nuisances of the fit if
-    the log determines them.
-
-    Source: Morales et al. (2010), Eq. 1 and 5; docs/theory, section 1.
-    """
+    """Identify tread ICRs from any logs with yaw or yaw rate."""
+    # Source: Morales et al. (2010), Eq. 1 and 5; docs/theory, section 1.
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     channel = yaw_channel(drives)
     drives = [log for log in drives if channel and log.has(channel)]
@@ -235,10 +224,8 @@ def _variance(weight: FloatArray, residual: FloatArray, pieces: Sequence[slice])
 def icr_from_spin(
     log: DriveLog, angle: float | None = None, angle_error: float = 0.0
 ) -> ICREstimate:
-    """Symmetric tread ICR from a spin on the spot (Eq. 5).
-
-    Source: Morales et al. (2010), Eq. 5.
-    """
+    """Symmetric tread ICR from a spin on the spot (Eq. 5)."""
+    # Source: Morales et al. (2010), Eq. 5.
     channel = yaw_channel([log])
     if angle is None and channel is None:
         raise NotIdentifiableError(

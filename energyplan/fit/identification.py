@@ -17,12 +17,10 @@ from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableErro
 from energyplan.fit.doubts import (
     Adequacy,
     Beside,
-    Foretold,
     adequacy,
     beside,
     check_identifiable,
     ends_in_words,
-    foretold,
     is_linear,
     linearise,
     open_in_words,
@@ -72,11 +70,7 @@ _IDLE = 0.01
 
 
 def telling(design: FloatArray) -> NDArray[np.bool_]:
-    """Tell which samples say something about the coefficients.
-
-    A robot at rest says nothing about friction, however long it stands: its residual is not that
-    of a driving one, and where half of a log is rest, its residual is the whole log's median.
-    """
+    """Tell which samples say something about the coefficients."""
     size = np.abs(design)
     usual = np.sqrt(np.einsum("ij,ij->j", size, size) / np.maximum((size > 0).sum(axis=0), 1))
     found = np.any(size > _IDLE * usual, axis=1)
@@ -257,14 +251,72 @@ def _huber_loss(present: FloatArray) -> Loss:
 
 
 def _density_at_zero(residual: FloatArray, sigma: float, independent: float) -> FloatArray:
-    """Each residual's share in the kernel estimate of the density at zero (Powell 1991).
-
-    The normal kernel's width is Silverman's for the number of independent samples: correlated ones
-    cluster, and a narrow kernel would count the accidents of a cluster.
-    """
+    """Each residual's share in the kernel estimate of the density at zero (Powell 1991)."""
     width = 1.06 * sigma * max(independent, 2.0) ** -0.2
     z = residual / width
     return np.asarray(np.exp(-0.5 * z * z) / (width * np.sqrt(2 * np.pi)))
+
+
+# -- how well a model predicts the energy of driving that it was not fitted to ---------------------
+
+_FEWEST = 4
+"""Drives from which on whole ones are left out."""
+_STRETCHES = 5
+_LEAST = 0.1
+"""Share of the usual power that what is left out counts as taking at least."""
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """Errors of energies, each predicted from all other driving."""
+
+    left_out: Literal["drive", "stretch"]
+    count: int  # how many
+    duration: float  # their median length [s]
+    error: float  # mean size of the relative error of their energies
+    largest: float
+
+    @property
+    def in_words(self) -> str:
+        """What was left out, and how far its energy was missed."""
+        what = "drives" if self.left_out == "drive" else "stretches"
+        return (
+            f"{what} of {self.duration:.3g} s, each predicted from the others, miss their energy "
+            f"by {100 * self.error:.2g} %, at most {100 * self.largest:.2g} %"
+        )
+
+
+def without_each(parts: Sequence[Drive], model: PowerModel) -> list[FloatArray]:
+    """Return the power of each drive by the model's terms fitted to all the others [W]."""
+    bounds, found = Bounds(*np.array([term.bounds for term in model.terms], float).T), []
+    for k, part in enumerate(parts):
+        others = PowerRegression([*parts[:k], *parts[k + 1 :]], model).solve("lad", bounds)
+        found += PowerRegression([part], others).powers(others)
+    return found
+
+
+def foretold(model: PowerModel, drives: Sequence[Drive]) -> Foretold | None:
+    """Predict each drive, or each stretch of few drives, from the others."""
+    parts = list(drives)
+    if len(drives) < _FEWEST:
+        whole, parts = sum(float(drive.t[-1]) for drive in drives), []
+        for drive in drives:
+            count = max(round(_STRETCHES * float(drive.t[-1]) / whole), 1)
+            number = np.minimum(drive.t / drive.t[-1] * count, count - 1).astype(int)
+            parts += [drive.some(np.flatnonzero(number == k)) for k in range(count)]
+    weights = [part.weights for part in parts]
+    energy = np.array([float(w @ part.power) for w, part in zip(weights, parts, strict=True)])
+    seconds = np.array([float(w.sum()) for w in weights])
+    if len(parts) < 2 or energy.sum() <= 0.0:
+        return None
+    powers = without_each(parts, model)
+    missed = energy - [float(w @ power) for w, power in zip(weights, powers, strict=True)]
+    usual = energy.sum() / seconds.sum() * seconds
+    errors = np.abs(missed) / np.maximum(np.abs(energy), _LEAST * usual)
+    what: Literal["drive", "stretch"] = "drive" if len(drives) >= _FEWEST else "stretch"
+    return Foretold(
+        what, len(parts), float(np.median(seconds)), float(errors.mean()), float(errors.max())
+    )
 
 
 # -- friction inside a robot, from drives with its wheels in the air -------------------------------
@@ -311,13 +363,8 @@ class InternalFriction:
 def hoisted(
     logs: DriveLog | Sequence[DriveLog], motor_constant: float | None = None
 ) -> tuple[InternalFriction, ...]:
-    """Find the friction inside each side from drives with the wheels in the air.
-
-    Nothing but the friction of motor, gear, chain and bearings resists then. Samples of steady
-    speed are used, so that no inertia counts.
-
-    Source: Morales et al. (2010), section IV: 59 N were found so.
-    """
+    """Find the friction inside each side from drives with the wheels in the air."""
+    # Source: Morales et al. (2010), section IV: 59 N were found so.
     drives = [logs] if isinstance(logs, DriveLog) else list(logs)
     for log in drives:
         _refuse_driving(log)
@@ -340,11 +387,7 @@ def _refuse_driving(log: DriveLog) -> None:
 
 
 def doubts_off_the_ground(log: DriveLog) -> tuple[str, ...]:
-    """Return the warnings of a log that hold for a robot whose wheels are in the air.
-
-    It neither travels nor turns: what its pose or yaw rate would contradict on the ground, or lag
-    behind, is as it should be.
-    """
+    """Return the warnings of a log that hold for a robot whose wheels are in the air."""
     power, runs = log.power, log.runs
     kept = {name: v for name, v in log.channels.items() if name not in _TRAVEL}
     stale = {*map(str, find_checks(log.channels, power, runs))} - {
@@ -681,7 +724,7 @@ def identify(
     warnings += _draw_at_rest(ready, powers)
     usual = beside(usual_terms(terms), model, ready)
     quality = adequacy(ready, usual.residuals)
-    told = foretold(model, ready, powers)
+    told = foretold(model, ready)
     warnings += _missing(quality, model, usual, told)
     aside = set_aside_by_drive(drives)
     return Identification(
@@ -690,11 +733,7 @@ def identify(
 
 
 def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Residual:
-    """Compare a model's power with what logs measured.
-
-    Speeds are freed of their sensors' noise first, as in `identify` and `energyplan.diagnose`; a
-    tread slower than 2 mm/s counts as at rest.
-    """
+    """Compare a model's power with what logs measured."""
     drives = [Drive.of(log, model.vehicle) for log in _drives(logs)]
     return statistics(drives, PowerRegression(drives, model).powers(model))
 

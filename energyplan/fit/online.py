@@ -13,8 +13,7 @@ from energyplan.compilation import AnyTable, Column, FloatBlock, Floats, FloatTa
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit.doubts import energy_error, is_linear, linearise
 from energyplan.fit.drive import Drive
-from energyplan.fit.identification import PowerRegression
-from energyplan.fit.solvers import Bounds
+from energyplan.fit.identification import without_each
 from energyplan.kinds import checked, described
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -110,11 +109,7 @@ def _form(left: Column, matrix: FloatTable, right: Column) -> float:
 
 @njit
 def look(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: Floats) -> None:
-    """Test the residuals of the last 1, 2, 4 and 8 s for a change of the coefficients.
-
-    The score test: what the residuals say about the coefficients is compared with the variance
-    that correlated noise and the coefficients' own uncertainty give it.
-    """
+    """Test the residuals of the last 1, 2, 4 and 8 s for a change of the coefficients."""
     p = vectors.shape[1]
     covariance = matrices[COVARIANCE]
     ticks = int(scalars[TICKS])
@@ -321,13 +316,7 @@ class RunMemory:
 
     @classmethod
     def of(cls, logs: Sequence[DriveLog], model: PowerModel) -> RunMemory:
-        """Learn it from former runs, each predicted from the others by the model's terms.
-
-        The share is its mean over values in [0, 1] by how they predict the last three quarters of
-        former runs from the first. It is as probable before that there is none, and any other one
-        divides its odds by e, as a coefficient does (Akaike); relative errors of energies have
-        Laplace's distribution, its size by the Bayesian bootstrap.
-        """
+        """Learn it from former runs, each predicted from the others by the model's terms."""
         usual = 0.25 * float(np.median([log.energy for log in logs])) if logs else np.inf
         known = _departures(logs, model) if len(logs) >= _FEWEST else np.zeros((0, 2))
         if not len(known):
@@ -350,17 +339,11 @@ class RunMemory:
 
 
 def _departures(logs: Sequence[DriveLog], model: PowerModel) -> FloatArray:
-    """Logarithms of measured over predicted energy: of the first quarter and the rest, (runs, 2).
-
-    Parts in which a run hardly draws power are no measure, and such runs are left out.
-    """
+    """Logarithms of measured over predicted energy: of first quarter and rest, (runs, 2)."""
     drives = [Drive.of(log, model.vehicle) for log in logs]
-    bounds = Bounds(*np.array([term.bounds for term in model.terms], float).T)
     usual = sum(log.energy for log in logs) / sum(log.duration for log in logs)
     found = []
-    for k, drive in enumerate(drives):
-        others = PowerRegression([*drives[:k], *drives[k + 1 :]], model).solve("lad", bounds)
-        (power,) = PowerRegression([drive], others).powers(others)
+    for drive, power in zip(drives, without_each(drives, model), strict=True):
         first = drive.t <= 0.25 * drive.t[-1]
         parts = [
             (float(drive.weights[some] @ p[some])) for some in (first, ~first)
@@ -697,10 +680,7 @@ class OnlineIdentifier:
 
     @property
     def model(self) -> PowerModel:
-        """The model as it is known now, with covariance; a coefficient stays within its bounds.
-
-        Its residual is that of one-step-ahead predictions since the last change.
-        """
+        """The model as it is known now, with covariance; a coefficient stays within its bounds."""
         values = self._bounded(self._vectors[COEFFICIENTS] * self._unit)
         covariance = self._matrices[COVARIANCE] * np.outer(self._unit, self._unit)
         covariance = 0.5 * (covariance + covariance.T)

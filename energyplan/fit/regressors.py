@@ -63,22 +63,14 @@ class Preload:
     alone: NDArray[np.bool_]  # (n,): samples that have a moment of their own
 
     def followed(self, between: FloatArray, limits: FloatArray) -> FloatArray:
-        """Return by how much the total falls as the moment follows coefficients.
-
-        It follows them so that the difference of the sides stays as measured, or, where friction
-        allows no more, as its limit does.
-        """
+        """Return by how much the total falls as the moment follows coefficients."""
         pulled = self.told[:, None] * between - self.ends[:, None] * limits
         moved = _smoothed(pulled, self.width, self.alone)
         return np.asarray((self.cost / self.sure)[:, None] * moved)
 
 
 def _alone(held: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
-    """Tell which held samples cannot be averaged over so many with their neighbours.
-
-    Those next to others: some of them slide already. And all of a stretch that is shorter than
-    that: between two turns the moment passes from one limit to the other.
-    """
+    """Tell which held samples cannot be averaged over so many with their neighbours."""
     long = maximum_filter1d(minimum_filter1d(held.astype(float), width), width) > 0.0
     beside = maximum_filter1d((~held).astype(float), 3) > 0.0
     return np.asarray(held & (beside | ~long))
@@ -160,13 +152,7 @@ def _bisected(
 
 
 def at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Return which samples at rest a held moment explains, and what it takes at each [W].
-
-    At rest the sides' difference is zero whatever contacts hold. What is drawn beyond the model, up
-    to what they can hold, is no evidence against it, nor for any coefficient: in a stretch of rest
-    whose mean is more probable with it than without, as in `Straights`. Noise draws more as often
-    as less, and is no moment where it does.
-    """
+    """Return which samples at rest a held moment explains, and what it takes at each [W]."""
     rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
     if not most > 0.0 or not rest.any():
         return np.zeros(len(rest), bool), np.zeros(len(rest))
@@ -195,12 +181,7 @@ def _told(
 
 @dataclass(frozen=True)
 class Straights:
-    """What contacts hold on each stretch on which they do, told by the total power alone.
-
-    A stretch holds nothing, or a moment that is as probable at any cost up to that of the limit of
-    friction. It is taken to hold one where the measured power is then more probable, the width of
-    that range counted (the Bayes factor, by Laplace's approximation).
-    """
+    """What contacts hold on each stretch on which they do, told by the total power alone."""
 
     forces: Sides  # tread forces of the moments [N]
     pattern: FloatArray  # (n,) [W]
@@ -276,12 +257,7 @@ def straights(
 
 
 def _stretches(drive: Drive) -> NDArray[np.intp]:
-    """Return the number of the stretch that each sample at which contacts hold belongs to.
-
-    Until the robot slides for long, stops or turns back, and where steering drifts, which changes
-    the moment, for a few seconds at most. Half a second beside a turn is a stretch of its own: the
-    moment builds up while the robot begins to turn, and relaxes after.
-    """
+    """Return the number of the stretch that each sample at which contacts hold belongs to."""
     if "stretches" not in drive.fields:
         at = np.flatnonzero(drive.holds)
         t, way = drive.t[at], np.sign(drive.held.v_left[at])  # which is that of both
@@ -351,10 +327,7 @@ class _Held:
 
 
 def _error(drive: Drive, beyond: FloatArray, samples: FloatArray) -> FloatArray:
-    """Return the standard error of means over so many samples [W]: noise, and what is missed.
-
-    What a model misses is told by the usual size of means over two seconds: stretches make few.
-    """
+    """Return the standard error of means over so many samples [W]: noise, and what is missed."""
     windows = drive.windows[_USUAL]
     if "moving" not in drive.fields:
         speed = np.abs(drive.motion.v_left) + np.abs(drive.motion.v_right)
@@ -473,7 +446,7 @@ def equations_of(model: PowerModel, drive: Drive) -> FloatArray:
 
 def power_of(model: PowerModel, drive: Drive) -> FloatArray:
     """Return the power of a drive by a model, with contacts that hold on a straight [W]."""
-    alone = replace(drive, between=None, fitted=False, late=ON_TIME, factor=1.0, hold=None)
+    alone = replace(drive, between=None, fitted=False, late=ON_TIME, hold=None)
     return equations_of(model, alone)[:, 0]
 
 
@@ -523,10 +496,7 @@ def slip_limit(terms: Sequence[Term], values: FloatArray) -> float:
 def _rise(
     losses: Sequence[tuple[Term, float]], drive: Drive, vehicle: Vehicle, forces: Sides
 ) -> Sides:
-    """Rise of the losses in each equation with the force of each side, shape (n, equations) each.
-
-    Central differences: exact where losses are linear or quadratic in the forces.
-    """
+    """Rise of the losses in each equation with the force of each side, (n, equations) each."""
     size = max(float(np.max(np.abs(forces.left))), float(np.max(np.abs(forces.right))), 1.0)
     step = _STEP * size
 

@@ -81,11 +81,7 @@ def robust_scale(residual: FloatArray) -> float:
 
 
 def huber(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
-    """Minimise Huber's loss by iteratively reweighted least squares.
-
-    The scale is that of the residual's normal core, so that outliers have a bounded pull and the
-    bulk of the samples is weighted as in least squares.
-    """
+    """Minimise Huber's loss by iteratively reweighted least squares."""
     c = weighted_least_squares(X, y, bounds)
     scale = column_scale(X)
     for _ in range(100):
@@ -101,11 +97,7 @@ def huber(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
 def _lad_program(
     X: FloatArray, y: FloatArray, bounds: Bounds, fixed: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Solve ``min sum |y - X c| - fixed . c`` as a linear program, by its dual.
-
-    The dual has one bounded variable a row and one equation a coefficient; the coefficients are
-    the multipliers of the equations. A finite bound of a coefficient is one more variable.
-    """
+    """Solve ``min sum |y - X c| - fixed . c`` as a linear program, by its dual."""
     n, p = X.shape
     low, high = np.flatnonzero(np.isfinite(bounds.lower)), np.flatnonzero(np.isfinite(bounds.upper))
     unit = np.eye(p)
@@ -124,17 +116,9 @@ def _lad_program(
 
 
 def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
-    """Minimise the sum of absolute residuals exactly, for any number of rows (Eq. 7).
-
-    Rows far from the fitted surface only matter through the sign of their residual. They are
-    summed into one vector, the rest is a small linear program, and rows whose sign turns out
-    otherwise join it, or a wider band takes its place where they are many, until there are none:
-    then the solution is that of the whole problem, because the reduced objective never exceeds the
-    full one and equals it there.
-
-    Source: Portnoy and Koenker (1997), "The Gaussian hare and the Laplacian tortoise",
-    Statistical Science 12(4); docs/theory, section 6.
-    """
+    """Minimise the sum of absolute residuals exactly, for any number of rows (Eq. 7)."""
+    # Source: Portnoy and Koenker (1997), "The Gaussian hare and the Laplacian tortoise",
+    # Statistical Science 12(4); docs/theory, section 6.
     acting = np.any(X != 0.0, axis=1)  # the residual of any other row is what it is
     if not acting.any():
         return bounds.clip(np.zeros(X.shape[1]))
@@ -181,10 +165,8 @@ def _band(residual: FloatArray, size: int) -> tuple[NDArray[np.bool_], FloatArra
 def simplex(
     objective: Callable[[FloatArray], float], start: FloatArray, bounds: Bounds
 ) -> FloatArray:
-    """Minimise an objective by Nelder and Mead's simplex, restarted until it stays where it is.
-
-    Source: Morales et al. (2010), Eq. 7 and reference 14.
-    """
+    """Minimise an objective by Nelder and Mead's simplex, restarted until it stays where it is."""
+    # Source: Morales et al. (2010), Eq. 7 and reference 14.
     unit = np.where(np.abs(start) > 0, np.abs(start), 1.0)
     limits = optimize.Bounds(bounds.lower / unit, bounds.upper / unit)
     best, value = start / unit, objective(start)
@@ -250,11 +232,7 @@ def _spread(columns: FloatArray, rho: FloatArray, pieces: Sequence[slice]) -> Fl
 
 
 def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
-    """Products at each lag that a fit on an orthonormal basis takes out of noise of unit variance.
-
-    The residual ``(1 - H) e`` has covariance ``(1 - H) R (1 - H)``; this is the sum over each
-    diagonal of what is missing from ``R``.
-    """
+    """Products at each lag that a fit on an orthonormal basis takes out of unit noise."""
     spread = _spread(basis, rho, pieces)
     inner = basis.T @ spread
     total = np.zeros(lags + 1)
@@ -266,29 +244,30 @@ def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags:
     return total
 
 
-def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
-    """Continue an autocorrelation from its first lags by an autoregression, until it dies out.
+def _levinson(
+    rho: FloatArray, current: FloatArray, variance: float, order: int
+) -> tuple[FloatArray, float]:
+    """Return the autoregression of the next order, and the share of the variance that it leaves."""
+    partial = (rho[order] - float(current @ rho[order - 1 : 0 : -1])) / variance
+    partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
+    longer = np.asarray(np.append(current - partial * current[::-1], partial))
+    return longer, float(variance * (1.0 - partial**2))
 
-    Levinson's recursion; the order has the least AIC. Corrected autocovariances of a short or
-    smooth series may be inconsistent; the recursion ends at the lag where they become so.
-    """
-    given = covariance / covariance[0]
-    rho, current, variance = np.ones(1), np.zeros(0), 1.0
-    best, score = current, 0.0
+
+def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
+    """Continue an autocorrelation from its first lags by an autoregression, until it dies out."""
+    given: FloatArray = covariance / covariance[0]
+    current, variance, best, score = np.zeros(0), 1.0, np.zeros(0), 0.0
     for order in range(1, len(given)):
-        foretold = float(current @ rho[:0:-1])
-        partial = (given[order] - foretold) / variance
-        if abs(partial) > _LARGEST_PARTIAL and order > 1:
+        before = variance
+        current, variance = _levinson(given, current, variance, order)
+        if order > 1 and variance <= before * (1.0 - _LARGEST_PARTIAL**2):
             break
-        partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
-        rho = np.append(rho, foretold + partial * variance)
-        current = np.append(current - partial * current[::-1], partial)
-        variance *= 1.0 - partial**2
         criterion = count * np.log(variance) + 2 * order
         if criterion < score:
             best, score = current, criterion
     order = len(best)
-    start = rho[: order + 1]
+    start = given[: order + 1]
     reach = 64 if order else 0
     while reach:
         # The autoregression's own tail: a filter that starts at its last values and gets no input.
@@ -298,7 +277,7 @@ def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
         last = int(alive[-1]) + 1 if len(alive) else 0
         if last < reach or reach >= longest:
             kept = max(min(last, longest - 1 - order), 0)
-            return np.concatenate([start, tail[:kept]])
+            return np.asarray(np.concatenate([start, tail[:kept]]))
         reach *= 4
     return start
 
@@ -319,10 +298,8 @@ class Correlation:
 def autocorrelation(
     series: FloatArray, pieces: Sequence[slice], regressors: FloatArray | None = None
 ) -> Correlation:
-    """Autocorrelation of a series, or of the noise that a fit left it from.
-
-    Source: Brockwell and Davis (1991), Time Series: Theory and Methods, sections 8.1 and 9.3.
-    """
+    """Autocorrelation of a series, or of the noise that a fit left it from."""
+    # Source: Brockwell and Davis (1991), Time Series: Theory and Methods, sections 8.1 and 9.3.
     count = len(series)
     longest = max(s.stop - s.start for s in pieces)
     lags = min(_LARGEST_ORDER, longest // 4)
@@ -346,14 +323,9 @@ def autocorrelation(
 
 
 def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
-    """Share of a series' variance that its own past does not foretell.
-
-    One for white noise. The likelihood of a normal series depends on its innovations alone: what
-    repeats is no new evidence (Schweppe's form).
-
-    Source: Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989),
-    Biometrika 76.
-    """
+    """Share of a series' variance that its own past does not foretell."""
+    # Source: Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989),
+    # Biometrika 76.
     count = len(series)
     lags = min(_LARGEST_ORDER, max(s.stop - s.start for s in pieces) // 4)
     centred = series - series.mean()
@@ -362,13 +334,8 @@ def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
         return 1.0
     rho, current, variance = covariance / covariance[0], np.zeros(0), 1.0
     best, least = 1.0, 2.0 * count / max(count - 2, 1)
-    for order in range(1, lags + 1):
-        partial = (rho[order] - float(current @ rho[order - 1 : 0 : -1])) / variance
-        partial = min(max(partial, -_LARGEST_PARTIAL), _LARGEST_PARTIAL)
-        current = np.append(current - partial * current[::-1], partial)
-        variance *= 1.0 - partial**2
-        if count <= order + 3:
-            break
+    for order in range(1, min(lags, count - 4) + 1):
+        current, variance = _levinson(rho, current, variance, order)
         criterion = count * np.log(variance) + 2.0 * count * (order + 1) / (count - order - 2)
         if criterion < least:
             best, least = variance, criterion
@@ -385,10 +352,7 @@ def sum_covariance(
 
 
 def local_scale(series: FloatArray, repeats: float) -> FloatArray:
-    """Root mean square of a series around each sample: noise need not be the same throughout.
-
-    The window holds some twenty independent samples: a shorter one would follow the noise itself.
-    """
+    """Root mean square of a series around each sample: noise need not be the same throughout."""
     window = min(len(series), max(100, round(20 * repeats)))
     return np.asarray(np.sqrt(np.maximum(uniform_filter1d(series**2, window), 0.0)))
 
@@ -403,9 +367,5 @@ def sandwich(bread: FloatArray, meat: FloatArray) -> FloatArray:
 
 
 def correlation_time(residual: FloatArray, period: float, pieces: Sequence[slice]) -> float:
-    """Integral time scale of a series: the area under its autocorrelation at positive lags [s].
-
-    White noise has half a sample period; a series of duration T holds about ``T / (2 time
-    scale)`` independent samples.
-    """
+    """Integral time scale of a series: the area under its autocorrelation at positive lags [s]."""
     return 0.5 * period * autocorrelation(residual, pieces).repeats

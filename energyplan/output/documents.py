@@ -123,15 +123,9 @@ def diagnosis(told: Diagnosis) -> Document:
         "verdict": told.verdict,
         "effects": [plain(effect) for effect in told.effects],
         "explanations": [
-            {
-                "effects": list(one.effects),
-                "probability": plain(one.probability),
-                "alike": [list(names) for names in one.alike],
-            }
+            {"effects": list(one.effects), "probability": plain(one.probability)}
             for one in told.explanations
         ],
-        "none_of_these": plain(told.none_of_these),
-        "further_effects": plain(told.further_effects),
         "before": residual(told.before),
         "after": residual(told.after),
         "after_undated": None if told.after_undated is None else residual(told.after_undated),

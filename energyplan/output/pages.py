@@ -83,25 +83,11 @@ def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
             ],
         )  # fmt: skip
         page.paragraph("After ± stands the standard error.")
-    others = (
-        ("the first, with effects that are too small or improbable to be named",
-         told.further_effects),
-        ("none of these, but something else", told.none_of_these),
-    )  # fmt: skip
-    rest = [(text, _chance(chance), "-") for text, chance in others if chance > 0.0]
-    if len(told.explanations) > 1 or rest:
+    if len(told.explanations) > 1:
         page.heading("Possible explanations")
         page.table(
-            ("effects", "probability", "not separated from"),
-            [
-                (
-                    _together(one.effects),
-                    _chance(one.probability),
-                    "; ".join(_together(names) for names in one.alike) or "-",
-                )
-                for one in told.explanations
-            ]
-            + rest,
+            ("effects", "probability"),
+            [(_together(one.effects), _chance(one.probability)) for one in told.explanations],
         )
     page.heading("Error on the hold-out drives")
     rows = (

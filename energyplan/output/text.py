@@ -94,17 +94,6 @@ def diagnosis(told: Diagnosis) -> list[str]:
         + (" and ".join(name.replace("_", " ") for name in one.effects) or "no effect")
         for one in others
     ]
-    if told.further_effects >= 0.01:
-        lines.append(
-            "or effects beside the first, too small or too improbable to be named: probability "
-            f"{told.further_effects:.2f}"
-        )
-    if told.none_of_these > 0:
-        lines.append(f"none of these, but something else: probability {told.none_of_these:.2f}")
-    if told.explanations and told.explanations[0].alike:
-        alike = ((told.explanations[0].effects), *told.explanations[0].alike)
-        names = (" and ".join(n.replace("_", " ") for n in one) or "no effect" for one in alike)
-        lines.append(f"these drives cannot separate: {'; or '.join(names)}")
     for name, misfit in (("before", told.before), ("after", told.after)):
         lines.append(
             f"hold-out {name}: rmse {number(misfit.rmse)} W, mae {number(misfit.mae)} W, "

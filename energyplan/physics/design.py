@@ -28,10 +28,8 @@ def exchanged(
     chosen: Sequence[int],
     duration: float,
 ) -> list[int]:
-    """Exchange parts of a design, one at a time, for what improves the whole of it most.
-
-    Source: Fedorov (1972), "Theory of optimal experiments".
-    """
+    """Exchange parts of a design, one at a time, for what improves the whole of it most."""
+    # Source: Fedorov (1972), "Theory of optimal experiments".
     design = list(chosen)
     for _ in range(_MOST):
         whole = np.sum([grams[k] for k in design], axis=0)
@@ -235,17 +233,8 @@ def design(
     correlation_time: float = 0.3,
     screen: bool = False,
 ) -> Design:
-    """Design the drive that best separates explanations, or narrows the model's parameters.
-
-    Manoeuvres are added one after the other, each the one that gains the most per second
-    (T-optimality; D-optimality of the model's own terms with fewer than two explanations). What
-    another explanation can absorb by being fitted again does not count.
-
-    With fewer than two explanations and `screen`, every effect of the catalogue that a drive on
-    level ground can show counts as a parameter too, so that whatever is there shows.
-
-    Source: Atkinson and Fedorov (1975), on T-optimality; docs/theory, section 7.
-    """
+    """Design the drive that best separates explanations, or narrows the model's parameters."""
+    # Source: Atkinson and Fedorov (1975), on T-optimality; docs/theory, section 7.
     values = {"square": square, "acceleration": acceleration, "noise": noise,
               "correlation_time": correlation_time}  # fmt: skip
     for name, value in values.items():
@@ -403,10 +392,7 @@ class _Question:
         return np.asarray(self._weight * rows.T @ rows)
 
     def scale_by(self, gram: FloatArray) -> None:
-        """Set the sizes that parameters are narrowed against, by all that could be driven.
-
-        The model's own terms have their coefficients; others `SHARE` of the power.
-        """
+        """Set the sizes that parameters are narrowed against, by all that could be driven."""
         own = np.where(self._coefficients != 0, np.abs(self._coefficients), 1.0)
         part = gram[np.ix_(self._own, self._own)]
         power = float(self._coefficients @ part @ self._coefficients)

@@ -149,12 +149,11 @@ LEAST = 0.03
 
 @dataclass(frozen=True)
 class Tracking:
-    """Gains of the tracking controller, and when it has arrived.
+    """Gains of the tracking controller, and when it has arrived."""
 
-    Source: Samson (1993), "Time-varying feedback stabilization of car-like wheeled mobile
-    robots"; Kanayama et al. (1990), "A stable tracking control method for an autonomous mobile
-    robot".
-    """
+    # Source: Samson (1993), "Time-varying feedback stabilization of car-like wheeled mobile
+    # robots"; Kanayama et al. (1990), "A stable tracking control method for an autonomous mobile
+    # robot".
 
     along: float = 2.0  # speed per distance that the robot is behind the reference [1/s]
     across: float = 6.0  # yaw rate per speed and distance to the side of it [1/m^2]
@@ -194,12 +193,7 @@ class Tracker:
         return tuple(row)
 
     def _straightening(self, aside: float, turn: float) -> float:
-        """Return the yaw rate that brings the robot back to a straight reference [rad/s].
-
-        None as long as it passes near enough a little further on. Then it turns at once to where
-        it meets the reference twice as far away, and lets go: wheels that slide sideways take as
-        much for a slow turn as for a quick one, and push against each other in between.
-        """
+        """Return the yaw rate that brings the robot back to a straight reference [rad/s]."""
         track = self.vehicle.icr.half_track
         missing = turn + aside / (2 * AHEAD * track)
         if abs(AHEAD * turn + aside / track) > self.gains.slack and not self._turning:

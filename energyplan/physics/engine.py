@@ -123,10 +123,7 @@ class Outer(NamedTuple):
 
 
 def _absorbed(force: FloatArray, speed: FloatArray) -> FloatArray:
-    """Return the work that contacts take along load and both tangential directions, shape (3,) [J].
-
-    Of forces (n, wheels, 3) and the speeds (n + 1, wheels, 3) before, between and after.
-    """
+    """Return the work of contacts along load and both tangential directions, shape (3,) [J]."""
     return np.asarray(-STEP * np.sum(force * 0.5 * (speed[:-1] + speed[1:]), axis=(0, 1)))
 
 
@@ -137,11 +134,7 @@ _COLUMNS = (
 
 
 class Book:
-    """Steps the engine and keeps the books.
-
-    Of velocities the first six are the body's, the last two the treads'. Of constraint forces the
-    first two are the treads' dry friction, then come three for each contact: load and tangential.
-    """
+    """Steps the engine and keeps the books."""
 
     def __init__(self, engine: Engine, data: mujoco.MjData) -> None:
         self._engine, self._data, self._model = engine, data, engine.model
@@ -272,11 +265,7 @@ class Book:
         self._enter(outer, speeds, motor, friction)
 
     def _step(self, aim: FloatArray) -> list[float]:
-        """Do one step and return the motors' forces, left and right, by the speeds at its end [N].
-
-        A motor is either free, with its servo's gain in the armature, or held at its largest
-        force. Which one it is shows after the step.
-        """
+        """Do one step and return the motors' forces, left and right, by its last speeds [N]."""
         data, most, gain = self._data, self._most, self._gain
         state = data.qpos, data.qvel, data.qacc_warmstart
         before = [values.copy() for values in state]

@@ -54,10 +54,7 @@ class Overhead(NamedTuple):
 
 
 def overhead(ratios: Sequence[float]) -> Overhead:
-    """Learn from drives made what the next one takes beyond what a model says of its route.
-
-    A controller turns more than it is asked to, treads slip, and no sum of terms is all of a robot.
-    """
+    """Learn from drives made what the next one takes beyond what a model says of its route."""
     share = float(np.mean(ratios)) - 1.0 if len(ratios) else 0.0
     freedom = PRIOR + max(len(ratios) - 1, 0)
     scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - share)))
@@ -87,13 +84,7 @@ def asked_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
 def ratio(
     drive: Steered, model: PowerModel, asked: PlanningProblem, heights: HeightMap | None
 ) -> float:
-    """Return the energy that a drive took, over what a model says of it; at least one.
-
-    A controller leaves its route, and that takes more than the route does. With other tread ICRs in
-    mind it leaves it in another way, which says nothing of the drives to come: then the motion that
-    was made counts. No controller saves energy: a drive that took less was asked for more than
-    motors do, or its route lies along the edge of some ground.
-    """
+    """Return the energy that a drive took, over what a model says of it; at least one."""
     icr = model.vehicle.icr
     apart = np.subtract(astuple(icr), astuple(drive.icr))
     told = asked_energy(drive.asked, asked)
@@ -147,10 +138,7 @@ class Found:
 
 
 class Learned(NamedTuple):
-    """A model of all drives so far, the effects in it, and what else may explain them.
-
-    The model is None where nothing could be learned; the note then says why.
-    """
+    """A model of all drives so far, the effects in it, and what else may explain them."""
 
     model: PowerModel | None
     effects: tuple[Found, ...]
@@ -159,12 +147,7 @@ class Learned(NamedTuple):
 
 
 def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
-    """Diagnose all drives so far, all of each of them.
-
-    None is held out: the next round is the test, whose energy is predicted before it is driven.
-    Drives under `SHORTEST` show no effects. With less than `DIAGNOSED` of longer ones,
-    only the paper's parameters are identified, from all.
-    """
+    """Diagnose all drives so far, all of each of them."""
     try:
         return _learned(logs, vehicle)
     except (NotIdentifiableError, DriveLogError) as reason:
@@ -306,11 +289,7 @@ def close_loop(
     planner: str = "lattice",
     progress: Progress | None = None,
 ) -> Loop:
-    """Plan, drive, diagnose with all logs so far, and plan again.
-
-    In the engine, a designed drive in the free space of the map follows the first round whose
-    prediction was wrong. Routes alone show little, because they are short and mostly straight.
-    """
+    """Plan, drive, diagnose with all logs so far, and plan again."""
     if rounds < 1 or not tolerance >= 0 or not survey >= 0:
         raise InvalidInputError(
             f"rounds is {rounds}, tolerance {tolerance} and survey {survey}; give rounds >= 1, and "
@@ -412,11 +391,7 @@ def _usual_speed(problem: PlanningProblem) -> float:
 
 
 def believed(problem: PlanningProblem, model: PowerModel, speed: float) -> PlanningProblem:
-    """Return a problem priced by another model of the same robot, at a tread speed [m/s].
-
-    What the model found of the ground is put on the map. Where the map has heights, a model that
-    was learned on level ground gets the vehicle's weight.
-    """
+    """Return a problem priced by another model of the same robot, at a tread speed [m/s]."""
     law = model if problem.heights is None else with_weight(model)
     cost = replace(problem.cost, model=law, battery=True, speed=speed)
     return replace(problem, cost=cost, vehicle=problem.vehicle or problem.cost.vehicle)

@@ -28,10 +28,7 @@ _FIELDS = {
     "regeneration_efficiency": "regeneration_loss", "copper_loss": "copper",
     "hotel_load": "hotel", "warm_up": "warm_up",
 }  # fmt: skip
-_ON_SIDES = {
-    "dragging_wheel_left": (1.0, 0.0), "dragging_wheel_right": (0.0, 1.0),
-    "traction_asymmetry": (1.0, -1.0),
-}  # fmt: skip
+_ON_SIDES = {"dragging_wheel_left": (1.0, 0.0)}
 _TILTS = ("tilt_x", "tilt_y")
 """What a term of a power model is in the engine."""
 
@@ -53,11 +50,7 @@ class Border:
 
 @dataclass(frozen=True)
 class Robot:
-    """A skid-steer robot as the engine knows it: four or more wheels, Coulomb friction, two motors.
-
-    The tread ICRs of the vehicle are not used: they follow from the contacts. Only the tracking
-    controller believes in them.
-    """
+    """A skid-steer robot as the engine knows it: wheels, Coulomb friction, two motors."""
 
     vehicle: Vehicle  # contacts, loads, footprint (for the inertia), motor limits
     friction: float  # coulomb friction coefficient of every contact [1]

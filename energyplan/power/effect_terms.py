@@ -92,56 +92,17 @@ def towed_drag(motion: Motion, vehicle: Vehicle) -> Sides:
     return tread_forces(motion, longitudinal=np.sign(motion.v))
 
 
-def reverse_drag(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance that is there backwards only."""
-    return Sides(-(motion.v_left < 0.0).astype(float), -(motion.v_right < 0.0).astype(float))
-
-
 # -- asymmetry ------------------------------------------------------------------------------------
 
 
-def traction_asymmetry(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance that the left side has more and the right side less."""
-    return Sides(np.sign(motion.v_left), -np.sign(motion.v_right))
-
-
 def dragging_left(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance of the left side alone."""
+    """Traction resistance that the left side has more than the right one."""
     return Sides(np.sign(motion.v_left), np.zeros(motion.shape))
-
-
-def dragging_right(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance of the right side alone."""
-    return Sides(np.zeros(motion.shape), np.sign(motion.v_right))
 
 
 def turn_asymmetry(motion: Motion, vehicle: Vehicle) -> Sides:
     """Slip friction that a left turn has more and a right turn less: a constant moment."""
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) ** 2)
-
-
-def left_turn_drag_left(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance of the left side that is there in left turns only."""
-    there = motion.omega > 0.0
-    return Sides(np.sign(motion.v_left) * there, np.zeros(motion.shape))
-
-
-def left_turn_drag_right(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance of the right side that is there in left turns only."""
-    there = motion.omega > 0.0
-    return Sides(np.zeros(motion.shape), np.sign(motion.v_right) * there)
-
-
-def right_turn_drag_left(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance of the left side that is there in right turns only."""
-    there = motion.omega < 0.0
-    return Sides(np.sign(motion.v_left) * there, np.zeros(motion.shape))
-
-
-def right_turn_drag_right(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Traction resistance of the right side that is there in right turns only."""
-    there = motion.omega < 0.0
-    return Sides(np.zeros(motion.shape), np.sign(motion.v_right) * there)
 
 
 # -- friction -------------------------------------------------------------------------------------
@@ -258,11 +219,6 @@ def side_gain(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
     return Sides(forces.left * motion.v_left, -forces.right * motion.v_right)
 
 
-def power_offset(motion: Motion, vehicle: Vehicle) -> FloatArray:
-    """Offset of the power sensor."""
-    return np.ones(motion.shape)
-
-
 # -- the terms ------------------------------------------------------------------------------------
 
 GRADE = Term(
@@ -299,41 +255,13 @@ TOWED_DRAG = Term(
     "towed_drag", "F_d", "N", "force", towed_drag, bounds=_POSITIVE,
     meaning="something towed that resists whichever way the body moves",
 )  # fmt: skip
-REVERSE_DRAG = Term(
-    "reverse_drag", "K_b", "N", "force", reverse_drag, bounds=_POSITIVE,
-    meaning="resistance of each side that is there backwards only",
-)  # fmt: skip
-LEFT_TURN_DRAG_LEFT = Term(
-    "left_turn_drag_left", "K_ll", "N", "force", left_turn_drag_left, bounds=_POSITIVE,
-    meaning="resistance of the left side in left turns only",
-)  # fmt: skip
-LEFT_TURN_DRAG_RIGHT = Term(
-    "left_turn_drag_right", "K_lr", "N", "force", left_turn_drag_right, bounds=_POSITIVE,
-    meaning="resistance of the right side in left turns only",
-)  # fmt: skip
-RIGHT_TURN_DRAG_LEFT = Term(
-    "right_turn_drag_left", "K_rl", "N", "force", right_turn_drag_left, bounds=_POSITIVE,
-    meaning="resistance of the left side in right turns only",
-)  # fmt: skip
-RIGHT_TURN_DRAG_RIGHT = Term(
-    "right_turn_drag_right", "K_rr", "N", "force", right_turn_drag_right, bounds=_POSITIVE,
-    meaning="resistance of the right side in right turns only",
-)  # fmt: skip
 STRIBECK = Term(
     "stribeck_friction", "mu_s", "1", "force", stribeck_friction, {"slip_speed": 0.1},
     bounds=(-2.0, 2.0), meaning="slip friction that is larger at small slip speeds",
 )  # fmt: skip
-TRACTION_ASYMMETRY = Term(
-    "traction_asymmetry", "dK", "N", "force", traction_asymmetry, bounds=_ANY,
-    meaning="more resistance on the left side than on the right",
-)  # fmt: skip
 DRAGGING_LEFT = Term(
-    "dragging_wheel_left", "K_d", "N", "force", dragging_left, bounds=_POSITIVE,
-    meaning="a wheel or bearing that drags on the left",
-)  # fmt: skip
-DRAGGING_RIGHT = Term(
-    "dragging_wheel_right", "K_d", "N", "force", dragging_right, bounds=_POSITIVE,
-    meaning="a wheel or bearing that drags on the right",
+    "dragging_wheel_left", "K_d", "N", "force", dragging_left, bounds=_ANY,
+    meaning="a wheel or bearing that drags on the left; on the right where it is negative",
 )  # fmt: skip
 TURN_ASYMMETRY = Term(
     "turn_asymmetry", "dmu", "1", "force", turn_asymmetry, bounds=(-2.0, 2.0),
@@ -382,8 +310,4 @@ UNSIGNED_POWER = Term(
 SIDE_GAIN = Term(
     "side_gain", "g", "1", "loss", side_gain, bounds=(-1.0, 1.0),
     meaning="gains of the left and the right power sensor differ",
-)  # fmt: skip
-POWER_OFFSET = Term(
-    "power_offset", "P_0", "W", "power", power_offset, bounds=_ANY,
-    meaning="offset of the power sensor",
 )  # fmt: skip

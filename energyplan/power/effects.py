@@ -26,16 +26,9 @@ from energyplan.power.effect_terms import (
     ANGULAR_INERTIA,
     COPPER_LOSS,
     DRAGGING_LEFT,
-    DRAGGING_RIGHT,
     GRADE,
-    LEFT_TURN_DRAG_LEFT,
-    LEFT_TURN_DRAG_RIGHT,
     LINEAR_INERTIA,
     MOBILISATION,
-    POWER_OFFSET,
-    REVERSE_DRAG,
-    RIGHT_TURN_DRAG_LEFT,
-    RIGHT_TURN_DRAG_RIGHT,
     SIDE_GAIN,
     SLIP_BEYOND,
     SLIP_CHANGE,
@@ -46,7 +39,6 @@ from energyplan.power.effect_terms import (
     TILT_Y,
     TOWED_DRAG,
     TOWING_FORCE,
-    TRACTION_ASYMMETRY,
     TRACTION_BEYOND,
     TRACTION_CHANGE,
     TURN_ASYMMETRY,
@@ -137,6 +129,11 @@ class Effect:
             return self.plausible
         low, high = (vehicle.mass * share for share in self.of_mass)
         return max(low, self.plausible[0]), min(high, self.plausible[1])
+
+    @property
+    def delays(self) -> bool:
+        """Whether it is a delay of the log, which no term has."""
+        return self.acts == "log" and not self.terms
 
     def __post_init__(self) -> None:
         if len(self.terms) > 1 and self.size is None:
@@ -231,10 +228,6 @@ def _payload(model: PowerModel) -> float:
     return change / friction if friction else float(np.copysign(np.inf, change))
 
 
-def _slip_change(model: PowerModel) -> float:
-    return model.coefficient("slip_change")
-
-
 def _slip_beyond(model: PowerModel) -> float:
     return model.coefficient("slip_beyond")
 
@@ -271,22 +264,16 @@ _ENTRIES = (
     Effect.of(
         COPPER_LOSS, plausible=(0.0, 1.0), manoeuvre=_SPIN + "; hold the robot on a slope",
     ),
-    # Powers tell these two apart only by the size of all forces: the first one is what such a log
-    # is told by, and forces and mass are then those over the drive's efficiency.
+    # What the drive loses forwards shows in the size of all forces alone: forces and mass are those
+    # over its efficiency, and this is what is lost both ways.
     Effect.of(REGENERATION_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS),
-    Effect.of(DRIVE_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS),
     Effect.of(WARM_UP, plausible=(0.0, 1e4), manoeuvre=_REPEAT, planner="with the time, else warm",
               grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)}),
     Effect(
         "payload_change", (SLIP_CHANGE, TRACTION_CHANGE), "dm", "kg",
-        "payload taken up or set down at some time",
+        "payload taken up or set down at some time, or another surface from then on",
         "weigh the robot, or climb the same ramp, before and after",
         "as the state after it", (-1e5, 1e5), size=_payload, acts="change", of_mass=(-0.9, 2.0),
-    ),
-    Effect(
-        "surface_change", (SLIP_CHANGE, TRACTION_CHANGE), "dmu", "1",
-        "another surface from some time on", _REPEAT, "as the state after it", (-2.0, 2.0),
-        size=_slip_change, acts="change",
     ),
     Effect(
         "surface_border", (SLIP_BEYOND, TRACTION_BEYOND), "dmu", "1",
@@ -299,9 +286,7 @@ _ENTRIES = (
         "weigh the load under each wheel, or spin on the spot both ways", "with its tread ICRs",
         (0.0, 1.0), ("x", "y", "yaw"), acts="kinematics",
     ),
-    Effect.of(DRAGGING_LEFT, plausible=(0.0, 1e4), manoeuvre="lift that side and spin its wheels"),
-    Effect.of(DRAGGING_RIGHT, plausible=(0.0, 1e4), manoeuvre="lift that side and spin its wheels"),
-    Effect.of(TRACTION_ASYMMETRY, plausible=(-1e4, 1e4), manoeuvre=_BOTH_WAYS),
+    Effect.of(DRAGGING_LEFT, plausible=(-1e4, 1e4), manoeuvre="lift that side, spin its wheels"),
     Effect.of(TURN_ASYMMETRY, plausible=(-1.0, 1.0), manoeuvre=_SPIN),
     Effect.of(SLIP_SPEED, plausible=(-2.0, 2.0), manoeuvre=_SPIN),
     Effect.of(STRIBECK, plausible=(0.0, 2.0), manoeuvre=_SPIN, common=True,
@@ -311,13 +296,6 @@ _ENTRIES = (
     Effect.of(WHEEL_FIGHT, plausible=(0.0, 2.0), acts="hold",
               manoeuvre="drive a straight line with the steering control off"),
     Effect.of(TOWED_DRAG, plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed"),
-    Effect.of(REVERSE_DRAG, plausible=(0.0, 1e4),
-              manoeuvre="drive one line forwards and backwards"),
-    *(
-        Effect.of(one, plausible=(0.0, 1e4), manoeuvre=_SPIN)
-        for one in (LEFT_TURN_DRAG_LEFT, LEFT_TURN_DRAG_RIGHT, RIGHT_TURN_DRAG_LEFT,
-                    RIGHT_TURN_DRAG_RIGHT)
-    ),
     Effect.of(TOWING_FORCE, plausible=(-1e4, 1e4),
               manoeuvre="drive one line forwards and backwards"),
     Effect(
@@ -328,11 +306,10 @@ _ENTRIES = (
     Effect.of(UNSIGNED_POWER, plausible=(0.7, 1.5), manoeuvre=_TURNS, planner="no", acts="log"),
     Effect.of(SIDE_GAIN, plausible=(-0.5, 0.5), manoeuvre="swap the two sensors", planner="no",
               acts="log"),
-    Effect.of(POWER_OFFSET, plausible=(-2000.0, 2000.0), manoeuvre=_STAND, planner="no",
-              acts="log"),
 )  # fmt: skip
 
-_PAPER = (SLIP, TRACTION)
+_ALWAYS = (SLIP, TRACTION, DRIVE_LOSS)
+"""Terms of files that are no effects: the paper's, and what a drive's known efficiency takes."""
 
 
 def catalogue() -> dict[str, Effect]:
@@ -360,7 +337,7 @@ def catalogue() -> dict[str, Effect]:
 def _every(finder: Callable[..., Iterable[EntryPoint]], path: tuple[str, ...]) -> dict[str, Effect]:
     """Look plugins up once for each search path: metadata of every package are read for it."""
     found = {entry.name: entry for entry in _ENTRIES}
-    taken = {term.name for entry in _ENTRIES for term in entry.terms} | {t.name for t in _PAPER}
+    taken = {term.name for entry in _ENTRIES for term in entry.terms} | {t.name for t in _ALWAYS}
     for point in finder(group="energyplan.power.effects"):
         made = point.load()
         if isinstance(made, Term):
@@ -397,7 +374,7 @@ def term(name: str) -> Term:
     >>> term("viscous_loss").unit
     'N s/m'
     """
-    known = {term.name: term for term in _PAPER}
+    known = {term.name: term for term in _ALWAYS}
     known |= {term.name: term for entry in catalogue().values() for term in entry.terms}
     if name in known:
         return known[name]

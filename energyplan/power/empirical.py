@@ -52,34 +52,15 @@ _SINCE = 2.0
 """Time after which a tread's start is long past [s]."""
 
 
-_OTHERS = {
-    "left tread": Described("way of the left tread", "m"),
-    "right tread": Described("way of the right tread", "m"),
-}
-"""What no motion holds, and a residual may depend on."""
-
-_PLACE = "place_"
-
-
-def place(x: float, y: float) -> str:
-    """Return the name of the signal that is the distance from a place [m]."""
-    return f"{_PLACE}{x:.3g}_{y:.3g}"
-
-
 def described(name: str) -> Described:
     """Return a channel, or a signal derived from the tread speeds, in words."""
-    if name.startswith(_PLACE):
-        x, _, y = name.removeprefix(_PLACE).partition("_")
-        return Described(f"distance from ({x} m, {y} m)", "m")
-    if name in DERIVED or name in _OTHERS:
-        return DERIVED.get(name) or _OTHERS[name]
+    if name in DERIVED:
+        return DERIVED[name]
     words, _, symbol = CHANNELS.get(name, "").partition("[")
     return Described(words.partition(",")[0].strip() or name, symbol.rstrip("]") or "its own unit")
 
 
 def _is_known(motion: Motion, name: str) -> bool:
-    if name.startswith(_PLACE):
-        return {"x", "y"} <= set(motion.channels)
     if name in _NEEDS:
         return _NEEDS[name] <= set(motion.channels) and len(motion.shape) == 1
     return name in motion.channels or name in DERIVED
@@ -113,9 +94,6 @@ def signal(motion: Motion, name: str) -> FloatArray:
             return _since_start(motion)
         away = (motion.channels[axis] - motion.channels[axis][:1] for axis in ("x", "y"))
         return np.asarray(np.hypot(*away))
-    if name.startswith(_PLACE) and _is_known(motion, name):
-        x, _, y = name.removeprefix(_PLACE).partition("_")
-        return np.hypot(motion.channels["x"] - float(x), motion.channels["y"] - float(y))
     return motion.channels.get(name, np.zeros(motion.shape))
 
 
@@ -132,10 +110,7 @@ def carry(
     shape: FloatArray,
     forces: Sides | None = None,
 ) -> Sides | FloatArray:
-    """Return a shape over a channel as the force or power of its carrier.
-
-    `forces` are those of the treads, which the carrier ``"whole"`` needs.
-    """
+    """Return a shape over a channel as the force or power of its carrier."""
     if carrier == "power":
         return shape
     if carrier == "traction":

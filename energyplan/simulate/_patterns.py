@@ -126,10 +126,7 @@ def straight(brief: Brief) -> list[Setpoint]:
 
 
 def spiral(brief: Brief) -> list[Setpoint]:
-    """From straight through ever tighter arcs to a spin and back, to the right, then to the left.
-
-    The outer tread keeps its speed: the paper's identification drive (its Fig. 5).
-    """
+    """From straight through ever tighter arcs to a spin and back, right, then left."""
     s, limit = brief.speed, brief.accel_limit
     sweep = (brief.duration - 2 * s / limit) / 4
     if sweep < 2 * s / limit:

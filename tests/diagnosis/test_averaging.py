@@ -16,7 +16,7 @@ from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, PowerModel
-from energyplan.power.effect_terms import MOBILISATION, REVERSE_DRAG, SPECIFIC_FORCE
+from energyplan.power.effect_terms import MOBILISATION, SPECIFIC_FORCE, TOWING_FORCE
 from energyplan.power.effects import Effect, catalogue, term
 
 VEHICLE = Vehicle.preset("husky_a200")
@@ -97,7 +97,7 @@ def test_what_other_motions_do_not_bear_counts_little(robot: str, count: int) ->
     cut = np.linspace(0.0, seen.t[-1], count + 1)
     logs = [seen.segment(a, b) for a, b in pairwise(cut.tolist())]
     problem = Problem(prepared(logs, vehicle), vehicle)
-    parts = (Part(catalogue()["left_turn_drag_right"]),)
+    parts = (Part(catalogue()["turn_asymmetry"]),)
     alone = final_fit(problem, parts)
     told = averaged(problem, alone, parts, tried=30)
     assert told is not None
@@ -125,10 +125,10 @@ def test_one_short_run_of_a_small_robot_gives_an_honest_interval() -> None:
 
 def test_an_explanation_that_leaves_nothing_stays_alone() -> None:
     """One run, exact: also where all that is left out is told by nothing else."""
-    truth = PowerModel.paper(VEHICLE, 45.0, 0.5).with_term(REVERSE_DRAG, 20.0)
+    truth = PowerModel.paper(VEHICLE, 45.0, 0.5).with_term(TOWING_FORCE, 20.0)
     log = simulate.identification_drive(truth, seed=1, power_noise=1.0)
     problem = Problem(prepared([log], VEHICLE), VEHICLE)
-    parts = (Part(catalogue()["reverse_drag"]),)
+    parts = (Part(catalogue()["towing_force"]),)
     assert averaged(problem, final_fit(problem, parts), parts, tried=30) is None
 
 

@@ -21,7 +21,7 @@ from energyplan.power import (
     TRACTION,
     PowerModel,
 )
-from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, TURN_ASYMMETRY
+from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import Vehicle
 
@@ -89,7 +89,7 @@ def test_losses_of_each_side_are_found_on_robots_of_any_size(seed: int) -> None:
     told = diagnose(train, unseen, model.vehicle)
     sizes = {effect.name: effect for effect in told.effects}
     assert "copper_loss" in sizes
-    assert {"dragging_wheel_left", "traction_asymmetry"} & set(sizes)
+    assert "dragging_wheel_left" in sizes
     copper = sizes["copper_loss"]
     assert abs(copper.value - size) < 4 * copper.std_error
 
@@ -187,7 +187,7 @@ def test_a_total_tells_losses_where_a_controller_keeps_the_robot_straight(seed: 
     train, other = (total(_tracked(LOSSY, seed + k)) for k in (0, 1))
     told = diagnose(train, other, LOSSY.vehicle)
     first, last = (effect.name for effect in told.effects)
-    assert first in ("drive_efficiency", "regeneration_efficiency")
+    assert first == "regeneration_efficiency"
     assert last == "wheel_fight"
     assert _round_trip(told.model) == pytest.approx(0.85 * 0.5, abs=0.02)
     assert abs(told.after.energy_error) < 0.02
@@ -236,18 +236,6 @@ def test_the_yaw_rate_up_to_which_contacts_hold_is_fitted() -> None:
     plain = simulate.identification_drive(model, power_noise=3.0, seed=5)
     free = with_breakaway(Problem(prepared([plain], vehicle), vehicle), ())
     assert free.drives[0].breakaway == 0.0
-
-
-def test_a_late_power_is_found_beside_strong_effects_at_two_readings_a_second() -> None:
-    truth = PowerModel.preset("quadriga:full:concrete").with_term(TURN_ASYMMETRY, 0.12)
-    options = {"rate": 2.0, "power_noise": 3.0, "measured": "total", "delays": {"power": 0.4}}
-    options |= {"without": {"accel_x"}, "speed_noise": 0.003}
-    train = simulate.identification_drive(truth, seed=1, duration=225.0, **options)
-    unseen = simulate.validation_drive(truth, seed=2, duration=180.0, **options)
-    told = diagnose(train, unseen, truth.vehicle)
-    sizes = {effect.name: effect.value for effect in told.effects}
-    assert {"turn_asymmetry", "time_offset"} <= set(sizes)
-    assert sizes["time_offset"] == pytest.approx(0.4, abs=0.05)
 
 
 @pytest.mark.parametrize(

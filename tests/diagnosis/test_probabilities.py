@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from energyplan import DriveLog, PowerModel, diagnose, simulate
+from energyplan import PowerModel, diagnose, simulate
 from energyplan.fit.drive import quiet, reading_noise
 from energyplan.fit.solvers import innovation_share
 from energyplan.motion import Motion
@@ -63,28 +63,6 @@ def test_a_gyroscope_tells_slight_turns() -> None:
     assert np.mean(told.omega[straight] == 0.0) > 0.95
 
 
-def test_copper_loss_on_a_total_with_slight_turns() -> None:
-    # Friction turns with the least turn, and copper loss counts its square: a turn that the
-    # wheels' readings in steps hide was taken for another ground.
-    model = PowerModel.preset("quadriga:empty:marble").with_term(effects.COPPER_LOSS, 6e-4)
-    model = model.with_term(effects.VISCOUS_LOSS, 25.0)
-    logs = []
-    for k, pattern in enumerate((simulate.identification_drive, simulate.validation_drive)):
-        log = pattern(
-            model, measured="total", power_noise=3.0, speed_noise=0.003, without={"accel_x"},
-            noise={"yaw_rate": 0.005, "yaw": 0.003}, biases={"yaw_rate": 0.002}, seed=30 + k,
-        )  # fmt: skip
-        channels = dict(log.channels)
-        for side in ("v_left", "v_right"):
-            channels[side] = np.round(channels[side] / 0.02) * 0.02
-        logs.append(DriveLog(channels, log.name))
-    told = diagnose(logs[0], logs[1], model.vehicle)
-    assert {one.name for one in told.effects} == {"copper_loss", "viscous_loss"}
-    for one in told.effects:
-        true = {"copper_loss": 6e-4, "viscous_loss": 25.0}[one.name]
-        assert abs(one.value - true) < 3.0 * one.std_error
-
-
 def test_a_dragging_side_beside_copper_loss_on_a_total_without_a_gyroscope() -> None:
     # Two stretches turn by less than the wheels show. Taken for straight ones, what copper loss
     # takes there was told as other ground, or as a drag of another kind.
@@ -115,35 +93,3 @@ def test_a_dragging_side_beside_copper_loss_on_a_total_without_a_gyroscope() -> 
     # The other drive has such stretches, too: what they cost there is told by those of the first.
     assert told.after.rmse < 0.6 * told.before.rmse
     assert told.verdict == "effect_found"
-
-
-def test_an_effect_too_small_to_be_named_is_not_taken_for_absent() -> None:
-    """As it grows, its absence becomes less certain, until it is named."""
-    model = PowerModel.preset("quadriga:full:concrete")
-    found = []
-    for size in (0.0, 4.0, 8.0, 12.0):
-        train, unseen = (
-            simulate.drive(
-                model.with_term(effects.VISCOUS_LOSS, size), simulate.IDENTIFICATION, rate=10.0,
-                speed=0.7, power_noise=4.0, measured="total", seed=seed,
-            )
-            for seed in (1, 2)
-        )  # fmt: skip
-        told = diagnose(train, unseen, model.vehicle)
-        stated = [one.probability for one in told.explanations]
-        assert sum(stated) + told.further_effects == pytest.approx(1.0, abs=0.01)
-        assert told.none_of_these == 0.0
-        found.append(told)
-    absent, slight, small, named = found
-    assert [one.verdict for one in found] == [*["no_effect"] * 3, "effect_found"]
-    # Some two dozen effects, each of odds of e**-6 and somewhat less likely with one number more.
-    assert 0.01 < absent.further_effects < 24 * np.exp(-6.0)
-    assert slight.further_effects > 2.0 * absent.further_effects
-    assert small.further_effects == 0.5
-    advised = [line for line in small.advice if line.startswith("there may be a little of ")]
-    assert len(advised) == 1
-    assert "viscous loss" in advised[0]
-    assert not any("there may be a little of" in line for line in [*absent.advice, *named.advice])
-    # What may be beside a set that is named takes nothing from what is named.
-    assert named.explanations[0].effects == ("viscous_loss",)
-    assert named.explanations[0].probability < 0.99 < named.effects[0].probability

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.candidates import Part, mark_changes
+from energyplan.diagnosis.candidates import mark_changes
 from energyplan.diagnosis.search import Search
 from energyplan.fit.drive import ON_TIME, prepared
 from energyplan.fit.estimate import PAPER, Problem
@@ -47,28 +47,6 @@ def made() -> Search:
     return found
 
 
-def test_a_further_effect_counts_with_its_odds(search: Search) -> None:
-    candidates = search.quick.candidates_for(None)
-    sets = [(0, 1), (0, 2), (0, 1, 2), (1, 2)]
-
-    def odds(*scores: float) -> float:
-        return sum(search._odds((0,), sets, np.array(scores), candidates, ON_TIME).values())
-
-    # Two effects more, or another one in place of the first, are none that is further.
-    search.evaluated.pop(((0, 1), ON_TIME), None)
-    assert odds(-2.0, -3.0, 50.0, 50.0) == pytest.approx(math.exp(-2.0) + math.exp(-3.0))
-    # What is more probable than its absence and was not named failed a test: of that, not of size.
-    assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(math.exp(-3.0))
-    gains, _ = search._gains((0, 1), candidates, ON_TIME)
-    gains[1] = replace(
-        gains[1], improvement=0.04, error=0.01, lasting=0.03, p_value=1e-6, weight=9.0, share=0.003
-    )
-    assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(1.0 + math.exp(-3.0))
-    assert odds(9.0, -np.inf, 0.0, 0.0) == 1.0
-    gains[1] = replace(gains[1], p_value=0.2)
-    assert odds(9.0, -3.0, 0.0, 0.0) == pytest.approx(math.exp(-3.0))
-
-
 def one_drive(
     model: PowerModel, names: tuple[str, ...], disturbed: float = 0.0, late: float = 0.0
 ) -> Search:
@@ -98,28 +76,6 @@ def test_a_small_effect_is_one_where_less_than_it_is_missing(disturbed: float) -
     assert search._acceptable(sure, candidates[0], one, less) == (disturbed == 0.0)
     # Small or not, it stays where the others are impossible without it.
     assert search._acceptable(sure, candidates[0], one, replace(less, sound=False))
-
-
-@pytest.mark.parametrize("left", [0.0, 0.003, 0.1])
-@pytest.mark.parametrize("lasting", [-0.1, 0.4, 0.5])
-def test_what_one_block_alone_shows_of_a_change_is_none(
-    search: Search, lasting: float, left: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The less so where what the set leaves beyond noise is worth no effect."""
-    candidate = search.quick.candidates_for(None)[0]
-    one = search._evaluate((0,), search.quick.candidates_for(None), ON_TIME)
-    less = search._evaluate((), search.quick.candidates_for(None), ON_TIME)
-    gain = replace(search._gain(one, less, candidate.part, 1.0), lasting=lasting, improvement=1.0)
-    gain = replace(gain, error=0.5, share=0.1, p_value=0.0, weight=40.0)
-    monkeypatch.setattr(search, "_missing", lambda _: left)
-    limit = 0.45 if left > 0.004 else 0.3
-    for name, accepted in (
-        ("payload_change", lasting > limit),
-        ("surface_border", lasting > limit),
-        ("towed_drag", True),
-    ):
-        part = Part(catalogue()[name])
-        assert search._acceptable(gain, replace(candidate, part=part), one, less) == accepted
 
 
 def test_a_change_leaves_a_tenth_of_a_drive_on_either_side() -> None:
@@ -167,27 +123,6 @@ def test_a_border_is_found_that_no_line_of_the_grid_is_near() -> None:
     assert way * found["offset"] == pytest.approx(0.2, abs=0.1)
 
 
-def test_a_loss_beyond_its_bound_is_fitted_from_the_other_side(
-    search: Search, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    parts = [Part(catalogue()[name]) for name in NAMES]
-    right = search._fitted(search.quick.problem, parts)
-    size = search._coefficients(right)["copper_loss"]
-    assert size == pytest.approx(4e-4, rel=0.2)
-    starts = []
-
-    def ends(problem, parts, start):  # a fit that ends where it starts
-        starts.append(start)
-        values = np.array(right.fit.values)
-        values[2] = start["copper_loss"]
-        return replace(right, fit=replace(right.fit, values=values), sound=values[2] >= 0.0)
-
-    monkeypatch.setattr(search, "_fitted_from", ends)
-    again = search._fitted(search.quick.problem, parts, {"copper_loss": -size})
-    assert search._coefficients(again)["copper_loss"] == pytest.approx(size)
-    assert [start["copper_loss"] for start in starts] == pytest.approx([-size, size])
-
-
 def test_a_robot_that_hardly_moves_crosses_no_line() -> None:
     log = simulate.drive(ROBOT, "survey", duration=40.0, rate=5.0, power_noise=5.0)
     creeps = {name: 1e-6 * log.channel(name) for name in ("v_left", "v_right")}
@@ -222,8 +157,6 @@ def test_effects_that_no_single_one_leads_to_are_found(
     given = None if choose else [catalogue()[name] for name in made.sizes]
     told = diagnose(made.logs[:-1], made.logs[-1], made.vehicle, effects=given, choose=choose)
     effects = {effect.name: effect for effect in told.effects}
-    # A resistance of the way back is half of it, always, and a pull.
-    assert ("towing_force" in effects) != ("reverse_drag" in effects)
     for name in ("copper_loss", "stribeck_friction"):
         assert effects[name].value == pytest.approx(made.sizes[name], rel=0.1)
 

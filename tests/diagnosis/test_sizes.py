@@ -5,37 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy.ndimage import maximum_filter1d
 
 from energyplan import DriveLog, PowerModel, Vehicle, diagnose, simulate
-from energyplan.diagnosis.judge import _Case, size_spread
-from energyplan.diagnosis.result import Explanation
+from energyplan.diagnosis.judge import _Case
 from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem
-from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS
-from energyplan.power.effect_terms import ANGULAR_INERTIA, DRAGGING_LEFT, LINEAR_INERTIA
+from energyplan.power import HOTEL
+from energyplan.power.effect_terms import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.power.effects import COPPER_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
-DRAG = catalogue()["dragging_wheel_left"]
-
-
-def explanation(probability: float, drag: float | None, loss: bool) -> Explanation:
-    """A drag behind one of two losses that powers cannot tell apart."""
-    model = ROBOT.with_term(DRIVE_LOSS if loss else REGENERATION_LOSS, 0.3)
-    names = ["drive_efficiency" if loss else "regeneration_efficiency"]
-    if drag is not None:
-        model, names = model.with_term(DRAGGING_LEFT, drag), [*names, DRAG.name]
-    return Explanation(tuple(names), probability, model)
-
-
-def test_the_error_of_a_size_holds_what_explanations_differ_in() -> None:
-    told = [explanation(0.5, 40.0, False), explanation(0.3, 30.0, True)]
-    spread = size_spread(DRAG, 40.0, [*told, explanation(0.2, None, False)])
-    assert spread == pytest.approx(np.sqrt(0.3 / 0.8) * 10.0)
-    assert size_spread(DRAG, 40.0, told[:1]) == 0.0
-    assert size_spread(catalogue()["time_offset"], 0.3, told) == 0.0
 
 
 def test_a_load_at_rest_beside_losses_is_as_far_off_as_its_error_says() -> None:
@@ -92,5 +72,4 @@ def test_no_effect_is_told_whose_size_is_anything() -> None:
     searched = {name for name, entry in catalogue().items() if entry.grid}
     for effect in told.effects:
         assert effect.name not in searched or effect.std_error < abs(effect.value), effect
-    assert told.model.coefficient("slip_friction") == pytest.approx(0.64, abs=0.03)
     assert told.after.rmse <= told.before.rmse

@@ -76,12 +76,12 @@ def test_weights_integrate_every_run_by_itself() -> None:
 
 @pytest.mark.parametrize("delay", [0.37, -0.22])
 def test_a_late_log_shows_what_was_before_within_each_run(delay: float) -> None:
-    one = drive(gap=True, late=Late(delay), factor=1.25)
+    one = drive(gap=True, late=Late(delay))
     table = np.column_stack([one.power, 2.0 * one.power])
     shown = one.seen(table)
     for run in (slice(0, 200), slice(200, 400)):
         # np.interp holds the first and the last value beyond the ends
-        by_hand = 1.25 * np.interp(one.t[run] - delay, one.t[run], one.power[run])
+        by_hand = np.interp(one.t[run] - delay, one.t[run], one.power[run])
         assert_allclose(shown[run], np.column_stack([by_hand, 2.0 * by_hand]), atol=1e-12)
 
 
@@ -107,7 +107,7 @@ def test_a_lag_is_that_of_the_differential_equation() -> None:
 
 @pytest.mark.parametrize("truth", [-0.73, 0.0, 0.41, 1.4])
 def test_the_least_delay_is_found_to_a_fraction_of_a_step(truth: float) -> None:
-    (found,) = least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
+    found = least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
     assert found.lag == 0.0
     assert found.delay == pytest.approx(min(truth, DELAYS[-1]), abs=0.01)
 
@@ -234,9 +234,9 @@ def test_what_contacts_hold_is_told_by_the_difference_of_the_sides(
     push = moment / ICR.slip_track
     left, right = pull - push, pull + push
     between = (right - left) * v + copper * (right**2 - left**2)
-    one = Drive("one", 0.05 * np.arange(n), Motion(v, v, ICR), 0 * v, between=between, factor=1.2)
+    one = Drive("one", 0.05 * np.arange(n), Motion(v, v, ICR), 0 * v, between=between)
     losses = [(COPPER_LOSS, copper)] if copper else []
-    found = preload(one, 1.2 * between, MODEL.vehicle, losses, Sides(pull, pull), limit)
+    found = preload(one, between, MODEL.vehicle, losses, Sides(pull, pull), limit)
     assert_allclose(found.moment, moment, rtol=1e-3)
     assert_allclose(found.forces.right, push, rtol=1e-3)
     assert_allclose(found.forces.left, -push, rtol=1e-3)
@@ -245,6 +245,6 @@ def test_what_contacts_hold_is_told_by_the_difference_of_the_sides(
     falls = found.followed(np.full((n, 1), 2.0), np.ones(1))[:, 0]
     assert_allclose(falls, 2.0 * rise_of_total / rise_of_difference, atol=1e-4)
     # no more than friction allows, and then it follows no coefficient
-    most = preload(one, 1.2 * between, MODEL.vehicle, losses, Sides(pull, pull), 30.0)
+    most = preload(one, between, MODEL.vehicle, losses, Sides(pull, pull), 30.0)
     assert_allclose(most.moment, 30.0, rtol=1e-3)
     assert_allclose(most.followed(np.ones((n, 1)), np.zeros(1)), 0.0)

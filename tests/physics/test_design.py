@@ -44,15 +44,15 @@ def shown(trajectory: ep.Trajectory, name: str) -> float:
 def test_a_screening_drive_shows_what_the_parameters_alone_do_not_ask_for() -> None:
     narrow = design(MODEL, duration=60.0).trajectory
     screen = design(MODEL, duration=60.0, screen=True).trajectory
-    for name in ("turn_asymmetry", "reverse_drag", "friction_mobilisation", "hotel_load"):
+    for name in ("turn_asymmetry", "towing_force", "friction_mobilisation", "hotel_load"):
         assert shown(screen, name) > shown(narrow, name), name
 
 
 def test_what_no_drive_can_tell_is_said() -> None:
-    """Hotel load and an offset of the sensor are one column."""
-    made = design(MODEL, [Explanation(("hotel_load",)), Explanation(("power_offset",))])
+    """On level ground an accelerometer feels what inertia asks for."""
+    made = design(MODEL, [Explanation(("linear_inertia",)), Explanation(("specific_force",))])
     assert all(pair.log_odds < 0.01 for pair in made.separates)
-    assert dict(made.probabilities_expected)["hotel load"] == pytest.approx(0.5, abs=0.01)
+    assert dict(made.probabilities_expected)["linear inertia"] == pytest.approx(0.5, abs=0.01)
     assert "not expected to separate" in made.sentence
 
 

@@ -12,14 +12,7 @@ from energyplan.errors import ModelError, UnknownNameError
 from energyplan.power import TRACTION, Term, effects, tread_forces
 from energyplan.power.effect_terms import (
     DRAGGING_LEFT,
-    DRAGGING_RIGHT,
-    LEFT_TURN_DRAG_LEFT,
-    LEFT_TURN_DRAG_RIGHT,
     MOBILISATION,
-    POWER_OFFSET,
-    REVERSE_DRAG,
-    RIGHT_TURN_DRAG_LEFT,
-    RIGHT_TURN_DRAG_RIGHT,
     SIDE_GAIN,
     SLIP_BEYOND,
     SLIP_CHANGE,
@@ -29,7 +22,6 @@ from energyplan.power.effect_terms import (
     TILT_Y,
     TOWED_DRAG,
     TOWING_FORCE,
-    TRACTION_ASYMMETRY,
     TRACTION_BEYOND,
     TRACTION_CHANGE,
     TURN_ASYMMETRY,
@@ -51,7 +43,7 @@ from energyplan.power.effects import (
     empirical_term,
     term,
 )
-from energyplan.power.empirical import CARRIERS, place, signal
+from energyplan.power.empirical import CARRIERS, signal
 from energyplan.vehicle import GRAVITY
 
 VEHICLE = Vehicle.preset("quadriga:full")
@@ -82,9 +74,7 @@ def test_every_term_equals_its_equation() -> None:
         (VISCOUS_LOSS, left**2 + right**2),
         (AIR_DRAG, np.abs(v) ** 3),
         (TOWING_FORCE, v),
-        (TRACTION_ASYMMETRY, np.abs(left) - np.abs(right)),
         (DRAGGING_LEFT, np.abs(left)),
-        (DRAGGING_RIGHT, np.abs(right)),
         (TURN_ASYMMETRY, S * w),
         (SLIP_SPEED, S * reach * w**2),
         (MOBILISATION, -S * np.abs(w) * np.abs(v) / (np.abs(v) + np.abs(w))),
@@ -104,12 +94,6 @@ def test_every_term_equals_its_equation() -> None:
             S * np.abs(w) * np.exp(-reach * np.abs(w) / 0.2),
         ),
         (TOWED_DRAG, np.abs(v)),
-        (REVERSE_DRAG, np.maximum(-left, 0) + np.maximum(-right, 0)),
-        (LEFT_TURN_DRAG_LEFT, np.abs(left) * (w > 0)),
-        (LEFT_TURN_DRAG_RIGHT, np.abs(right) * (w > 0)),
-        (RIGHT_TURN_DRAG_LEFT, np.abs(left) * (w < 0)),
-        (RIGHT_TURN_DRAG_RIGHT, np.abs(right) * (w < 0)),
-        (POWER_OFFSET, np.ones(3)),
     ]
     for made, power in pairs:
         assert _power(made, m) == pytest.approx(power, abs=1e-9), made.name
@@ -221,8 +205,6 @@ def test_signals_of_a_drive_are_what_they_are_named() -> None:
     # 20 per metre is all that is told of a spin
     assert signal(motion, "curvature") == pytest.approx([0.4, 20.0, -20.0, -0.5, 0.0])
     assert signal(motion, "displacement") == pytest.approx([0.0, 0.3, 0.3, 0.0, 5.0])
-    assert signal(motion, place(1.0, 2.0)) == pytest.approx([0.0, 0.3, 0.3, 0.0, 5.0])
-    assert np.all(signal(_motion(v, w), place(1.0, 2.0)) == 0.0)
     assert np.all(signal(_motion(v, w, x=x), "displacement") == 0.0)
     assert np.all(signal(_motion(v, w), "since_start") == 0.0)
     assert signal(motion, "v") == pytest.approx(v)
