@@ -333,7 +333,6 @@ class Candidate:
     columns: tuple[int, ...]  # its columns in the table of all candidates
     prior: float  # logarithm of its odds before the data
     marked: Problem | None = None  # the drives with the times of a change
-    settled: bool = False
 
     @property
     def always(self) -> bool:
@@ -590,10 +589,6 @@ class Proposals:
         for _, (_, labels) in sorted(pooled.items(), key=lambda item: -item[1][0]):
             if all(label in names for label in labels):
                 sets.append(tuple(sorted(names[label] for label in labels)))
-        sets = [
-            self._pruned(one, candidates, design, errors)
-            for one in list(dict.fromkeys(sets))[: 3 * _EXACT]
-        ]
         # What is usual, alone: where all else turns out to be nonsense.
         plain = tuple(k for k, one in enumerate(candidates) if one.part in usual)
         return candidates, [*list(dict.fromkeys(sets))[:_EXACT], plain]
@@ -642,16 +637,3 @@ class Proposals:
             if names not in merged or (stage and known[chosen] > merged[names][0]):
                 merged[names] = (known[chosen], labels)
         return merged
-
-    def _pruned(
-        self, chosen: Set, candidates: Sequence[Candidate], design: Design, errors: FloatArray
-    ) -> Set:
-        """Take out what lowers likelihood times prior."""
-        while chosen:
-            rest = [tuple(k for k in chosen if k != gone) for gone in chosen]
-            scores = self.scores(design, candidates, [chosen, *rest], errors)
-            best = int(np.argmax(scores))
-            if best == 0:
-                break
-            chosen = rest[best - 1]
-        return chosen

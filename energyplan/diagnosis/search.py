@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize
@@ -16,7 +16,6 @@ from scipy.stats import f as fisher
 
 from energyplan.diagnosis.candidates import (
     OF_LOG,
-    PAIRED,
     RARE,
     About,
     Candidate,
@@ -334,10 +333,8 @@ def _span(part: Part) -> FloatArray:
     return np.asarray(0.2 * np.abs(part.values))
 
 
-_KEPT = 8  # lines about which others are tried
 _KEPT_LAST = 16  # the same where nothing else is sought any more: more of them find no better line
 _TOGETHER = 16  # lines in one table
-_TELLS = 5.0  # by which a line raises the logarithm of the likelihood, at least; chance up to 4
 _SAMPLES = 5  # in a shortest window, that tell where a line may be
 
 Weighed = dict[tuple[frozenset[int], Late], float]
@@ -435,7 +432,6 @@ class Search:
     ) -> None:
         """Add to the best set, or replace in it, one effect after the other while that helps."""
         for _ in range(self.quick.limit):
-            self._settle_best(weighed, pools)
             chosen, late = most_probable(weighed)
             before = set(weighed)
             self._weigh_neighbours(weighed, tuple(sorted(chosen)), pools[late], late)
@@ -532,10 +528,6 @@ class Search:
             problem = problem.delayed(late)
             parts.append(Part(self.quick.delay, late.params))
         full = self._fitted(problem, parts)
-        for k, part in enumerate(parts):
-            if part.effect.acts == "place":
-                parts[k] = self._nearest(parts, k, full)
-                full = self._fitted(problem, parts)
         gains = []
         for part in parts:
             rest = [other for other in parts if other is not part]
@@ -563,32 +555,11 @@ class Search:
         sets = [tuple(sorted(some)) for some in trials]
         sets = [some for some in sets if self.quick.compatible(candidates, some)]
         scores = self.quick.scores(design, candidates, sets, one.errors)
-        pairs = [
-            one
-            for core in dict.fromkeys(cores)
-            for one in self._pairs(core, sets, scores, candidates)
-        ]
-        scores = np.append(scores, self.quick.scores(design, candidates, pairs, one.errors))
-        sets += pairs
         best: dict[frozenset[str], Set] = {}
         for k in np.argsort(-scores, kind="stable"):
             best.setdefault(frozenset(candidates[j].name for j in sets[k]), sets[k])
-        tried = [*best.values()][:_TRIED]
-        for some in [*tried, *self._settled_lines(sets, scores, candidates, one)]:
+        for some in [*best.values()][:_TRIED]:
             self._weigh(weighed, some, candidates, late)
-
-    def _pairs(
-        self, now: Set, sets: Sequence[Set], scores: FloatArray, candidates: Sequence[Candidate]
-    ) -> list[Set]:
-        """Return a set with two further effects, of those that add most to it: they may mask."""
-        best: dict[str, int] = {}
-        for k in np.argsort(-scores, kind="stable"):
-            if set(now) < set(sets[k]) and len(sets[k]) == len(now) + 1:
-                (new,) = set(sets[k]) - set(now)
-                best.setdefault(candidates[new].name, new)
-        pairs = combinations(list(best.values())[:PAIRED], 2)
-        some = (tuple(sorted({*now, *pair})) for pair in pairs)
-        return [one for one in some if self.quick.compatible(candidates, one)]
 
     def _weigh(
         self, weighed: Weighed, chosen: Set, candidates: Sequence[Candidate], late: Late
@@ -597,44 +568,7 @@ class Search:
         one = self._reduced(chosen, candidates, late)
         weighed[frozenset(one), late] = self._posterior(one, candidates, late)
 
-    def _settle_best(
-        self,
-        weighed: Weighed,
-        pools: Mapping[Late, list[Candidate]],
-    ) -> None:
-        """Move the parameters of the best set, which a grid has, to where it fits best."""
-        chosen, late = most_probable(weighed)
-        candidates, now = pools[late], tuple(sorted(chosen))
-        one = self._evaluate(now, candidates, late)
-        moved: Set | None = None
-        for k in now:
-            if candidates[k].part.params and not candidates[k].settled:
-                moved = self._settle(k, moved or now, candidates, one) or moved
-        if moved is not None:
-            self._weigh(weighed, moved, candidates, late)
-
-    def _settle(
-        self, k: int, chosen: Set, candidates: list[Candidate], now: Evaluated
-    ) -> Set | None:
-        """Return a set with a candidate's parameters moved to where it fits best, if it does."""
-        parts, at = [candidates[j].part for j in chosen], chosen.index(k)
-        if parts[at].effect.acts == "place":
-            parts[at] = self._nearest(parts, at, now, _KEPT)
-        part, made = parts[at], self._moved(parts, at, now.problem)
-        better = settled(part, made, now.errors)
-        if better is None:
-            if part == candidates[k].part:
-                return None
-            better = part.values
-        last = max(one.columns[-1] for one in candidates if one.columns)
-        columns = tuple(range(last + 1, last + 1 + len(part.terms)))
-        part = made(better)[0][at]
-        candidates.append(replace(candidates[k], part=part, columns=columns, settled=True))
-        return tuple(sorted({*chosen, len(candidates) - 1} - {k}))
-
-    def _nearest(
-        self, parts: Sequence[Part], at: int, now: Evaluated, kept: int = _KEPT_LAST
-    ) -> Part:
+    def _nearest(self, parts: Sequence[Part], at: int, now: Evaluated) -> Part:
         """Return the line with which a set fits best, of many: the nearest to start from."""
         problem = now.problem.thinned(_SAMPLES)
         about = self.quick.about(now.problem, now.parts, now.errors)
@@ -651,7 +585,7 @@ class Search:
                 ]
             )
             ranked = [best[k] for k in np.argsort(-scores, kind="stable")]
-            best = ground.apart(ranked, level)[:kept]
+            best = ground.apart(ranked, level)[:_KEPT_LAST]
         return best[0]
 
     def _alone(
@@ -669,42 +603,6 @@ class Search:
         sets = [(*own, len(rest) + k) for k in range(len(new))]
         return self.quick.scores(design, candidates, sets, errors)
 
-    def _settled_lines(
-        self, sets: Sequence[Set], scores: FloatArray, candidates: list[Candidate], now: Evaluated
-    ) -> list[Set]:
-        """Return the best set with each effect of a place, its line moved to where it fits best."""
-        found: list[Set] = []
-        losses = {part.effect.name for part in now.parts if part.lossy}
-        plain = [
-            k for k in np.argsort(-scores, kind="stable")
-            if not any(candidates[j].marked for j in sets[k])
-            and losses >= {candidates[j].name for j in sets[k] if candidates[j].part.lossy}
-        ]  # fmt: skip
-        known = {part.effect.name for part in now.parts}
-        if any(part.effect.acts == "change" for part in now.parts):
-            known = set()
-        for effect in self.quick.effects:
-            if effect.acts != "place" or effect.name in known:
-                continue
-            own = {
-                k for k, one in enumerate(candidates)
-                if one.part.effect is effect and not one.settled
-            }  # fmt: skip
-            best, other = (
-                next((k for k in plain if bool(own & set(sets[k])) == crossed), None)
-                for crossed in (True, False)
-            )
-            if best is None:
-                continue
-            (line,) = own & set(sets[best])
-            likely = scores[best] - candidates[line].prior
-            if other is not None and likely < scores[other] + _TELLS:
-                continue
-            moved = self._settle(line, sets[best], candidates, now)
-            if moved is not None:
-                found.append(moved)
-        return found
-
     def _refined(self, best: EffectSet) -> EffectSet:
         """Move the parameters that were searched on a grid to where the loss is least."""
         parts, problem = list(best.parts), best.problem
@@ -714,6 +612,8 @@ class Search:
             if not part.params:
                 continue
 
+            if part.effect.acts == "place":
+                part = parts[k] = self._nearest(parts, k, self._fitted(problem, parts))
             made = self._moved(parts, k, problem)
             better = settled(part, made, errors)
             if better is not None:

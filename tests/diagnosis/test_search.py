@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import math
-import sys
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -18,7 +13,7 @@ from energyplan.diagnosis.search import Search
 from energyplan.fit.drive import ON_TIME, prepared
 from energyplan.fit.estimate import PAPER, Problem
 from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
-from energyplan.power.effects import VISCOUS_LOSS, WARM_UP, catalogue
+from energyplan.power.effects import VISCOUS_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 NAMES = ("copper_loss", "dragging_wheel_left", "towed_drag")
@@ -88,23 +83,6 @@ def test_a_change_leaves_a_tenth_of_a_drive_on_either_side() -> None:
     assert 0.09 < float(np.mean(marked.drives[0].motion.channels["changed"])) < 0.91
 
 
-def test_values_between_those_of_a_grid_are_found_while_a_set_grows() -> None:
-    warm = replace(WARM_UP, params={"time_constant": 57.0})
-    search = one_drive(ROBOT.with_term(warm, 50.0), ("warm_up",))
-    candidates = search.quick.candidates_for(None)
-    sets = [(k,) for k in range(len(candidates))]
-    weighed = {
-        (frozenset(one), ON_TIME): search._posterior(one, candidates, ON_TIME) for one in sets
-    }
-    before = max(weighed.values())
-    search._settle_best(weighed, {ON_TIME: candidates})
-    assert len(candidates) == len(sets) + 1
-    assert dict(candidates[-1].part.params)["time_constant"] == pytest.approx(57.0, rel=0.05)
-    assert max(weighed.values()) > before
-    search._settle_best(weighed, {ON_TIME: candidates})  # and stays there
-    assert len(candidates) == len(sets) + 1
-
-
 def bordered() -> Search:
     """A search on a drive that begins with spins whose wheels cross a border."""
     line = replace(SLIP_BEYOND, params={"direction": -1.0, "offset": 0.2})
@@ -132,58 +110,3 @@ def test_a_robot_that_hardly_moves_crosses_no_line() -> None:
         ROBOT.vehicle, effects=[catalogue()[name] for name in ("surface_border", "hotel_load")],
     )  # fmt: skip
     assert "not tested, as the robot hardly moves: surface border" in told.advice
-
-
-@pytest.fixture
-def calibration(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The benchmark that hides effects in drives of random robots."""
-    file = Path(__file__).resolve().parents[2] / "benchmarks" / "calibration.py"
-    spec = importlib.util.spec_from_file_location("calibration", file)
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("choose", [True, False])
-def test_effects_that_no_single_one_leads_to_are_found(
-    calibration: ModuleType, choose: bool
-) -> None:
-    """Alone, copper loss fits far off, and what lasts of it is no evidence; others hide it."""
-    made = calibration.hidden(129529)
-    given = None if choose else [catalogue()[name] for name in made.sizes]
-    told = diagnose(made.logs[:-1], made.logs[-1], made.vehicle, effects=given, choose=choose)
-    effects = {effect.name: effect for effect in told.effects}
-    for name in ("copper_loss", "stribeck_friction"):
-        assert effects[name].value == pytest.approx(made.sizes[name], rel=0.1)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("seed", "drives"),
-    [
-        (95046, 1), (95087, 1), (98037, 1), (129090, 3), (129481, 1), (129401, 1), (132091, 1),
-        (143522, 1),
-    ],
-    ids=[
-        "ends elsewhere", "needs no delay", "masked pair", "delay behind contacts",
-        "a border that few blocks show",
-        "a border beside a loss", "a border beside all lines of the grid",
-        "a border that a slow robot spins upon",
-    ],
-)  # fmt: skip
-def test_effects_that_a_quick_search_misses_are_found(
-    seed: int, drives: int, calibration: ModuleType
-) -> None:
-    made = calibration.hidden(seed, drives=drives)
-    told = diagnose(made.logs[:-1], made.logs[-1], made.vehicle)
-    effects = {effect.name: effect for effect in told.effects if effect.name != "wheel_fight"}
-    assert set(made.sizes) == set(effects)
-    for name, size in made.sizes.items():
-        assert math.isclose(effects[name].value, made.size(effects[name]), rel_tol=0.15), (
-            name,
-            size,
-        )
