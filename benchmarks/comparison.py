@@ -33,10 +33,10 @@ from lattice_route import Lattice
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError, PlanningError
+from energyplan.export.lattice import USUAL, Penalties, control_set, penalties
 from energyplan.io.husky import read_husky
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
-from energyplan.studies.control_set import USUAL, Penalties, control_set, penalties
 
 COST = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
 CELL = 0.1

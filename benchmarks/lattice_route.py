@@ -15,9 +15,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from energyplan.errors import NoPathError
+from energyplan.export.lattice import ControlSet, Penalties, Primitive
 from energyplan.path import FloatArray, Path, Pose, as_pose, point_ahead, wrap_angle
 from energyplan.planning.problem import PlanningProblem
-from energyplan.studies.control_set import ControlSet, Penalties, Primitive
 
 Ints = NDArray[np.intp]
 

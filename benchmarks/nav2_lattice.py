@@ -22,10 +22,10 @@ from lattice_route import Lattice
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
+from energyplan.export.lattice import USUAL, control_set, penalties
 from energyplan.io.maps import read_map
 from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
-from energyplan.studies.control_set import USUAL, control_set, penalties
 
 EFFORT = 30_000
 """Units of work of the plan that counts as the best one."""

@@ -35,7 +35,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.io.maps import read_map
 from energyplan.output import plots
-from energyplan.output.report import png
+from energyplan.output.plots import png
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid

@@ -11,7 +11,7 @@ from pathlib import Path
 from energyplan.io.mission import read_mission
 from energyplan.mission import evaluate
 from energyplan.output import plots
-from energyplan.output.report import png
+from energyplan.output.plots import png
 
 HERE = Path(__file__).resolve().parent
 IMAGES, EXAMPLES = HERE / "images", HERE.parent / "examples"

@@ -21,7 +21,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 import energyplan as ep
 from energyplan.io.files import bundled
 from energyplan.output import plots
-from energyplan.output.report import image
+from energyplan.output.plots import image
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
 from energyplan.planning import Budget
 from energyplan.planning.search.follow import poses_along

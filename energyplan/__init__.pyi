@@ -2,6 +2,7 @@ from . import errors as errors
 from . import simulate as simulate
 from . import steering as steering
 from .battery import Battery as Battery
+from .comparison import compare as compare
 from .cost import EnergyCost as EnergyCost
 from .diagnosis import diagnose as diagnose
 from .fit import identify as identify
@@ -33,8 +34,7 @@ from .planning import Planner as Planner
 from .planning import PlanningProblem as PlanningProblem
 from .planning import plan as plan
 from .power import PowerModel as PowerModel
-from .studies import compare as compare
-from .studies import energy_map as energy_map
+from .reach import energy_map as energy_map
 from .terrain import HeightMap as HeightMap
 from .terrain import OccupancyGrid as OccupancyGrid
 from .terrain import Site as Site

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from shapely import box
 
 from energyplan import simulate
+from energyplan.comparison import Comparison, compare
 from energyplan.compilation import compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
@@ -31,15 +32,14 @@ from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.mission import MissionReport, evaluate
 from energyplan.output import plots
-from energyplan.output.pages import diagnosis_pictures, mission_pictures
-from energyplan.output.report import Page, png
+from energyplan.output.pages import Page, diagnosis_pictures, mission_pictures
+from energyplan.output.plots import png
 from energyplan.path import Pose
 from energyplan.physics import Effect, EngineDrives, Robot, close_loop
 from energyplan.physics.engine import require_mujoco
 from energyplan.planning import PlanningProblem
 from energyplan.planning.ready import kernels
 from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
-from energyplan.studies.comparison import Comparison, compare
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 

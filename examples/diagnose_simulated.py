@@ -18,7 +18,7 @@ import energyplan as ep
 from energyplan import simulate
 from energyplan.diagnosis import Diagnosis
 from energyplan.output import plots
-from energyplan.output.report import png
+from energyplan.output.plots import png
 from energyplan.power import HOTEL
 from energyplan.power.effects import GRADE
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.output import plots
-from energyplan.output.report import png
+from energyplan.output.plots import png
 from energyplan.path import Path
 from energyplan.power import PowerModel
 

@@ -26,7 +26,7 @@ from energyplan.limits.feasibility import check, feasible_region
 from energyplan.limits.speed import profile
 from energyplan.motion import Motion
 from energyplan.output import plots
-from energyplan.output.report import png
+from energyplan.output.plots import png
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import term

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_map
 from energyplan.output import plots
-from energyplan.output.report import png
+from energyplan.output.plots import png
 from energyplan.planning import Plan, PlanningProblem
 from energyplan.power import PowerModel
-from energyplan.studies.comparison import compare
 
 WAREHOUSE = Path(__file__).parents[1] / "maps" / "warehouse.yaml"
 

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.output import plots
-from energyplan.output.report import png
+from energyplan.output.plots import png
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
-from energyplan.studies.comparison import compare
 from energyplan.terrain import HeightMap, OccupancyGrid, path_price
 
 SIZE = (32.0, 20.0)

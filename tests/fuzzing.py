@@ -33,6 +33,7 @@ from small_bags import TOPICS, record
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import EnergyPlanError
+from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.geojson import read_surfaces
@@ -40,7 +41,6 @@ from energyplan.io.husky import read_husky
 from energyplan.io.logs import describe_log, read_log
 from energyplan.io.maps import read_heights, read_map, write_map
 from energyplan.io.mission import read_mission
-from energyplan.io.nav2 import read_route_graph, write_route_graph
 from energyplan.io.tables import (
     read_path,
     read_trajectory,

@@ -294,7 +294,7 @@ from numba.core import event
 from energyplan.compilation import KERNELS, _numba_type
 from energyplan.planning import ready
 from energyplan.power import HOTEL
-from energyplan.studies.energy_map import energy_map
+from energyplan.reach import energy_map
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
 
 MODEL = ep.PowerModel.preset("quadriga:empty:concrete")

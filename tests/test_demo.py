@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from energyplan import demo
-from energyplan.output.report import Page
+from energyplan.output.pages import Page
 
 
 def test_without_the_engine_the_demo_says_what_to_install(

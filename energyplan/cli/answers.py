@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
-    from energyplan.output.report import Page
+    from energyplan.output.pages import Page
 
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039

@@ -51,7 +51,7 @@ def graph(
 
     Prices each edge with the energy of the path found along it, and names those that are closed.
     """
-    from energyplan.io.nav2 import read_route_graph, write_route_graph
+    from energyplan.export.graph import read_route_graph, write_route_graph
     from energyplan.path import as_pose
     from energyplan.planning.roadmap.planned import EFFORT
     from energyplan.planning.roadmap.planned import plan_edges as run
@@ -104,8 +104,12 @@ def lattice(
     """
     from energyplan.cost import EnergyCost
     from energyplan.cost.speeds import asked_speed
-    from energyplan.io.nav2 import write_lattice, write_penalties
-    from energyplan.studies.control_set import control_set, penalties
+    from energyplan.export.lattice import (
+        control_set,
+        penalties,
+        write_lattice,
+        write_penalties,
+    )
 
     power = level_model(model)
     cost = EnergyCost(power, battery=at_battery, speed=asked_speed(speed, power.vehicle))
@@ -136,7 +140,7 @@ def table(
     A planner in any language can read it.
     """
     from energyplan.cost import EnergyCost
-    from energyplan.io.tables import tabulate, write_cost_table
+    from energyplan.export.table import tabulate, write_cost_table
 
     try:
         asked = None if speeds is None else [float(text) for text in speeds.split(",")]

@@ -239,7 +239,7 @@ def _write(
     from energyplan.io.files import atomic_write
     from energyplan.io.tables import write_path
     from energyplan.output import plots
-    from energyplan.output.report import image
+    from energyplan.output.plots import image
 
     if out and out.suffix == RECORDING:
         from energyplan.ros.messages import write_recording
@@ -370,10 +370,10 @@ def compare(
 
     Plans the route of least energy and the shortest one, and prices both by the same model.
     """
+    from energyplan.comparison import compare as run
     from energyplan.io.documents import parse_pose
     from energyplan.output import documents, text
     from energyplan.output.pages import comparison_page
-    from energyplan.studies.comparison import compare as run
 
     _writable(out)
     problem = problem_of(
@@ -493,8 +493,8 @@ def reach(
     from energyplan.io.mission import read_battery
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, plots, text
-    from energyplan.output.report import image
-    from energyplan.studies.energy_map import energy_map, energy_of_charge
+    from energyplan.output.plots import image
+    from energyplan.reach import energy_map, energy_of_charge
 
     if battery and energy is not None:
         raise InvalidInputError("--battery and --energy both set the energy at hand; give one")

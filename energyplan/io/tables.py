@@ -1,4 +1,4 @@
-"""Tables: paths, trajectories, drive logs, costs of motion, and energies by place."""
+"""Tables: paths, trajectories, drive logs, and energies by place."""
 
 from __future__ import annotations
 
@@ -6,22 +6,19 @@ import gzip
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path as File
 from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
 
-from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, MapError, MissingDependencyError, PathError
 from energyplan.io.files import atomic_write
 from energyplan.logs import DriveLog
 from energyplan.logs.guess import guess
 from energyplan.logs.tables import Table, read_table
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
-from energyplan.studies.energy_map import Contour, EnergyMap
+from energyplan.reach import Contour, EnergyMap
 
 _LIMITS = {"x": 1e8, "y": 1e8, "yaw": 1e5, "t": 1e11, "v": 100.0, "omega": 100.0}
 _PATH = ("x", "y", "yaw")
@@ -180,91 +177,6 @@ def _write(file: str | File, columns: Mapping[str, FloatArray]) -> File:
     raise InvalidInputError(
         f"{target} is of an unknown type; name a .csv, .csv.gz or .parquet file"
     )
-
-
-MOST = 4000
-"""Largest number of directions of a table."""
-
-PROBES = (0.25, 0.5, 0.75)
-"""Where between two directions the error is measured."""
-
-
-@dataclass(frozen=True, eq=False)
-class CostTable:
-    """Energies by direction and speed."""
-
-    angle: FloatArray  # (n,): directions, rising from -pi to pi [rad]
-    speed: FloatArray  # (m,): speeds of the faster tread, rising [m/s]
-    energy: FloatArray  # (n, m): energy per size of a motion [J/m]
-    half_track: float  # the C of sizes and directions [m]
-    error: float  # largest relative error between two neighbouring directions, as measured
-
-    def segment_energy(self, ds: ArrayLike, dtheta: ArrayLike, speed: ArrayLike) -> FloatArray:
-        """Return energies read off the table, as a planner would."""
-        x, y, v = np.broadcast_arrays(
-            np.asarray(ds, float), self.half_track * np.asarray(dtheta, float), speed
-        )
-        angle = np.arctan2(y, x)
-        k = np.clip(np.searchsorted(self.angle, angle) - 1, 0, len(self.angle) - 2)
-        share = (angle - self.angle[k]) / (self.angle[k + 1] - self.angle[k])
-        column = np.interp(v, self.speed, np.arange(len(self.speed)))
-        j = np.minimum(column.astype(int), max(len(self.speed) - 2, 0))
-        beside = np.minimum(j + 1, len(self.speed) - 1)
-        low = (1 - share) * self.energy[k, j] + share * self.energy[k + 1, j]
-        high = (1 - share) * self.energy[k, beside] + share * self.energy[k + 1, beside]
-        return np.asarray(np.hypot(x, y) * (low + (column - j) * (high - low)))
-
-
-def tabulate(
-    cost: EnergyCost, speeds: Sequence[float] | None = None, tolerance: float = 1e-3
-) -> CostTable:
-    """Return the table of a cost, as fine as it must be."""
-    if not tolerance > 0:
-        raise InvalidInputError(f"tolerance is {tolerance}; give a positive number")
-    asked = [cost.speed] if speeds is None else sorted(set(map(float, speeds)))
-    if not asked or any(v is not None and not (np.isfinite(v) and v > 0) for v in asked):
-        raise InvalidInputError(f"speeds are {asked}; give one or more positive numbers [m/s]")
-    costs = [replace(cost, speed=v) for v in asked]
-    half = cost.half_track
-
-    def energies(angle: FloatArray) -> FloatArray:
-        x, y = np.cos(angle), np.sin(angle) / half
-        return np.column_stack([one.segment_energy(x, y) for one in costs])
-
-    angle = np.linspace(-np.pi, np.pi, 65)
-    energy = energies(angle)
-    while True:
-        gap = np.diff(angle)
-        error = np.zeros(len(gap))
-        for share in PROBES:
-            exact = energies(angle[:-1] + share * gap)
-            read = (1 - share) * energy[:-1] + share * energy[1:]
-            error = np.maximum(error, np.abs(read / exact - 1.0).max(axis=1))
-        # a jump is not made smaller by entries ever closer to it
-        split = (error > tolerance) & (gap > 1e-5)
-        if not split.any() or len(angle) + split.sum() > MOST:
-            break
-        between = angle[:-1][split] + 0.5 * gap[split]
-        where = np.flatnonzero(split) + 1
-        angle = np.insert(angle, where, between)
-        energy = np.insert(energy, where, energies(between), axis=0)
-    told = np.array([0.0 if v is None else v for v in asked])
-    return CostTable(angle, told, energy, half, float(error.max()))
-
-
-def write_cost_table(table: CostTable, path: str | File) -> None:
-    """Write a table of cost.
-
-    The first two lines are comments with the half-track [m] and the error; then come a line of
-    column names, ``angle`` and the speeds [m/s], and one line for each direction.
-    """
-    names = ",".join(["angle", *(f"{speed:g}" for speed in table.speed.tolist())])
-    rows = (
-        ",".join(f"{value:.9g}" for value in (angle, *energies))
-        for angle, energies in zip(table.angle.tolist(), table.energy.tolist(), strict=True)
-    )
-    head = f"# half_track {table.half_track!r}\n# error {table.error:.3g}\n{names}\n"
-    atomic_write(File(path), head + "\n".join(rows) + "\n")
 
 
 NO_DATA = -9999

@@ -13,6 +13,7 @@ from energyplan.io.config import plain_vehicle
 from energyplan.logs.mapping import UNITS
 
 if TYPE_CHECKING:
+    from energyplan.comparison import Comparison
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
@@ -27,8 +28,7 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel, Residual
-    from energyplan.studies.comparison import Comparison
-    from energyplan.studies.energy_map import Contour, EnergyMap
+    from energyplan.reach import Contour, EnergyMap
 
 Document = dict[str, Any]
 

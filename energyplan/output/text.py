@@ -10,6 +10,7 @@ from energyplan.html import number, words
 from energyplan.output.documents import terms
 
 if TYPE_CHECKING:
+    from energyplan.comparison import Comparison
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel
-    from energyplan.studies.comparison import Comparison
-    from energyplan.studies.energy_map import Contour, EnergyMap
+    from energyplan.reach import Contour, EnergyMap
 
 
 def identification(found: Identification) -> list[str]:

@@ -23,6 +23,7 @@ from starlette.requests import ClientDisconnect
 
 from energyplan import __version__
 from energyplan.battery import Battery
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import asked_speed
 from energyplan.diagnosis import diagnose
@@ -50,6 +51,7 @@ from energyplan.output import documents
 from energyplan.path import Pose, Trajectory
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import planners as known_planners
+from energyplan.reach import energy_map, energy_of_charge
 from energyplan.serve.requests import (
     A,
     CheckRequest,
@@ -65,8 +67,6 @@ from energyplan.serve.requests import (
     request_of,
 )
 from energyplan.serve.store import BusyError, FullError, Job, Pool, Store, UnknownFileError
-from energyplan.studies.comparison import compare
-from energyplan.studies.energy_map import energy_map, energy_of_charge
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
     (UnknownFileError, 404),

@@ -20,7 +20,7 @@ from energyplan.io.bags import bag_fields
 from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.tables import write_log, write_trajectory
-from energyplan.studies.energy_map import most_power
+from energyplan.reach import most_power
 
 Run = Callable[..., "Result"]
 MODEL = PowerModel.preset("quadriga:full:marble")

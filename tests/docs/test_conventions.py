@@ -109,7 +109,7 @@ FRESH = """
 import sys, energyplan.cli
 heavy = ("numpy", "numba", "scipy", "matplotlib", "pandas", "ompl")
 print([name for name in heavy if name in sys.modules])
-import energyplan, energyplan.fit, energyplan.diagnosis, energyplan.studies.comparison
+import energyplan, energyplan.fit, energyplan.diagnosis, energyplan.comparison
 print([n for n in ("identify", "diagnose", "compare") if not callable(getattr(energyplan, n))])
 """
 
@@ -188,7 +188,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 CHANGING = {
     "demo._Demo", "diagnosis.search.Evaluated", "fleet.evaluation._Drive",
-    "live.watcher._Drawn", "live.watcher._Ground", "output.report.Page",
+    "live.watcher._Drawn", "live.watcher._Ground", "output.pages.Page",
     "planning.search.lattice.Search", "terrain.updates.Tables",
 }  # fmt: skip
 """Dataclasses that hold what a computation has so far."""

@@ -23,7 +23,7 @@ from energyplan import (
 )
 from energyplan.mission import MissionReport
 from energyplan.output import plots
-from energyplan.output.report import image
+from energyplan.output.plots import image
 from energyplan.terrain.surfaces import Surface
 
 MODEL = PowerModel.preset("quadriga:empty:marble")

@@ -10,7 +10,8 @@ from energyplan import PowerModel, __version__
 from energyplan.errors import InvalidInputError
 from energyplan.html import quantity, table, unit
 from energyplan.output import plots
-from energyplan.output.report import Page, svg
+from energyplan.output.pages import Page
+from energyplan.output.plots import svg
 
 
 class Collector(HTMLParser):

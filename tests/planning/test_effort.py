@@ -18,12 +18,12 @@ import shapely
 from by_day import by_day
 from worlds import cluttered, free_poses
 
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
 from energyplan.planning import Budget, Plan, PlanningProblem, plan
 from energyplan.planning.ready import prepare
 from energyplan.power import PowerModel
-from energyplan.studies import compare
 from energyplan.terrain import Surface, SurfaceMap
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))

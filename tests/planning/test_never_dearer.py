@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from by_day import by_day
 
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.io.maps import read_map
 from energyplan.planning import PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
-from energyplan.studies.comparison import compare
 from energyplan.terrain import OccupancyGrid
 
 MAPS = pathlib.Path(__file__).resolve().parents[2] / "maps"

@@ -11,7 +11,7 @@ import pytest
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError
-from energyplan.io.nav2 import read_route_graph, write_route_graph
+from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.planning import PlanningProblem
 from energyplan.planning.roadmap import price_edges
 from energyplan.planning.roadmap.planned import plan_edges

@@ -13,7 +13,7 @@ import shapely
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError
-from energyplan.io.nav2 import read_route_graph
+from energyplan.export.graph import read_route_graph
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import roadmap as rm

@@ -13,6 +13,7 @@ from by_day import by_day
 
 from energyplan import cli
 from energyplan.battery import Battery
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
     InvalidInputError,
@@ -31,7 +32,6 @@ from energyplan.planning.space import prices as _prices
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, reads_slope, term, with_weight
-from energyplan.studies.comparison import compare
 from energyplan.terrain import (
     HeightMap,
     OccupancyGrid,

@@ -7,6 +7,7 @@ import pytest
 from by_day import by_day
 
 from energyplan import plan
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem
@@ -16,7 +17,6 @@ from energyplan.planning.search.stops import stops_of
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
-from energyplan.studies.comparison import compare
 from energyplan.terrain import OccupancyGrid
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")

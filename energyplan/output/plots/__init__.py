@@ -35,12 +35,15 @@ from energyplan.output.plots.style import (
     WIDTH,
     YELLOW,
     figure,
+    image,
     legend,
+    png,
+    svg,
 )  # fmt: skip
 
 __all__ = [
     "BLACK", "BLUE", "GREEN", "ORANGE", "PURPLE", "RED", "SKY", "WIDTH", "YELLOW", "bin_means",
-    "breakdown", "energy_map", "energy_over_time", "feasible_region", "figure", "legend",
-    "mission_charge", "mission_map", "occupancy", "power_over_time", "prediction",
-    "residual_against", "rounds", "route", "routes", "state_of_charge", "tread_speeds",
+    "breakdown", "energy_map", "energy_over_time", "feasible_region", "figure", "image", "legend",
+    "mission_charge", "mission_map", "occupancy", "png", "power_over_time", "prediction",
+    "residual_against", "rounds", "route", "routes", "state_of_charge", "svg", "tread_speeds",
 ]  # fmt: skip

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
     from energyplan.mission import MissionReport
-    from energyplan.studies.energy_map import EnergyMap
+    from energyplan.reach import EnergyMap
     from energyplan.terrain import OccupancyGrid
 
 

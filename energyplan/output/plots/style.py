@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+
+from energyplan.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +28,9 @@ CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED, YELLOW)
 LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (PURPLE, ":"))
 """Colour and dash of curves that may coincide."""
 
+
+DPI = 240
+"""Resolution of images that have one [pixels per inch]."""
 
 WIDTH = 5.2
 """Width of a picture [inch]: its text can be read in a phone's column of 350 pixels."""
@@ -63,3 +72,47 @@ def legend(ax: Axes, above: bool = False, **options: Any) -> None:
     title = ax.get_title(loc="left")
     rows = -(-len(handles) // columns)
     ax.set_title(title, loc="left", fontsize="medium", pad=8 + 13 * rows)
+
+
+def svg(figure: Figure) -> bytes:
+    """Return a figure as an SVG drawing; dense clouds of points in it are pictures."""
+    return image(figure, ".svg")
+
+
+def png(figure: Figure) -> bytes:
+    """Return a figure as a PNG image."""
+    return image(figure, ".png")
+
+
+def image(figure: Figure, suffix: str) -> bytes:
+    """Return a figure as an image of the kind that a file's suffix names."""
+    undated: dict[str, dict[str, Any]] = {
+        ".png": {"Software": None},
+        ".svg": {"Date": None, "Creator": None},
+        ".pdf": {"CreationDate": None},
+    }
+    kind = suffix.lower()
+    if kind not in undated:
+        raise UnknownNameError("kind of image", suffix, undated)
+    stream = io.BytesIO()
+    with (
+        _laid_out(figure),
+        mpl.rc_context({"svg.hashsalt": "energyplan"}),
+    ):  # lasting names of parts
+        figure.savefig(stream, format=kind[1:], dpi=DPI, metadata=undated[kind])
+    return stream.getvalue()
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Lay a picture out, and have it drawn as it is: else it is drawn once more for its layout."""
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    try:
+        if engine is not None:
+            figure.set_dpi(DPI)  # text is measured as it will be drawn
+            engine.execute(figure)
+            figure.set_layout_engine(None)
+        yield
+    finally:
+        figure.set_dpi(dpi)
+        figure.set_layout_engine(engine)

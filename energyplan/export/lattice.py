@@ -9,15 +9,20 @@ penalties; here they are those that come nearest to the energy.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
-from typing import NamedTuple
+from datetime import date
+from pathlib import Path as File
+from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.path import FloatArray, wrap_angle
+from energyplan.io.files import atomic_write
+from energyplan.path import FloatArray, Path, Pose, wrap_angle
 
 TURNS = 3
 """Headings that a primitive turns by, at most."""
@@ -78,6 +83,9 @@ class Penalties(NamedTuple):
 USUAL = Penalties(1.05, 0.0, 2.0, 5.0, np.nan)
 """What is set where nothing is known of a robot; that of a change of direction left out."""
 
+
+DIGITS = 5
+"""Digits of lengths in the file [m] after the point."""
 
 MOST_HEADINGS = 512
 """Most headings of a lattice."""
@@ -209,3 +217,68 @@ def penalties(controls: ControlSet, cost: EnergyCost) -> Penalties:
     true = np.concatenate([there, back[moves]])
     error = float(np.sqrt(np.mean((told / true - 1.0) ** 2)))
     return Penalties(curved, 0.0, reverse, rotation, error)
+
+
+def write_lattice(controls: ControlSet, file: str | File, *, made: date | None = None) -> None:
+    """Write a control set for SmacPlannerLattice (its parameter ``lattice_filepath``)."""
+    document = {
+        "version": 1.0,
+        "date_generated": (date.today() if made is None else made).isoformat(),
+        "lattice_metadata": {
+            "motion_model": "diff",
+            "turning_radius": controls.radius,
+            "grid_resolution": controls.resolution,
+            "stopping_threshold": 0,
+            "num_of_headings": len(controls.headings),
+            "heading_angles": list(controls.headings),
+            "number_of_trajectories": len(controls.primitives),
+        },
+        "primitives": [
+            _written(k, primitive, controls) for k, primitive in enumerate(controls.primitives)
+        ],
+    }
+    atomic_write(File(file), json.dumps(document, indent=1) + "\n")
+
+
+def _written(number: int, primitive: Primitive, controls: ControlSet) -> dict[str, Any]:
+    """Return a primitive as it stands in the file."""
+    start = controls.headings[primitive.start]
+    ds, turn = primitive.motions.T
+    path = Path(Pose(0.0, 0.0, start), ds, turn)
+    fine = path.subdivide(controls.resolution, 0.2)
+    poses = fine.vertices[1:] if primitive.length > 0 else fine.vertices
+    poses[-1] = (
+        primitive.column * controls.resolution,
+        primitive.row * controls.resolution,
+        controls.headings[primitive.end],
+    )
+    rounded = [
+        [round(x, DIGITS) + 0.0, round(y, DIGITS) + 0.0, yaw % (2 * np.pi)]
+        for x, y, yaw in poses.tolist()
+    ]
+    return {
+        "trajectory_id": number,
+        "start_angle_index": primitive.start,
+        "end_angle_index": primitive.end,
+        "left_turn": primitive.turn >= 0,
+        "trajectory_radius": round(primitive.radius, DIGITS),
+        "trajectory_length": round(primitive.length, DIGITS),
+        "arc_length": round(primitive.arc, DIGITS),
+        "straight_length": round(primitive.before + primitive.after, DIGITS),
+        "poses": rounded,
+    }
+
+
+def write_penalties(penalties: Penalties, file: str | File, lattice: str | File) -> None:
+    """Write the penalties as parameters of SmacPlannerLattice (YAML)."""
+    parameters = {
+        "plugin": "nav2_smac_planner::SmacPlannerLattice",
+        "lattice_filepath": str(lattice),
+        "allow_reverse_expansion": True,
+        "non_straight_penalty": round(penalties.non_straight, 4),
+        "change_penalty": round(penalties.change, 4),
+        "reverse_penalty": round(penalties.reverse, 4),
+        "rotation_penalty": round(penalties.rotation, 4),
+        "retrospective_penalty": 0.0,
+    }
+    atomic_write(File(file), yaml.safe_dump({"GridBased": parameters}, sort_keys=False))

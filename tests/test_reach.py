@@ -31,7 +31,7 @@ from energyplan.errors import (
 from energyplan.io.tables import write_contours, write_energies
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import Residual
-from energyplan.studies.energy_map import upper_prices
+from energyplan.reach import upper_prices
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 

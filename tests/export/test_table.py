@@ -13,7 +13,7 @@ from random_models import random_model
 
 from energyplan import EnergyCost, PowerModel
 from energyplan.errors import InvalidInputError
-from energyplan.io.tables import tabulate, write_cost_table
+from energyplan.export.table import tabulate, write_cost_table
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 
