@@ -41,6 +41,10 @@ def misuse(error: typer.TyperException) -> str:
         message += " (or a project's, by --project)"
     if message.startswith("Got unexpected extra argument"):
         message += "; a pose, a list and a value with blanks are one word each, as in 2.0,3.5,90deg"
+    if message.startswith("No such option"):
+        name = getattr(error, "option_name", "")
+        if name in MOVED_OPTIONS:
+            message = f"{name} {MOVED_OPTIONS[name]}"
     if message.startswith("No such option") and isinstance(context.command, TyperGroup):
         message = (
             message.partition(" (Possible")[0] + ", before a command; give it after the command"
@@ -173,6 +177,15 @@ RENAMED_OPTIONS = {
     **{name: {"--battery": "--at-battery"} for name in ("plan", "compare", "check")},
 }
 """Options of the last release by command, and their names now; they are taken for one release."""
+_OF_SITE = "is a key of a site's file, which --map takes (docs/maps lists its keys)"
+MOVED_OPTIONS = {
+    **dict.fromkeys(("--heights", "--speed-mask", "--costmap"), _OF_SITE),
+    "--tolerance": "is the key tracking_tolerance of a vehicle's file",
+    "--charger": "is the argument back of energyplan.energy_map, in Python",
+    "--time-limit": "is the key planning_time of a mission's file; --effort limits the work",
+    **dict.fromkeys(("--mission-every", "--near"), "is a setting of energyplan.watch, in Python"),
+}
+"""Options of the last release, and where what they gave is given now."""
 
 
 class _Group(TyperGroup):

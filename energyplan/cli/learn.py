@@ -372,8 +372,6 @@ def watch(
     columns: Columns = None,
     once: Annotated[bool, Option("--once", help="Stop at the end of the file.")] = False,
     every: Annotated[float, Option(help="Time between two reports [s].")] = 10.0,
-    mission_every: Annotated[float, Option(help="Time between reports on the mission [s].")] = 60.0,
-    near: Annotated[float, Option(help="Distance at which a robot at rest does a task [m].")] = 0.5,
     soc: Annotated[str | None, Option(help="State of charge at the log's start, as 80%.")] = None,
     done: Annotated[list[str] | None, Option(metavar="NAME...", help="Tasks already done.")] = None,
     former: Annotated[
@@ -411,7 +409,7 @@ def watch(
         raise InvalidInputError("--former goes with the --model that was identified from it")
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
     charge = None if soc is None else number("--soc", "fraction", soc)
-    settings = Settings(every, mission_every, near, charge, tuple(done or ()))
+    settings = Settings(every, soc=charge, done=tuple(done or ()))
     wanted = read_mission(mission) if mission else None
     mapping = read_columns(columns) if columns and columns.endswith(YAML) else columns
     source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)

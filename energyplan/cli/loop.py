@@ -14,16 +14,17 @@ from energyplan.cli.app import app
 from energyplan.cli.options import (
     TABLES,
     Drive,
-    Effort,
     Ground,
     Json,
     MaybePose,
+    MaybeSite,
     ModelName,
     OutModel,
     PoseText,
     Report,
     Site,
     Strict,
+    Work,
     writes,
 )
 from energyplan.cli.routes import priced_ground, problem_of
@@ -75,6 +76,7 @@ def drive(
     trajectory: Annotated[Path, Argument(help="CSV with columns t,x,y,yaw,v,omega.")],
     ground: Ground,
     robot: Truth,
+    map_file: MaybeSite = None,
     out: Annotated[
         Path | None, Option(callback=writes(*TABLES), help="Write the drive log to this file.")
     ] = None,
@@ -94,6 +96,7 @@ def drive(
 
     Prints the predicted energy and the energy that the drive took.
     """
+    from energyplan.io.maps import read_site
     from energyplan.io.tables import read_trajectory, write_log
     from energyplan.output import documents, text
     from energyplan.physics import Ground as Floor
@@ -101,7 +104,8 @@ def drive(
     from energyplan.physics import drive as run
 
     wanted = read_trajectory(trajectory)
-    cost, surfaces, heights = priced_ground(Drive(**asdict(ground), at_battery=True))
+    place = read_site(map_file) if map_file else None
+    cost, surfaces, heights = priced_ground(Drive(**asdict(ground), at_battery=True), place)
     recording = Sensors.parse(sensors, seed)
     simulated = Robot.from_model(cost.model)
     x, y, _ = wanted.poses[len(wanted) // 2]
@@ -126,7 +130,7 @@ def close_the_loop(
     start: PoseText,
     goal: PoseText,
     robot: Truth,
-    effort: Effort,
+    effort: Work = None,
     logs: Annotated[
         Path | None,
         Option(help="Folder of a real robot's logs, one a round in the order of their names."),
@@ -184,7 +188,7 @@ def close_the_loop(
     with progress("closing the loop") as update:
         made = close_loop(
             problem, source, rounds=rounds, tolerance=error, speed=speed, survey=survey,
-            progress=update, **effort.within(PLAN_TIME),
+            progress=update, effort=effort, time_limit=PLAN_TIME,
         )  # fmt: skip
     if out:
         write_model(made.model, out)
@@ -200,12 +204,12 @@ def close_the_loop(
 def design(
     model: ModelName,
     diagnosis: Annotated[Path | None, Option(help="What diagnose --json printed.")] = None,
-    map_file: Annotated[Path | None, Option("--map", help="Default: an empty square.")] = None,
-    square: Annotated[float, Option(help="Side of the empty square [m].")] = 6.0,
+    map_file: Annotated[
+        Path | None, Option("--map", help="Default: an empty square of 6 m.")
+    ] = None,
     start: MaybePose = None,
     duration: Annotated[float, Option(help="Longest time of the drive [s].")] = 60.0,
     max_speed: Annotated[float | None, Option(help="Largest tread speed [m/s].")] = None,
-    noise: Annotated[float, Option(help="Standard deviation of the noise of the power [W].")] = 5.0,
     screen: Annotated[bool, Option("--screen", help="Look for every effect.")] = False,
     out: Annotated[
         Path | None,
@@ -229,8 +233,8 @@ def design(
     law = read_model(model)
     explanations = explanations_of(_document(diagnosis)) if diagnosis else ()
     made = run(
-        law, explanations, grid=read_site(map_file).grid if map_file else None, square=square,
-        start=parse_pose(start) if start else None, duration=duration, speed=max_speed, noise=noise,
+        law, explanations, grid=read_site(map_file).grid if map_file else None,
+        start=parse_pose(start) if start else None, duration=duration, speed=max_speed,
         screen=screen,
     )  # fmt: skip
     if out:

@@ -143,10 +143,6 @@ class Ground:
     surfaces: Annotated[
         Path | None, Option(help="GeoJSON of areas, each with a model, a speed or both.")
     ] = None
-    speed_mask: Annotated[
-        Path | None, Option(help="Speed limits: a mask of Nav2's speed filter, with its type.")
-    ] = None
-    heights: Annotated[Path | None, Option(help="Heights: .asc, GeoTIFF, YAML or a bag.")] = None
 
 
 @dataclass(frozen=True)
@@ -155,13 +151,6 @@ class Drive(Ground):
 
     at_battery: AtBattery = False
     speed: Speed = None
-    tolerance: Annotated[
-        float | None,
-        Option(
-            help="How far the robot may leave its path in corners [m]. Default: the vehicle's "
-            "tracking tolerance."
-        ),
-    ] = None
 
 
 @dataclass(frozen=True)
@@ -173,17 +162,22 @@ class Site:
     clearance: Annotated[float | None, Option(help="Distance to keep from obstacles [m].")] = None
 
 
+Work = Annotated[
+    int | None,
+    Option(
+        min=1, help="Work for each route, the same under any load, for time. 50000 is about 1 s."
+    ),
+]
+MaybeSite = Annotated[
+    Path | None, Option("--map", help="A map's or a site's file, whose ground is driven on.")
+]
+
+
 @dataclass(frozen=True)
 class Effort:
     """How long to plan a route."""
 
-    effort: Annotated[
-        int | None,
-        Option(
-            min=1,
-            help="Work for each route, the same under any load, for time. 50000 is about 1 s.",
-        ),
-    ] = None
+    effort: Work = None
     time_limit: Annotated[float | None, Option(help="Time for each route [s].")] = None
 
     def within(self, usual: float) -> dict[str, Any]:

@@ -81,11 +81,6 @@ def lattice(
     model: ModelName,
     out: Annotated[Path, Option(callback=writes(".json"), help="Write the primitives there.")],
     resolution: Annotated[float, Option(help="Size of a cell of the costmap [m].")] = 0.05,
-    headings: Annotated[int, Option(help="Number of headings, a multiple of 8.")] = 16,
-    radius: Annotated[
-        float | None,
-        Option(help="Smallest radius of arcs [m]. Default: a pivot's."),
-    ] = None,
     parameters: Annotated[
         Path | None,
         Option(
@@ -113,13 +108,13 @@ def lattice(
 
     power = level_model(model)
     cost = EnergyCost(power, battery=at_battery, speed=asked_speed(speed, power.vehicle))
-    controls = control_set(cost, resolution, headings=headings, radius=radius)
+    controls = control_set(cost, resolution)
     found = penalties(controls, cost)
     write_lattice(controls, out)
     if parameters:
         write_penalties(found, parameters, out)
     told = {name: round(value, 6) for name, value in found._asdict().items()}
-    lines = [f"{len(controls.primitives)} primitives, {headings} headings: {out}"]
+    lines = [f"{len(controls.primitives)} primitives: {out}"]
     lines += [f"{name}: {value:.4g}" for name, value in told.items()]
     answer({"primitives": len(controls.primitives), "penalties": told}, lines, json=json)
 
@@ -132,7 +127,6 @@ def table(
     out: Annotated[Path, Option("--out", callback=writes(".csv"), help="Write the table there.")],
     speeds: Annotated[str | None, Option(help="Tread speeds [m/s], such as 0.2,0.5,1.")] = None,
     at_battery: AtBattery = False,
-    error: Annotated[float, Option(help="Largest relative error in between.")] = 1e-3,
     json: Json = False,
 ) -> None:
     """Write the energy of motions as a table.
@@ -148,7 +142,7 @@ def table(
         raise InvalidInputError(
             f"--speeds is {speeds!r}; write metres per second with commas between, like 0.2,0.5"
         ) from None
-    made = tabulate(EnergyCost(level_model(model), battery=at_battery), asked, error)
+    made = tabulate(EnergyCost(level_model(model), battery=at_battery), asked)
     write_cost_table(made, out)
     size = {"directions": len(made.angle), "speeds": len(made.speed)}
     lines = [
@@ -191,7 +185,6 @@ def serve(
 
 @app.command(epilog="Example: energyplan warmup --json")
 def warmup(
-    processes: Annotated[int, Option(min=1, max=2, help="Processes that share the work.")] = 2,
     json: Json = False,
 ) -> None:
     """Compile all kernels ahead.
@@ -206,7 +199,7 @@ def warmup(
     with progress("compiling"):
         for module in modules:
             import_module(module)
-        made = compile_kernels(*modules, processes=processes)
+        made = compile_kernels(*modules, processes=2)
     document = {
         "folder": str(cache_folder()), "compiled": list(made.compiled), "found": made.found,
         "kept": made.kept, "processes": made.processes, "seconds": made.seconds,

@@ -20,15 +20,16 @@ from energyplan.cli.options import (
     TABLES,
     Drive,
     Effort,
-    Ground,
     Json,
     MaybePose,
+    MaybeSite,
     Plot,
     PoseText,
     Report,
     Site,
     Spread,
     Strict,
+    Work,
     number,
     writes,
 )
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel
-    from energyplan.terrain import HeightMap, SpeedLimit, SurfaceMap
+    from energyplan.terrain import HeightMap, SurfaceMap
     from energyplan.terrain import Site as Place
     from energyplan.vehicle import Vehicle
 
@@ -83,46 +84,19 @@ class PricedGround(NamedTuple):
     heights: HeightMap | None
 
 
-def site_of(site: Site, ground: Ground) -> Place:
-    """Return the site that options name; what an option gives takes the place of the file's."""
-    from energyplan.io.maps import PARTS, read_site
-    from energyplan.terrain import with_limits
-
-    files = {"surfaces": ground.surfaces, "heights": ground.heights, "keepout": site.keepout}
-    parts: dict[str, Any] = {key: PARTS[key](file) for key, file in files.items() if file}
-    if site.clearance is not None:
-        parts["clearance"] = site.clearance
-    place = replace(read_site(site.map_file), **parts)
-    return replace(place, surfaces=with_limits(place.surfaces, _speed_mask(ground)))
-
-
-def _speed_mask(ground: Ground) -> tuple[SpeedLimit, ...]:
-    """Return the speed limits of the mask that options name."""
-    from energyplan.io.maps import read_speed_mask
-
-    return read_speed_mask(ground.speed_mask) if ground.speed_mask else ()
-
-
-def priced_ground(drive: Drive, place: Place | None = None) -> PricedGround:
-    """Return the ground of a site, or that options name, and what motions cost on it."""
+def priced_ground(drive: Drive, place: Place | None) -> PricedGround:
+    """Return the ground that options or a site name, and what motions cost on it."""
     from energyplan.cost import EnergyCost
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_model
     from energyplan.io.geojson import read_surfaces
-    from energyplan.io.maps import read_heights
     from energyplan.power.effects import reads_slope, with_weight
-    from energyplan.terrain import knows_ground, with_limits, with_weights
+    from energyplan.terrain import knows_ground, with_weights
 
     power = read_model(drive.model)
-    if drive.tolerance is not None:
-        robot = replace(power.vehicle, tracking_tolerance=drive.tolerance)
-        power = replace(power, vehicle=robot)
-    if place is not None:
-        surfaces, heights = place.surfaces, place.heights
-    else:
-        surfaces = read_surfaces(drive.surfaces) if drive.surfaces else None
-        heights = read_heights(drive.heights) if drive.heights else None
-        surfaces = with_limits(surfaces, _speed_mask(drive))
+    surfaces, heights = (place.surfaces, place.heights) if place else (None, None)
+    if drive.surfaces:
+        surfaces = read_surfaces(drive.surfaces)
     warn_of_surfaces(power.vehicle, surfaces)
     if knows_ground(power):
         warn(
@@ -155,9 +129,14 @@ def level_model(name: str) -> PowerModel:
 
 def problem_of(site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -> PlanningProblem:
     """Return the problem that options name."""
+    from energyplan.io.maps import read_map, read_site
     from energyplan.planning import PlanningProblem
 
-    place = site_of(site, drive)
+    place = read_site(site.map_file)
+    if site.keepout:
+        place = replace(place, keepout=read_map(site.keepout))
+    if site.clearance is not None:
+        place = replace(place, clearance=site.clearance)
     ground = priced_ground(drive, place)
     for note in place.notes:
         warn(note)
@@ -280,13 +259,13 @@ def plan(
     former_map: Annotated[
         Path | None, Option(help="The map of that path, if obstacles are gone.")
     ] = None,
-    costmap: Annotated[
-        Path | None,
-        Option(help="A map of soft costs, such as an inflated costmap; takes --costmap-weight."),
-    ] = None,
     costmap_weight: Annotated[
         float,
-        Option(min=0.0, help="Price of a metre at the highest soft cost [unit of the objective]."),
+        Option(
+            min=0.0,
+            help="Price of a metre at the highest soft cost of the site's costmap [unit of the "
+            "objective].",
+        ),
     ] = 0.0,
     turning: Turning = "any",
     planner: Planner = "lattice",
@@ -302,15 +281,12 @@ def plan(
     Prints its energy, and how far from optimal it can be at most.
     """
     from energyplan.io.documents import parse_pose
-    from energyplan.io.maps import read_costmap
     from energyplan.io.tables import read_path
     from energyplan.output import documents, text
     from energyplan.planning import plan as run
     from energyplan.planning.replanning import replan
 
     _writable(out)
-    if costmap is not None and costmap_weight == 0.0:
-        raise InvalidInputError("--costmap needs --costmap-weight; give both or neither")
     if former is None and goal is None:
         raise InvalidInputError("--goal is missing; give X,Y,YAW, or a path by --former")
     if former is None and former_map is not None:
@@ -320,14 +296,12 @@ def plan(
     if former is not None and planner != "lattice":
         raise InvalidInputError(f"--former needs the planner lattice, not {planner}")
     here = parse_pose(start)
-    soft = read_costmap(costmap) if costmap else None
     more = {
-        "objective": objective, "costmap": soft, "costmap_weight": costmap_weight,
-        "turning": _turning(turning),
+        "objective": objective, "costmap_weight": costmap_weight, "turning": _turning(turning)
     }  # fmt: skip
     problem = problem_of(site, drive, here, here if goal is None else parse_pose(goal), **more)
     if costmap_weight and problem.costmap is None:
-        raise InvalidInputError("--costmap-weight needs --costmap, or a site that names one")
+        raise InvalidInputError("--costmap-weight needs a site's file that names a costmap")
     spent = effort.within(PLAN_TIME)
     if former is None:
         with planning(json, strict):
@@ -404,6 +378,7 @@ def check(
         Argument(help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."),
     ],
     drive: Drive,
+    map_file: MaybeSite = None,
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     json: Json = False,
     strict: Strict = False,
@@ -414,13 +389,14 @@ def check(
     """
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_vehicle
+    from energyplan.io.maps import read_site
     from energyplan.io.tables import read_drive
     from energyplan.limits.feasibility import check as run
     from energyplan.output import documents, text
     from energyplan.path import Trajectory
     from energyplan.planning.driven import counted, drive_path
 
-    cost, ground, hills = priced_ground(drive)
+    cost, ground, hills = priced_ground(drive, read_site(map_file) if map_file else None)
     limits = read_vehicle(vehicle) if vehicle else None
     if limits is not None:
         warn_of_another_robot("the motor limits are", cost.vehicle, [limits])
@@ -429,10 +405,10 @@ def check(
         if limits is not None:
             cost = replace(cost, speed=asked_speed(drive.speed, limits))
         found = drive_path(found, cost, ground, hills, vehicle=limits).trajectory
-    elif drive.speed is not None or drive.tolerance is not None:
+    elif drive.speed is not None:
         raise InvalidInputError(
-            f"{trajectory} is a trajectory, whose speeds are given; leave --speed and --tolerance "
-            "out, or give a path of x,y,yaw"
+            f"{trajectory} is a trajectory, whose speeds are given; leave --speed out, or give a "
+            "path of x,y,yaw"
         )
     law, ground = counted(cost, ground)
     report = run(found, law, limits, surfaces=ground, heights=hills)
@@ -469,10 +445,6 @@ def reach(
     ] = None,
     spread: Spread = None,
     back: Annotated[bool, Option("--return", help="It must still get back to the start.")] = False,
-    charger: Annotated[
-        str | None,
-        Option(metavar="X,Y,YAW", help="The robot must still reach this charger afterwards."),
-    ] = None,
     out: Annotated[
         Path | None,
         Option(callback=writes(".asc"), help="Write energies [J] to this ASCII grid."),
@@ -507,7 +479,6 @@ def reach(
     if battery:  # what a battery delivers is counted at the battery
         drive = replace(drive, at_battery=True)
     problem = problem_of(site, drive, pose, pose)
-    home = parse_pose(charger) if charger else pose
     if battery:
         charge = 1.0 if soc is None else _fraction("--soc", soc)
         energy = energy_of_charge(problem.cost, read_battery(battery), charge)
@@ -515,8 +486,7 @@ def reach(
     with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
-            back=home if back or charger else None,
-            confidence=confidence, coefficient_spread=spread or 0.0,
+            back=pose if back else None, confidence=confidence, coefficient_spread=spread or 0.0,
         )  # fmt: skip
     areas = found.areas(usable)
     if out:
@@ -537,7 +507,6 @@ def _fraction(option: str, text: str) -> float:
 
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
-    effort: Effort,
     file: Annotated[Path | None, Argument(help="Mission YAML file, or the options below.")] = None,
     map_file: Annotated[Path | None, Option("--map", help="As in plan.")] = None,
     model: Annotated[str | None, Option(metavar="MODEL", help="As in plan.")] = None,
@@ -557,6 +526,7 @@ def mission(
         float | None, Option(help="Probability that a verdict holds, as 0.95.")
     ] = None,
     spread: Spread = None,
+    effort: Work = None,
     fail: Annotated[
         str | None,
         Option(
@@ -596,8 +566,7 @@ def mission(
         "task": task,
     }
     stated: dict[str, Any] = {
-        "planning_effort": effort.effort, "planning_time": effort.time_limit,
-        "confidence": confidence, "coefficient_spread": spread,
+        "planning_effort": effort, "confidence": confidence, "coefficient_spread": spread
     }  # fmt: skip
     stated = {name: value for name, value in stated.items() if value is not None}
     if file is None:

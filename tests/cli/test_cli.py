@@ -203,18 +203,17 @@ def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> No
     Image.fromarray(costs[::-1]).save(tmp_path / "costs.pgm")
     header = "image: costs.pgm\nmode: raw\nresolution: 0.1\norigin: [0, 0, 0]\n"
     (tmp_path / "costs.yaml").write_text(header)
-    options = ("plan", "--map", tmp_path / "hall.yaml", "--model", "quadriga:empty:concrete",
+    (tmp_path / "site.yaml").write_text("map: hall.yaml\ncostmap: costs.yaml\n")
+    options = ("plan", "--map", tmp_path / "site.yaml", "--model", "quadriga:empty:concrete",
                "--start", "2,3,0", "--goal", "10,3,0", "--effort", 5000, "--json")  # fmt: skip
-    layer = ("--costmap", tmp_path / "costs.yaml")
-    plain, soft = run(*options), run(*options, *layer, "--costmap-weight", 1000)
+    plain, soft = run(*options), run(*options, "--costmap-weight", 1000)
     assert plain.json["soft_cost"] == 0
     assert plain.json["cost"] == plain.json["energy"]
     assert soft.json["energy"] > plain.json["energy"]
     told = soft.json["energy"] + soft.json["soft_cost"]
     assert soft.json["cost"] == pytest.approx(told)
     assert soft.json["cost"] < plain.json["energy"] + 2000
-    assert_refused(run(*options, *layer), "--costmap-weight")
-    assert_refused(run(*options, "--costmap-weight", 5), "--costmap")
+    assert_refused(run(*options, "--costmap", "costs.yaml"), "a key of a site's file")
 
 
 def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> None:

@@ -326,7 +326,9 @@ plna | Did you mean 'plan'
 {plan} --goal 2,2,0 --map site.yaml | site.yaml, line 2, surfaces: 'none.geojson' cannot be read
 {plan} --goal 2,2,0 --model office.yaml | line 1
 {plan} --goal 2,2,0 --model office.yaml | seems to be a map
-{plan} --goal 2,2,0 --costmap-weight 5 | needs --costmap, or a site
+{plan} --goal 2,2,0 --costmap-weight 5 | a site's file that names a costmap
+{plan} --goal 2,2,0 --heights h.asc | --heights is a key of a site's file
+{plan} --goal 2,2,0 --tolerance 0.1 | tracking_tolerance
 range --start 2,2,0 --energy 5kJ | '5kJ' should be a valid number in J
 range --map {surfaces} --model model.yaml --start 1.2,2,0 | these are surfaces and no obstacles
 range {site} --energy 5000 --spread -1 | give

@@ -477,9 +477,10 @@ def run(capsys, monkeypatch, *arguments):
 
 
 def test_the_command_line_plans_on_slopes(folder, capsys, monkeypatch):
+    (folder / "site.yaml").write_text("map: yard.yaml\nheights: yard.asc\n")
     asked = [
-        "--map", folder / "yard.yaml", "--model", "quadriga:empty:concrete",
-        "--start", "2,6,0", "--goal", "13,6,0", "--heights", folder / "yard.asc",
+        "--map", folder / "site.yaml", "--model", "quadriga:empty:concrete",
+        "--start", "2,6,0", "--goal", "13,6,0",
     ]  # fmt: skip
     code, out, err = run(
         capsys, monkeypatch, "plan", *asked, "--json", "--plot", folder / "route.png"
@@ -501,10 +502,10 @@ def test_the_command_line_plans_on_slopes(folder, capsys, monkeypatch):
 
 def test_the_command_line_names_what_is_wrong_with_heights(folder, capsys, monkeypatch):
     (folder / "yard.asc").write_text("ncols 3\nnrows two\n")
+    (folder / "site.yaml").write_text("map: yard.yaml\nheights: yard.asc\n")
     code, _, err = run(
-        capsys, monkeypatch, "plan", "--map", folder / "yard.yaml",
+        capsys, monkeypatch, "plan", "--map", folder / "site.yaml",
         "--model", "quadriga:empty:concrete", "--start", "2,6,0", "--goal", "13,6,0",
-        "--heights", folder / "yard.asc",
     )  # fmt: skip
     assert code != 0
     assert "line 2: nrows needs a number" in err
