@@ -660,6 +660,24 @@ def dates_of_a_spreadsheet(at: At, folder: Path) -> Path:
     return csv(at.house().drop(columns="t").assign(Date=stamps), folder / "dates.csv")
 
 
+def current_alone(at: At, folder: Path) -> Path:
+    house = at.house().drop(columns="power").assign(bus_current=at.amps)
+    return csv(house, folder / "amps.csv")
+
+
+def power_in_percent(at: At, folder: Path) -> Path:
+    share = 100.0 * at.power / np.max(at.power)
+    return csv(at.house().drop(columns="power").assign(power_pct=share), folder / "share.csv")
+
+
+def powers_of_front_wheels(at: At, folder: Path) -> Path:
+    names = ("fl_speed", "fr_speed", "rl_speed", "rr_speed")
+    return csv({
+        "time": at.t, **at.wheels(at.robot.radius, names), "fl_power": 0.5 * at.p_left,
+        "fr_power": 0.5 * at.p_right,
+    }, folder / "front.csv")  # fmt: skip
+
+
 def matlab(at: At, folder: Path) -> Path:
     (folder / "drive.mat").write_bytes(b"MATLAB 7.3 MAT-file")
     return folder / "drive.mat"
@@ -710,6 +728,9 @@ REFUSED: dict[Writer, str] = {
     commas_in_decimals: "more cells than the 5 names .* write decimals with a point",
     unknown_units: r"unit of 'left speed \[furlong/h\]' is not known: .* NAME\[\*0.01\]",
     dates_of_a_spreadsheet: "line 2: 'Date' is '04/05/2026 .* write instants by ISO 8601",
+    current_alone: r"the battery's usual one, as in power=bus_current\[\*25.6\]",
+    power_in_percent: "'power_pct' is a share, .* which is no power: log the battery's voltage",
+    powers_of_front_wheels: r"fl_power is of one wheel, and fl_speed \+ rl_speed of several",
     matlab: r"drive.mat is of MATLAB; writetable\(struct2table\(LOG\)",
     thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks",
 }

@@ -37,6 +37,7 @@ from energyplan.logs.guess import (
     guess_turns,
     halves,
     numbered_speeds,
+    of_one_wheel,
     words,
 )
 from energyplan.logs.mapping import (
@@ -69,13 +70,13 @@ class Given:
     """What is known of the robot before its log is read; NaN where it is not."""
 
     wheel_radius: float = nan  # radius of the wheels [m]
-    track: float = nan  # radius of the wheels [m]
-    wheelbase: float = nan  # radius of the wheels [m]
+    track: float = nan  # distance between left and right wheels [m]
+    wheelbase: float = nan  # distance between front and rear wheels [m]
     mass: float = nan  # mass as it drives [kg]
-    length: float = nan  # footprint [m]
-    width: float = nan  # footprint [m]
+    length: float = nan  # of the footprint [m]
+    width: float = nan  # of the footprint [m]
     name: str = ""  # what to call the robot
-    like: Vehicle | None = None  # A vehicle to take the rest from
+    like: Vehicle | None = None  # a vehicle to take the rest from
     columns: str | None = None  # columns that are known, as for `DriveLog.read`
     counts_per_revolution: float = nan  # what an encoder counts while the wheel turns once
 
@@ -258,6 +259,12 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
             f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
             f"{channel}={name}[{unit}]"
         )
+    amps = guess(table.columns).get("current")
+    if "power" in needed and amps is not None:
+        hint += (
+            f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
+            f"as in power={amps.field}[*25.6]"
+        )
     torques = [name for name in names if {"effort", "torque"} & set(words(name))]
     if "power" in needed and torques:
         hint += (
@@ -325,6 +332,13 @@ def refuse_unlike(table: Table, found: Mapping[str, Column]) -> None:
         one = found.get(channel)
         if one is None:
             continue
+        power = found.get(f"p_{channel[2:]}", one)
+        if one.plus and not power.plus and of_one_wheel(power.field):
+            raise DriveLogError(
+                f"{table.source}: {power.field} is of one wheel, and {one.written} of several; "
+                "name the powers of all, or of the driven one, as in --columns "
+                f"'p_{channel[2:]}={power.field}'"
+            )
         for name in one.plus:
             first, second = (table.columns[each] for each in (one.field, name))
             both = np.isfinite(first) & np.isfinite(second)
@@ -444,14 +458,14 @@ def _start_table(file: Path, known: Given) -> Start:
 
 
 def _refuse_percentages(source: str, names: Iterable[str], there: Collection[str]) -> None:
-    """Refuse a log whose battery tells its charge alone, of which no power comes."""
+    """Refuse a log that has nothing but shares in percent, of which no power comes."""
     if any(set(way) <= {*there} for way in POWER_WAYS):
         return
     for name in names:
         if "%" in name or _CHARGE & set(words(name)):
             raise DriveLogError(
-                f"{source}: {name!r} tells how full the battery is, which is no power: log its "
-                "voltage and current, or what it counts in Wh or mAh"
+                f"{source}: {name!r} is a share, as of a battery's charge, which is no power: log "
+                "the battery's voltage and current, or what it counts in Wh or mAh"
             )
 
 

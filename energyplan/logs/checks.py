@@ -883,6 +883,13 @@ def _repeats(drive: Drive) -> _Found:
         drives = np.logical_and.reduceat(moving, starts)
         if name.startswith("p_"):  # of a side that returns nothing, zero is a reading
             drives &= (values[starts] != 0.0) | (drive.power[starts] == 0.0)
+        blank = (values[starts] == 0.0) & (counts < least) & drives
+        if name in ("power", "current") and np.count_nonzero(blank) > max(_ENOUGH, 0.01 * len(t)):
+            yield Check(
+                f"{name} falls to 0 for a moment {np.count_nonzero(blank)} times in driving: rows "
+                "without a reading were filled with 0",
+                remedy="leave such cells empty",
+            )
         hangs = drives & (counts >= least)
         lost, usual = int(counts[hangs].sum()), counts[drives & ~hangs]
         if np.count_nonzero(hangs) < 3 or lost < 0.01 * np.count_nonzero(moving):

@@ -29,7 +29,8 @@ _NOT_MEASURED = {
     "cmd", "command", "commanded", "set", "setpoint", "target", "desired", "ref", "reference",
     "goal", "request", "requested", "cov", "covariance", "std", "error", "err", "torque", "effort",
     "ticks", "count", "encoder", "position", "temp", "temperature", "limit", "max", "min",
-    "raw", "supply", "health", "technology", "capacity", "charge", "percentage", "present",
+    "raw", "supply", "health", "technology", "capacity", "charge", "percentage", "percent", "pct",
+    "present",
 }  # fmt: skip
 """Words of what is asked for, or of what is no speed and no power."""
 
@@ -189,6 +190,11 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
         if re.search(r"\d", name) and not side_of(name) and kinds & set(words(name)):
             groups.setdefault(tuple(words(name)), []).append(name)
     return tuple(next((group for group in groups.values() if len(group) > 1), ()))
+
+
+def of_one_wheel(name: str) -> bool:
+    """Tell whether a name is that of a wheel, or its motor, of which a side has several."""
+    return bool(set(words(name)) & set(_PLACES))
 
 
 def halves(name: str, others: Iterable[str]) -> list[str]:

@@ -390,7 +390,7 @@ _AHEAD = _MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a tabl
 _STRAY_ROWS = 0.01  # share of rows that may be cut short
 _CHUNK = 200_000  # rows parsed at once
 _SUFFIXES = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".gz"), ".csv"),
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log", ".gz"), ".csv"),
     **dict.fromkeys((".parquet", ".pq"), ".parquet"),
 }
 _OTHERS = {

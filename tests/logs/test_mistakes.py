@@ -199,6 +199,10 @@ LOGS = {
         lambda made: {**{k: v for k, v in made.items() if k[:2] != "p_"},
                       "power": (made["p_left"] + made["p_right"]) * (made["t"] < 60.0)},
         r"power stays at 0 from t = 60"),
+    "rows filled with 0": (
+        lambda made: {**{k: v for k, v in made.items() if k[:2] != "p_"},
+                      "power": np.where(np.arange(len(made["t"])) % 2, made["p_left"], 0.0)},
+        r"power falls to 0 for a moment .* leave such cells empty"),
     "an encoder stuck": (
         lambda made: {**made, "v_left": made["v_left"][np.minimum(np.arange(len(made["t"])), 900)]},
         r"v_left stays at .* its sensor is dead there"),
