@@ -339,8 +339,8 @@ def map_advice(maps: Sequence[str]) -> list[str]:
 def vague_advice(vague: Sequence[Effect]) -> list[str]:
     """Say that an effect was dropped of which any size fits about as well."""
     return [
-        f"{_plain(effect.name)} was dropped: its error exceeds its size, so that another one, or "
-        f"none, fits these drives about as well; to tell it: {effect.manoeuvre}"
+        f"{_plain(effect.name)} was dropped: its size is less than two standard errors, so that "
+        f"another one, or none, fits these drives about as well; to tell it: {effect.manoeuvre}"
         for effect in vague
     ]
 
