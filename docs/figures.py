@@ -26,9 +26,9 @@ from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_ef
 from energyplan.planning import Budget
 from energyplan.planning.search.follow import poses_along
 from energyplan.planning.search.optimise import refine
-from energyplan.planning.search.routes import cheapest_chain, ways_with_turns
+from energyplan.planning.search.routes import cheapest_route, cheapest_routes
 from energyplan.planning.space.compiled import compiled
-from energyplan.planning.space.cost_to_go import distance_to_go
+from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.power import HOTEL, effects
 
 HERE = Path(__file__).resolve().parent
@@ -96,10 +96,10 @@ def planner() -> Figure:
     problem = warehouse()
     query = compiled(problem).leading
     budget = Budget(effort=50_000)
-    to_go = distance_to_go(query.setting)
-    route = cheapest_chain(to_go, query.setting, np.zeros(1, bool), 50_000).chain
+    to_go = cost_to_go(query.setting)
+    route = cheapest_route(to_go, query.setting, np.zeros(1, bool), 50_000).chain
     cells = poses_along(to_go.places, query.setting, route)
-    ways = ways_with_turns(query.setting, to_go, budget)
+    ways = cheapest_routes(query.setting, to_go, budget)
     followed = [query.path(way) for way in ways]
     refined = [query.path(refine(query, way, budget.part(0.2))) for way in ways]
     best = min(refined, key=query.value)

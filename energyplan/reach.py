@@ -25,7 +25,7 @@ from energyplan.planning.search import lattice as kernels
 from energyplan.planning.search.lattice import Search, coarse_lattice
 from energyplan.planning.space import prices
 from energyplan.planning.space.compiled import CompiledProblem, compiled
-from energyplan.planning.space.cost_to_go import no_distance
+from energyplan.planning.space.cost_to_go import no_cost_to_go
 from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
 
 STEP = 0.01
@@ -352,7 +352,7 @@ def energy_map(
 
 def _search(setting: KernelProblem, lattice: kernels.Lattice, limit: float, effort: int) -> Search:
     """Return a search grown up to an energy."""
-    search = Search(setting, no_distance(), lattice, 0.0)
+    search = Search(setting, no_cost_to_go(), lattice, 0.0)
     budget, status = Budget(effort=effort), kernels.RUNNING
     while status == kernels.RUNNING and search.frontier <= limit and not budget.over:
         status = search.run(budget, STRIDE)

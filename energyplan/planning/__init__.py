@@ -20,7 +20,7 @@ from energyplan.errors import (
     UnsupportedPlannerError,
 )
 from energyplan.kinds import check_fields, checked
-from energyplan.planning.budget import Budget, cancellable
+from energyplan.planning.budget import SHARES, Budget, cancellable
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
@@ -58,9 +58,6 @@ PLANNERS = {
     },
 }  # fmt: skip
 """The library's own planners; they are imported when they are used."""
-
-_BOUND_SHARE = 0.1
-"""Part of the budget that is kept for the lower bound where a planner has none."""
 
 
 def planners() -> tuple[str, ...]:
@@ -204,7 +201,7 @@ def plan(
         return found
 
     budget = Budget(time_limit, effort=effort)
-    given = budget if declared.bound else budget.part(1.0 - _BOUND_SHARE)
+    given = budget if declared.bound else budget.part(1.0 - SHARES.aside)
     found = between_clear_ends(problem, given, solve)
     query = compiled(bare)
     bound = found.lower_bound

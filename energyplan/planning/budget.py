@@ -25,6 +25,34 @@ PACE = 50_000
 
 A unit is about 20 microseconds of one core: three expansions of a search, or attempts at a path."""
 
+
+class Units(NamedTuple):
+    """Units of work that pieces of work count as, as measured."""
+
+    join: float = 0.35  # two poses that are joined, or that are tried to be
+    steer: float = 0.04  # two poses whose least cost is looked up
+    follow: float = 1.0  # a motion along poses that lie close together
+    expansion: float = 0.3  # of the lattice
+    state: float = 0.05  # of the search for routes
+    pose: float = 0.03  # that is tested
+    motion: float = 0.07  # that is tested
+    drive: float = 500.0  # a path that is timed
+    nodes: float = 120.0  # of the cost-to-go, for one unit
+    steps: float = 12_000.0  # of the lower bound, for one unit
+
+
+UNITS = Units()
+
+
+class Shares(NamedTuple):
+    """The rule by which what is left of a budget is divided."""
+
+    stage: float = 0.5  # for what every plan needs
+    aside: float = 0.25  # for what some plans need, or gain by
+
+
+SHARES = Shares()
+
 _unwanted: ContextVar[Callable[[], bool]] = ContextVar("unwanted", default=lambda: False)
 
 
@@ -147,10 +175,6 @@ class Budget:
         if self._counted:
             return self._until(self._spent[0] + share * self.left if self.left < inf else inf)
         return self._until(self._end - (1.0 - share) * self.left / PACE)
-
-    def less(self, units: float) -> Budget:
-        """Return a budget that leaves so many units of this one."""
-        return self._until(self._end - (units if self._counted else units / PACE))
 
     def apart(self, units: float) -> Budget:
         """Return a budget of its own for work that runs beside others, in a thread for one.

@@ -14,17 +14,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from energyplan.errors import NoPathError
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import SHARES, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import KEPT, PlanningProblem, free_beside
 from energyplan.planning.search.tight_ends import ways_out
 from energyplan.planning.space.compiled import CompiledProblem
-
-LEAVING = 0.25
-"""Part of the budget that may go into the ways to where the clearance is kept."""
-
-REFINING = 0.2
-"""Part of what is left then for refining the joined path."""
 
 
 class Ends(NamedTuple):
@@ -69,12 +63,12 @@ def between_clear_ends(
     for share in KEPT:
         kept = replace(problem, clearance=share * problem.clearance_at_ends)
         query = CompiledProblem(kept, wanted=problem.clearance)
-        for ends in ways_out(query, budget.part(LEAVING), turn=0.0):
+        for ends in ways_out(query, budget.part(SHARES.aside), turn=0.0):
             inner = replace(ends.problem, clearance=problem.clearance)
             if not inner.ends_clear:
                 continue
             try:
-                found = solve(inner, budget.part(1.0 - REFINING))
+                found = solve(inner, budget.part(1.0 - SHARES.aside))
             except NoPathError as reason:  # another way out may lead to elsewhere
                 error = NoPathError(str(reason), resolution=reason.resolution)
                 continue

@@ -9,7 +9,7 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound import prepare_bound
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.search.tight_ends import surely_roomy
+from energyplan.planning.search.tight_ends import surely_has_room
 from energyplan.planning.space.compiled import compiled
 from energyplan.planning.space.cost_to_go import regions_for
 
@@ -56,7 +56,7 @@ def compile_planning(problem: PlanningProblem, *, tight: bool | None = None) -> 
     if tight is None:
         compile_kernels(*kernels(problem.cost, surfaces=surfaces))
         query = compiled(problem)
-        tight = not all(surely_roomy(query, end) for end in (problem.start, problem.goal))
+        tight = not all(surely_has_room(query, end) for end in (problem.start, problem.goal))
         if not tight:
             return
     compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=tight))

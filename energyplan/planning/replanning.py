@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +30,7 @@ from energyplan.errors import (
 )
 from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import SHARES, Budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.ends import between_clear_ends, checked_ends
@@ -39,22 +40,19 @@ from energyplan.planning.search import planner as lattice
 from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.terrain import OccupancyGrid
 
-AHEAD = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)
-"""How far ahead of the nearest place a robot beside its path may get back to it [half slip tracks].
-"""
 
-STEP, TURN = 0.1, 0.05
-"""Distance between the places of a path that are looked at [half slip tracks], [rad]."""
+class Settings(NamedTuple):
+    """Constants of replanning; lengths in half slip tracks."""
 
-AROUND = (0.6, 2.0, 6.0)
-"""How far before and after what is closed of a path it is left and joined again [half slip tracks].
-"""
+    # how far ahead a path is joined again
+    ahead: tuple[float, ...] = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)
+    step: float = 0.1  # distance between the places looked at [half slip tracks]
+    turn: float = 0.05  # turn between them [rad]
+    around: tuple[float, ...] = (0.6, 2.0, 6.0)  # how far about what is closed a path is left
+    alike: float = 1e-9  # distances that are equal [m]
 
-DETOUR_SHARE = 0.25
-"""Part of the budget that ways around what is closed may take."""
 
-ALIKE = 1e-9
-"""Distances from a path that differ by less count as equal [m]."""
+SETTINGS = Settings()
 
 
 def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | None:
@@ -78,7 +76,7 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
 
 def _places(path: Path, problem: PlanningProblem) -> Path:
     """Return a path cut at the places that are looked at."""
-    return path.subdivide(STEP * problem.cost.half_track, TURN)
+    return path.subdivide(SETTINGS.step * problem.cost.half_track, SETTINGS.turn)
 
 
 def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]:
@@ -87,9 +85,11 @@ def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]
     turned = problem.cost.half_track * wrap_angle(off[:, 2])
     away = np.hypot(np.hypot(off[:, 0], off[:, 1]), turned)
     # of a place that it passes twice the later time counts
-    nearest = int(np.flatnonzero(away <= away.min() + ALIKE)[-1])
+    nearest = int(np.flatnonzero(away <= away.min() + SETTINGS.alike)[-1])
     along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-    ahead = np.searchsorted(along, along[nearest] + problem.cost.half_track * np.array(AHEAD))
+    ahead = np.searchsorted(
+        along, along[nearest] + problem.cost.half_track * np.array(SETTINGS.ahead)
+    )
     # the place itself, and the one after it, which the robot may have passed the first part of
     return sorted({nearest, *np.clip([nearest + 1, *ahead], nearest, len(fine)).tolist()})
 
@@ -99,7 +99,7 @@ def _joined(here: Pose, fine: Path, vertex: int, problem: PlanningProblem) -> Pa
     at = Pose(*(float(v) for v in fine.vertices[vertex]))
     rest = Path(at, fine.ds[vertex:], fine.dtheta[vertex:], fine.longitudinal)
     gap = np.hypot(at.x - here.x, at.y - here.y) + abs(float(wrap_angle(at.yaw - here.yaw)))
-    if gap > ALIKE:
+    if gap > SETTINGS.alike:
         try:
             rest = steering.path(here, at, problem.cost) + rest
         except EnergyPlanError:  # a vehicle that steering knows no way for
@@ -126,8 +126,8 @@ def _bypassed(rest: Path, problem: PlanningProblem, budget: Budget) -> Path | No
     vertices = fine.vertices
     free = np.flatnonzero(grid.footprint_free(vertices, problem.robot))
     along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-    for n, far in enumerate(problem.cost.half_track * np.array(AROUND)):
-        own = budget.part(1.0 / (len(AROUND) - n))
+    for n, far in enumerate(problem.cost.half_track * np.array(SETTINGS.around)):
+        own = budget.part(1.0 / (len(SETTINGS.around) - n))
         before = free[(free <= shut[0]) & (along[free] <= along[shut[0]] - far)]
         after = free[(free > shut[1]) & (along[free] >= along[shut[1] + 1] + far)]
         first = int(before[-1]) if len(before) else 0
@@ -263,7 +263,7 @@ def replan(
         else:
             rest = remainder(former.path, here, open_map)
         if rest is not None:
-            bypassed = _bypassed(rest, now, budget.part(DETOUR_SHARE))
+            bypassed = _bypassed(rest, now, budget.part(SHARES.aside))
             known = [] if bypassed is None else [bypassed]
     found = _planned(now, budget, known)
     others = [path for path in known if now.first_collision(path) is None]

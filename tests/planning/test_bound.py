@@ -29,7 +29,7 @@ from energyplan.planning.bound.line import (
     gate,
     to_gate,
 )
-from energyplan.planning.bound.outline import DETAILS, Links, _sights, no_links, sight, sights
+from energyplan.planning.bound.outline import DETAILS, _sights, no_links, sight, sights
 from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.space.compiled import CompiledProblem
@@ -110,15 +110,6 @@ def test_an_outline_brought_up_to_date_is_the_one_of_a_new_map(drawn, monkeypatc
                 if now.squares and old:
                     kept += sum(now.squares[at] is old[at] for at in old)
         assert drawn != "squares" or kept > 100
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 300), (257, 2)])
-@pytest.mark.parametrize("full", [True, False])
-def test_maps_without_lines_have_an_empty_outline(shape, full, monkeypatch):
-    for most in (0, 10_000):
-        monkeypatch.setattr(outlines, "MOST_RUNS", most if full else most - 1)
-        found = outline(OccupancyGrid(np.full(shape, full), 0.05), 0.3)
-        assert np.isfinite(found.edges).all()
 
 
 def test_lines_through_obstacles_are_closed_and_others_open():
@@ -394,15 +385,6 @@ def test_of_a_gate_without_end_only_the_way_straight_to_it_is_charged():
     assert turned == pytest.approx(600.0 + 160.0 * 0.5 - 200.0 * 0.4 * np.sin(0.5))
 
 
-@pytest.mark.parametrize("radian", [0.0, 5e-324, 1e-300, 1e-9])
-def test_turns_that_cost_nothing_leave_the_metres(radian):
-    steering_cost = static(200.0, 0.0, 0.0)._replace(per_radian=radian)
-    for start, end in ((0.0, 0.0), (1.0, -2.0)):
-        section = Section(3.0, 4.0, 0.0, 1.0, 0.0)
-        found = to_gate(section, start, end, steering_cost, 1e9, room_to_work()).cost
-        assert 0.99 * 1000.0 <= found <= 1000.0 + 1e-6
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_first_and_last_lines_cost_no_more_than_any_crossing(seed):
     """Headings between the nodes and all places on the gate are tried."""
@@ -602,7 +584,7 @@ def hall_of_pillars(rows=25, columns=90):
 
 def test_the_bound_never_gives_up(monkeypatch):
     """However many corners there are, the way of the disc is counted."""
-    monkeypatch.setattr("energyplan.planning.bound.MOST_CORNERS", 100)
+    monkeypatch.setattr(bound, "SETTINGS", bound.SETTINGS._replace(corners=100))
     grid = hall_of_pillars()
     start, goal = (2.0, 1.0, 0.0), (43.0, 1.0, 0.0)
     query = CompiledProblem(PlanningProblem(grid, COST, start, goal))
@@ -878,70 +860,3 @@ def test_no_plan_of_a_random_model_beats_the_bound_among_obstacles(seed):
 
 
 # -- what is kept of the lines between corners -----------------------------------------------------
-
-
-def test_lines_that_outgrow_their_room_in_one_search_are_known_to_the_next(monkeypatch):
-    """Both searches over corners go on with the same lines, wherever these came to lie."""
-    searched = bound.least_over_corners
-    seen: list[tuple[int, int]] = []
-
-    def watched(space, body, outline, paid, ends, ways, *rest):
-        links = ways.links
-        used = int(links.used[0])
-        assert used <= len(links.seen)
-        assert np.all(links.seen[:used] < len(outline.point))
-        found = searched(space, body, outline, paid, ends, ways, *rest)
-        seen.append((used, int(found.links.used[0])))
-        return found
-
-    monkeypatch.setattr(bound, "least_over_corners", watched)
-    monkeypatch.setattr(bound, "WAYS_SHARE", 1e-6)  # the ways leave most lines to be found
-    start, goal = free_poses(cluttered(2), 2, 5, COST.vehicle)
-    values = []
-    for _ in range(2):
-        query = CompiledProblem(PlanningProblem(cluttered(2), COST, start, goal))
-        values.append(lower_bound(query, np.inf, 1e9).value)
-        (first, grown), *_ = seen
-        assert grown > first
-
-        def cramped(corners: int, room: int = grown - 1) -> Links:
-            return no_links(corners)._replace(seen=np.zeros(room, np.int32))
-
-        # one too few for what the first of both searches finds
-        monkeypatch.setattr(outlines, "no_links", cramped)
-        seen.clear()
-    assert values[0] == values[1]
-
-
-def test_kernels_agree_with_their_plain_twins():
-    rng = np.random.default_rng(5)
-    rates = Rates(226.0, 165.0, 0.3, -1.1, 0.0, static(226.0, 165.0, 0.47))
-    before = rng.uniform(0, 500, HEADINGS)
-    line.spread(before, rates.radian * SPACING)
-    for strict in ((True, False), (False, False), (True, True)):
-        fast = line.along_line(before, 0.7, 1.3, rates, *strict)
-        plain = line.along_line.py_func(before, 0.7, 1.3, rates, *strict)
-        np.testing.assert_allclose(fast, plain, rtol=1e-12)
-    once = before.copy()
-    line.spread.py_func(once, rates.radian * SPACING)
-    np.testing.assert_allclose(once, before, rtol=1e-12)
-
-
-@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
-def test_no_path_of_a_small_robot_beats_the_bound(seed):
-    # hardly any half track and a small body: next to nothing is relaxed, so that an unsound
-    # bound shows
-    cost = nearly_a_point(200.0, 400.0 if seed % 2 else 80.0)
-    grid = cluttered(seed, 30)
-    poses = free_poses(grid, 16, seed, cost.vehicle)
-    compared = 0
-    for start, goal in zip(poses[::2], poses[1::2], strict=True):
-        problem = PlanningProblem(grid, cost, start, goal)
-        try:
-            found = plan(problem, effort=8_000, gap=0.0)
-        except (NoPathError, TimeLimitError):
-            continue
-        bound = lower_bound(CompiledProblem(problem), 1.5 * found.energy)
-        assert bound.value <= found.energy * (1 + 1e-9)
-        compared += 1
-    assert compared > 4

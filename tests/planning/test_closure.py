@@ -16,8 +16,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
 from energyplan.planning.space import closure as closing
 from energyplan.planning.space.closure import (
-    FINEST,
-    OF_A_CELL,
+    SETTINGS,
     chain_between,
     closure,
     look_closer,
@@ -91,7 +90,7 @@ def test_a_door_that_the_robot_passes_is_never_closed(seed, tested):
         problem = drawn(seed, spare)
         found = looked(problem, tested)
         assert not found.proven
-        assert spare < 2.0 * max(FINEST, OF_A_CELL * problem.map.resolution) or (
+        assert spare < 2.0 * max(SETTINGS.finest, SETTINGS.part * problem.map.resolution) or (
             found.resolution == np.inf and len(found.reached) == 0
         )
     assert not looked(drawn(seed, 1e-4), tested).proven
@@ -141,7 +140,7 @@ def test_three_verdicts_are_told_apart():
     hair = verdict(0.6, width=0.5999, effort=20_000)
     assert isinstance(hair, TimeLimitError) or hair.certainty == "at_resolution"
     if isinstance(hair, NoPathError):
-        assert 0 < hair.resolution <= 2 * FINEST
+        assert 0 < hair.resolution <= 2 * SETTINGS.finest
         assert "mm apart" in str(hair)
         assert "clearance" in str(hair)
     # not enough to tell

@@ -11,7 +11,7 @@ from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem
 from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.cost_to_go import distance_to_go, node_at, reached
+from energyplan.planning.space.cost_to_go import cost_to_go, node_at, reached
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
@@ -70,7 +70,7 @@ def problem_along(path: Path, size: tuple[float, float], resolution: float, room
 def first_path(problem: PlanningProblem) -> tuple[CompiledProblem, Search]:
     """Return the search for a first path, on finer lattices where the first one has none."""
     asked = CompiledProblem(problem)
-    to_go = distance_to_go(asked.setting)
+    to_go = cost_to_go(asked.setting)
     for scale in (1.0, 0.5, 0.25, 0.125, 0.0625):
         search = Search(asked.setting, to_go, lattice_for(asked.setting, scale), 2.0)
         search.run(Budget(), EXPANSIONS)
@@ -96,7 +96,7 @@ def test_a_path_is_found_where_one_was_carved(size, resolution, seed):
 def test_no_way_is_said_to_be_closed_that_is_open(size, seed):
     problem = problem_along(wander(seed, max(size)), size, 0.05, room=0.005)
     setting = CompiledProblem(problem).setting
-    assert reached(distance_to_go(setting), setting)
+    assert reached(cost_to_go(setting), setting)
 
 
 def test_the_way_to_go_knows_what_the_body_cannot_pass():
@@ -116,7 +116,7 @@ def test_the_way_to_go_knows_what_the_body_cannot_pass():
     asked, search = first_path(problem)
     assert search.found
     assert max(asked.path(search.segments()).vertices[:, 1]) > 9.0
-    to_go = distance_to_go(asked.setting)
+    to_go = cost_to_go(asked.setting)
     node = node_at(to_go, grid.space, Pose(2.5, 4.0, 0.0))
     # up, across and down again: no less than this, and little more
     assert 22.0 < to_go.distance[node] < 28.0
@@ -135,7 +135,7 @@ def test_what_is_closed_between_the_poses_tested_is_proven():
         )
         problem = PlanningProblem(grid, cost, (2, 3, 0), (10, 3, 0), vehicle=robot)
         setting = CompiledProblem(problem).setting
-        return reached(distance_to_go(setting), setting)
+        return reached(cost_to_go(setting), setting)
 
     assert way(0.66)
     assert not way(0.9)

@@ -8,7 +8,7 @@ import pytest
 from energyplan.cost import EnergyCost
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.search.follow import follow, thread
+from energyplan.planning.search.follow import bidirectional_search, follow
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.motions import KernelProblem, drive
 from energyplan.terrain import OccupancyGrid
@@ -57,7 +57,9 @@ def larger(body: Body, by: float) -> Body:
 
 def test_motions_follow_poses_through_a_gap():
     setting, begin, end = straight_gap()
-    found = thread(setting, larger(setting.body, 0.03), begin, end, CELL, HEADINGS, TESTS)
+    found = bidirectional_search(
+        setting, larger(setting.body, 0.03), begin, end, CELL, HEADINGS, TESTS
+    )
     assert len(found.poses) and not found.closed and found.tests < TESTS
     assert np.allclose(found.poses[[0, -1]], [begin, end])
     ds, dtheta = np.empty((2, 10_000))
@@ -68,7 +70,7 @@ def test_motions_follow_poses_through_a_gap():
 
 def test_poses_follow_no_gap_that_is_too_narrow():
     setting, begin, end = straight_gap(0.56)
-    found = thread(setting, setting.body, begin, end, CELL, HEADINGS, TESTS)
+    found = bidirectional_search(setting, setting.body, begin, end, CELL, HEADINGS, TESTS)
     assert len(found.poses) == 0
 
 
@@ -79,5 +81,5 @@ def test_a_pose_with_nowhere_to_go_is_known_to_be_closed_in():
     setting = CompiledProblem(gap(0.72, 0.1, 0.02)).setting
     setting = setting._replace(space=OccupancyGrid(cells, 0.01).space)
     ends = Pose(0.9, 1.0, 0.0), Pose(3.1, 1.0, 0.0)
-    found = thread(setting, setting.body, *ends, 0.02, 64, 100_000)
+    found = bidirectional_search(setting, setting.body, *ends, 0.02, 64, 100_000)
     assert found.closed and len(found.poses) == 0

@@ -103,13 +103,6 @@ def test_what_stops_cannot_bring_is_spent_on_the_path(monkeypatch):
     assert made.energy <= 1.005 * plan(asked, effort=8_000).energy
 
 
-def test_the_same_effort_makes_the_same_path():
-    asked = problem(rolling(), 0.8)
-    first, second = (plan(asked, effort=40_000) for _ in range(2))
-    assert np.array_equal(first.path.ds, second.path.ds)
-    assert np.array_equal(first.path.dtheta, second.path.dtheta)
-
-
 def test_a_robot_that_cannot_be_timed_is_planned_for_all_the_same():
     vehicle = replace(PAPER.vehicle, motor=replace(PAPER.vehicle.motor, peak_power=20.0,
                                                    continuous_power=20.0))  # fmt: skip

@@ -15,11 +15,11 @@ from energyplan.errors import (
 from energyplan.path import Path
 from energyplan.planning import Candidate, Planner, PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.search.follow import way_along
+from energyplan.planning.search.follow import motions_along
 from energyplan.planning.search.optimise import Refiner
-from energyplan.planning.search.routes import cheapest_chain, ways_with_turns
+from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.cost_to_go import distance_to_go
+from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import TreadICR, Vehicle
@@ -54,29 +54,19 @@ def refined(problem: PlanningProblem, way) -> float:
 def test_where_turning_is_dear_the_way_with_few_turns_is_found():
     problem = slalom(15.0)
     setting = CompiledProblem(problem).setting
-    to_go = distance_to_go(setting)
-    short = way_along(setting, to_go, Budget())
-    found = ways_with_turns(setting, to_go, Budget(effort=6000))
+    to_go = cost_to_go(setting)
+    short = motions_along(setting, to_go, Budget())
+    found = cheapest_routes(setting, to_go, Budget(effort=6000))
     best = min(refined(problem, way) for way in found)
     assert best < 0.9 * refined(problem, short)
     # and planning finds it with little effort
     assert plan(problem, effort=10_000).energy < best
 
 
-def test_where_turning_costs_little_the_short_way_is_found():
-    problem = slalom(0.02)
-    setting = CompiledProblem(problem).setting
-    to_go = distance_to_go(setting)
-    chain = cheapest_chain(to_go, setting, np.zeros(1, bool), 100_000)
-    places = to_go.places
-    rows = places.home[chain.chain] // (places.columns + 4)
-    assert rows.max() * places.spacing < 6.0
-
-
 def test_a_way_that_was_passed_is_left_for_another_one():
     setting = CompiledProblem(slalom()).setting
-    to_go = distance_to_go(setting)
-    ways = ways_with_turns(setting, to_go, Budget(effort=200_000))
+    to_go = cost_to_go(setting)
+    ways = cheapest_routes(setting, to_go, Budget(effort=200_000))
     lengths = [np.abs(way.ds).sum() for way in ways]
     assert len(ways) > 1 and lengths[0] != pytest.approx(lengths[1], rel=0.02)
 

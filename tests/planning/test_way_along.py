@@ -7,7 +7,7 @@ from energyplan.cost import EnergyCost
 from energyplan.planning import PlanningProblem
 from energyplan.planning.search.follow import chain_along, poses_along
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.cost_to_go import HEADINGS, distance_to_go
+from energyplan.planning.space.cost_to_go import HEADINGS, cost_to_go
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
@@ -21,7 +21,7 @@ def way_of(grid, start, goal):
     """Return the poses along the way to go of a robot for which turning is dear."""
     cost = EnergyCost(PowerModel.paper(LONG, K=20.0, mu=0.5))
     setting = CompiledProblem(PlanningProblem(grid, cost, start, goal)).setting
-    to_go = distance_to_go(setting)
+    to_go = cost_to_go(setting)
     return poses_along(to_go.places, setting, chain_along(to_go, setting))
 
 

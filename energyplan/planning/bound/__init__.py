@@ -20,7 +20,7 @@ from energyplan.planning.bound.corners import Ends, least_over_corners, ways_to_
 from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess
-from energyplan.planning.budget import Budget, Work, workers
+from energyplan.planning.budget import SHARES, UNITS, Budget, Work, workers
 from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.space.cost_to_go import inscribed
 from energyplan.planning.space.motions import KernelProblem, free_energy
@@ -30,23 +30,21 @@ from energyplan.terrain.collision import Body
 EFFORT = 5e7
 """Steps of the searches over corners after which what is known by then is taken: below 0.1 s."""
 
-MOST_CORNERS = 2500
-"""Corners near the way above which a coarser outline is taken."""
-
-DETOURS = (1.1, 2.0)
-"""How much longer than the straight line the ways are for which outlines are made ahead.
-
-What a plan outside of these needs is made when it does."""
-
-BEYOND = 1.001
-"""How much more than the cost of the best path a bound is sought for: one above it is a fault."""
-
-WAYS_SHARE = 0.6
-"""Part of the steps that the shortest ways may take; the headings have what is left."""
-
 
 Spent = dict[Sights, NDArray[np.bool_]]
 """The corners of outlines whose lines were counted as effort."""
+
+
+class Settings(NamedTuple):
+    """Constants of the lower bound."""
+
+    corners: int = 2500  # corners near the way above which a coarser outline is taken
+    # lengths over the straight line's with outlines ready
+    detours: tuple[float, float] = (1.1, 2.0)
+    beyond: float = 1.001  # cost over the best path's up to which it is sought
+
+
+SETTINGS = Settings()
 
 
 class Bound(NamedTuple):
@@ -63,7 +61,7 @@ def lower_bound(
     setting = query.setting
     free = float(free_energy(setting, setting.start))
     radius = inscribed(setting) - MARGIN * query.grid.resolution
-    limit = BEYOND * cost
+    limit = SETTINGS.beyond * cost
     if free >= limit or radius <= 0:
         return Bound(free, True)
     excess = least_excess(query, radius, limit)
@@ -91,8 +89,8 @@ def prepare_bound(query: CompiledProblem) -> None:
     ends = Ends(*setting.start[:2], *setting.goal[:2])
     apart = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
     coarsest = sights(grid, radius, DETAILS[-1]).outline
-    finest = _finest(coarsest, ends, DETOURS[0] * apart)
-    last = _finest(coarsest, ends, DETOURS[1] * apart)
+    finest = _finest(coarsest, ends, SETTINGS.detours[0] * apart)
+    last = _finest(coarsest, ends, SETTINGS.detours[1] * apart)
     with ThreadPoolExecutor(workers()) as pool:
         list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
 
@@ -141,7 +139,7 @@ def _among_obstacles(
     paid = spent.setdefault(found, np.zeros(len(found.outline.point), bool))
     with found.lock:
         ways = ways_to_goal(
-            kernel.space, found.outline, found.links, paid, ends, longest, WAYS_SHARE * effort
+            kernel.space, found.outline, found.links, paid, ends, longest, SHARES.stage * effort
         )
         found.links = ways.links
         left = effort - ways.steps
@@ -172,7 +170,7 @@ def _finest(coarsest: Outline, ends: Ends, longest: float) -> int:
     near = _near(coarsest, ends, longest)
     for k, detail in enumerate(DETAILS[:-1]):
         # from the coarsest to this one corners grow in number as the tolerance falls, or slower
-        if (DETAILS[-1].slack / detail.slack) ** 0.6 * near <= MOST_CORNERS:
+        if (DETAILS[-1].slack / detail.slack) ** 0.6 * near <= SETTINGS.corners:
             return k
     return len(DETAILS) - 1
 
@@ -182,10 +180,6 @@ def _near(outline: Outline, ends: Ends, longest: float) -> int:
     x, y = outline.point.T
     way = np.hypot(x - ends.start_x, y - ends.start_y) + np.hypot(x - ends.goal_x, y - ends.goal_y)
     return int(np.count_nonzero(way < longest))
-
-
-BOUND_STEPS = 12_000
-"""Steps of the search that count as a unit of work."""
 
 
 class Bounding:
@@ -211,7 +205,7 @@ class Bounding:
 
         def run(own: Budget) -> Bound:
             given = min(units, own.left)
-            found = lower_bound(self._query, cost, BOUND_STEPS * given, self._spent)
+            found = lower_bound(self._query, cost, UNITS.steps * given, self._spent)
             if not found.final:
                 own.spend(given)
             return found

@@ -17,14 +17,16 @@ from energyplan.planning.bound.outline import Outline
 from energyplan.planning.space.queues import angle_between
 from energyplan.terrain.collision import Body, Space, in_cells, pose_free
 
-STEP = 0.02
-"""Distance between the places tried on a gate [m]."""
 
-LONG = 3.0
-"""Length from which a gate forbids no heading [m]."""
+class Settings(NamedTuple):
+    """Constants of the bound along one line."""
 
-ENDLESS = 10.0
-"""Length from which a gate is taken to have no end [m]."""
+    step: float = 0.02  # distance between the places tried on a gate [m]
+    long: float = 3.0  # length from which a gate forbids no heading [m]
+    endless: float = 10.0  # length from which a gate has no end [m]
+
+
+SETTINGS = Settings()
 
 
 class Gate(NamedTuple):
@@ -68,24 +70,24 @@ def gate(
             break
         off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
-        if length > ENDLESS:
+        if length > SETTINGS.endless:
             return Gate(inf, False)
         if near + off < outline.inside - 1e-9:
             break
         roomy = roomy or near - off > reach
-        length += STEP
-    if roomy or length > LONG:
+        length += SETTINGS.step
+    if roomy or length > SETTINGS.long:
         return Gate(length, False)
     # a body that is smaller by what a place and a heading stand for
-    less = 0.5 * STEP + 0.5 * spacing * reach
+    less = 0.5 * SETTINGS.step + 0.5 * spacing * reach
     small = Body(body.x_min + less, body.y_min + less, body.x_max - less, body.y_max - less)
     open_between = np.empty(n, np.bool_)
     for j in range(n):
         open_between[j] = False
     left = n
-    for k in range(int(length / STEP) + 2):
-        px = x + k * STEP * ux
-        py = y + k * STEP * uy
+    for k in range(int(length / SETTINGS.step) + 2):
+        px = x + k * SETTINGS.step * ux
+        py = y + k * SETTINGS.step * uy
         for j in range(n if left > 0 else 0):
             if not open_between[j] and pose_free(
                 space, small, px, py, goal_yaw + (j + 0.5) * spacing

@@ -23,14 +23,17 @@ from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import Window, tables_of
 
-BUCKET = 8
-"""Side of the squares by which edges are looked up [cells]."""
 
-DIRECTIONS = 512
-"""Directions by which it is noted how far one sees."""
+class Settings(NamedTuple):
+    """Constants of the outlines."""
 
-TINY = 1e-9
-"""Distance by which a line may miss a corner and still touch it [m]."""
+    bucket: int = 8  # side of the squares by which edges are looked up [cells]
+    directions: int = 512  # directions by which it is noted how far one sees
+    tiny: float = 1e-9  # distance by which a line may miss a corner and still touch it [m]
+    apart: float = 1e-8  # least difference of a level and a clearance
+
+
+SETTINGS = Settings()
 
 
 class Outline(NamedTuple):
@@ -77,15 +80,15 @@ def no_links(corners: int) -> Links:
 @njit
 def _square(place: float, cells: int) -> int:
     """Row or column of the square at a place [cells], the nearest one outside the map."""
-    return min(max(floor(place / BUCKET), 0), (cells - 1) // BUCKET)
+    return min(max(floor(place / SETTINGS.bucket), 0), (cells - 1) // SETTINGS.bucket)
 
 
 @njit
 def squares_of_edges(space: Space, edges: FloatTable) -> EdgesBySquare:
     """List the edges by the squares that they may touch, a cell's width included."""
     rows, columns = space.clearance.shape
-    across = (columns - 1) // BUCKET + 1
-    total = ((rows - 1) // BUCKET + 1) * across
+    across = (columns - 1) // SETTINGS.bucket + 1
+    total = ((rows - 1) // SETTINGS.bucket + 1) * across
     first = np.empty(total + 1, np.int32)
     for k in range(total + 1):
         first[k] = 0
@@ -164,7 +167,7 @@ def gaps(space: Space, radius: float, inside: float, window: Window) -> FloatTab
                     c = space.next_blocked[r, c + 1]
             if pr < 0:
                 continue
-            best = 2.0 * radius / res - TINY
+            best = 2.0 * radius / res - SETTINGS.tiny
             qr = -1
             qc = -1
             for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
@@ -201,9 +204,9 @@ def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     y = outline.point[k, 1]
     one = ux * (outline.before[k, 1] - y) - uy * (outline.before[k, 0] - x)
     two = ux * (outline.after[k, 1] - y) - uy * (outline.after[k, 0] - x)
-    if one >= -TINY and two >= -TINY:
+    if one >= -SETTINGS.tiny and two >= -SETTINGS.tiny:
         return 1
-    if one <= TINY and two <= TINY:
+    if one <= SETTINGS.tiny and two <= SETTINGS.tiny:
         return -1
     return 0
 
@@ -219,11 +222,11 @@ def _crosses(
     qy = outline.edges[k, 3]
     p_side = ux * (py - ay) - uy * (px - ax)
     q_side = ux * (qy - ay) - uy * (qx - ax)
-    if not (p_side * q_side < 0.0 and min(abs(p_side), abs(q_side)) > TINY):
+    if not (p_side * q_side < 0.0 and min(abs(p_side), abs(q_side)) > SETTINGS.tiny):
         return False
     a_side = (qx - px) * (ay - py) - (qy - py) * (ax - px)
     b_side = (qx - px) * (by - py) - (qy - py) * (bx - px)
-    return bool(a_side * b_side < 0.0 and min(abs(a_side), abs(b_side)) > TINY)
+    return bool(a_side * b_side < 0.0 and min(abs(a_side), abs(b_side)) > SETTINGS.tiny)
 
 
 class Sight(NamedTuple):
@@ -243,7 +246,7 @@ def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: f
     Clearance decides most places; where it does not, the edges nearby are tested.
     """
     rows, columns = space.clearance.shape
-    across = (columns - 1) // BUCKET + 1
+    across = (columns - 1) // SETTINGS.bucket + 1
     length = hypot(bx - ax, by - ay)
     res = space.resolution
     steps = 1
@@ -326,8 +329,8 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
     n = len(outline.point)
     x = outline.point[k, 0]
     y = outline.point[k, 1]
-    depth = np.empty(DIRECTIONS)
-    for j in range(DIRECTIONS):
+    depth = np.empty(SETTINGS.directions)
+    for j in range(SETTINGS.directions):
         depth[j] = inf
     heap_f = np.empty(256)
     heap_node = np.empty(256, np.int32)
@@ -351,7 +354,10 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
         steps += 10.0
         dx = outline.point[v, 0] - x
         dy = outline.point[v, 1] - y
-        if depth[floor(atan2(dy, dx) * DIRECTIONS / (2.0 * pi)) % DIRECTIONS] < length:
+        if (
+            depth[floor(atan2(dy, dx) * SETTINGS.directions / (2.0 * pi)) % SETTINGS.directions]
+            < length
+        ):
             continue
         met = sight(space, outline, x, y, outline.point[v, 0], outline.point[v, 1])
         steps += 10.0 * met.steps
@@ -375,9 +381,6 @@ MOST_RUNS = 6000
 SQUARE = 256
 """Side of the squares in which level sets are drawn [cells]."""
 
-APART = 1e-8
-"""How far a level differs from each clearance at least, as a part of it: then no line of it passes
-through a cell's centre, and each crosses between two centres once."""
 
 BESIDE = 5
 """Further cells than those under the disc that may matter to what is drawn of a place."""
@@ -520,8 +523,8 @@ class _Level:
 
     def __init__(self, grid: OccupancyGrid, radius: float) -> None:
         level = radius / grid.resolution - sqrt(0.5)
-        while level > 0.0 and abs(float(np.float32(level)) - level) < APART * level:
-            level -= 2.0 * APART * level
+        while level > 0.0 and abs(float(np.float32(level)) - level) < SETTINGS.apart * level:
+            level -= 2.0 * SETTINGS.apart * level
         self._grid = grid
         self._level = level
         self.low = max(level - sqrt(0.5), 0.0) * grid.resolution

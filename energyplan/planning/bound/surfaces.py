@@ -8,13 +8,13 @@ sum is no less than the sum of the leasts; the second of them is found here.
 from __future__ import annotations
 
 from math import ceil, sqrt
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import FlagTable, FloatTable, njit
 from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.prices import remembered
 from energyplan.planning.space.queues import pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
@@ -23,9 +23,6 @@ MOST_CELLS = 250_000
 
 ROUNDING = 1e-3
 """Far above what rounding makes of a clearance [cells]."""
-
-_cells: WeakKeyDictionary[OccupancyGrid, tuple[SurfaceMap, NDArray[np.intp]]]
-_cells = WeakKeyDictionary()
 
 
 def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
@@ -76,12 +73,12 @@ def certain_regions(query: CompiledProblem, surfaces: SurfaceMap) -> NDArray[np.
     It is made once for a map and its surfaces.
     """
     grid = query.grid
-    known = _cells.get(grid)
-    if known is None or known[0] is not surfaces:
+
+    def make() -> NDArray[np.intp]:
         region = np.broadcast_to(query.terrain.regions, grid.shape)
-        known = surfaces, _certain_regions(surfaces, grid, region)
-        _cells[grid] = known
-    return known[1]
+        return _certain_regions(surfaces, grid, region)
+
+    return remembered(grid, surfaces, "certain regions", make)
 
 
 def _certain_regions(

@@ -35,7 +35,7 @@ from energyplan.planning.roadmap.routes import (
 )
 from energyplan.planning.search.optimise import refine as refine_motions
 from energyplan.planning.space.compiled import CompiledProblem, compiled
-from energyplan.planning.space.cost_to_go import distance_to_go, node_at
+from energyplan.planning.space.cost_to_go import cost_to_go, node_at
 from energyplan.planning.space.motions import DIRECTIONS
 from energyplan.planning.space.prices import Prices
 from energyplan.terrain import OccupancyGrid, SurfaceMap
@@ -303,7 +303,7 @@ def _among(
 def _first_reach(query: CompiledProblem) -> float:
     """Return how long a good route may be, in metres of the least price, its turns included."""
     setting = query.setting
-    to_go = distance_to_go(setting)
+    to_go = cost_to_go(setting)
     start = node_at(to_go, setting.space, setting.start)
     way = float(to_go.distance[start]) if start >= 0 else np.inf
     radian = float(setting.prices[0, DIRECTIONS // 4]) * setting.half_track

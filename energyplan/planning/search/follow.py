@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
 from energyplan.path import FloatArray, Pose
-from energyplan.planning.budget import Budget
-from energyplan.planning.search.lattice import Search, lattice_for
+from energyplan.planning.budget import UNITS, Budget
+from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     RIM,
-    DistanceToGo,
+    CostToGo,
     Places,
     heading_of,
+    middle_of,
     node_at,
     to_and_fro,
 )
@@ -32,18 +33,6 @@ from energyplan.planning.space.motions import KernelProblem, join, surface_at, t
 from energyplan.planning.space.queues import angle_between, pop, push, slot_of
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 from energyplan.terrain.collision import Body, pose_free
-
-ASIDE = 4.0
-"""How much longer a step counts that leads to the side."""
-
-TIGHT = 3.0
-"""How much longer a step counts where a body with more room does not fit."""
-
-LONGEST = 64
-"""Poses that a motion along them leads further at most."""
-
-HALVINGS = 8
-"""How often the way between two neighbouring poses is halved until its motion is free."""
 
 BLOCKED = 2
 """What is known of a pose that is not free; else the end from which it was reached, 0 or 1."""
@@ -60,7 +49,28 @@ STEP_H = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, -1])
 """Steps to them."""
 
 
-class Threaded(NamedTuple):
+class Settings(NamedTuple):
+    """Constants of following a route."""
+
+    back: tuple[int, ...] = (1, 2, 3, 5, 8, 13, 21)  # how many poses back a pose is joined to
+    stride: float = 0.5  # distance between poses over the room at them [1]
+    beyond: tuple[int, ...] = (8, 20)  # poses that a short search leads further
+    # its lattices' scales, expansions
+    across: tuple[tuple[float, int], ...] = ((1.0, 600), (0.25, 1500))
+    cell: float = 0.125  # cells of the bidirectional search over those of the route [1]
+    spare: tuple[float, ...] = (0.5, 0.0)  # how much larger the body is in it [cells]
+    wide: float = 3.0  # how much larger it is where it has room [its cells]
+    most: int = 20_000  # poses tested at most, and motions along them
+    aside: float = 4.0  # factor on the length of a step to the side [1]
+    tight: float = 3.0  # factor on the length of a step where the body has no room [1]
+    longest: int = 64  # poses that a motion along them leads further at most
+    halvings: int = 8  # how often the way between two poses is halved until it is free
+
+
+SETTINGS = Settings()
+
+
+class Passage(NamedTuple):
     """Poses through a passage."""
 
     poses: FloatTable  # (n, 3): from one end to the other
@@ -75,15 +85,15 @@ def _pose(poses: FloatTable, k: int) -> Pose:
 
 
 @njit
-def thread(
+def bidirectional_search(
     setting: KernelProblem,
-    roomy: Body,
+    wide: Body,
     begin: Pose,
     end: Pose,
     cell: float,
     headings: int,
     most: int,
-) -> Threaded:
+) -> Passage:
     """Return free poses that lead from one pose to another, step by step on a grid."""
     turn = 2.0 * pi / headings
     size = 16
@@ -120,7 +130,7 @@ def thread(
         slot = slot_of(table, key, key[who])
         if table[slot] >= 0:
             # both ends are one place of the grid
-            return Threaded(_chain(parent, key, 0, 1, begin, end, cell, headings), 0, False)
+            return Passage(_chain(parent, key, 0, 1, begin, end, cell, headings), 0, False)
         table[slot] = who
         sizes[who] = push(heap_f[who], heap_node[who], 0, 0.0, who)
     count = 2
@@ -130,7 +140,7 @@ def thread(
         while sizes[who] > 0 and done[heap_node[who, 0]]:
             sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
         if sizes[who] == 0:
-            return Threaded(np.empty((0, 3)), count - 2, True)
+            return Passage(np.empty((0, 3)), count - 2, True)
         node = int(heap_node[who, 0])
         sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
         done[node] = True
@@ -148,7 +158,7 @@ def thread(
                 first = node if who == 0 else other
                 second = other if who == 0 else node
                 found = _chain(parent, key, first, second, begin, end, cell, headings)
-                return Threaded(found, count - 2, False)
+                return Passage(found, count - 2, False)
             if other >= 0 and (side[other] == BLOCKED or done[other]):
                 continue
             x = begin.x + (i + steps_i[k] - half) * cell
@@ -156,7 +166,7 @@ def thread(
             yaw = begin.yaw + to_h * turn
             if other < 0:
                 if count == capacity:
-                    return Threaded(np.empty((0, 3)), most, False)
+                    return Passage(np.empty((0, 3)), most, False)
                 other = count
                 count += 1
                 table[slot] = other
@@ -167,19 +177,19 @@ def thread(
                 if not pose_free(setting.space, setting.body, x, y, yaw):
                     continue
                 side[other] = who
-                narrow[other] = not pose_free(setting.space, roomy, x, y, yaw)
+                narrow[other] = not pose_free(setting.space, wide, x, y, yaw)
             step = setting.reach * turn
             if steps_h[k] == 0:
                 ahead = abs(along * steps_i[k] + across * steps_j[k])
                 aside = abs(along * steps_j[k] - across * steps_i[k])
-                step = cell * (ahead + ASIDE * aside)
+                step = cell * (ahead + SETTINGS.aside * aside)
             if narrow[other]:
-                step *= TIGHT
+                step *= SETTINGS.tight
             if g[node] + step < g[other]:
                 g[other] = g[node] + step
                 parent[other] = node
                 goal = end if who == 0 else begin
-                left = 2.0 * ASIDE * hypot(goal.x - x, goal.y - y)
+                left = 2.0 * SETTINGS.aside * hypot(goal.x - x, goal.y - y)
                 left += 2.0 * setting.reach * angle_between(goal.yaw, yaw)
                 sizes[who] = push(heap_f[who], heap_node[who], sizes[who], g[other] + left, other)
 
@@ -244,13 +254,13 @@ def follow(
     written = 0
     tried = 0
     here = _pose(poses, 0)
-    far = LONGEST
+    far = SETTINGS.longest
     while at < last and tried < limit and written + MAX_SEGMENTS <= len(ds):
         # so many poses further, or that part of the way to the next one
-        far = min(4 * far, LONGEST)
+        far = min(4 * far, SETTINGS.longest)
         part = 1.0
         moved = False
-        while not moved and part > 0.5**HALVINGS and tried < limit:
+        while not moved and part > 0.5**SETTINGS.halvings and tried < limit:
             to = min(at + far, last)
             turn = pi - (pi - (poses[to, 2] - here.yaw)) % (2.0 * pi)
             there = Pose(
@@ -278,40 +288,6 @@ def follow(
     return Followed(at, written, tried)
 
 
-BACK = (1, 2, 3, 5, 8, 13, 21)
-"""How many poses before a pose those lie from which it is sought to be reached."""
-
-JOINED = 0.35
-"""Units of work that joining two poses counts as."""
-
-STRIDE = 0.5
-"""Distance between poses, in units of the room at them."""
-
-BEYOND = (8, 20)
-"""How many poses further a search leads that is made where no pose further on is reached."""
-
-ACROSS = ((1.0, 600), (0.25, 1500))
-"""Scales of the lattices on which it is made, and expansions at most: a coarse one is soon through
-where there is room, a fine one follows bends that a coarse one has no motion for."""
-
-WEIGHT = 2.0
-"""And its weight."""
-
-CELL, FINE_HEADINGS = 0.125, 128
-"""Distance between the poses that are tested where no such search leads across, in units of that
-between places, and their headings."""
-
-SPARE, ROOMY = (0.5, 0.0), 3.0
-"""How much larger the body is when they are tested, in units of that distance, so that motions
-between them are free as well; and how much larger it is where it has room."""
-
-MOST_TESTS, MOST_MOTIONS = 20_000, 20_000
-"""Poses tested at most, and motions along them."""
-
-TEST, FOLLOWED = 0.03, 1.0
-"""Units of work that a test counts as, and a motion that is sought along those poses."""
-
-
 class Joined(NamedTuple):
     """How far motions along poses lead."""
 
@@ -320,7 +296,7 @@ class Joined(NamedTuple):
     tried: int  # pairs of poses that were tried
 
 
-class Led(NamedTuple):
+class Tracked(NamedTuple):
     """How far motions along the way to go lead."""
 
     motions: Segments | None  # the motions, free of collisions
@@ -328,22 +304,22 @@ class Led(NamedTuple):
     y: float  # the place that they lead to [m]
 
 
-def way_along(
+def motions_along(
     setting: KernelProblem,
-    to_go: DistanceToGo,
+    to_go: CostToGo,
     budget: Budget,
     chain: NDArray[np.int64] | None = None,
 ) -> Segments | None:
-    """Return motions along the way to go, as `led_along` does; None if they do not lead there."""
-    return led_along(setting, to_go, budget, chain).motions
+    """Return motions along a route; None where they do not lead to the goal."""
+    return follow_route(setting, to_go, budget, chain).motions
 
 
-def led_along(
+def follow_route(
     setting: KernelProblem,
-    to_go: DistanceToGo,
+    to_go: CostToGo,
     budget: Budget,
     chain: NDArray[np.int64] | None = None,
-) -> Led:
+) -> Tracked:
     """Find motions along the way to go."""
     chain = chain_along(to_go, setting) if chain is None else chain
     poses = poses_along(to_go.places, setting, chain)
@@ -351,12 +327,12 @@ def led_along(
     at, end = 0, len(poses) - 1
     while at < end and not budget.over:
         ds, dtheta = np.empty((2, (end - at) * MAX_SEGMENTS))
-        limit = int(min(budget.left / JOINED, 1 << 40))
+        limit = int(min(budget.left / UNITS.join, 1 << 40))
         found = join_poses(setting, poses[at:], limit, ds, dtheta)
-        budget.spend(JOINED * found.tried)
+        budget.spend(UNITS.join * found.tried)
         parts.append(Segments(ds[: found.motions], dtheta[: found.motions]))
         at += found.last
-        for beyond in BEYOND if at < end else ():
+        for beyond in SETTINGS.beyond if at < end else ():
             ahead = min(at + beyond, end)
             crossing = _across(setting, to_go, poses[at], poses[ahead], budget)
             if crossing is not None:
@@ -367,39 +343,39 @@ def led_along(
             break
     x, y = poses[at, :2].tolist() if len(poses) else setting.start[:2]
     if at < end or not parts:
-        return Led(None, x, y)
-    return Led(Segments(*(np.concatenate([part[n] for part in parts]) for n in range(2))), x, y)
+        return Tracked(None, x, y)
+    return Tracked(Segments(*(np.concatenate([part[n] for part in parts]) for n in range(2))), x, y)
 
 
 def _across(
-    setting: KernelProblem, to_go: DistanceToGo, begin: FloatArray, end: FloatArray, budget: Budget
+    setting: KernelProblem, to_go: CostToGo, begin: FloatArray, end: FloatArray, budget: Budget
 ) -> Segments | None:
     """Return the motions that short searches find from one pose to another, if they find any."""
     part = setting._replace(start=Pose(*begin.tolist()), goal=Pose(*end.tolist()))
-    for scale, most in ACROSS:
+    for scale, most in SETTINGS.across:
         search = Search(part, to_go, lattice_for(setting, scale), WEIGHT)
         search.run(budget, most)
         if search.found:
             return search.segments()
-    cell = to_go.places.spacing * CELL
+    cell = to_go.places.spacing * SETTINGS.cell
     return _threaded(setting, part.start, part.goal, cell, budget)
 
 
 def _threaded(
     setting: KernelProblem, begin: Pose, end: Pose, cell: float, budget: Budget
 ) -> Segments | None:
-    """Return motions along free poses that lie close together, if there are such; see `thread`."""
-    for part in SPARE:
-        most = int(min(MOST_TESTS, budget.left / TEST))
-        spare, roomy = (_grown(setting.body, much * cell) for much in (part, ROOMY))
+    """Return motions along free poses that lie close together, if there are such."""
+    for part in SETTINGS.spare:
+        most = int(min(SETTINGS.most, budget.left / UNITS.pose))
+        spare, wide = (_grown(setting.body, much * cell) for much in (part, SETTINGS.wide))
         tested = setting._replace(body=spare)
-        found = thread(tested, roomy, begin, end, cell, FINE_HEADINGS, most)
-        budget.spend(TEST * found.tests)
+        found = bidirectional_search(tested, wide, begin, end, cell, 2 * HEADINGS, most)
+        budget.spend(UNITS.pose * found.tests)
         if len(found.poses):
-            ds, dtheta = np.empty((2, MOST_MOTIONS))
-            limit = int(min(budget.left / FOLLOWED, MOST_MOTIONS))
+            ds, dtheta = np.empty((2, SETTINGS.most))
+            limit = int(min(budget.left / UNITS.follow, SETTINGS.most))
             led = follow(setting, found.poses, limit, ds, dtheta)
-            budget.spend(FOLLOWED * led.tried)
+            budget.spend(UNITS.follow * led.tried)
             if led.last == len(found.poses) - 1:
                 return Segments(ds[: led.motions], dtheta[: led.motions])
     return None
@@ -411,14 +387,14 @@ def _grown(body: Body, by: float) -> Body:
 
 
 @njit
-def chain_along(to_go: DistanceToGo, setting: KernelProblem) -> Ints:
+def chain_along(to_go: CostToGo, setting: KernelProblem) -> Ints:
     """Return the nodes from the start to the goal; none where the way is not known."""
     start = node_at(to_go, setting.space, setting.start)
     return chain_from(to_go, start if start >= 0 and to_go.distance[start] < inf else -1)
 
 
 @njit
-def chain_from(to_go: DistanceToGo, node: int) -> Ints:
+def chain_from(to_go: CostToGo, node: int) -> Ints:
     """Return a node and those after it, up to the goal; none for -1."""
     first = node
     count = 0
@@ -462,11 +438,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
         free_before = free
         free = either_way(places, int(chain[k]))
         if not even:
-            place = int(places.home[chain[k]])
-            along = (place % across - RIM + 0.5) * places.spacing
-            up = (place // across - RIM + 0.5) * places.spacing
-            x = space.x + space.cos * along - space.sin * up
-            y = space.y + space.sin * along + space.cos * up
+            x, y = middle_of(places, space, int(places.home[chain[k]]))
             per_turn = turning[surface_at(setting, Pose(x, y, setting.start.yaw))] * turn
         if k > 0:
             row = places.home[chain[k]] // across - places.home[chain[k - 1]] // across
@@ -517,7 +489,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 place // across - other // across, place % across - other % across
             )
         room = float(places.room[place])
-        if before != heading or room < setting.reach or gone >= STRIDE * room or k == 0:
+        if before != heading or room < setting.reach or gone >= SETTINGS.stride * room or k == 0:
             for part in range(1 if before == heading else 2):
                 yaw = space.yaw + (heading if part == 0 else before) * turn
                 pose = _free_in(setting, along, up, yaw, places.spacing)
@@ -585,7 +557,7 @@ def join_poses(
     for j in range(1, count):
         best[j] = inf
         before[j] = -1
-        for back in BACK:
+        for back in SETTINGS.back:
             i = j - back
             if i < 0 or tried >= limit:
                 break

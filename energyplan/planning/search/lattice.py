@@ -15,9 +15,9 @@ import numpy as np
 
 from energyplan.compilation import Floats, Ints, ShortInts, njit
 from energyplan.path import Pose
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import Segments
-from energyplan.planning.space.cost_to_go import DistanceToGo, node_at
+from energyplan.planning.space.cost_to_go import CostToGo, node_at
 from energyplan.planning.space.motions import (
     KernelProblem,
     free_energy,
@@ -29,13 +29,25 @@ from energyplan.planning.space.queues import angle_between, pop, push, slot_of
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
 from energyplan.terrain.collision import in_cells, motion_free
 
+WEIGHT = 2.0
+"""Factor on the heuristic where any path will do."""
+
 RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
 """Why a slice of the search ended."""
 
 MOTIONS = 10
 
-TOLERANCE = 0.15
-"""How far the first heading of the way may be off [rad]."""
+
+class Settings(NamedTuple):
+    """Constants of the lattice search."""
+
+    tolerance: float = 0.15  # how far the first heading of the route may be off [rad]
+    headings: int = 32  # headings of the coarsest lattice
+    most_headings: int = 512  # headings of the finest lattice
+    slice: int = 500  # expansions between two looks at the budget
+
+
+SETTINGS = Settings()
 
 
 class Lattice(NamedTuple):
@@ -66,7 +78,7 @@ class Tree(NamedTuple):
 
 
 @njit
-def _estimate(setting: KernelProblem, to_go: DistanceToGo, pose: Pose) -> float:
+def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
     """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
     space = setting.space
     yaw = pose.yaw
@@ -85,7 +97,7 @@ def _estimate(setting: KernelProblem, to_go: DistanceToGo, pose: Pose) -> float:
             through = min(
                 through, angle_between(yaw, heading) + angle_between(heading, setting.goal.yaw)
             )
-        turn = max(turn, through - 2.0 * TOLERANCE)
+        turn = max(turn, through - 2.0 * SETTINGS.tolerance)
     round_obstacles = setting.least_metre * far + setting.least_radian * turn
     # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
     dx = setting.goal.x - pose.x
@@ -122,7 +134,7 @@ def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, h
 def grow(
     tree: Tree,
     setting: KernelProblem,
-    to_go: DistanceToGo,
+    to_go: CostToGo,
     lattice: Lattice,
     weight: float,
     expansions: int,
@@ -250,27 +262,17 @@ def grow(
     return RUNNING
 
 
-HEADINGS, MOST_HEADINGS = 32, 512
-"""Headings of the coarsest lattice, and of the finest one."""
-
-EXPANSION = 0.3
-"""Units of work that an expansion counts as."""
-
-SLICE = 500
-"""Expansions between two looks at the budget."""
-
-
 def lattice_for(setting: KernelProblem, scale: float = 1.0) -> Lattice:
     """Return a lattice that suits the map and the body; `scale` below 1 makes it finer."""
     cell = max(setting.space.resolution, 0.2 * setting.reach) * scale
-    headings = min(round(HEADINGS / scale), MOST_HEADINGS)
+    headings = min(round(SETTINGS.headings / scale), SETTINGS.most_headings)
     return Lattice(cell, 2 * np.pi / headings, headings, 1.5 * cell)
 
 
 def coarse_lattice(setting: KernelProblem) -> Lattice:
     """Return the lattice of the search for many goals."""
     fine = lattice_for(setting)
-    turns = HEADINGS * 3 // 4
+    turns = SETTINGS.headings * 3 // 4
     return Lattice(1.5 * fine.cell, 2 * np.pi / turns, turns, 1.5 * fine.step)
 
 
@@ -279,7 +281,7 @@ class Search:
     """One search tree; with a weight of zero it has no goal."""
 
     setting: KernelProblem  # the problem
-    to_go: DistanceToGo  # distance to go
+    to_go: CostToGo  # distance to go
     lattice: Lattice  # resolution
     weight: float  # factor on the estimated cost to go
 
@@ -315,9 +317,11 @@ class Search:
         most = self.tree.counts[2] + expansions
         while True:
             before = int(self.tree.counts[2])
-            slice_ = int(min(SLICE, max(most - before, 1), max(budget.left / EXPANSION, 1)))
+            slice_ = int(
+                min(SETTINGS.slice, max(most - before, 1), max(budget.left / UNITS.expansion, 1))
+            )
             status = self._grow(slice_, limit)
-            budget.spend(EXPANSION * (int(self.tree.counts[2]) - before))
+            budget.spend(UNITS.expansion * (int(self.tree.counts[2]) - before))
             if status == FULL:
                 self._enlarge()
             elif status != RUNNING:

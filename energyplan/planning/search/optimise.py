@@ -21,17 +21,33 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import Flags, Floats, FloatTable, Words, njit
 from energyplan.path import FloatArray, Path, Pose
-from energyplan.planning.budget import Budget, Work, do_together
+from energyplan.planning.budget import UNITS, Budget, Work, do_together
 from energyplan.planning.space.compiled import CompiledProblem, Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
 from energyplan.terrain.collision import pose_free
 
-HOPELESS = 8
-"""Poses in a row from which no shortcut is free, after which those before are not tried."""
 
-SMALLEST, LARGEST = 1e-4, 1.0
-"""Range of the distance by which poses are moved [m]."""
+class Settings(NamedTuple):
+    """Constants of the optimisation of a path."""
+
+    hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
+    smallest: float = 1e-4  # least distance by which poses are moved [m]
+    largest: float = 1.0  # largest distance by which poses are moved [m]
+    further: float = 0.4  # probability that one more pose moves with others
+    poses: int = 60  # most poses among which shortcuts are sought
+    apart: int = 150  # how many poses apart those lie at most that a shortcut joins
+    trials: int = 400  # attempts of a turn, and between two looks at the budget
+    repairs: int = 100  # attempts to make blocked motions free
+    first: float = 500  # units of work of a path's first turn, with its shortcuts
+    turn: float = 200  # units of work of each turn that follows
+    kept: int = 4  # paths that stay in the portfolio
+    leading: int = 2  # how many of them get another turn, and copies of the best refined at once
+    patience: int = 3  # how often the best is refined anew although that may be in vain
+    hope: float = 1.03  # cost over the best one above which a path is given up [1]
+
+
+SETTINGS = Settings()
 
 
 class Chain(NamedTuple):
@@ -82,7 +98,7 @@ def shortcut(
         edge[j] = chain.cost[j - 1]
         blocked = 0
         for i in range(j - 1, max(0, j - reach) - 1, -1):
-            if blocked == HOPELESS:
+            if blocked == SETTINGS.hopeless:
                 break
             limit = best[j] - best[i] - 1e-9 - stop
             if limit <= 0:
@@ -298,10 +314,10 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
         if kind > 0.3:
             yaw += step / setting.half_track * (2.0 * random_number(state) - 1.0)
         if _try_move(chain, setting, k, Pose(x, y, yaw), ds, dtheta):
-            chain.step[k] = min(step * 1.6, LARGEST)
+            chain.step[k] = min(step * 1.6, SETTINGS.largest)
         else:
-            chain.step[k] = max(step * 0.96, SMALLEST)
-            if chain.step[k] == SMALLEST:
+            chain.step[k] = max(step * 0.96, SETTINGS.smallest)
+            if chain.step[k] == SETTINGS.smallest:
                 chain.step[k] = 0.2
     return count
 
@@ -339,10 +355,6 @@ def unfold(
             dtheta[n + i] = part_dtheta[i]
         n += m
     return n
-
-
-FURTHER = 0.4
-"""Probability with which one more pose is moved with others."""
 
 
 @njit
@@ -395,9 +407,9 @@ def unblock(
         what = int(random_number(state) * 3.0)
         first = k if what != 1 else k + 1
         last = k if what == 0 else k + 1
-        while what == 2 and first > 1 and random_number(state) < FURTHER:
+        while what == 2 and first > 1 and random_number(state) < SETTINGS.further:
             first -= 1
-        while what == 2 and last < count - 2 and random_number(state) < FURTHER:
+        while what == 2 and last < count - 2 and random_number(state) < SETTINGS.further:
             last += 1
         first = max(first, 1)
         last = min(last, count - 2)
@@ -453,30 +465,11 @@ def halve(chain: Chain, setting: KernelProblem, count: int, marked: Flags) -> in
     return count
 
 
-POSES = 60
-"""Largest number of poses among which shortcuts are sought."""
-
-ATTEMPT = 0.35
-"""Units of work that an attempt counts as."""
-
-STEERED, TESTED = 0.04, 0.35
-"""Those of a pair of poses that a shortcut might join, and of the test of its motions."""
-
-APART = 150
-"""How many poses apart those lie at most that a shortcut joins."""
-
-TRIALS = 400
-"""Attempts between two looks at the budget."""
-
-REPAIRS, REPAIR = 100, 0.35
-"""Attempts to make blocked motions free, and units of work that each counts as."""
-
-
 class Refiner:
     """A path that becomes cheaper."""
 
     def __init__(
-        self, setting: KernelProblem, segments: Segments, seed: int = 1, poses: int = POSES
+        self, setting: KernelProblem, segments: Segments, seed: int = 1, poses: int = SETTINGS.poses
     ) -> None:
         self.setting = setting
         self._poses = poses
@@ -530,7 +523,7 @@ class Refiner:
 
     def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
-        self._shortcut(APART, 0.0, budget)
+        self._shortcut(SETTINGS.apart, 0.0, budget)
 
     def with_fewer_stops(self, price: float, budget: Budget) -> Segments:
         """Return the motions that are cheapest where each costs so much more [J]."""
@@ -540,7 +533,7 @@ class Refiner:
     def _shortcut(self, apart: int, stop: float, budget: Budget) -> None:
         left = shortcut(self.chain, self.setting, self.count, apart, stop)
         self.count = int(left.poses)
-        budget.spend(STEERED * left.steered + TESTED * left.tested)
+        budget.spend(UNITS.steer * left.steered + UNITS.join * left.tested)
 
     def move_to(self, setting: KernelProblem, reach: float, budget: Budget) -> NDArray[np.bool_]:
         """Make the path free for another body; leave it as it is where that fails."""
@@ -549,8 +542,8 @@ class Refiner:
             poses=chain.poses.copy(), cost=chain.cost.copy(), kept=chain.kept.copy()
         )
         if reopen(self.chain, setting, self.count):
-            budget.spend(REPAIR * REPAIRS)
-            unblock(self.chain, setting, self.count, REPAIRS, reach, self._state)
+            budget.spend(UNITS.join * SETTINGS.repairs)
+            unblock(self.chain, setting, self.count, SETTINGS.repairs, reach, self._state)
         blocked = np.isinf(self.chain.cost[: self.count - 1])
         if blocked.any():
             self.chain = before
@@ -580,10 +573,12 @@ class Refiner:
         """Move poses until the budget is over, the cost is `enough`, or little is gained."""
         mark, since, spent = self.cost, 0, 0
         while not budget.over and self.cost > enough:
-            self.count = int(polish(self.chain, self.setting, self.count, TRIALS, self._state))
-            budget.spend(ATTEMPT * TRIALS)
-            since += TRIALS
-            spent += TRIALS
+            self.count = int(
+                polish(self.chain, self.setting, self.count, SETTINGS.trials, self._state)
+            )
+            budget.spend(UNITS.join * SETTINGS.trials)
+            since += SETTINGS.trials
+            spent += SETTINGS.trials
             if self.count < 3 or (most is not None and spent >= most):
                 break
             if self.cost < mark * (1 - 1e-4):
@@ -605,26 +600,13 @@ def refine(query: CompiledProblem, segments: Segments, budget: Budget, seed: int
 TURN = 400
 """Attempts at a path before the next one gets its turn."""
 
-FIRST_UNITS, TURN_UNITS = 500, 200
-"""Units of work of a path's first turn, with its shortcuts, and of each that follows."""
 
 SAME = 1e-9
 """Part of the cost by which two paths that are entered differ, or are one: rounding."""
 
-KEPT = 4
-"""Paths that stay in the portfolio."""
-
-LEADING = 2
-"""How many of them get another turn."""
-
-PATIENCE = 3
-"""How often it is refined anew although that may be in vain."""
 
 AGAIN = 2
 """How often the best path is refined anew, each time with other random numbers, at once."""
-
-HOPE = 1.03
-"""Cost after its turns, in units of the best one, above which a path is given up."""
 
 
 class Portfolio:
@@ -673,17 +655,17 @@ class Portfolio:
             entrant.polish(own, enough=enough, most=TURN)
 
         fresh, self._fresh = self._fresh, []
-        leading = self._kept[:LEADING] if self._grown else []
+        leading = self._kept[: SETTINGS.leading] if self._grown else []
         self._grown = bool(fresh)
         self._kept = self._kept + fresh
         return [
-            *(Work(partial(shorten, one), FIRST_UNITS, self._settle) for one in fresh),
-            *(Work(partial(polish, one), TURN_UNITS, self._settle) for one in leading),
+            *(Work(partial(shorten, one), SETTINGS.first, self._settle) for one in fresh),
+            *(Work(partial(polish, one), SETTINGS.turn, self._settle) for one in leading),
         ]
 
     def _settle(self, _: None) -> None:
         """Keep the best few."""
-        self._kept = sorted(self._kept, key=lambda entrant: entrant.cost)[:KEPT]
+        self._kept = sorted(self._kept, key=lambda entrant: entrant.cost)[: SETTINGS.kept]
         for entrant in self._kept:
             self._offer(entrant)
 
@@ -696,7 +678,7 @@ class Portfolio:
         """Refine those kept until little is gained, side by side; see `run`."""
         if budget.over or self.cost <= enough:
             return
-        hopeful = [entrant for entrant in self._kept if entrant.cost <= HOPE * self.cost]
+        hopeful = [entrant for entrant in self._kept if entrant.cost <= SETTINGS.hope * self.cost]
         self._finish(hopeful, budget, enough)
         self.others = [entrant.segments for entrant in self._kept]
         self._kept = []
@@ -706,16 +688,12 @@ class Portfolio:
         gains = True
         while gains and not budget.over and self.cost > enough:
             before = self.cost
-            self.again(budget, enough)
-            gains = self.rounds <= PATIENCE or self.cost <= before * (1 - 1e-5)
-
-    def again(self, budget: Budget, enough: float) -> None:
-        """Refine the best motions once more, with other random numbers; see `finish`."""
-        entrants = []
-        for _ in range(AGAIN):
-            self.rounds += 1
-            entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
-        self._finish(entrants, budget, enough)
+            entrants = []
+            for _ in range(SETTINGS.leading):
+                self.rounds += 1
+                entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
+            self._finish(entrants, budget, enough)
+            gains = self.rounds <= SETTINGS.patience or self.cost <= before * (1 - 1e-5)
 
     def _finish(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
         """Refine some paths until little is gained."""

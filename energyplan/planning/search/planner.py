@@ -17,8 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,16 +27,17 @@ from energyplan.errors import InvalidInputError, PlanningError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import Bounding
-from energyplan.planning.budget import PACE, Budget, Work, do_together, side_by_side
+from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
-from energyplan.planning.search.follow import led_along
-from energyplan.planning.search.lattice import EXHAUSTED, Search, lattice_for
+from energyplan.planning.search.follow import follow_route
+from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, lattice_for
 from energyplan.planning.search.optimise import SAME, Portfolio, Refiner
-from energyplan.planning.search.routes import ways_with_turns
-from energyplan.planning.search.slots import slot_work, way_through_slots
-from energyplan.planning.search.stops import SHARE, least_driven, stops_of
+from energyplan.planning.search.optimise import SETTINGS as PORTFOLIO
+from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.search.slots import path_through_slots, slot_work
+from energyplan.planning.search.stops import least_driven, stops_of
 from energyplan.planning.search.tight_ends import Ends, ways_out
 from energyplan.planning.space.closure import (
     Closure,
@@ -50,59 +49,13 @@ from energyplan.planning.space.closure import (
 )
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import (
-    TURNS,
-    DistanceToGo,
-    distance_to_go,
+    CostToGo,
+    cost_to_go,
     places_for,
     reached,
     regions_for,
 )
 from energyplan.planning.space.motions import KernelProblem
-
-FIRST_WEIGHT = 2.0
-"""Weight of the search for the first path."""
-
-FIELD_SHARE = 0.4
-"""Part of what is left that a distance to go may take before a first path is known, about."""
-
-MOST_LATTICES = 16
-"""Lattices on which a first path is sought, each half as coarse as the one before."""
-
-ESCAPE_SHARE = 0.25
-"""Part of the budget that ways out of tight ends may take."""
-
-CLOSURE_SHARE = 0.5
-"""Part of the budget that may be taken to find out that there is no way."""
-
-SEARCH_SHARE = 0.6
-"""Part of what is left after the first path that finding others may take."""
-
-ROUTES_SHARE = 0.5
-"""Part of that for routes."""
-
-BOUND_SHARE = 0.15
-"""Part of what is left that the bound may take at a time: twice."""
-
-MOST_LEFT = 60.0
-"""Time of which that part is taken at most [s]."""
-
-SHORT_SHARE = 0.33
-"""Part of what is left after the searches that making the shortest plan may take; and no more than
-was spent before."""
-
-SHORT_ONES = 4
-"""Of the paths found as many of the shortest are made shorter."""
-
-FIRST_TURN = 4000
-"""Expansions of the search for a first path before a finer one joins it; then twice as many."""
-
-
-class Attempt(NamedTuple):
-    """A search for a first path: between which ends, and on how fine a lattice."""
-
-    ends: Ends
-    scale: float
-    search: Search
 
 
 class Paths:
@@ -116,11 +69,11 @@ class Paths:
         self.portfolio = Portfolio(self.setting, seed)
         self.found: list[Segments] = []
         self.ends = Ends(query)
-        self._to_go: DistanceToGo | None = None
+        self._to_go: CostToGo | None = None
         self.bounding = Bounding(query)
         self._through_slots = False
         self.kept = 0.0
-        self._led: list[tuple[float, float]] = []
+        self._furthest: list[tuple[float, float]] = []
 
     @property
     def bound(self) -> float:
@@ -154,78 +107,57 @@ class Paths:
     def first_plan(self, finest: float = 1.0) -> None:
         """Find a first path; lattices twice as fine join one by one while none is found."""
         plain = Ends(self.query)
-        for ends in ways_out(self.query, self.budget.part(ESCAPE_SHARE)):
+        for ends in ways_out(self.query, self.budget.part(SHARES.aside)):
             self._move_ends(ends)
-            if not ends.eased or reached(self.to_go, ends.between(self.setting)):
+            if not ends.moved or reached(self.to_go, ends.between(self.setting)):
                 break
         else:
             self._move_ends(plain)
         if np.isfinite(self.cost):
             return
-        if not self.ends.eased:
+        if not self.ends.moved:
             check_configurations(self.query, self.to_go)
         # where the poses tested do not join start and goal, a search among them is in vain
         setting = self.ends.between(self.setting)
         tested = self.to_go.places is places_for(setting)
         closed = None if tested else self._closed(setting)
-        if self._enter_way() or self._enter_routes():
-            return
-        if not tested and self._enter_slots():
+        if self._enter_way() or self._enter_routes() or self._enter_slots():
             return
         # between ends without room there may be a way where no pose beside them is free
-        if closed is not None and (self.ends.eased or self.query.ends_roomy):
+        if closed is not None and (self.ends.moved or self.query.ends_have_margin):
             check_closer(self.query, setting, closed)
         self._search_first(plain, finest, tested)
 
     def _search_first(self, plain: Ends, finest: float, tested: bool) -> None:
-        """Search lattices for a first path, the coarsest first; finer ones join one by one."""
-        turn = FIRST_TURN
-        waiting = [(self.ends, 2.0**-k) for k in range(MOST_LATTICES) if 2.0**-k >= finest]
-        if self.ends.eased:
-            # where no way between the poses with room is found soon, one to the ends may be
-            waiting = [(ends, scale) for _, scale in waiting for ends in (self.ends, plain)]
-        every: list[Attempt] = []
-        open_ones: list[Attempt] = []
-        while True:
-            if waiting:
-                ends, scale = waiting.pop(0)
+        """Search lattices for a first path, each twice as fine as the one before."""
+        searched: list[Search] = []
+        scale, complete = 1.0, True
+        while scale >= finest and not self.budget.over:
+            # where no way between the poses with room is found, one between the ends may be
+            for ends in [self.ends, plain] if self.ends.moved else [self.ends]:
                 setting = ends.between(self.setting)
-                own = ends is self.ends
-                to_go = self.to_go if own else distance_to_go(setting)
-                lattice = lattice_for(self.setting, scale)
-                every.append(Attempt(ends, scale, Search(setting, to_go, lattice, FIRST_WEIGHT)))
-                open_ones.append(every[-1])
-            elif not open_ones:
-                last = every[-1].search
-                raise none_found(self.query, last.lattice.cell, last.nearest)
-            if self.budget.over:
-                break
-            # a finer lattice has shorter turns, since most paths are found on the first
-            tasks = [
-                partial(Search.run, one.search, expansions=int(turn * one.scale))
-                for one in open_ones
-            ]
-            states = side_by_side(self.budget, tasks, turn)
-            found = [one for one in open_ones if one.search.found]
-            for one in found:
-                self.enter(one.ends.whole(one.search.segments()))
-            if found:
-                if not any(one.ends is self.ends for one in found):
-                    self._move_ends(plain)
-                return
-            if tested and turn == FIRST_TURN and self._enter_slots():
-                return
-            pairs = zip(open_ones, states, strict=True)
-            open_ones = [one for one, state in pairs if state != EXHAUSTED]
-            turn *= 2
-        if places := sum(int(one.search.tree.counts[2]) for one in every):
-            cell = every[-1].search.lattice.cell
+                to_go = self.to_go if ends is self.ends else cost_to_go(setting)
+                search = Search(setting, to_go, lattice_for(self.setting, scale), WEIGHT)
+                state = search.run(self.budget.part(SHARES.stage))
+                searched.append(search)
+                if search.found:
+                    if ends is not self.ends:
+                        self._move_ends(ends)
+                    self._enter(search.segments())
+                    return
+                complete = complete and state == EXHAUSTED
+            scale *= 0.5
+        if complete and scale < finest:
+            raise none_found(self.query, searched[-1].lattice.cell, searched[-1].nearest)
+        if searched:
+            places = sum(int(one.tree.counts[2]) for one in searched)
+            cell = searched[-1].lattice.cell
             done = f"{places} places were searched in cells down to {cell:.3g} m"
         elif tested:
             done = "free poses join start and goal, but motions along them do not yet"
         else:
             done = "the free poses that were tested do not join start and goal"
-        near = [*self._led, *(one.search.nearest for one in every)]
+        near = [*self._furthest, *(one.nearest for one in searched)]
         raise none_in_time(self.query, self.budget, done, near)
 
     def _enter(self, way: Segments | None) -> None:
@@ -235,15 +167,15 @@ class Paths:
 
     def _enter_way(self) -> bool:
         """Enter the path along the shortest route, if it can be followed; tell whether it can."""
-        led = led_along(self.ends.between(self.setting), self.to_go, self.budget)
-        self._led.append((led.x, led.y))
-        self._enter(led.motions)
-        return led.motions is not None
+        tracked = follow_route(self.ends.between(self.setting), self.to_go, self.budget)
+        self._furthest.append((tracked.x, tracked.y))
+        self._enter(tracked.motions)
+        return tracked.motions is not None
 
     def _enter_routes(self) -> bool:
         """Enter the paths along other routes; tell whether one can be followed."""
         setting = self.ends.between(self.setting)
-        ways = ways_with_turns(setting, self.to_go, self.budget.part(FIELD_SHARE))
+        ways = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage))
         for way in ways:
             self._enter(way)
         return bool(ways)
@@ -252,7 +184,7 @@ class Paths:
         """Enter a way through slots that no pose tested shows; tell whether one is found."""
         setting = self.ends.between(self.setting)
         self.budget.beside(lambda: regions_for(setting, enlarged=True))
-        way = way_through_slots(setting, None, np.inf, self.budget.part(ESCAPE_SHARE))
+        way = path_through_slots(setting, None, np.inf, self.budget.part(SHARES.aside))
         self._through_slots = way is not None
         self._enter(way)
         return self._through_slots
@@ -260,7 +192,7 @@ class Paths:
     def _closed(self, setting: KernelProblem) -> Closure:
         """Look closer at what the poses tested leave open."""
         self.budget.beside(lambda: compile_kernels(Closure.__module__))
-        found = closure(setting, self.budget.part(CLOSURE_SHARE))
+        found = closure(setting, self.budget.part(SHARES.stage))
         if found.proven:
             check_closer(self.query, setting, found)
         return found
@@ -271,30 +203,29 @@ class Paths:
         self._to_go = None
 
     @property
-    def to_go(self) -> DistanceToGo:
+    def to_go(self) -> CostToGo:
         """The distance to go."""
         if self._to_go is None:
-            most = FIELD_SHARE * self.budget.left
-            self._to_go = distance_to_go(self.ends.between(self.setting), most)
-            self.budget.spend(self._to_go.work / TURNS)
+            self._to_go = cost_to_go(self.ends.between(self.setting))
+            self.budget.spend(self._to_go.work / UNITS.nodes)
         return self._to_go
 
     # -- further paths --------------------------------------------------------------------------
 
     def search(self) -> None:
         """Find further paths until the searches' part of the budget is over, or the gap closed."""
-        searching = self.budget.part(SEARCH_SHARE)
-        self.kept = BOUND_SHARE * min(self.budget.left, MOST_LEFT * PACE)
+        searching = self.budget.part(SHARES.stage)
+        self.kept = SHARES.aside * self.budget.left
         setting, to_go = self.ends.between(self.setting), self.to_go
 
         def routes(own: Budget) -> list[Segments]:
-            return ways_with_turns(setting, to_go, own)
+            return cheapest_routes(setting, to_go, own)
 
         def take(found: list[Segments]) -> None:
             for way in found:
                 self._enter(way)
 
-        routing = Work(routes, ROUTES_SHARE * searching.left, take)
+        routing = Work(routes, SHARES.stage * searching.left, take)
         do_together(searching, [*self.portfolio.turns(self.enough), routing])
         if searching.over or self.done:
             return
@@ -324,7 +255,7 @@ class Paths:
         every = [*self.portfolio.turns(self.enough), *works]
         left = budget.left
         for k, work in enumerate(every):
-            every[k] = work._replace(units=min(work.units, 0.5 * left))
+            every[k] = work._replace(units=min(work.units, SHARES.stage * left))
             left -= every[k].units
         do_together(budget, every)
 
@@ -334,15 +265,15 @@ class Paths:
         short = Portfolio(setting, self.portfolio.seed)
         known = (query.motions_of(self.query, one) for one in [*self.found, self.portfolio.best])
         every = [Refiner(setting, motions) for motions in known]
-        for one in sorted(every, key=lambda one: one.cost)[:SHORT_ONES]:
+        for one in sorted(every, key=lambda one: one.cost)[: PORTFOLIO.kept]:
             short.enter(one.segments)
 
         def run(own: Budget) -> None:
-            short.run(own.part(SEARCH_SHARE), enough)
+            short.run(own.part(SHARES.stage), enough)
             short.finish(own, enough)
             short.improve(own, enough)
 
-        units = min(SHORT_SHARE * self.budget.left, self.budget.spent)
+        units = min(SHARES.aside * self.budget.left, self.budget.spent)
         do_together(self.budget, [Work(run, units, lambda _: None), *beside])
         return short.best
 
@@ -369,14 +300,14 @@ def plan(
             "coarsest cells in (0, 1]"
         )
     query = compiled(problem)
-    led = query.leading
-    budget.beside(lambda: regions_for(led.setting))
+    base = query.leading
+    budget.beside(lambda: regions_for(base.setting))
     known = query.drivable(initial)
     # a path between tight ends may prove not to be free: then planning is done anew
-    whole, stops = budget, stops_count(led.problem)
-    budget = _without_stops(led, whole)
-    work = Paths(led, _searching(led, budget), gap, seed)
-    if bound is not None and led is query:
+    whole, stops = budget, stops_count(base.problem)
+    budget = _without_stops(base, whole)
+    work = Paths(base, _searching(base, budget), gap, seed)
+    if bound is not None and base is query:
         work.bounding.know(bound - query.potential(problem.goal))
     for path in known:
         work.offer_path(path)
@@ -389,29 +320,29 @@ def plan(
             return of.path(motions)
         except PlanningError:
             ends = ways_out(of, own, turn=0.0)[0]
-            if not ends.eased:
+            if not ends.moved:
                 raise
-            inner = plan(ends.problem, own.part(0.5), gap=gap, seed=seed, finest=finest)
+            inner = plan(ends.problem, own.part(SHARES.stage), gap=gap, seed=seed, finest=finest)
             return ends.refined(inner.path, own)
 
     def shortest_path(*beside: Work) -> Path:
         """Return the shortest path; what that takes does not depend on what is done beside."""
-        of = compiled(problem.shortest) if led is query else query
+        of = compiled(problem.shortest) if base is query else query
         motions = work.shortest(of, *beside)
         own = budget.apart(work.kept)
         try:
             path = path_of(of, motions, own)
-            work.enter(led.motions_of(of, motions))
+            work.enter(base.motions_of(of, motions))
         finally:
             budget.spend(own.spent)
         return _finished(of, [path])
 
     work.search()
     shortest: list[Path] = []
-    if led is not query:
+    if base is not query:
         with suppress(PlanningError):
             shortest = [shortest_path()]
-        shortest = shortest or [path_of(led, work.portfolio.best, budget)]
+        shortest = shortest or [path_of(base, work.portfolio.best, budget)]
         others = [_finished(query, known)] if known else []
         path = min([*shortest, *others], key=query.value)
         if bound is not None:
@@ -427,10 +358,14 @@ def plan(
         with suppress(PlanningError):
             shortest = [shortest_path(*bounding)]
     work.finish()
-    path = _finished(query, [path_of(led, work.portfolio.best, budget), *shortest, *known])
+    path = _finished(query, [path_of(base, work.portfolio.best, budget), *shortest, *known])
     if stops:
         found = stops_of(query, path, whole)
-        if found.share < 1.0 and query.ends_roomy and work.go_on(whole.part(1.0 - found.share)):
+        if (
+            found.share < 1.0
+            and query.ends_have_margin
+            and work.go_on(whole.part(1.0 - found.share))
+        ):
             # what other stops cannot bring is spent as if there were none
             path = _finished(query, [path, query.path(work.portfolio.best)])
             found = stops_of(query, path, whole)
@@ -440,14 +375,14 @@ def plan(
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
 
 
-def _without_stops(led: CompiledProblem, budget: Budget) -> Budget:
+def _without_stops(base: CompiledProblem, budget: Budget) -> Budget:
     """Return a budget without what is kept for stops, where they count."""
-    return budget.part(1.0 - SHARE) if stops_count(led.problem) else budget
+    return budget.part(1.0 - SHARES.aside) if stops_count(base.problem) else budget
 
 
-def _searching(led: CompiledProblem, budget: Budget) -> Budget:
+def _searching(base: CompiledProblem, budget: Budget) -> Budget:
     """Return a budget without what is kept for planning anew between tight ends."""
-    return budget if led.ends_roomy else budget.part(0.5)
+    return budget if base.ends_have_margin else budget.part(SHARES.stage)
 
 
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:

@@ -8,24 +8,26 @@ is room it takes long steps.
 
 from __future__ import annotations
 
-from math import atan2, ceil, floor, hypot, inf, pi
+from math import atan2, ceil, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Flags, Ints, njit
+from energyplan.compilation import Flags, Ints, IntTable, ShortInts, Words, njit
 from energyplan.path import Pose
-from energyplan.planning.budget import Budget
-from energyplan.planning.search.follow import chain_from, way_along
+from energyplan.planning.budget import SHARES, UNITS, Budget
+from energyplan.planning.search.follow import chain_from, motions_along
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     RIM,
     STEPS,
-    DistanceToGo,
+    CostToGo,
     Places,
+    halfway,
     headings_aside,
+    middle_of,
     node_at,
     to_and_fro,
 )
@@ -48,43 +50,30 @@ from energyplan.planning.space.queues import (
 FACINGS = 16
 """Sectors of headings that the search tells apart."""
 
-EXPANDED = 0.05
-"""Units of work that looking at one of its states counts as."""
 
-NEAR = 12.0
-"""Distance from the goal within which the distance to go leads on, in distances between places."""
+class Settings(NamedTuple):
+    """Constants of the search for routes."""
 
-LEADING = 1.1
-"""Factor on the distance to go by which it leads: a little above 1 the search is soon through."""
-
-AGAIN = 1.4
-"""Factor on the price of a step where a way found before passes."""
-
-WAYS = 4
-"""Ways that are sought, at most."""
-
-OTHERS = 0.2
-"""Part of what is left up to which another search is worth its work."""
-
-SHARE = 0.8
-"""Part of what is left that a search may take."""
-
-SPARE = 1024
-"""Room for the states that one leads to."""
-
-MOST = 100_000
-"""States that are looked at, at most."""
+    near: float = 12.0  # distance to the goal from which the cost-to-go leads on [cells]
+    weight: float = 1.1  # factor on the heuristic: a little above 1 the search is soon through
+    again: float = 1.4  # factor on the price of a step where a route found before passes
+    most: int = 4  # routes that are sought at most
+    spare: int = 1024  # room for the states that one leads to
+    states: int = 100_000  # states that are expanded at most
 
 
-class Counted(NamedTuple):
-    """A way whose turns are counted."""
+SETTINGS = Settings()
+
+
+class Route(NamedTuple):
+    """A route whose turns are priced."""
 
     chain: Ints  # its nodes, from the start to the goal
     cost: float  # price of its length and turns
-    looked: int  # states that were looked at
+    looked: int  # states that were expanded
 
 
-def passed_by(places: Places, chain: Ints, within: float) -> NDArray[np.bool_]:
+def places_near(places: Places, chain: Ints, within: float) -> NDArray[np.bool_]:
     """Return the places within a distance of a way."""
     across = places.columns + 2 * RIM
     passed = np.zeros(len(places.masks), bool)
@@ -98,30 +87,28 @@ def passed_by(places: Places, chain: Ints, within: float) -> NDArray[np.bool_]:
     return passed
 
 
-def ways_with_turns(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> list[Segments]:
+def cheapest_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[Segments]:
     """Return motions along the ways that are cheapest by their length and turns."""
     ways: list[Segments] = []
     passed = np.zeros(1, bool)
-    for _ in range(WAYS):
-        most = int(min(SHARE * budget.left / EXPANDED, MOST))
+    for _ in range(SETTINGS.most):
+        most = int(min(SHARES.stage * budget.left / UNITS.state, SETTINGS.states))
         if most < 1:
             break
-        found = cheapest_chain(to_go, setting, passed, most)
-        budget.spend(EXPANDED * found.looked)
-        way = way_along(setting, to_go, budget, found.chain)
+        found = cheapest_route(to_go, setting, passed, most)
+        budget.spend(UNITS.state * found.looked)
+        way = motions_along(setting, to_go, budget, found.chain)
         if way is None:
             break
         ways.append(way)
-        if EXPANDED * found.looked > OTHERS * budget.left:
+        if UNITS.state * found.looked > SHARES.aside * budget.left:
             break
-        passed = passed | passed_by(to_go.places, found.chain, setting.reach)
+        passed = passed | places_near(to_go.places, found.chain, setting.reach)
     return ways
 
 
 @njit
-def cheapest_chain(
-    to_go: DistanceToGo, setting: KernelProblem, passed: Flags, most: int
-) -> Counted:
+def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most: int) -> Route:
     """Return the nodes along the way that is cheapest by its length and its turns.
 
     A* over nodes and facings, led by the distance to go.
@@ -131,38 +118,21 @@ def cheapest_chain(
     across = places.columns + 2 * RIM
     rows = len(places.masks) // across
     spacing = places.spacing
-    sector = HEADINGS // FACINGS
     turn = 2.0 * pi / FACINGS
     per_metre = setting.least_metre
     turning = turn_prices(setting)
     per_turn = turning.min()
     here_turn = turning[0]
+    here = setting.start
     even = setting.surface.size == 1
     forwards = price(setting.prices, 0, setting.half_track, 1.0, 0.0)
     backwards = price(setting.prices, 0, setting.half_track, -1.0, 0.0)
     aside = headings_aside()
     factors = to_and_fro()
-    bits = np.empty(FACINGS, np.uint64)
-    for b in range(FACINGS):
-        bits[b] = np.uint64(0)
-        for heading in range(b * sector - sector // 2, b * sector + sector // 2 + 1):
-            bits[b] |= np.uint64(1) << np.uint64(heading % HEADINGS)
-    beside = np.empty((STEPS, 2), np.int64)
-    for k in range(STEPS):
-        for side in range(2):
-            half_r = floor(0.5 * STEP_ROWS[k]) if side == 0 else ceil(0.5 * STEP_ROWS[k])
-            half_c = floor(0.5 * STEP_COLUMNS[k]) if side == 0 else ceil(0.5 * STEP_COLUMNS[k])
-            beside[k, side] = half_r * across + half_c if k >= 8 else 0
-    # steps along a facing: its direction is no further aside than a sector
-    along = np.empty((FACINGS, STEPS), np.int64)
-    many = np.zeros(FACINGS, np.int64)
-    for b in range(FACINGS):
-        for k in range(STEPS):
-            off = angle_between(atan2(STEP_ROWS[k], STEP_COLUMNS[k]), b * turn)
-            if min(off, pi - off) <= 1.01 * turn:
-                along[b, many[b]] = k if off < 0.5 * pi else -k - 1
-                many[b] += 1
-    room = 4 * most + 2 * SPARE
+    bits = _headings_of_facings()
+    beside = halfway(across)
+    along = _steps_along()
+    room = 4 * most + 2 * SETTINGS.spare
     node_of = np.empty(room, np.int32)
     facing = np.empty(room, np.int8)
     parent = np.empty(room, np.int32)
@@ -178,7 +148,7 @@ def cheapest_chain(
     none = np.empty(0, np.int64)
     start = node_at(to_go, space, setting.start)
     if start < 0 or to_go.distance[start] == inf:
-        return Counted(none, inf, 0)
+        return Route(none, inf, 0)
     count = 0
     size = 0
     yaw = setting.start.yaw - space.yaw
@@ -200,7 +170,7 @@ def cheapest_chain(
             size = push(heap_f, heap_state, size, g[count] + h[count], count)
             count += 1
     looked = 0
-    while size > 0 and looked < most and count + SPARE < room:
+    while size > 0 and looked < most and count + SETTINGS.spare < room:
         f = heap_f[0]
         state = int(heap_state[0])
         size = pop(heap_f, heap_state, size)
@@ -215,13 +185,11 @@ def cheapest_chain(
         arc = places.arcs[node]
         row = place // across
         column = place % across
-        along_x = (column - RIM + 0.5) * spacing
-        along_y = (row - RIM + 0.5) * spacing
-        x = space.x + space.cos * along_x - space.sin * along_y
-        y = space.y + space.sin * along_x + space.cos * along_y
         if not even:
-            here_turn = turning[surface_at(setting, Pose(x, y, space.yaw + b * turn))]
-        if to_go.distance[node] <= NEAR * spacing:
+            x, y = middle_of(places, space, place)
+            here = Pose(x, y, space.yaw + b * turn)
+            here_turn = turning[surface_at(setting, here)]
+        if to_go.distance[node] <= SETTINGS.near * spacing:
             through = (
                 g[state] + per_metre * float(to_go.distance[node])
                 + here_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
@@ -231,7 +199,7 @@ def cheapest_chain(
                 best = state
         # a step is as long as there is room for
         stride = 1 << _level(places, setting, place)
-        for n in range(many[b] + 2):
+        for n in range(2 + STEPS):
             there = place
             bb = b
             gg = g[state]
@@ -243,9 +211,10 @@ def cheapest_chain(
                 if common == 0:
                     continue
             else:
-                k = int(along[b, n - 2])
-                ahead = k >= 0
-                k = k if ahead else -k - 1
+                k = n - 2
+                if along[b, k] == 0:
+                    continue
+                ahead = along[b, k] > 0
                 step = int(STEP_ROWS[k]) * across + int(STEP_COLUMNS[k])
                 if stride == 4:
                     # nothing is in the way within the room there is
@@ -274,10 +243,10 @@ def cheapest_chain(
                     paid = length * (forwards if ahead else backwards)
                 else:
                     toward = atan2(STEP_ROWS[k], STEP_COLUMNS[k]) + space.yaw
-                    pose = Pose(x, y, toward if ahead else toward + pi)
-                    paid = motion_cost(setting, pose, length if ahead else -length, 0.0)
+                    here = Pose(here.x, here.y, toward if ahead else toward + pi)
+                    paid = motion_cost(setting, here, length if ahead else -length, 0.0)
                 if passed.size > 1 and passed[there]:
-                    paid *= AGAIN
+                    paid *= SETTINGS.again
                 gg += paid
             if gg >= least:
                 continue
@@ -306,7 +275,37 @@ def cheapest_chain(
                 size = push(heap_f, heap_state, size, gg + hh, count)
                 count += 1
     if best < 0:
-        return Counted(none, inf, looked)
+        return Route(none, inf, looked)
+    return Route(_chain_of(to_go, node_of, parent, best), least, looked)
+
+
+@njit
+def _headings_of_facings() -> Words:
+    """Return the headings of each facing, one bit a heading."""
+    sector = HEADINGS // FACINGS
+    bits = np.zeros(FACINGS, np.uint64)
+    for b in range(FACINGS):
+        for heading in range(b * sector - sector // 2, b * sector + sector // 2 + 1):
+            bits[b] |= np.uint64(1) << np.uint64(heading % HEADINGS)
+    return bits
+
+
+@njit
+def _steps_along() -> IntTable:
+    """Tell which steps lead along a facing: 1 ahead, -1 backwards, 0 more than a sector aside."""
+    turn = 2.0 * pi / FACINGS
+    along = np.zeros((FACINGS, STEPS), np.int64)
+    for b in range(FACINGS):
+        for k in range(STEPS):
+            off = angle_between(atan2(STEP_ROWS[k], STEP_COLUMNS[k]), b * turn)
+            if min(off, pi - off) <= 1.01 * turn:
+                along[b, k] = 1 if off < 0.5 * pi else -1
+    return along
+
+
+@njit
+def _chain_of(to_go: CostToGo, node_of: ShortInts, parent: ShortInts, best: int) -> Ints:
+    """Return the nodes that led to a state, and those from there to the goal."""
     total = 0
     state = best
     while state >= 0:
@@ -314,20 +313,15 @@ def cheapest_chain(
         state = int(parent[state])
     rest = chain_from(to_go, int(to_go.after[node_of[best]]))
     chain = np.empty(total + len(rest), np.int64)
-    at = 0
+    first = total
     state = best
     while state >= 0:
-        node = int(node_of[state])
-        if at == 0 or chain[at - 1] != node:
-            chain[at] = node
-            at += 1
+        if first == total or chain[first] != node_of[state]:
+            first -= 1
+            chain[first] = node_of[state]
         state = int(parent[state])
-    for n in range(at // 2):
-        node = int(chain[n])
-        chain[n] = chain[at - 1 - n]
-        chain[at - 1 - n] = node
-    chain[at : at + len(rest)] = rest
-    return Counted(chain[: at + len(rest)].copy(), least, looked)
+    chain[total:] = rest
+    return chain[first:].copy()
 
 
 @njit
@@ -351,7 +345,7 @@ def _key(places: Places, setting: KernelProblem, node: int, facing: int) -> int:
 
 @njit
 def _rest(
-    to_go: DistanceToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float
+    to_go: CostToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float
 ) -> float:
     """Estimate the price of the rest of the way."""
     far = float(to_go.distance[node])
@@ -365,4 +359,4 @@ def _rest(
             heading = ahead + way * pi
             through = min(through, angle_between(yaw, heading) + angle_between(heading, goal_yaw))
         turn = max(turn, through)
-    return LEADING * per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)
+    return SETTINGS.weight * per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)

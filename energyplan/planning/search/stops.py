@@ -16,31 +16,26 @@ import numpy as np
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PlanningError
 from energyplan.path import Path
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.driven import DrivenPath, drive_plan
 from energyplan.planning.search.optimise import Refiner
-from energyplan.planning.search.routes import ways_with_turns
+from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.space.compiled import CompiledProblem, Segments
-from energyplan.planning.space.cost_to_go import DistanceToGo
+from energyplan.planning.space.cost_to_go import CostToGo
 from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
 
-WORTH = 1e-3
-"""Part of the energy that stops must take for them to be looked at."""
 
-PRICES = (1.0, 3.0)
-"""Prices of a stop, in units of what one takes on the best path, at which shortcuts are sought."""
+class Settings(NamedTuple):
+    """Constants of the search for fewer stops."""
 
-DRIVE = 500
-"""Units of work that driving a path counts as."""
+    least: float = 1e-3  # part of the energy that stops take from which they are looked at
+    most: float = 0.03  # part of the energy from which other routes are sought
+    # prices of a stop over what one takes on the best path [1]
+    prices: tuple[float, ...] = (1.0, 3.0)
+    polish: int = 800  # attempts to refine a path along another route
 
-SHARE = 0.25
-"""Part of the budget that is kept for it; what can come of it decides how much of that it has."""
 
-DEAR = 0.03
-"""Part of the energy that stops must take for another way to be searched for."""
-
-POLISH = 800
-"""Attempts to refine what is found along other routes."""
+SETTINGS = Settings()
 
 
 class Stops(NamedTuple):
@@ -54,7 +49,7 @@ class Stops(NamedTuple):
     def share(self) -> float:
         """Part of what is kept for other paths that is worth it: stops cannot give more back."""
         part = self.extra / abs(self.energy) if self.energy else 0.0
-        return min(max((part - WORTH) / (DEAR - WORTH), 0.0), 1.0)
+        return min(max((part - SETTINGS.least) / (SETTINGS.most - SETTINGS.least), 0.0), 1.0)
 
 
 def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops:
@@ -68,7 +63,7 @@ def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops:
 
 
 def _driven(query: CompiledProblem, path: Path, budget: Budget) -> DrivenPath | None:
-    budget.spend(DRIVE)
+    budget.spend(UNITS.drive)
     try:
         return drive_plan(query.problem, path)
     except (InfeasibleMotionError, InvalidInputError):
@@ -80,7 +75,7 @@ def least_driven(
     path: Path,
     stops: Stops,
     others: Iterable[Segments],
-    to_go: DistanceToGo,
+    to_go: CostToGo,
     budget: Budget,
     rivals: Sequence[Path] = (),
 ) -> Path:
@@ -103,11 +98,11 @@ def least_driven(
     if stops.share == 0.0:
         return best
     looked = [query.of_centre(path.ds, path.dtheta), *others]
-    if extra > DEAR * abs(least) and path.turning > 0:
+    if extra > SETTINGS.most * abs(least) and path.turning > 0:
         dear = _with_dear_turns(query.setting, extra / path.turning)
         looked[1:1] = _searched(dear, to_go, budget)
     for motions in looked:
-        for factor in PRICES:
+        for factor in SETTINGS.prices:
             if budget.over:
                 return best
             fewer = Refiner(query.setting, motions).with_fewer_stops(factor * stops.each, budget)
@@ -128,13 +123,13 @@ def _with_dear_turns(setting: KernelProblem, per_radian: float) -> KernelProblem
     )
 
 
-def _searched(setting: KernelProblem, to_go: DistanceToGo, budget: Budget) -> list[Segments]:
+def _searched(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[Segments]:
     """Return the motions along the routes that are cheapest at these prices, refined a little."""
     found = []
-    for way in ways_with_turns(setting, to_go, budget.part(0.6)):
+    for way in cheapest_routes(setting, to_go, budget.part(SHARES.stage)):
         refiner = Refiner(setting, way)
         refiner.shortcut(budget)
-        refiner.polish(budget.part(0.5), most=POLISH)
+        refiner.polish(budget.part(SHARES.stage), most=SETTINGS.polish)
         found.append(refiner.segments)
     return found
 

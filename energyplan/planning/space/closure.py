@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import Flags, Ints, Words, njit
 from energyplan.errors import NoPathError, TimeLimitError
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import MARGIN, CompiledProblem
 from energyplan.planning.space.configurations import shrunk
 from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     RIM,
-    TURNS,
-    DistanceToGo,
+    CostToGo,
     Places,
-    distance_to_go,
+    cost_to_go,
     heading_of,
     place_of,
     places_for,
@@ -37,9 +36,18 @@ from energyplan.terrain.collision import Body, Space, pose_free
 NEIGHBOURS = 8
 """Neighbours of a place from which one gets to it."""
 
-SAFE = 1e-5
-"""How much smaller a body is than the one that is in the way for certain [cells]: more than what
-the collision test counts as touched."""
+
+class Settings(NamedTuple):
+    """Constants of the proof that there is no way."""
+
+    safe: float = 1e-5  # shrinkage of a body that is in the way for certain, above rounding [cells]
+    finest: float = 2.5e-3  # distance between poses down to which it is looked closer [m]
+    part: float = 0.1  # that distance at least [cells]
+    beside: int = 1  # places about an unknown step that are looked at as well
+    turned: int = 2  # headings about it
+
+
+SETTINGS = Settings()
 
 
 class Chain(NamedTuple):
@@ -273,7 +281,7 @@ def look_closer(
     across = places.columns + 2 * RIM
     may = np.zeros(len(which), np.uint64)
     free = np.zeros(len(which), np.uint64)
-    less = SAFE * space.resolution
+    less = SETTINGS.safe * space.resolution
     turn = 2.0 * pi / HEADINGS
     depth = np.empty(8 * halvings + 8, np.int64)
     box = np.empty((8 * halvings + 8, 3))
@@ -323,22 +331,6 @@ def look_closer(
     return Looked(may, free, tests)
 
 
-FINEST = 2.5e-3
-"""Distance between poses down to which it is looked closer [m], unless a cell's part is larger."""
-
-OF_A_CELL = 0.1
-"""That part."""
-
-BESIDE = 1
-"""Places about a step that is not known to be open that are looked at as well."""
-
-TURNED = 2
-"""And headings."""
-
-TEST = 0.03
-"""Units of work that a test counts as."""
-
-
 class Closure(NamedTuple):
     """What is known of ways from start to goal."""
 
@@ -360,7 +352,7 @@ class _Closer:
         space = kernel.space
         self.places = places_for(kernel, enlarged=True)
         self.across = self.places.columns + 2 * RIM
-        finest = max(FINEST, OF_A_CELL * space.resolution)
+        finest = max(SETTINGS.finest, SETTINGS.part * space.resolution)
         self.halvings = max(ceil(log2(self.places.spacing / finest)), 0)
         self.resolution = self.places.spacing * 0.5**self.halvings
         self.tested = places_for(kernel).masks & self.places.masks
@@ -394,7 +386,7 @@ class _Closer:
     def _chain(self, words: Words) -> Chain:
         (start, begin), (goal, end) = self.ends
         found = chain_between(words, self.tested, self.across, start, begin, goal, end)
-        self.budget.spend(found.work / TURNS)
+        self.budget.spend(found.work / UNITS.nodes)
         return found
 
     def _closed(self, words: Words) -> bool:
@@ -418,8 +410,8 @@ class _Closer:
                 continue
             bits = _turned(headings[k] | headings[k + 1])
             for middle in (one, two):
-                for row in range(-BESIDE, BESIDE + 1):
-                    for column in range(-BESIDE, BESIDE + 1):
+                for row in range(-SETTINGS.beside, SETTINGS.beside + 1):
+                    for column in range(-SETTINGS.beside, SETTINGS.beside + 1):
                         at = middle + row * self.across + column
                         left = bits & int(self.places.masks[at]) & ~int(self.known[at])
                         if left:
@@ -428,11 +420,11 @@ class _Closer:
             return False
         which = np.array(list(wanted), np.int64)
         bits_of = np.array(list(wanted.values()), np.uint64)
-        most = int(min(self.budget.left / TEST, 1 << 40))
+        most = int(min(self.budget.left / UNITS.pose, 1 << 40))
         looked = look_closer(
             self.kernel.space, self.body, self.places, which, bits_of, self.halvings, most
         )
-        self.budget.spend(TEST * looked.tests)
+        self.budget.spend(UNITS.pose * looked.tests)
         self.known[which] |= bits_of
         self.may[which] &= looked.may | ~bits_of
         self.free[which] &= looked.free | ~bits_of
@@ -442,7 +434,7 @@ class _Closer:
 def _turned(bits: int) -> int:
     """Return these headings and those next to them."""
     every = (1 << HEADINGS) - 1
-    for _ in range(TURNED):
+    for _ in range(SETTINGS.turned):
         bits |= (bits << 1 | bits >> (HEADINGS - 1) | bits >> 1 | bits << (HEADINGS - 1)) & every
     return bits
 
@@ -492,7 +484,7 @@ def check_way(query: CompiledProblem) -> None:
     end = np.array(query.problem.goal[:2])
     x, y = place[np.argmin(np.hypot(*(place - end).T))].tolist()
     raise NoPathError(
-        _told(
+        _message(
             query,
             "a disc inside the footprint cannot get through, so there certainly is none",
             (x, y),
@@ -501,13 +493,13 @@ def check_way(query: CompiledProblem) -> None:
     )
 
 
-def check_configurations(query: CompiledProblem, to_go: DistanceToGo) -> None:
+def check_configurations(query: CompiledProblem, to_go: CostToGo) -> None:
     """Check that the footprint may get from start to goal."""
     setting = query.setting
     if reached(to_go, setting):
         return
     check_way(query)
-    away = distance_to_go(setting._replace(start=setting.goal, goal=setting.start))
+    away = cost_to_go(setting._replace(start=setting.goal, goal=setting.start))
     homes = away.places.home[np.isfinite(away.distance)]
     raise _none(query, away.places, homes, CANNOT, certainty="proven")
 
@@ -536,7 +528,7 @@ def _none(
     place = query.grid.to_world(cells * places.spacing / query.grid.resolution)
     end = np.array(query.problem.goal[:2])
     x, y = place[np.argmin(np.hypot(*(place - end).T))].tolist()
-    return NoPathError(_told(query, why, (x, y)), **verdict)
+    return NoPathError(_message(query, why, (x, y)), **verdict)
 
 
 def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -> NoPathError:
@@ -549,7 +541,7 @@ def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -
         f"none was found in cells of {cell:.3g} m, though a finer search might find one (the "
         "lattice planner's option finest halves them)"
     )
-    return NoPathError(_told(query, why, near), resolution=cell)
+    return NoPathError(_message(query, why, near), resolution=cell)
 
 
 def none_in_time(
@@ -564,7 +556,7 @@ def none_in_time(
     )
 
 
-def _told(query: CompiledProblem, why: str, near: tuple[float, float]) -> str:
+def _message(query: CompiledProblem, why: str, near: tuple[float, float]) -> str:
     start, goal = query.problem.start, query.problem.goal
     left = float(np.hypot(goal.x - near[0], goal.y - near[1]))
     return (

@@ -225,7 +225,7 @@ class CompiledProblem:
         return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
 
     @cached_property
-    def ends_roomy(self) -> bool:
+    def ends_have_margin(self) -> bool:
         """Whether start and goal are free with the margin of planning."""
         return all(self.roomy(pose) for pose in (self.problem.start, self.problem.goal))
 
@@ -269,7 +269,7 @@ class CompiledProblem:
     def setting(self) -> KernelProblem:
         """The problem as the kernels see it."""
         problem = self.problem
-        body = self.grown if self.ends_roomy else self.body
+        body = self.grown if self.ends_have_margin else self.body
         static = self.steering
         return KernelProblem(
             space=self.grid.space,

@@ -33,6 +33,20 @@ from energyplan.terrain.collision import Body, Space
 from energyplan.terrain.updates import Window
 
 
+class Settings(NamedTuple):
+    """Constants of the free configurations."""
+
+    fineness: float = 0.16  # distance between places over the body's smaller side [1]
+    coarsest: float = 0.3  # that distance at most
+    places: int = 1_000_000  # places beyond which they lie further apart
+    touch: float = 1e-6  # what counts as touched, as in the collision test [cells]
+    aligned: float = 3e-8  # sines and cosines below this are zero, as in the collision test
+    bands: int = 64  # bands of rows into which the work is cut
+
+
+SETTINGS = Settings()
+
+
 @njit
 def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
     """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame."""
@@ -243,21 +257,6 @@ def free_rows(
 HEADINGS = 64
 """Headings, the first along the map's columns: as many as a word has bits."""
 
-FINENESS, COARSEST = 0.16, 0.3
-"""Distance between places, as a part of the body's smaller side, and what it is at most."""
-
-MOST_PLACES = 1_000_000
-"""Places beyond which they lie further apart."""
-
-TOUCH = 1e-6
-"""What counts as touched beside the rectangle [cells], as in the collision test."""
-
-ALIGNED = 3e-8
-"""Sines and cosines below this count as zero, as in the collision test."""
-
-BANDS = 64
-"""Bands of rows into which the work is cut."""
-
 
 class Runs(NamedTuple):
     """The cells that a rectangle touches, row by row, relative to the cell that holds its pose."""
@@ -285,9 +284,9 @@ def runs_of(
 ) -> Runs:
     """Return the cells that a body touches at a pose within cell (0, 0)."""
     c, s = cos(heading), sin(heading)
-    if abs(s) < ALIGNED:
+    if abs(s) < SETTINGS.aligned:
         c, s = (1.0 if c > 0 else -1.0), 0.0
-    elif abs(c) < ALIGNED:
+    elif abs(c) < SETTINGS.aligned:
         c, s = 0.0, (1.0 if s > 0 else -1.0)
     half_x = 0.5 * (body.x_max - body.x_min) / resolution
     half_y = 0.5 * (body.y_max - body.y_min) / resolution
@@ -334,15 +333,15 @@ def runs_of(
 def _grouping(space: Space, body: Body) -> tuple[int, int]:
     """Return how many cells make a place, and how many places a cell, along either axis."""
     side = min(body.x_max - body.x_min, body.y_max - body.y_min)
-    wanted = FINENESS * side / space.resolution
+    wanted = SETTINGS.fineness * side / space.resolution
     cells = space.clearance.size
     if wanted < 0.75:
-        parts = min(int(1.0 / wanted + 0.5), int((MOST_PLACES / cells) ** 0.5))
+        parts = min(int(1.0 / wanted + 0.5), int((SETTINGS.places / cells) ** 0.5))
         if parts > 1:
             return 1, parts
     group = max(int(wanted + 0.5), 1)
-    coarsest = COARSEST * side / space.resolution
-    while cells > MOST_PLACES * group * group and group + 1 <= coarsest:
+    coarsest = SETTINGS.coarsest * side / space.resolution
+    while cells > SETTINGS.places * group * group and group + 1 <= coarsest:
         group += 1
     return group, 1
 
@@ -415,17 +414,17 @@ def _masks(
     pad = ceil((reach + 2.0) / 64) + 1
     levels = max(ceil(2 * reach + 3).bit_length(), 1)
     runs_of_map = run_levels(rows_of_bits(blocked, pad), levels)
-    bands = np.linspace(0, -(-rows // group), min(BANDS, rows) + 1).astype(int) * group
+    bands = np.linspace(0, -(-rows // group), min(SETTINGS.bands, rows) + 1).astype(int) * group
     count = workers() if threads is None else threads
     with ThreadPoolExecutor(count) as pool:
         for part in range(parts * parts):
             shift_row, shift_column = divmod(part, parts)
             tables = []
             for h in range(headings):
-                fitting, touch = body, TOUCH
+                fitting, touch = body, SETTINGS.touch
                 if enlarged:
                     fitting = shrunk(body, resolution / parts, h * turn, 0.5 * turn)
-                    touch = -TOUCH
+                    touch = -SETTINGS.touch
                 x, y = (shift_column + 0.5) / parts, (shift_row + 0.5) / parts
                 tables.append(runs_of(fitting, resolution, h * turn, x, y, touch))
             first = np.concatenate([t.first for t in tables])

@@ -16,6 +16,7 @@ from energyplan.compilation import (
     Flags,
     Floats,
     FloatTable,
+    IntTable,
     ShortInts,
     Singles,
     Words,
@@ -40,8 +41,6 @@ from energyplan.terrain.updates import Window, tables_of
 HEADINGS = 64
 """Headings of a place: as many as a word has bits."""
 
-ROUNDING = 1e-3
-"""Distances that differ by less count as equal [distances between places]."""
 
 RIM = 2
 """Empty rows and columns about the places, so that no neighbour is off the map."""
@@ -50,6 +49,20 @@ STEPS = 16
 """Neighbours of a place."""
 
 ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+class Settings(NamedTuple):
+    """Constants of the cost-to-go."""
+
+    rounding: float = 1e-3  # distances that differ by less are equal [cells]
+    block: int = 8  # cells along either side of a region's block
+    ahead: float = 1.5  # how far ahead the direction of the way is looked up [m]
+    reach: float = 1.05  # width of the corridor about the shortest way, over its length [1]
+    slack: float = 1.0  # extra width of it [body lengths]
+    closed: int = 1  # cells about a closed pose that are closed as well
+
+
+SETTINGS = Settings()
 
 
 class Places(NamedTuple):
@@ -64,7 +77,7 @@ class Places(NamedTuple):
     spacing: float  # distance between places [m]
 
 
-class DistanceToGo(NamedTuple):
+class CostToGo(NamedTuple):
     """Distance to go to the goal, node by node."""
 
     places: Places  # the nodes
@@ -118,6 +131,28 @@ def to_and_fro() -> Floats:
     for n in range(len(out)):
         out[n] = 1.0 / cos(2.0 * pi / HEADINGS * max(n - 0.5, 0.0))
     return out
+
+
+@njit
+def halfway(across: int) -> IntTable:
+    """Return the two places between which a step passes, relative to it; itself for short steps."""
+    out = np.zeros((STEPS, 2), np.int64)
+    for k in range(8, STEPS):
+        out[k, 0] = floor(0.5 * STEP_ROWS[k]) * across + floor(0.5 * STEP_COLUMNS[k])
+        out[k, 1] = ceil(0.5 * STEP_ROWS[k]) * across + ceil(0.5 * STEP_COLUMNS[k])
+    return out
+
+
+@njit
+def middle_of(places: Places, space: Space, place: int) -> tuple[float, float]:
+    """Return the middle of a place in the world [m]."""
+    across = places.columns + 2 * RIM
+    along = (place % across - RIM + 0.5) * places.spacing
+    up = (place // across - RIM + 0.5) * places.spacing
+    return (
+        space.x + space.cos * along - space.sin * up,
+        space.y + space.sin * along + space.cos * up,
+    )
 
 
 @njit
@@ -197,7 +232,7 @@ def heading_of(space: Space, yaw: float) -> int:
 
 
 @njit
-def node_at(to_go: DistanceToGo, space: Space, pose: Pose) -> int:
+def node_at(to_go: CostToGo, space: Space, pose: Pose) -> int:
     """Return the node of a pose, or of the one next to it that is nearest to the goal; or -1.
 
     The poses that were tested may all be blocked although this one is not.
@@ -236,26 +271,23 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
         level = np.empty(1)
         level[0] = 0.0
         return level
-    across = places.columns + 2 * RIM
+    places.columns + 2 * RIM
     out = np.empty(len(places.masks))
     for place in range(len(out)):
-        along = (place % across - RIM + 0.5) * places.spacing
-        up = (place // across - RIM + 0.5) * places.spacing
-        x = space.x + space.cos * along - space.sin * up
-        y = space.y + space.sin * along + space.cos * up
+        x, y = middle_of(places, space, place)
         out[place] = height_at(hills, x, y)
     return out
 
 
 @njit
-def way_to_go(
+def fill_cost_to_go(
     places: Places,
     goals: ShortInts,
     region: ShortInts,
     near: Flags,
     ahead: float,
     surface: Bytes,
-    dearness: FloatTable,
+    price_ratio: FloatTable,
     height: Floats,
     steepest: float,
     distance: Singles,
@@ -269,26 +301,20 @@ def way_to_go(
     lengths = np.empty(STEPS)
     for k in range(STEPS):
         lengths[k] = places.spacing * hypot(steps_r[k], steps_c[k])
-    # a knight's move passes between two places
-    beside = np.empty((STEPS, 2), np.int64)
-    for k in range(8, STEPS):
-        for side in range(2):
-            half_r = floor(0.5 * steps_r[k]) if side == 0 else ceil(0.5 * steps_r[k])
-            half_c = floor(0.5 * steps_c[k]) if side == 0 else ceil(0.5 * steps_c[k])
-            beside[k, side] = half_r * across + half_c
+    beside = halfway(across)
     aside = headings_aside()
     factors = to_and_fro()
     varied = surface.size > 1
-    slopes = dearness.shape[1]
+    slopes = price_ratio.shape[1]
     even = not varied and slopes == 1
     # Buckets of nodes by their distance, as wide as the shortest step, as lists in `nodes` linked
     # by `older`. A node that is lowered after its turn has another one.
     cheapest = inf
     dearest = 0.0
-    for r in range(dearness.shape[0]):
+    for r in range(price_ratio.shape[0]):
         for c in range(slopes):
-            cheapest = min(cheapest, dearness[r, c])
-            dearest = max(dearest, dearness[r, c])
+            cheapest = min(cheapest, price_ratio[r, c])
+            dearest = max(dearest, price_ratio[r, c])
     width = places.spacing * cheapest
     most = lengths[STEPS - 1] * dearest * factors[-1]
     ring = int(most / width) + 2
@@ -307,7 +333,7 @@ def way_to_go(
         closed[node] = False
         if near[region[node]]:
             distance[node] = inf
-    rounding = ROUNDING * places.spacing
+    rounding = SETTINGS.rounding * places.spacing
     count = 0
     waiting = 0
     for k in range(len(goals)):
@@ -347,7 +373,7 @@ def way_to_go(
             direction[node] = atan2(goal // across - row, goal % across - column)
         arc = places.arcs[node]
         here = int(surface[place]) if varied else 0
-        factor = dearness[here, 0]
+        factor = price_ratio[here, 0]
         for k in range(STEPS):
             there = place + steps_r[k] * across + steps_c[k]
             common = arc & places.masks[there]
@@ -360,9 +386,9 @@ def way_to_go(
                 if slopes > 1:
                     steep = (height[place] - height[there]) / (lengths[k] * steepest)
                     at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
-                factor = dearness[here, at]
+                factor = price_ratio[here, at]
                 if varied:
-                    factor = 0.5 * (factor + dearness[surface[there], at])
+                    factor = 0.5 * (factor + price_ratio[surface[there], at])
             step = factor * lengths[k]
             for other in range(places.first[there], places.first[there + 1]):
                 if d + step >= distance[other] - rounding or not near[region[other]]:
@@ -391,9 +417,6 @@ def way_to_go(
                     waiting += 1
     return count
 
-
-BLOCK = 8
-"""Places along either side of a block."""
 
 NEIGHBOURS = 8
 """Neighbours of a place that its nodes may be joined to; further ones are reached through these."""
@@ -444,7 +467,7 @@ def _flood(
 @njit
 def _block_of(place: int, across: int) -> int:
     """Return the number of a place's block."""
-    return (place // across) // BLOCK * across + (place % across) // BLOCK
+    return (place // across) // SETTINGS.block * across + (place % across) // SETTINGS.block
 
 
 @njit
@@ -536,7 +559,7 @@ def ways_between(
     slack: float,
     leaving: bool,
     surface: Bytes,
-    dearness: FloatTable,
+    price_ratio: FloatTable,
     height: Floats,
     steepest: float,
     distance: Singles,
@@ -544,7 +567,7 @@ def ways_between(
     """Write the distance of every region from one of them, or to it; return the work."""
     count = len(regions.x)
     varied = surface.size > 1
-    slopes = dearness.shape[1]
+    slopes = price_ratio.shape[1]
     closed = np.zeros(count, np.bool_)
     for region in range(count):
         distance[region] = inf
@@ -582,9 +605,9 @@ def ways_between(
                 rise = height[there] - height[home]
                 steep = (rise if leaving else -rise) / (max(length, 1e-9) * steepest)
                 at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
-            dear = dearness[kind, at]
+            dear = price_ratio[kind, at]
             if varied:
-                dear = 0.5 * (dear + dearness[surface[there], at])
+                dear = 0.5 * (dear + price_ratio[surface[there], at])
             step = length * dear * aside
             if d + step < distance[other]:
                 distance[other] = d + step
@@ -620,29 +643,6 @@ def fill_beside(regions: Regions, near: Flags, back: Singles, distance: Singles)
         region = int(regions.of_node[node])
         if not near[region]:
             distance[node] = back[region] + more
-
-
-AHEAD = 1.5
-"""How far ahead the guide looks for the direction of the way [m]."""
-
-REACH = 1.05
-"""How much further than the start the guide reaches."""
-
-TURNS = 120
-"""Turns of nodes, where distances to go are found, that count as a unit of work."""
-
-AGAIN = 1.5
-"""How often a node has its turn, about."""
-
-SINGLE = 1e-5
-"""Rounding of lengths that are added in single precision along a way, as a part of it."""
-
-SLACK = 1.0
-"""And how much beyond that, in lengths of the body."""
-
-
-CLOSED = 1
-"""How far about a place where the body does not pass others count as closed [places]."""
 
 
 def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
@@ -683,15 +683,15 @@ def inscribed(kernel: KernelProblem) -> float:
     return max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
 
 
-def distance_to_go(kernel: KernelProblem, most: float = np.inf) -> DistanceToGo:
+def cost_to_go(kernel: KernelProblem) -> CostToGo:
     """Return the distance to go to the goal, as far as it is needed."""
-    found = _guide(kernel, enlarged=False, most=most)
+    found = _guide(kernel, enlarged=False)
     if reached(found, kernel):
         return found
-    return _guide(kernel, enlarged=True, most=most)
+    return _guide(kernel, enlarged=True)
 
 
-def no_distance() -> DistanceToGo:
+def no_cost_to_go() -> CostToGo:
     """Return an empty table, for a search without a goal."""
     places = Places(
         np.zeros(1, np.uint64),
@@ -703,23 +703,23 @@ def no_distance() -> DistanceToGo:
         1.0,
     )
     none = np.zeros(0, np.float32)
-    return DistanceToGo(places, none, none, np.zeros(0, np.int32), 0.0, 0)
+    return CostToGo(places, none, none, np.zeros(0, np.int32), 0.0, 0)
 
 
-def reached(to_go: DistanceToGo, kernel: KernelProblem) -> bool:
+def reached(to_go: CostToGo, kernel: KernelProblem) -> bool:
     """Tell whether the start leads to the goal."""
-    return bool(np.isfinite(distance_at_start(to_go, kernel)))
+    return bool(np.isfinite(cost_at_start(to_go, kernel)))
 
 
-def distance_at_start(to_go: DistanceToGo, kernel: KernelProblem) -> float:
+def cost_at_start(to_go: CostToGo, kernel: KernelProblem) -> float:
     """Return the distance to go at the start [m]; infinite where it does not lead to the goal."""
     node = node_at(to_go, kernel.space, kernel.start)
     return float(to_go.distance[node]) if node >= 0 else np.inf
 
 
-def distance_through_slots(
+def cost_through_slots(
     kernel: KernelProblem, known: float, closed: Sequence[Pose] = ()
-) -> DistanceToGo:
+) -> CostToGo:
     """Return the distance to go where the body may be free, between the poses tested as well."""
     places = places_for(kernel, enlarged=True)
     if closed:
@@ -737,8 +737,10 @@ def _without(
     masks, arcs = places.masks.copy(), places.arcs.copy()
     for pose in closed:
         middle = place_of(places, kernel.space, pose.x, pose.y)
-        for row in range(-CLOSED, CLOSED + 1):
-            for place in range(middle + row * across - CLOSED, middle + row * across + CLOSED + 1):
+        for row in range(-SETTINGS.closed, SETTINGS.closed + 1):
+            for place in range(
+                middle + row * across - SETTINGS.closed, middle + row * across + SETTINGS.closed + 1
+            ):
                 if 0 <= place < len(masks):
                     masks[place] &= tested.masks[place]
                     arcs[places.first[place] : places.first[place + 1]] &= tested.masks[place]
@@ -750,12 +752,10 @@ def _guide(
     enlarged: bool,
     places: Places | None = None,
     known: float = 0.0,
-    most: float = np.inf,
-) -> DistanceToGo:
+) -> CostToGo:
     """Return the distance to go near the shortest way, and on all that are not longer than known.
 
-    The places are those of the problem unless given. What takes more than `most` units of work is
-    left out, but for the shortest way.
+    The places are those of the problem unless given.
     """
     places = places_for(kernel, enlarged) if places is None else places
     hills, space = kernel.hills, kernel.space
@@ -763,67 +763,49 @@ def _guide(
     far = 2.0 * kernel.least_radian / kernel.least_metre
     distance, direction = np.zeros((2, len(places.arcs)), np.float32)
     after = np.full(len(places.arcs), -1, np.int32)
-    to_go = DistanceToGo(places, distance, direction, after, far, 0)
+    to_go = CostToGo(places, distance, direction, after, far, 0)
     goal = node_at(to_go, space, kernel.goal)
     start = node_at(to_go, space, kernel.start)
     straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
     # what is uphill forwards is downhill for one who faces the other way
     cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
     surface = _surface(places, kernel)
-    dearness = cheapest / kernel.least_metre
+    price_ratio = cheapest / kernel.least_metre
     height = heights_of_places(places, hills, space)
     regions = regions_for(kernel, enlarged)
     near = np.ones(len(regions.x), bool)
-    work, narrowed = 0, False
+    work = 0
     if start >= 0 and goal >= 0:
         ends = int(regions.of_node[goal]), int(regions.of_node[start])
-        slack = SLACK * 2.0 * kernel.reach
+        slack = SETTINGS.slack * 2.0 * kernel.reach
         back, out = (np.empty(len(near), np.float32) for _ in range(2))
         between = partial(
-            ways_between, regions, margin=REACH, slack=slack,
-            surface=surface, dearness=dearness, height=height, steepest=hills.steepest,
+            ways_between, regions, margin=SETTINGS.reach, slack=slack,
+            surface=surface, price_ratio=price_ratio, height=height, steepest=hills.steepest,
         )  # fmt: skip
         work += between(start=ends[0], stop=ends[1], leaving=False, distance=back)
         if np.isfinite(back[ends[1]]):
             work += between(start=ends[1], stop=ends[0], leaving=True, distance=out)
             far_off = back + out
-            limit = max(REACH * back[ends[1]] + slack, known)
-            least = _narrowed(regions, far_off, most * TURNS - work) if most < np.inf else limit
-            narrowed = least < limit
-            near = far_off <= min(least, limit)
+            near = far_off <= max(SETTINGS.reach * back[ends[1]] + slack, known)
             distance[:] = np.inf
-    work += way_to_go(
+    work += fill_cost_to_go(
         places,
         np.array([goal] if goal >= 0 else [], np.int32),
         regions.of_node,
         near,
-        AHEAD,
+        SETTINGS.ahead,
         surface,
-        dearness,
+        price_ratio,
         height,
         hills.steepest,
         to_go.distance,
         to_go.direction,
         to_go.after,
     )
-    if narrowed and not reached(to_go, kernel):
-        # a way may lead beside what was looked at
-        whole = _guide(kernel, enlarged, places, known)
-        return whole._replace(work=whole.work + work)
     if not near.all():
         fill_beside(regions, near, back, to_go.distance)
     return to_go._replace(work=work)
-
-
-def _narrowed(regions: Regions, length: NDArray[np.float32], most: float) -> float:
-    """Return the length of ways by a region up to which all nodes have no more than so many turns.
-
-    The shortest way is not longer.
-    """
-    order = np.argsort(length, kind="stable")
-    turns = AGAIN * np.cumsum(np.bincount(regions.of_node, minlength=len(length))[order])
-    last = int(np.searchsorted(turns, most, side="right")) - 1
-    return float(max(length[order[max(last, 0)]], length[order[0]] * (1.0 + SINGLE)))
 
 
 def _surface(places: Places, kernel: KernelProblem) -> NDArray[np.uint8]:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import Any, NamedTuple, TypeVar, cast
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -23,26 +23,56 @@ from energyplan.power.effects import reads_slope
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.terrain.grid import from_raster
 
+Made = TypeVar("Made")
+
 BINS = 65
 """Slopes in the price tables of the kernels; odd, so that level ground is one of them."""
 
-FINER = 4
-"""Slopes between two of these at which the price of height is sought as well."""
 
 FLAT = 1e-9
 """Slopes below this are none."""
 
 
-_steepest_of: WeakKeyDictionary[OccupancyGrid, tuple[HeightMap, float, float]] = WeakKeyDictionary()
+class Settings(NamedTuple):
+    """Constants of the prices."""
+
+    finer: int = 4  # slopes between two of the table at which the price of height is sought as well
+    remembered: int = 16  # tables that are kept for a cost
+    slopes: int = 9  # slopes at which prices are scanned
+    zooms: int = 20  # rounds in which the cheapest slope is enclosed
+    cuts: int = 3  # slopes tried in each
+
+
+SETTINGS = Settings()
+
+
+_remembered: WeakKeyDictionary[Any, dict[Hashable, tuple[Callable[[], Any], Any]]]
+_remembered = WeakKeyDictionary()
+
+
+def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Made]) -> Made:
+    """Return what is made once for an owner, one part that it is used with, and a key.
+
+    The part is told by its identity and not held: surfaces hold the costs last used with them.
+    """
+    kept = _remembered.setdefault(owner, {})
+    known = kept.get((id(part), key))
+    if known is None or known[0]() is not part:
+        if len(kept) >= SETTINGS.remembered:
+            kept.clear()
+        known = ref(part) if part is not None else _nothing, make()
+        kept[id(part), key] = known
+    return cast("Made", known[1])
+
+
+def _nothing() -> None:
+    """Stand for a part where there is none."""
 
 
 def steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
     """Return the steepest slope that the robot can be on, as rise over run."""
-    known = _steepest_of.get(grid)
-    if known is None or known[0] is not heights or known[1] != radius:
-        known = heights, radius, _steepest(grid, heights, radius)
-        _steepest_of[grid] = known
-    return known[2]
+    key = "steepest", radius
+    return remembered(grid, heights, key, lambda: _steepest(grid, heights, radius))
 
 
 def _steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
@@ -114,40 +144,24 @@ class Priced(NamedTuple):
     worth: float  # the price of height that was taken off
 
 
-_tables: WeakKeyDictionary[EnergyCost, dict[Hashable, tuple[SurfaceMap | None, Priced]]] = (
-    WeakKeyDictionary()
-)
-"""Tables by cost; the surfaces stay with them, so that no others take their identity."""
-
-_REMEMBERED = 16
-"""How many tables are kept for a cost."""
-
-
 def priced(
     objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
 ) -> Priced:
-    """Return the prices of motions on slopes up to the steepest; they are remembered by cost."""
-    weights = objective_weights(objective.objective)
-    key = steepest, tuple(sorted(weights.items())), id(objective.surfaces)
-    kept = _tables.setdefault(objective.cost, {})
-    known = kept.get(key)
-    if known is None:
-        if len(kept) >= _REMEMBERED:
-            kept.clear()
-        known = objective.surfaces, _priced(objective, ds, dtheta, travel, steepest)
-        kept[key] = known
-    return known[1]
+    """Return the prices of motions on slopes up to the steepest."""
+    key = "priced", steepest, tuple(sorted(objective_weights(objective.objective).items()))
+    make = partial(_priced, objective, ds, dtheta, travel, steepest)
+    return remembered(objective.cost, objective.surfaces, key, make)
 
 
 def _priced(
     objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
 ) -> Priced:
-    steep = np.linspace(-steepest, steepest, (BINS - 1) * FINER + 1)[:, None]
+    steep = np.linspace(-steepest, steepest, (BINS - 1) * SETTINGS.finer + 1)[:, None]
     fine = np.array([objective.motion(ds, dtheta, k, steep) for k in range(len(objective.costs))])
     rise = np.broadcast_to(steep * ds, fine.shape)
     worth = potential(fine, np.broadcast_to(travel, fine.shape), rise)
     fine = fine - worth * rise
-    kept = np.ascontiguousarray(fine[:, ::FINER])
+    kept = np.ascontiguousarray(fine[:, :: SETTINGS.finer])
     return Priced(kept.reshape(-1, len(ds)), worth)
 
 
@@ -258,13 +272,6 @@ class Prices:
         return weights[0] * energy + weights[1] * length + timed
 
 
-_SLOPES = 9
-"""Slopes at which prices are scanned."""
-
-_ZOOMS, _CUTS = 20, 3
-"""Rounds in which the cheapest slope is enclosed, and slopes tried in each."""
-
-
 class Minorant(NamedTuple):
     """No motion costs less than ``metre max(|ds|, track |dtheta|) + radian |dtheta|``."""
 
@@ -273,10 +280,9 @@ class Minorant(NamedTuple):
     track: float
 
 
-class _Remembered(NamedTuple):
-    """What is kept of a cost: its minorants by track, and the excess of a metre by ground."""
+class _Kept(NamedTuple):
+    """What is kept of infima: minorants by track, and the excess of a metre by ground."""
 
-    surfaces: Callable[[], SurfaceMap | None]
     minorants: dict[float, Minorant]
     excess: dict[int, float]
 
@@ -290,7 +296,7 @@ class LeastPrices:
     worth: float  # price of height, which is taken off [J/m for energy]
     lateral: float  # how far to the left of the path's reference point the centre lies [m]
     radius: float  # of the tightest arcs; to and fro on these stands for tighter turns [m]
-    _kept: _Remembered
+    _kept: _Kept
 
     def price(
         self, x: FloatArray, y: FloatArray, grounds: Iterable[int] | None = None
@@ -310,13 +316,13 @@ class LeastPrices:
             price = self.objective.floor(ds, turn, ground, steep)
             return np.asarray(price - self.worth * steep * ds)
 
-        steep = np.linspace(-self.steepest, self.steepest, _SLOPES)[:, None]
+        steep = np.linspace(-self.steepest, self.steepest, SETTINGS.slopes)[:, None]
         values = sloping(steep)
         best = values.min(axis=0)
         k = values.argmin(axis=0)
-        low, high = steep[np.maximum(k - 1, 0), 0], steep[np.minimum(k + 1, _SLOPES - 1), 0]
-        cuts = np.arange(1, _CUTS + 1)[:, None] / (_CUTS + 1)
-        for _ in range(_ZOOMS):
+        low, high = steep[np.maximum(k - 1, 0), 0], steep[np.minimum(k + 1, SETTINGS.slopes - 1), 0]
+        cuts = np.arange(1, SETTINGS.cuts + 1)[:, None] / (SETTINGS.cuts + 1)
+        for _ in range(SETTINGS.zooms):
             tried = low + (high - low) * cuts
             values = sloping(tried)
             best = np.minimum(best, values.min(axis=0))
@@ -368,9 +374,6 @@ class LeastPrices:
         return np.array([known[ground] for ground in sorted(known)])
 
 
-_known: WeakKeyDictionary[EnergyCost, dict[Hashable, _Remembered]] = WeakKeyDictionary()
-
-
 def least_prices(
     objective: Prices,
     steepest: float = 0.0,
@@ -379,20 +382,8 @@ def least_prices(
     radius: float = 0.0,
 ) -> LeastPrices:
     """Return the infima of prices; what they come to is remembered with the cost."""
-    surfaces = objective.surfaces
     centre = objective.cost.icr.centre[1] if lateral is None else lateral
     weights = tuple(sorted(objective_weights(objective.objective).items()))
-    key = id(surfaces), steepest, worth, centre, radius, weights
-    kept = _known.setdefault(objective.cost, {})
-    # surfaces hold the costs last asked for, so that a cost must not hold surfaces
-    known = kept.get(key)
-    if known is None or (surfaces is not None and known.surfaces() is not surfaces):
-        if len(kept) >= _REMEMBERED:
-            kept.clear()
-        whose = ref(surfaces) if surfaces is not None else _nothing
-        known = kept[key] = _Remembered(whose, {}, {})
+    key = "least", steepest, worth, centre, radius, weights
+    known = remembered(objective.cost, objective.surfaces, key, lambda: _Kept({}, {}))
     return LeastPrices(objective, steepest, worth, centre, radius, known)
-
-
-def _nothing() -> None:
-    """Stand for the surfaces where there are none."""
