@@ -55,7 +55,8 @@ from energyplan.planning.space.cost_to_go import (
     reached,
     regions_for,
 )
-from energyplan.planning.space.motions import KernelProblem
+from energyplan.planning.space.motions import KernelProblem, join
+from energyplan.steering.kernels import MAX_SEGMENTS
 
 
 class Paths:
@@ -121,7 +122,8 @@ class Paths:
         setting = self.ends.between(self.setting)
         tested = self.to_go.places is places_for(setting)
         closed = None if tested else self._closed(setting)
-        if self._enter_way() or self._enter_routes() or self._enter_slots():
+        direct = self._enter_direct()
+        if self._enter_way() or direct or self._enter_routes() or self._enter_slots():
             return
         # between ends without room there may be a way where no pose beside them is free
         if closed is not None and (self.ends.moved or self.query.ends_have_margin):
@@ -164,6 +166,15 @@ class Paths:
         """Enter a way between the ends, if there is one."""
         if way is not None:
             self.enter(self.ends.whole(way))
+
+    def _enter_direct(self) -> bool:
+        """Enter the exact motion from end to end, straighter than any route, if it is free."""
+        setting = self.ends.between(self.setting)
+        ds, dtheta = np.empty((2, MAX_SEGMENTS))
+        cost, count = join(setting, setting.start, setting.goal, np.inf, ds, dtheta)
+        if cost < np.inf:
+            self._enter(Segments(ds[:count].copy(), dtheta[:count].copy()))
+        return cost < np.inf
 
     def _enter_way(self) -> bool:
         """Enter the path along the shortest route, if it can be followed; tell whether it can."""
