@@ -44,6 +44,8 @@ class Settings(NamedTuple):
     tolerance: float = 0.15  # how far the first heading of the route may be off [rad]
     headings: int = 32  # headings of the coarsest lattice
     most_headings: int = 512  # headings of the finest lattice
+    coarse: float = 2.0  # scale of the lattice on which ways through open ground are compared
+    hope: float = 1.08  # cost over the best one's that refinement may still make up for
     slice: int = 500  # expansions between two looks at the budget
 
 
@@ -191,8 +193,10 @@ def grow(
             and counts[4] * setting.half_track * setting.least_metre >= 0.2 * tree.h[node]
         ):
             counts[4] = 0
-            if join(setting, here, setting.goal, inf, to_ds, to_dtheta)[0] < inf:
+            if join(setting, here, setting.goal, limit - g, to_ds, to_dtheta)[0] < inf:
                 counts[3] = node
+                # who looks for a cheaper one expands this node as well
+                counts[1] = push(tree.heap_f, tree.heap_node, counts[1], f, node)
                 return FOUND
 
         at = in_cells(space, x, y)
@@ -345,8 +349,19 @@ class Search:
         node = int(np.argmin(self.tree.h[: int(self.tree.counts[0])]))
         return float(self.tree.x[node]), float(self.tree.y[node])
 
+    def cheapest(self, budget: Budget, limit: float) -> Segments | None:
+        """Return the cheapest motions to the goal, if they cost less than `limit`."""
+        best = None
+        while self.run(budget, limit=limit) == FOUND:
+            best, limit = self._to_goal()
+        return best
+
     def segments(self) -> Segments:
         """Return the motions to the goal."""
+        return self._to_goal()[0]
+
+    def _to_goal(self) -> tuple[Segments, float]:
+        """Return the motions to the goal, and their cost."""
         tree, chain = self.tree, []
         last = node = int(tree.counts[3])
         while tree.parent[node] >= 0:
@@ -355,8 +370,9 @@ class Search:
         yaw = self.setting.start.yaw + int(tree.heading[last]) * self.lattice.turn
         pose = Pose(float(tree.x[last]), float(tree.y[last]), yaw)
         ds, dtheta = np.empty((2, MAX_SEGMENTS))
-        _, count = join(self.setting, pose, self.setting.goal, np.inf, ds, dtheta)
+        cost, count = join(self.setting, pose, self.setting.goal, np.inf, ds, dtheta)
         steps = np.array(chain[::-1]).reshape(-1, 2)
-        return Segments(
+        whole = Segments(
             np.concatenate([steps[:, 0], ds[:count]]), np.concatenate([steps[:, 1], dtheta[:count]])
         )
+        return whole, float(tree.g[last]) + cost

@@ -3,7 +3,8 @@
 1. The shortest route through the free configurations is followed by exact minimum-energy motions:
    a first path, and with shortcuts a first plan.
 2. Up to four routes, each cheapest by its length and turns and the later ones away from the former,
-   are followed as well. A lower bound on every path's cost is computed.
+   are followed as well, and a coarse lattice compares ways through open ground. A lower bound on
+   every path's cost is computed.
 3. The paths compete for the budget to be refined. Planning ends when the budget is over, the gap to
    the bound is closed, or nothing is gained any more.
 4. The shortest of all that was found is made shorter in a part of what is left. It is the answer
@@ -17,6 +18,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
+from functools import partial
+from math import remainder
 
 import numpy as np
 
@@ -33,6 +36,7 @@ from energyplan.planning.driven import stops_count
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.search.follow import follow_route
 from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, lattice_for
+from energyplan.planning.search.lattice import SETTINGS as LATTICE
 from energyplan.planning.search.optimise import SAME, Portfolio, Refiner
 from energyplan.planning.search.optimise import SETTINGS as PORTFOLIO
 from energyplan.planning.search.routes import cheapest_routes
@@ -57,6 +61,7 @@ from energyplan.planning.space.cost_to_go import (
 )
 from energyplan.planning.space.motions import KernelProblem, join
 from energyplan.steering.kernels import MAX_SEGMENTS
+from energyplan.terrain.collision import motion_free
 
 
 class Paths:
@@ -237,7 +242,8 @@ class Paths:
                 self._enter(way)
 
         routing = Work(routes, SHARES.stage * searching.left, take)
-        do_together(searching, [*self.portfolio.turns(self.enough), routing])
+        comparing = self._compared(SHARES.aside * searching.left)
+        do_together(searching, [*self.portfolio.turns(self.enough), routing, comparing])
         if searching.over or self.done:
             return
         works = self.bounding.work(self.cost, self.kept)
@@ -245,6 +251,24 @@ class Paths:
             works += slot_work(setting, self.to_go, self.cost, searching, self._enter)
         self._together(searching, works)
         self.portfolio.run(searching, self.enough)
+
+    def _compared(self, units: float) -> Work:
+        """Return a search of a coarse lattice along the map's axes, which compares open ways."""
+        setting = self.ends.between(self.setting)
+        lattice, start = lattice_for(setting, LATTICE.coarse), setting.start
+        spin = -remainder(start.yaw - setting.space.yaw, lattice.turn)
+        turned = setting._replace(start=start._replace(yaw=start.yaw + spin))
+        if setting.least_radius > 0.0 or not motion_free(
+            setting.space, setting.body, *start, 0.0, spin, 0.0
+        ):
+            spin, turned = 0.0, setting
+        search, limit = Search(turned, self.to_go, lattice, 1.0), LATTICE.hope * self.cost
+
+        def take(way: Segments | None) -> None:
+            if way is not None:
+                self._enter(Segments(np.append(0.0, way.ds), np.append(spin, way.dtheta)))
+
+        return Work(partial(search.cheapest, limit=limit), units, take)
 
     def finish(self) -> None:
         """Refine the paths until the budget is over, the gap closed, or nothing is gained."""
