@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from energyplan.mission.order import OrderProblem, solve_exactly
+from energyplan.mission.order import OrderProblem, solve
 
 METRE, SPEED = 250.0, 0.8
 """Energy of a metre [J], and speed [m/s]."""
@@ -59,13 +59,13 @@ def problem(seed: int, tasks: int, chargers: int, windows: bool) -> OrderProblem
 
 def main(count: int) -> None:
     """Solve random problems and print what came of each."""
-    solve_exactly(problem(0, 3, 1, True))  # compiled
+    solve(problem(0, 3, 1, True))  # compiled
     proven, times = 0, []
     for seed in range(count):
         tasks, chargers, windows = 13 + seed % 3, seed // 3 % 4, bool(seed % 2)
         asked = problem(seed, tasks, chargers, windows)
         begun = time.process_time()
-        found = solve_exactly(asked)
+        found = solve(asked)
         spent = time.process_time() - begun
         times.append(spent)
         done = sum(stop <= tasks for stop in found.stops)

@@ -19,9 +19,9 @@ import energyplan as ep
 from energyplan import kinds, live
 from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.errors import EnergyPlanError, InvalidInputError
-from energyplan.fleet.types import Fleet, Robot
 from energyplan.io.config import Project
 from energyplan.logs.mapping import Column
+from energyplan.mission import Fleet, Robot
 from energyplan.physics.robot import Effect
 from energyplan.planning.replanning import replan
 from energyplan.power import Sides

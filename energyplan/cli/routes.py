@@ -635,8 +635,8 @@ def _robots(
     file: Document, folder: Path, fail: str | None, stated: dict[str, Any], json: bool, strict: bool
 ) -> None:
     """Share the tasks of a mission between its robots."""
-    from energyplan.fleet import Fleet, evaluate_fleet
     from energyplan.io.fleet import fleet_from
+    from energyplan.mission import Fleet, evaluate_fleet
     from energyplan.output import documents, text
 
     name, instant = _failure(fail) if fail else ("", 0.0)

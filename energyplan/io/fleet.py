@@ -9,10 +9,10 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.errors import MissionError
-from energyplan.fleet import Fleet, Robot
 from energyplan.io.documents import Checked, Document, Loc, load
 from energyplan.io.mission import MissionReader
 from energyplan.kinds import checked
+from energyplan.mission import Fleet, Robot
 
 _OWN = (
     "model", "vehicle", "battery", "start", "home", "soc", "reserve", "payload", "payload_models",

@@ -1,11 +1,19 @@
-"""Labels over (tasks done, place): the exact search for an order, compiled.
+"""One search for an order: labels over stages and places, and what the rest of an order takes.
 
-A label is a way to have done a subset of the tasks and to stand at one place: the energy that it
-took, the charge that is left, and the time. Where time matters charging may stop early. Such a
-label is a segment: after `time` with `left` on board, each further second, up to `slack`, adds
-`rate`; how much of it is used shows later. Waiting for a window is time to charge at no cost.
-Of the labels of a subset and place only those are kept that no other one beats in every respect,
-and only those that can still lead to a better order than the best one known (`_order_bounds`).
+A stage tells which tasks may come next: of a free order it is the set of tasks that are done, of a
+given order the last one of them (see `energyplan.mission.order`). A label is one way of having come
+to a stage and a place: the energy that it took, the charge that is left, the time, the worth of
+what was done and the payload. Where time matters charging may stop early. Such a label is a
+segment: after `time` with `left` on board, each further second, up to `slack`, adds `rate`; how
+much of it is used shows later. Waiting for a window is time to charge at no cost. Of the labels of
+a stage and place only those are kept that no other one beats in every respect, and only those that
+can still lead to a better order than the best one known.
+
+What the rest takes at least is told by a programme over stages without the battery: the least
+energy of doing what reaches a worth and ending, with at least so many visits to chargers on the
+way. Every charge that the battery needs is such a visit, so the fewest visits that a charge can do
+with tell what the rest takes (`energy_left`). The same programme over times tells when to leave at
+the latest for no window to be missed.
 """
 
 from __future__ import annotations
@@ -14,15 +22,150 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, FloatTable, Ints, IntTable, njit
-from energyplan.mission._order_bounds import Rest, Table, energy_left, loosely
+from energyplan.compilation import (
+    Flags,
+    FlagTable,
+    FloatBlock,
+    Floats,
+    FloatTable,
+    Ints,
+    IntTable,
+    WideBlock,
+    njit,
+)
 
-_GRAM = 1e-3
+_GRAM, _MILLIGRAM = 1e-3, 1e-6
 _EPSILON = 1e-9
 _FEW = 4096
+_FIELDS = 8
 _GONE = -2
+_TAKEN = 0.8
+"""Chance of a neighbour to be taken out with a task."""
+
 _FAR = 1e15
 """Rank of labels that do not lead to the worth that is known, beyond their energy [J]."""
+
+
+class Table(NamedTuple):
+    """An order problem as arrays; n tasks, m chargers, N places, L loads, M ways of driving."""
+
+    energy: WideBlock  # (L + 1, M, N, N): energies from place to place [J], last the least
+    finish: FloatTable  # (L + 1, N): energy to where the mission may end [J], last the least
+    time: FloatBlock  # (M, N, N): travel times [s]
+    finish_time: Floats  # (N,): time to where the mission may end [s]
+    service: Floats  # (n,): energy [J] and time [s] of each task
+    service_time: Floats  # (n,): energy [J] and time [s] of each task
+    window: FloatTable  # (n, 2): earliest and latest begin [s]
+    worth: Floats  # (n,): what each task is worth
+    change: Floats  # (n,): change of the payload by each task [kg]
+    loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
+    after: IntTable  # (S, n): stage after each task, later ones being higher; -1 if out of turn
+    there: FlagTable  # (S, N): whether the robot may be at a place
+    done: Floats  # (S,): what is worth at most what was done until a stage
+    ahead: Floats  # (S,): what is worth at most what may still be done
+    load: Floats  # (S,): payload of a stage [kg], infinite if the stage does not tell it
+    load_index: Ints  # (S,): which of the L loads that is, or L
+    pressing: Flags  # (S,): whether a window of the tasks that may still be done ends
+    need: Floats  # (N,): charge without which no charger and no end is reached from a place [J]
+    capacity: Floats  # energy on leaving each charger when full [J], and stored per second [W]
+    charge_power: Floats  # energy on leaving each charger when full [J], and stored per second [W]
+    budget: float  # energy at the start and of a full battery [J]
+    full: float  # energy at the start and of a full battery [J]
+    start_time: float  # time at the start [s]
+    payload: float  # payload at the start [kg]
+    visits: int  # visits to chargers that are told apart
+    most: int  # most labels to keep
+    width: int  # most labels to keep of a stage and place
+
+
+class Rest(NamedTuple):
+    """What is to be done at least, by bucket: a stage and a place."""
+
+    energy: FloatTable  # least energy with at least so many visits to chargers ahead [J]
+    latest: Floats  # (S * N,): when to leave at the latest [s]
+    charge: float  # energy that one visit adds at most [J]
+
+
+@njit
+def loosely(limit: float) -> float:
+    """Return a limit with room for rounding."""
+    return limit + _EPSILON * max(abs(limit), 1.0) if np.isfinite(limit) else limit
+
+
+@njit
+def energy_left(rest: Rest, bucket: int, charge: float) -> float:
+    """Return what the rest takes at least with a charge on board [J]; infinite if it cannot be."""
+    visits = rest.energy.shape[1] - 1
+    for k in range(visits):
+        least = float(rest.energy[bucket, k])
+        if least <= loosely(charge + k * rest.charge):
+            return least
+    return float(rest.energy[bucket, visits])
+
+
+@njit
+def completions(table: Table, worth: float) -> Rest:
+    """Bound what is left to do from each bucket on."""
+    n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
+    places = 1 + n + m
+    visits = table.visits if m > 0 else 0
+    stages = len(table.after)
+    least = np.full((stages * places, visits + 1), np.inf)
+    latest = np.full(stages * places, -np.inf)
+    quickest = table.time[0].copy()
+    for way in range(1, ways):
+        quickest = np.minimum(quickest, table.time[way])
+    for stage in range(stages - 1, -1, -1):
+        enough = table.done[stage] >= worth - _EPSILON
+        load = table.load_index[stage]
+        energy, finish = table.energy[load], table.finish[load]
+        for p in range(places):
+            if not table.there[stage, p]:
+                continue
+            bucket = stage * places + p
+            if enough and np.isfinite(finish[p]):
+                least[bucket, 0] = finish[p]
+                latest[bucket] = np.inf
+            for t in range(n):
+                then = table.after[stage, t]
+                if then < 0 or table.load[stage] + table.change[t] < -_GRAM:
+                    continue
+                way = energy[0, p, 1 + t]
+                for other in range(1, ways):
+                    way = min(way, energy[other, p, 1 + t])
+                if not np.isfinite(way):
+                    continue
+                after = then * places + 1 + t
+                for k in range(visits + 1):
+                    through = way + table.service[t] + least[after, k]
+                    least[bucket, k] = min(least[bucket, k], through)
+                begin = min(table.window[t, 1], latest[after] - table.service_time[t])
+                if begin >= table.window[t, 0]:
+                    latest[bucket] = max(latest[bucket], begin - quickest[p, 1 + t])
+        # over chargers, which may lead to chargers
+        for turn in range(m + 1 if m > 0 else 0):
+            last = turn == m
+            for p in range(places):
+                if (p > n) == last or not table.there[stage, p]:
+                    continue
+                for c in range(m):
+                    if 1 + n + c == p:
+                        continue
+                    way = energy[0, p, 1 + n + c]
+                    for other in range(1, ways):
+                        way = min(way, energy[other, p, 1 + n + c])
+                    if not np.isfinite(way):
+                        continue
+                    bucket, there = stage * places + p, stage * places + 1 + n + c
+                    least[bucket, 0] = min(least[bucket, 0], way + least[there, 0])
+                    for k in range(1, visits + 1):
+                        through = way + least[there, k - 1]
+                        least[bucket, k] = min(least[bucket, k], through)
+                    latest[bucket] = max(latest[bucket], latest[there] - quickest[p, 1 + n + c])
+    most = table.budget
+    for c in range(m):
+        most = max(most, table.capacity[c])
+    return Rest(least, latest, most if m > 0 else 0.0)
 
 
 class Known(NamedTuple):
@@ -32,7 +175,8 @@ class Known(NamedTuple):
     energy: float  # its energy [J], and when it ends [s]
     time: float  # its energy [J], and when it ends [s]
     same: Rest  # what it takes at least to reach its worth
-    more: Rest  # what it takes at least to reach more
+    more: Rest  # what it takes at least to reach `beyond`
+    beyond: float
 
 
 class Found(NamedTuple):
@@ -57,6 +201,8 @@ class Label(NamedTuple):
     time: float
     rate: float
     slack: float
+    worth: float
+    load: float
 
 
 class Store(NamedTuple):
@@ -64,8 +210,8 @@ class Store(NamedTuple):
 
     value: FloatTable  # each label's fields, and the least energy of an order that it leads to [J]
     link: IntTable  # (n, 4): label before, place, way of driving, next label of the bucket
-    head: Ints  # (2^n * places,): first label of each bucket
-    lost: Floats  # (2,)
+    head: Ints  # (S * N,): first label of each bucket
+    lost: Floats  # (2,): least energy that what was left out leads to [J]; 1 if to more worth
 
 
 @njit
@@ -85,7 +231,7 @@ def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
         left, time, slack = left + label.rate * more, time + more, slack - more
         if left > -_EPSILON * max(label.left, 1.0):
             left = max(left, 0.0)
-    return Label(label.energy + energy, left, time, label.rate, slack)
+    return Label(label.energy + energy, left, time, label.rate, slack, label.worth, label.load)
 
 
 @njit
@@ -95,14 +241,16 @@ def _begin(label: Label, earliest: float, latest: float) -> Label:
     if time < earliest:
         more = min(slack, earliest - time)
         left, slack, time = left + label.rate * more, slack - more, earliest
-    return Label(label.energy, left, time, label.rate, max(min(slack, latest - time), 0.0))
+    slack = max(min(slack, latest - time), 0.0)
+    return Label(label.energy, left, time, label.rate, slack, label.worth, label.load)
 
 
 @njit
 def _charged(label: Label) -> Label:
     """Charge as long as may be."""
     left = label.left + label.rate * label.slack
-    return Label(label.energy, left, label.time + label.slack, 0.0, 0.0)
+    time = label.time + label.slack
+    return Label(label.energy, left, time, 0.0, 0.0, label.worth, label.load)
 
 
 @njit
@@ -113,7 +261,9 @@ def _left_at(label: Label, time: float) -> float:
 @njit
 def _as_good(one: Label, other: Label, timed: bool) -> bool:
     """Tell whether a label is as good as another in every respect."""
-    if one.energy > other.energy + _EPSILON:
+    if one.energy > other.energy + _EPSILON or one.worth < other.worth - _EPSILON:
+        return False
+    if abs(one.load - other.load) > _MILLIGRAM:
         return False
     if not timed:
         return one.left >= other.left - _EPSILON
@@ -125,8 +275,8 @@ def _as_good(one: Label, other: Label, timed: bool) -> bool:
 
 @njit
 def _label(store: Store, k: int) -> Label:
-    value = store.value
-    return Label(value[k, 0], value[k, 1], value[k, 2], value[k, 3], value[k, 4])
+    v = store.value[k]
+    return Label(v[0], v[1], v[2], v[3], v[4], v[5], v[6])
 
 
 @njit
@@ -136,7 +286,7 @@ def _with_room(store: Store, count: int, most: int) -> Store:
         return store
     more = min(len(store.value), most - len(store.value))
     return Store(
-        np.concatenate((store.value, np.empty((more, 6)))),
+        np.concatenate((store.value, np.empty((more, _FIELDS)))),
         np.concatenate((store.link, np.empty((more, 4), np.int64))),
         store.head,
         store.lost,
@@ -154,41 +304,48 @@ def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
 
 
 @njit
-def _more(known: Known, bucket: int, label: Label) -> bool:
-    """Tell whether a label may lead to more worth than is known."""
-    if not len(known.more.latest) or label.time > loosely(known.more.latest[bucket]):
-        return False
-    return energy_left(known.more, bucket, label.left + label.rate * label.slack) < np.inf
+def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[float, bool]:
+    """Return the least energy of an order of the worth known that a label leads to [J], or more."""
+    worth, most = label.worth + ahead, label.left + label.rate * label.slack
+    if worth < known.worth - _EPSILON:
+        return np.inf, False
+    least, more = np.inf, False
+    if label.time <= loosely(known.same.latest[bucket]):
+        least = label.energy + energy_left(known.same, bucket, most)
+    if (
+        len(known.more.latest) > 0
+        and worth >= known.beyond - _EPSILON
+        and label.time <= loosely(known.more.latest[bucket])
+    ):
+        more = energy_left(known.more, bucket, most) < np.inf
+    return least, more
 
 
 @njit
-def _least(known: Known, bucket: int, label: Label) -> float:
-    """Return the least energy of an order of the worth known that a label leads to [J]."""
-    if label.time > loosely(known.same.latest[bucket]):
-        return np.inf
-    may = label.left + label.rate * label.slack
-    return label.energy + energy_left(known.same, bucket, may)
-
-
-@njit
-def _lose(store: Store, least: float, more: bool) -> None:
+def _lose(store: Store, promise: tuple[float, bool]) -> None:
     """Note what a label that is left out for want of room may have led to."""
-    store.lost[0] = min(store.lost[0], least)
-    if more:
+    store.lost[0] = min(store.lost[0], promise[0])
+    if promise[1]:
         store.lost[1] = 1.0
 
 
 @njit
-def _rank(label: Label, least: float) -> float:
-    return least if np.isfinite(least) else _FAR + label.energy
+def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
+    """Tell whether a label promises less than another."""
+    if abs(one.worth - other.worth) > _EPSILON:
+        return one.worth < other.worth
+    mine = least if np.isfinite(least) else _FAR + one.energy
+    return mine > (other_least if np.isfinite(other_least) else _FAR + other.energy)
 
 
 @njit
 def _keep(
-    store: Store, bucket: int, new: Label, count: int, timed: bool, width: int, known: Known
+    store: Store, table: Table, known: Known, stage: int, place: int, new: Label, count: int
 ) -> bool:
     """Add a label to its bucket; not where one there is as good, or where nothing comes of it."""
-    least, more = _least(known, bucket, new), _more(known, bucket, new)
+    bucket, ahead = stage * len(table.need) + place, table.ahead[stage]
+    timed = table.pressing[stage]
+    least, more = _promise(known, bucket, new, ahead)
     if not (more or least <= loosely(known.energy)):
         return False
     there, k = 0, store.head[bucket]
@@ -197,30 +354,31 @@ def _keep(
             return False
         k = store.link[k, 3]
     if count >= len(store.value):
-        _lose(store, least, more)
+        _lose(store, (least, more))
         return False
     before, worst, before_worst, k = -1, -1, -1, store.head[bucket]
-    highest = _rank(new, least)
+    last, last_least = new, least
     while k >= 0:
         after, old = store.link[k, 3], _label(store, k)
         if _as_good(new, old, timed):
             _take_out(store, bucket, k, before)
         else:
             there += 1
-            if _rank(old, store.value[k, 5]) > highest:
-                highest, worst, before_worst = _rank(old, store.value[k, 5]), k, before
+            if _behind(old, store.value[k, 7], last, last_least):
+                last, last_least, worst, before_worst = old, store.value[k, 7], k, before
             before = k
         k = after
-    if there >= width:
+    if there >= table.width:
         # as many labels as there may be: the one that promises least goes
         if worst < 0:
-            _lose(store, least, more)
+            _lose(store, (least, more))
             return False
-        _lose(store, store.value[worst, 5], _more(known, bucket, _label(store, worst)))
+        _lose(store, _promise(known, bucket, last, ahead))
         _take_out(store, bucket, worst, before_worst)
     value = store.value
     value[count, 0], value[count, 1], value[count, 2] = new.energy, new.left, new.time
-    value[count, 3], value[count, 4], value[count, 5] = new.rate, new.slack, least
+    value[count, 3], value[count, 4], value[count, 5] = new.rate, new.slack, new.worth
+    value[count, 6], value[count, 7] = new.load, least
     store.link[count, 3] = store.head[bucket]
     store.head[bucket] = count
     return True
@@ -234,7 +392,13 @@ def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
     if kind == 2:
         return new
     room = max(full - new.left, 0.0) / power
-    return Label(new.energy, new.left, new.time, power, room)
+    return Label(new.energy, new.left, new.time, power, room, new.worth, new.load)
+
+
+@njit
+def _priced(table: Table, load: float) -> int:
+    """Return which of the payloads that energies are known for stands for a payload."""
+    return min(int(np.searchsorted(table.loads, load - _MILLIGRAM)), len(table.loads) - 1)
 
 
 @njit
@@ -244,24 +408,23 @@ def search(table: Table, known: Known) -> Found:
     Of orders of the same energy the quickest is taken.
     """
     n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
-    places, width = 1 + n + m, table.width
+    places, stages = 1 + n + m, len(table.after)
     store = Store(
-        np.empty((min(_FEW, table.most), 6)),
+        np.empty((min(_FEW, table.most), _FIELDS)),
         np.empty((min(_FEW, table.most), 4), np.int64),
-        np.full(2**n * places, -1, np.int64),
+        np.full(stages * places, -1, np.int64),
         np.array([np.inf, 0.0]),
     )
     best, best_worth, best_energy, best_time = -1, known.worth, known.energy, known.time
     count = 0
-    start = Label(0.0, table.budget, table.start_time, 0.0, 0.0)
-    if _keep(store, 0, start, 0, table.pressing[0], table.width, known):
+    start = Label(0.0, table.budget, table.start_time, 0.0, 0.0, 0.0, table.payload)
+    if _keep(store, table, known, 0, 0, start, 0):
         store.link[0, 0], store.link[0, 1], store.link[0, 2] = -1, 0, 0
         count = 1
     queue = np.empty(256, np.int64)
-    for mask in range(2**n):
-        first, load = mask * places, table.load[mask]
-        energy, finish = table.energy[table.load_index[mask]], table.finish[table.load_index[mask]]
-        # chargers may lead to chargers: their labels stay within the subset
+    for stage in range(stages):
+        first, timed = stage * places, table.pressing[stage]
+        # chargers may lead to chargers: their labels stay within the stage
         waiting = 0
         for place in range(places if m > 0 else 0):
             k = store.head[first + place]
@@ -277,6 +440,7 @@ def search(table: Table, known: Known) -> Found:
             if store.link[k, 3] == _GONE:
                 continue
             here, at = _label(store, k), store.link[k, 1]
+            energy = table.energy[_priced(table, here.load)]
             for c in range(m):
                 place = 1 + n + c
                 if place == at:
@@ -288,14 +452,13 @@ def search(table: Table, known: Known) -> Found:
                     there = _spend(here, spent, table.time[way, at, place], table.full)
                     if there.left < 0.0:
                         continue
-                    timed = table.pressing[mask]
                     quicker = timed and there.slack > 0.0 and there.rate > table.charge_power[c]
                     for kind in range(3 if quicker else 1):
                         new = _docked(table, there, c, kind)
                         if not timed:
                             new = _charged(new)
                         store = _with_room(store, count, table.most)
-                        if _keep(store, first + place, new, count, timed, width, known):
+                        if _keep(store, table, known, stage, place, new, count):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, place, way
                             if waiting == len(queue):
@@ -303,11 +466,12 @@ def search(table: Table, known: Known) -> Found:
                             queue[waiting] = count
                             waiting += 1
                             count += 1
-        worth = table.worth_of[mask]
         for place in range(places):
             k = store.head[first + place]
             while k >= 0:
                 here = _label(store, k)
+                worth, load = here.worth, _priced(table, here.load)
+                energy, finish = table.energy[load], table.finish[load]
                 last = _spend(here, finish[place], table.finish_time[place], table.full)
                 if last.left >= 0.0 and np.isfinite(last.energy):
                     better = worth > best_worth + _EPSILON
@@ -319,12 +483,14 @@ def search(table: Table, known: Known) -> Found:
                     if better:
                         best, best_worth = k, worth
                         best_energy, best_time = last.energy, last.time
-                        known = Known(best_worth, best_energy, best_time, known.same, known.more)
+                        known = Known(
+                            best_worth, best_energy, best_time, known.same, known.more,
+                            known.beyond,
+                        )  # fmt: skip
                 for t in range(n):
-                    if mask >> t & 1 or load + table.change[t] < -_GRAM:
+                    after, carried = table.after[stage, t], here.load + table.change[t]
+                    if after < 0 or carried < -_GRAM:
                         continue
-                    after = mask | 1 << t
-                    pressing = table.pressing[after]
                     for way in range(ways):
                         spent = energy[way, place, 1 + t]
                         if not np.isfinite(spent):
@@ -338,16 +504,14 @@ def search(table: Table, known: Known) -> Found:
                             continue
                         done = Label(
                             done.energy, done.left, done.time + table.service_time[t], done.rate,
-                            done.slack,
+                            done.slack, done.worth + table.worth[t], carried,
                         )  # fmt: skip
-                        if not pressing:
+                        if not table.pressing[after]:
                             done = _charged(done)
                         if done.left + done.rate * done.slack < table.need[1 + t] - _EPSILON:
                             continue
                         store = _with_room(store, count, table.most)
-                        if _keep(
-                            store, after * places + 1 + t, done, count, pressing, width, known
-                        ):
+                        if _keep(store, table, known, after, 1 + t, done, count):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, 1 + t, way
                             count += 1
@@ -366,3 +530,166 @@ def search(table: Table, known: Known) -> Found:
         best >= 0, best_worth, best_energy, best_time, bound, store.lost[1] > 0.0, count, stops,
         driven,
     )  # fmt: skip
+
+
+# -- tours without chargers --------------------------------------------------------------------
+
+
+class Tours(NamedTuple):
+    """Robots that share n tasks, as arrays; R robots, N places: start, tasks, chargers."""
+
+    energy: FloatBlock  # (R, N, N): energies from place to place, the task at the end included [J]
+    time: FloatBlock  # (R, N, N): travel times [s]
+    finish: FloatTable  # (R, N): energy to where a robot may end [J]
+    service_time: FloatTable  # (R, n): time of each task [s]
+    window: FloatTable  # (n, 2): earliest and latest begin [s]
+    change: Floats  # (n,): change of the payload by each task [kg]
+    worth: Floats  # (n,): energy that doing a task is worth [J]
+    budget: Floats  # (R,): energy at the start [J], and what a charge adds at most [J]
+    capacity: Floats  # (R,): energy at the start [J], and what a charge adds at most [J]
+    start_time: Floats  # (R,): time at the start [s]
+    payload: Floats  # (R,): payload at the start [kg]
+
+
+@njit
+def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: int) -> float:
+    """Return the energy of a robot's tasks in a sequence, with an extra one put in at a place [J].
+
+    Each charge that the battery needs is counted as the least detour over a charger. Infinite
+    where the sequence cannot be.
+    """
+    n, places = len(tours.worth), tours.energy.shape[1]
+    energy, time, load, here = 0.0, tours.start_time[r], tours.payload[r], 0
+    detour = np.inf if places > 1 + n else 0.0
+    length = count + (1 if extra >= 0 else 0)
+    for k in range(length + 1):
+        goal = -1
+        if k < length:
+            goal = 1 + (extra if k == at and extra >= 0 else stops[k - (extra >= 0 and k > at)])
+        for c in range(1 + n, places):
+            onward = tours.finish[r, c] if goal < 0 else tours.energy[r, c, goal]
+            direct = tours.finish[r, here] if goal < 0 else tours.energy[r, here, goal]
+            detour = min(detour, max(tours.energy[r, here, c] + onward - direct, 0.0))
+        if goal < 0:
+            energy += tours.finish[r, here]
+            break
+        energy += tours.energy[r, here, goal]
+        time = max(time + tours.time[r, here, goal], tours.window[goal - 1, 0])
+        load += tours.change[goal - 1]
+        if time > tours.window[goal - 1, 1] + _EPSILON or load < -_GRAM:
+            return np.inf
+        time += tours.service_time[r, goal - 1]
+        here = goal
+    if energy > tours.budget[r]:
+        gain = tours.capacity[r] - detour
+        if places == 1 + n or not gain > 0.0:
+            return np.inf
+        energy += np.ceil((energy - tours.budget[r]) / gain) * detour
+    return energy
+
+
+@njit
+def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tuple[float, int]:
+    """Return where a task adds least to a robot's sequence, and the energy of the sequence then."""
+    least, at = np.inf, 0
+    for k in range(count + 1):
+        energy = tour_energy(tours, r, stops, count, task, k)
+        if energy < least:
+            least, at = energy, k
+    return least, at
+
+
+@njit
+def _insert_all(
+    tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags
+) -> None:
+    """Put in what is left out, first what would be dearer anywhere else (regret), where it pays."""
+    robots, n = len(counts), len(open_tasks)
+    total, place = np.full((robots, n), np.inf), np.zeros((robots, n), np.int64)
+    stale = np.ones(robots, np.bool_)
+    while True:
+        for r in range(robots):
+            for t in range(n if stale[r] else 0):
+                if open_tasks[t]:
+                    total[r, t], place[r, t] = _best_place(tours, r, stops[r], counts[r], t)
+            stale[r] = False
+        chosen, robot, most = -1, -1, -np.inf
+        for t in range(n):
+            if not open_tasks[t]:
+                continue
+            first, second, best = np.inf, np.inf, -1
+            for r in range(robots):
+                more = total[r, t] - energies[r]
+                if more < first:
+                    first, second, best = more, first, r
+                elif more < second:
+                    second = more
+            if best < 0 or first >= tours.worth[t]:
+                continue
+            regret = min(second, tours.worth[t]) - first
+            if regret > most:
+                chosen, robot, most = t, best, regret
+        if chosen < 0:
+            return
+        at = place[robot, chosen]
+        for k in range(counts[robot], at, -1):
+            stops[robot, k] = stops[robot, k - 1]
+        stops[robot, at] = chosen
+        counts[robot] += 1
+        energies[robot] = total[robot, chosen]
+        open_tasks[chosen] = False
+        stale[robot] = True
+
+
+@njit
+def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
+    """Give tasks to robots: insert with regret, then take some out again and again.
+
+    In each round, which reads a row of chances in [0, 1), a task and its neighbours are taken out
+    and put in anew. What comes of it is kept if it is better, or, in the beginning, little worse
+    (ruin and recreate, Pisinger and Ropke 2007).
+    """
+    rounds = len(chances)
+    robots, n = len(tours.budget), len(tours.worth)
+    stops, counts = np.zeros((robots, n), np.int64), np.zeros(robots, np.int64)
+    open_tasks = np.ones(n, np.bool_)
+    energies = np.array([tour_energy(tours, r, stops[r], 0, -1, 0) for r in range(robots)])
+    energies[~np.isfinite(energies)] = 0.0  # who cannot even end from its start does nothing
+    near = np.zeros((n, n), np.int64)
+    for t in range(n):
+        near[t] = np.argsort(tours.energy[:, 1 + t, 1 : 1 + n].sum(axis=0))
+    _insert_all(tours, stops, counts, energies, open_tasks)
+    now = energies.sum() + tours.worth[open_tasks].sum()
+    best, best_stops, best_counts = now, stops.copy(), counts.copy()
+    for turn in range(rounds):
+        new_stops, new_counts, new_energies = stops.copy(), counts.copy(), energies.copy()
+        out = open_tasks.copy()
+        drawn = chances[turn]
+        seeded, size = int(n * drawn[0]), 1 + int(drawn[1] * max(min(n // 3, 12), min(n, 5)))
+        taken = 0
+        for t in near[seeded]:
+            if taken < size and drawn[3 + t] < _TAKEN:
+                out[t] = True
+                taken += 1
+        out[seeded] = True
+        for r in range(robots):
+            kept = 0
+            for k in range(counts[r]):
+                if not out[stops[r, k]]:
+                    new_stops[r, kept] = stops[r, k]
+                    kept += 1
+            if kept < counts[r]:
+                new_counts[r] = kept
+                left = tour_energy(tours, r, new_stops[r], kept, -1, 0)
+                new_energies[r] = left if kept > 0 or np.isfinite(left) else 0.0
+        if not np.all(np.isfinite(new_energies)):
+            continue  # what is left needs what was taken out
+        _insert_all(tours, new_stops, new_counts, new_energies, out)
+        then = new_energies.sum() + tours.worth[out].sum()
+        heat = 0.01 * (1.0 - (turn + 1) / rounds) * abs(best) / max(n, 1)
+        if then < now - heat * np.log(max(drawn[2], 1e-12)):
+            now, stops, counts, energies = then, new_stops, new_counts, new_energies
+            open_tasks = out
+            if now < best - _EPSILON:
+                best, best_stops, best_counts = now, stops.copy(), counts.copy()
+    return best_stops, best_counts

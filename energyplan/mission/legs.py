@@ -300,7 +300,7 @@ class Legs:
             *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
             *(shapely.to_wkb(area) for area in areas),
             _shaped(mission.heights),
-            self._speed, mission.objective, mission.planner, self._planning_time,
+            self._speed, mission.objective, mission.planner, self.planning_time,
             mission.planning_effort, mission.clearance,
         )  # fmt: skip
         return hashlib.sha256(repr(asked).encode()).digest()
@@ -331,7 +331,7 @@ class Legs:
         problem = self.problem(start, goal, hurried)
         for patience in (1, 10):
             try:
-                limit, effort = patience * self._planning_time, mission.planning_effort
+                limit, effort = patience * self.planning_time, mission.planning_effort
                 effort = None if effort is None else patience * effort
                 return Route(plan(problem, mission.planner, limit, effort=effort).path)
             except TimeLimitError as error:
@@ -341,7 +341,7 @@ class Legs:
         return Route(still, "time", last)
 
     @property
-    def _planning_time(self) -> float:
+    def planning_time(self) -> float:
         """Time for each route [s]: a free order takes about four routes a task."""
         mission = self.mission
         if mission.planning_time is not None:

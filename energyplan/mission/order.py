@@ -1,30 +1,52 @@
-"""The best order and subset of tasks on an energy matrix: prizes against a budget.
+"""The best order and subset of tasks, and where to charge: one search, checked by the simulation.
 
-The answer is exact for few tasks: labels (energy, charge left, time) over every subset and last
-stop, of which only those that no other one beats in every respect are kept (the dynamic programme
-of Held and Karp, with resources). A first search keeps few labels of each subset and stop; what it
-finds, and bounds of what is left to do, spare the exact one most of them. Charging stops early
-where windows press. Where there would still be too many labels the answer tells its bound. Beyond
-`EXACT` tasks OR-Tools searches.
+The search (`energyplan.mission._order_kernel`) adds energies up. It begins with what is expected of
+each drive and a battery that loses nothing: no order can be better than its answer, and where the
+simulated battery lasts for it, it is proven. If not, energies and losses are taken at their bounds,
+and then between the two as long as the battery lasts. Routes are planned only where the best order
+may use them: energies between places start as lower bounds, the order that is best on them names
+the routes to plan, and the order is solved again until it uses planned routes only.
+
+Stages of a free order of up to `EXACT` tasks are the sets of tasks done (the dynamic programme of
+Held and Karp, with resources). Beyond, tasks are put in one by one, and then orders near the one
+found are searched, in which a task overtakes few others; that is not proven. A given order is one
+in which no task overtakes another: its stages are the last tasks done.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 
-from energyplan.mission._order_bounds import Rest, Table, completions
-from energyplan.mission._order_kernel import Known, search
+from energyplan.mission._order_kernel import (
+    Known,
+    Rest,
+    Table,
+    Tours,
+    completions,
+    search,
+    share,
+)
+from energyplan.mission.energy import Estimate
+from energyplan.mission.simulation import Attempt, State, Walk
 from energyplan.path import FloatArray
 
 EXACT = 15
-"""Largest number of tasks that is solved exactly."""
+"""Largest number of tasks whose free order is proven."""
 
 _MOST_LABELS = 2**22
 _WIDTHS = (1, 8, _MOST_LABELS)
-"""Labels of a subset and stop that each search keeps."""
+"""Labels of a stage and place that each search keeps."""
+
+_NARROW = (1, 8)
+"""The same beyond `EXACT` tasks."""
+
+_STAGES = 2**19
+"""Most stages times tasks squared, beyond `EXACT` tasks."""
 
 _VISITS = 6
 """Visits to chargers that bounds tell apart."""
@@ -32,10 +54,37 @@ _VISITS = 6
 _LEAST = 1e-8
 """Least difference of worth."""
 
-_ROUNDING = 1e-9
+_EARLIER = 1e-5
+"""What the first of all tasks in a given order is worth beyond the last one."""
 
+_ROUNDING = 1e-9
 _NO_REST = Rest(np.empty((0, 1)), np.empty(0), 0.0)
 """What it takes to be worth more than everything."""
+
+_ROUNDS = 25
+"""Most rounds of solving and planning."""
+
+_FEW_ROUNDS = 3
+"""The same beyond `EXACT` tasks."""
+
+_SHARES = 3000
+"""Rounds in which tasks are taken out and put in anew."""
+
+_HALVES = 3
+"""Cautions that are tried between none and full."""
+
+_SMALLER = 0.98
+_LEAST_SCALE = 0.8
+"""Part of its energy that a battery is trusted with at least, and the steps down to it."""
+
+_LATE = 0.5
+"""Share of the bounds of single times that is held back first: they seldom all come together."""
+
+_LEVELS = 3
+_MOST_LOADS = 64
+_SAME = 1e-6
+_LOSSLESS = 1.0
+"""Power so small that a battery loses nothing to its resistance [W]."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +112,7 @@ class OrderProblem:
     full: float = np.inf  # energy of a full battery, the reserve taken off [J]
     hurried_energy: Callable[[float], FloatArray] | None = None
     hurried_time: FloatArray | None = None
+    given: bool = False  # whether no task may come before one of a lower number
 
     @property
     def tasks(self) -> int:
@@ -70,14 +120,33 @@ class OrderProblem:
         return len(self.prize)
 
     @property
-    def timed(self) -> bool:
-        """Whether windows make time decide beside energy and charge."""
-        return bool(np.any(np.isfinite(self.window[:, 1])))
-
-    @property
     def worth(self) -> FloatArray:
         """Prizes, with those of required tasks above the sum of all others."""
         return self.prize + np.where(self.required, 1.0 + self.prize.sum(), 0.0)
+
+    def in_turn(self, tasks: Sequence[int]) -> OrderProblem:
+        """Return the problem of some of the tasks, numbered in another way."""
+        n, mine = self.tasks, np.asarray(tasks, int)
+        nodes = np.array([0, *(mine + 1), *range(1 + n, 1 + n + len(self.capacity))])
+
+        def between(known: Callable[[float], FloatArray], load: float) -> FloatArray:
+            return np.asarray(known(load)[np.ix_(nodes, nodes)])
+
+        quick = self.hurried_energy, self.hurried_time
+        return replace(
+            self,
+            energy=partial(between, self.energy),
+            finish=lambda load: self.finish(load)[nodes],
+            time=self.time[np.ix_(nodes, nodes)],
+            finish_time=self.finish_time[nodes],
+            hurried_energy=None if quick[0] is None else partial(between, quick[0]),
+            hurried_time=None if quick[1] is None else quick[1][np.ix_(nodes, nodes)],
+            **{
+                name: getattr(self, name)[mine]
+                for name in ("service", "service_time", "payload_change", "prize", "required",
+                             "window")
+            },
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -92,29 +161,109 @@ class Order:
     bound: float = np.nan  # energy that no order of this worth undercuts [J]
 
 
-def solve(
-    problem: OrderProblem,
-    *,
-    time_limit: float = 10.0,
-    effort: int | None = None,
-    progress: Callable[[float, float], None] | None = None,
-) -> Order:
+def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
     """Find the order of greatest worth, and of least energy among those."""
-    if problem.tasks <= EXACT:
-        return solve_exactly(problem)
-    from energyplan.mission.routing import solve_by_search
+    n = problem.tasks
+    if problem.given or n <= EXACT:
+        return _searched(problem, widths, 1 if problem.given else n)
+    reach = max(int(np.log2(_STAGES / n**2)), 1) + 1
+    (sequence,), left = shared([problem], np.asarray(problem.worth, float))
+    best = Order((), 0.0, np.inf, False)
+    worth = -1.0
+    while True:
+        turn = _with_left(problem, sequence, left)
+        found = _searched(problem.in_turn(turn), _NARROW, reach)
+        stops = tuple(turn[s - 1] + 1 if s <= n else s for s in found.stops)
+        done = [s - 1 for s in stops if s <= n]
+        gained = float(problem.worth[done].sum())
+        if gained < worth - _LEAST or (
+            gained < worth + _LEAST and found.energy >= best.energy * (1 - _SAME)
+        ):
+            return best
+        worth, best = gained, replace(found, stops=stops, proven=False, bound=np.nan)
+        sequence, left = done, sorted(set(range(n)) - set(done))
 
-    return solve_by_search(problem, time_limit=time_limit, effort=effort, progress=progress)
+
+def shared(
+    problems: Sequence[OrderProblem],
+    worth: FloatArray,
+    own: Sequence[Sequence[int]] | None = None,
+    seed: int = 0,
+) -> tuple[list[list[int]], list[int]]:
+    """Give tasks to robots by insertion; return each one's in their sequence, and what is left.
+
+    Each robot's problem has its own tasks alone: their numbers among all are `own`.
+    """
+    n = len(worth)
+    own = [range(n)] * len(problems) if own is None else own
+    chances = np.random.default_rng(seed).random((_SHARES, 3 + n))
+    stops, counts = share(_tours(problems, worth, own), chances)
+    given = [list(map(int, row[:count])) for row, count in zip(stops, counts, strict=True)]
+    return given, sorted(set(range(n)) - {task for tasks in given for task in tasks})
 
 
-def solve_exactly(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
-    """Find the best order by labels over subsets and last stops."""
-    table = _table(problem)
+def _tours(
+    problems: Sequence[OrderProblem], worth: FloatArray, own: Sequence[Sequence[int]]
+) -> Tours:
+    """Return robots as the insertion reads them; payloads are priced as at the start."""
+    n, m, robots = len(worth), len(problems[0].capacity), len(problems)
+    size = 1 + n + m
+    energy, time = np.full((2, robots, size, size), np.inf)
+    finish = np.full((robots, size), np.inf)
+    service = np.zeros((robots, n))
+    window, change = np.tile([0.0, np.inf], (n, 1)), np.zeros(n)
+    for r, (one, numbers) in enumerate(zip(problems, own, strict=True)):
+        mine = np.array(numbers, int)
+        nodes = np.array([0, *(mine + 1), *range(1 + n, size)])
+        k = len(nodes)
+        spent = np.array(one.energy(one.payload), float)[:k, :k]
+        spent[:, 1 : 1 + len(mine)] += one.service
+        energy[r][np.ix_(nodes, nodes)] = spent
+        time[r][np.ix_(nodes, nodes)] = one.time[:k, :k]
+        finish[r, nodes] = one.finish(one.payload)[:k]
+        service[r, mine] = one.service_time
+        window[mine], change[mine] = one.window, one.payload_change
+    # what a task is worth is more than all that any sequence takes
+    dearest = np.where(np.isfinite(energy), np.abs(energy), 0.0).max(axis=(0, 1)).sum()
+    least = float(worth[worth > 0].min()) if np.any(worth > 0) else 1.0
+    return Tours(
+        energy=energy,
+        time=time,
+        finish=finish,
+        service_time=service,
+        window=window,
+        change=change,
+        worth=2.0 * max(float(dearest), 1.0) / least * np.asarray(worth, float),
+        budget=np.array([one.budget for one in problems], float),
+        capacity=np.array([one.capacity.max(initial=0.0) for one in problems], float),
+        start_time=np.array([one.start_time for one in problems], float),
+        payload=np.array([one.payload for one in problems], float),
+    )
+
+
+def _with_left(problem: OrderProblem, sequence: Sequence[int], left: Sequence[int]) -> list[int]:
+    """Return a sequence with the tasks that are left out put in where they add least."""
+    energy = problem.energy(problem.payload)
+    whole = list(sequence)
+    for task in left:
+        nodes = np.array([0, *(k + 1 for k in whole)])
+        more = energy[nodes, task + 1]
+        if len(nodes) > 1:
+            onward = energy[task + 1, nodes[1:]] - energy[nodes[:-1], nodes[1:]]
+            more = more + np.append(onward, 0.0)
+        whole.insert(int(np.argmin(np.nan_to_num(more, nan=np.inf))), task)
+    return whole
+
+
+def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order:
+    """Find the best order in which a task overtakes fewer than `reach` others."""
+    table = _table(problem, reach)
     tasks = slice(1, 1 + problem.tasks)
     nearest = table.energy.min(axis=(0, 1, 2))[tasks]
     whole = float(table.worth[np.isfinite(nearest)].sum())
     # the first search looks for an order that does everything, and takes what it finds
-    known = Known(-1.0, np.inf, np.inf, completions(table, whole), completions(table, -1.0))
+    more = completions(table, -1.0)
+    known = Known(-1.0, np.inf, np.inf, completions(table, whole), more, -1.0)
     best, proven, bound = known, False, np.nan
     stops, hurried = np.empty(0, int), np.empty(0, int)
     for width in widths:
@@ -130,20 +279,59 @@ def solve_exactly(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Ord
             break
         if best.worth >= 0:
             all_of_it = best.worth >= whole - _LEAST
-            more = _NO_REST if all_of_it else completions(table, best.worth + _LEAST)
-            known = best._replace(same=completions(table, best.worth), more=more)
+            beyond = best.worth + _LEAST
+            more = _NO_REST if all_of_it else completions(table, beyond)
+            known = best._replace(same=completions(table, best.worth), more=more, beyond=beyond)
     prize = sum(float(problem.prize[s - 1]) for s in stops if s <= problem.tasks)
     energy = best.energy if best.worth >= 0 else 0.0
     nodes, ways = tuple(map(int, stops)), tuple(map(bool, hurried))
     return Order(nodes, prize, energy, proven, ways, bound)
 
 
-def _table(problem: OrderProblem) -> Table:
+def _sets(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the stages of a free order: sets of tasks; for each, what follows, is done, may be."""
+    stage = np.arange(2**n)[:, None]
+    done = (stage >> np.arange(n) & 1).astype(bool)
+    return np.where(done, -1, stage | 1 << np.arange(n)), done, done
+
+
+def _near(n: int, reach: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the stages of orders in which a task overtakes fewer than `reach` others.
+
+    A stage is the highest task done and which of those just below it are.
+    """
+    wide = 1 << (reach - 1)
+    stage, task = np.arange(1 + n * wide)[:, None], np.arange(n)
+    last, below = (stage - 1) // wide, (stage - 1) % wide
+    last[0], below[0] = -1, 0
+    ahead, behind = task - last - 1, last - task - 1
+    known = (behind >= 0) & (behind < reach - 1)
+    bit = 1 << np.where(known, behind, 0)
+    done = (task == last) | (known & (below & bit > 0))
+    passed = (task < last) & ~known
+    shift = np.clip(ahead, 0, reach)
+    grown = np.where(last < 0, 0, ((below << 1 | 1) << shift) & (wide - 1))
+    after = np.where(ahead >= 0, 1 + task * wide + grown, np.where(
+        known & ~done, 1 + last * wide + (below | bit), -1))  # fmt: skip
+    return after, done, done | passed
+
+
+def _table(problem: OrderProblem, reach: int) -> Table:
     """Return the problem as the kernel reads it."""
-    n = problem.tasks
-    done = (np.arange(2**n)[:, None] >> np.arange(n) & 1).astype(bool)
-    loads = problem.payload + done @ problem.payload_change
-    known, index = np.unique(np.round(loads, 9), return_inverse=True)
+    n, m = problem.tasks, len(problem.capacity)
+    free = reach >= n and not problem.given
+    after, there, done = _sets(n) if free else _near(n, reach)
+    worth = np.asarray(problem.worth, float)
+    if problem.given:
+        worth = worth + _EARLIER * (1.0 - np.arange(n) / max(n, 1))
+    change = np.asarray(problem.payload_change, float)
+    told = free or not change.any()
+    if told:
+        loads = problem.payload + done @ change
+        known, index = np.unique(np.round(loads, 9), return_inverse=True)
+    else:
+        known = _reached(problem.payload, change)
+        loads, index = np.full(len(after), np.inf), np.full(len(after), len(known))
     # what cannot be carried is never reached; its energies are not asked for
     can = [float(max(load, 0.0)) for load in known]
     ways = [problem.energy] if problem.hurried_energy is None else [
@@ -152,43 +340,61 @@ def _table(problem: OrderProblem) -> Table:
     times = [problem.time] if problem.hurried_time is None else [
         problem.time, problem.hurried_time
     ]  # fmt: skip
+    size = 1 + n + m
     energy = np.array([[np.asarray(way(load), float) for way in ways] for load in can])
-    finish = np.array([np.asarray(problem.finish(load), float) for load in can])
+    energy = energy[..., :size, :size].copy()
+    finish = np.array([np.asarray(problem.finish(load), float)[:size] for load in can])
     service = np.asarray(problem.service, float)
-    size = energy.shape[2]
     energy[..., np.arange(size), np.arange(size)] = np.inf
     least = energy.min(axis=(0, 1))
     closed = _closed(least)
     need, left = _need(closed, finish.min(axis=0), n), _most_left(problem, closed, size)
     # no battery lasts for a way from which nothing can be reached
-    asked = least + (need + np.concatenate([[0.0], service, np.zeros(size - 1 - n)]))[None, :]
+    asked = least + (need + np.concatenate([[0.0], service, np.zeros(m)]))[None, :]
     room = _ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
     energy[:, :, asked > (left + room)[:, None]] = np.inf
     ends = np.isfinite(problem.window[:, 1])
+    places = np.column_stack([np.arange(len(after)) == 0, there, np.ones((len(after), m), bool)])
     return Table(
-        energy=energy,
-        finish=finish,
-        time=np.array(times, float),
-        finish_time=np.asarray(problem.finish_time, float),
+        energy=np.concatenate([energy, energy.min(axis=0, keepdims=True)]),
+        finish=np.concatenate([finish, finish.min(axis=0, keepdims=True)]),
+        time=np.array([one[:size, :size] for one in times], float),
+        finish_time=np.asarray(problem.finish_time, float)[:size].copy(),
         service=service,
         service_time=np.asarray(problem.service_time, float),
-        window=np.ascontiguousarray(problem.window, float),
-        worth=np.asarray(problem.worth, float),
-        worth_of=done @ np.asarray(problem.worth, float),
+        window=np.ascontiguousarray(problem.window, float).reshape(n, 2),
+        worth=worth,
+        change=change,
+        loads=np.asarray(known, float),
+        after=np.ascontiguousarray(after, np.int64).reshape(-1, n),
+        there=np.ascontiguousarray(places),
+        done=done @ worth,
+        ahead=~done @ worth,
         load=loads,
         load_index=index.ravel().astype(np.int64),
         pressing=np.any(~done & ends, axis=1),
-        change=np.asarray(problem.payload_change, float),
         need=need,
         capacity=np.asarray(problem.capacity, float),
         charge_power=np.asarray(problem.charge_power, float),
         budget=float(problem.budget),
         full=float(problem.full),
         start_time=float(problem.start_time),
+        payload=float(problem.payload),
         visits=_VISITS,
         most=_MOST_LABELS,
         width=_MOST_LABELS,
     )
+
+
+def _reached(payload: float, change: FloatArray) -> FloatArray:
+    """Return the payloads that there may be, or levels between them where they are many."""
+    loads = {round(payload, 9)}
+    for step in change[change != 0]:
+        loads |= {round(load + step, 9) for load in loads}
+        if len(loads) > _MOST_LOADS:
+            low, high = change[change < 0].sum(), change[change > 0].sum()
+            return np.linspace(max(payload + low, 0.0), payload + high, _MOST_LOADS)
+    return np.array(sorted(loads))
 
 
 def _closed(energy: FloatArray) -> FloatArray | None:
@@ -219,3 +425,356 @@ def _most_left(problem: OrderProblem, ways: FloatArray | None, size: int) -> Flo
     most = (full[:, None] - ways[[0, *range(1 + problem.tasks, size)]]).max(axis=0)
     most[1 : 1 + problem.tasks] -= problem.service
     return np.asarray(most)
+
+
+# -- from the simulation to the search, and back -----------------------------------------------
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Where to go."""
+
+    stops: tuple[int, ...] = ()  # nodes in the order of their visits
+    hurried: tuple[bool, ...] = ()  # whether the way to each is driven as quickly as may be
+    proven: bool = False  # whether no better order exists on the routes known
+    gap: float = np.nan  # by which fraction of its energy a better order may exist at most
+
+
+def best_stops(
+    walk: Walk,
+    state: State | None = None,
+    tasks: Sequence[int] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Stops:
+    """Find which of some tasks to do in which order from a state on, and where to charge."""
+    state = walk.start if state is None else state
+    tasks = range(len(walk.mission.tasks)) if tasks is None else tasks
+    if walk.mission.order == "given":
+        stops = tuple(task + 1 for task in tasks)
+        straight = (False,) * len(stops)
+        if walk.arrives(walk.follow(state, stops, straight)):
+            return Stops(stops, straight, True, 0.0)
+    asked = _Search(walk, state, tuple(tasks), progress)
+    if not asked.exact:
+        return asked.at_bounds().told()
+    hope = asked.tried(0.0)
+    if hope.end is not None and hope.order.proven and hope.true:
+        return hope.told(0.0)
+    found, low, high = asked.at_bounds(), 0.0, 1.0
+    for _ in range(_HALVES):
+        if asked.gap(found, hope) <= _SAME:
+            break
+        middle = asked.tried(0.5 * (low + high))
+        low, high = (0.5 * (low + high), high) if middle.end is None else (low, 0.5 * (low + high))
+        found = min(found, middle, key=asked.rank)
+    return found.told(asked.gap(found, hope) if hope.true else np.nan)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """An order that the search found, and where the simulation ends with it."""
+
+    order: Order
+    end: State | None  # None if the battery does not last, or a window is missed
+    true: bool  # whether the search took energies and times of each leg at its payload
+
+    def told(self, gap: float = np.nan) -> Stops:
+        """Return the answer."""
+        return Stops(self.order.stops, self.order.hurried, bool(gap <= _SAME), gap)
+
+
+class _Search:
+    """Tries of one search at several cautions, each checked by the simulation."""
+
+    def __init__(
+        self,
+        walk: Walk,
+        state: State,
+        tasks: tuple[int, ...],
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self.walk, self.state, self.tasks, self.progress = walk, state, tasks, progress
+        given = walk.mission.order == "given"
+        self.exact = given or len(tasks) <= EXACT
+        chosen = [walk.mission.tasks[k] for k in tasks]
+        whole = 1.0 + sum(task.prize for task in chosen)
+        self._worth = {
+            k + 1: t.prize + whole * t.required for k, t in zip(tasks, chosen, strict=True)
+        }
+
+    def tried(self, caution: float, scale: float = 1.0, late: float | None = None) -> _Trial:
+        """Solve at a caution, plan what is used, and drive what was found."""
+        matrix = Matrix(self.walk, self.state, self.tasks, caution, scale, late)
+        order = matrix.settled(self.progress)
+        end = self.walk.arrives(self.walk.follow(self.state, order.stops, order.hurried))
+        return _Trial(order, end, matrix.true)
+
+    def at_bounds(self) -> _Trial:
+        """Return what is found at the bounds of all energies; less battery while it does not last.
+
+        The order is found on energies that add up; the battery holds less at high power.
+        """
+        scale, found = 1.0, self.tried(1.0, late=_LATE if self.walk.timed else None)
+        if found.end is None and self.walk.timed:
+            found = self.tried(1.0)
+        while found.end is None and found.order.stops and scale > _LEAST_SCALE:
+            scale *= _SMALLER
+            found = self.tried(1.0, scale)
+        return found
+
+    def worth(self, trial: _Trial) -> float:
+        """Return what an order is worth."""
+        return float(sum(self._worth.get(stop, 0.0) for stop in trial.order.stops))
+
+    def rank(self, trial: _Trial) -> tuple[bool, float, float]:
+        """Sort what can be driven by its worth and energy."""
+        if trial.end is None:
+            return True, 0.0, 0.0
+        return False, -round(self.worth(trial), 6), trial.end.total.mean
+
+    def gap(self, found: _Trial, hope: _Trial) -> float:
+        """Return by which fraction of an order's energy a better one may exist at most."""
+        spent = 0.0 if found.end is None else found.end.total.mean - self.state.total.mean
+        if spent <= 0 or self.worth(found) < self.worth(hope) - _SAME:
+            return float(np.nan)
+        return max(1.0 - hope.order.bound / spent, 0.0)
+
+
+class Matrix:
+    """Energies between places, known or bounded, and the energy that the battery holds.
+
+    With a caution of 0 all is as expected and the battery loses nothing; with 1 all is at its
+    bound, as the battery feels it. Times may have a caution of their own, `late`.
+    """
+
+    def __init__(
+        self,
+        walk: Walk,
+        state: State,
+        tasks: Sequence[int],
+        caution: float,
+        scale: float = 1.0,
+        late: float | None = None,
+    ) -> None:
+        self._walk, self._state, self._tasks = walk, state, tuple(tasks)
+        self._caution, self._scale = caution, scale
+        self._late = caution if late is None else late
+        self.nodes = [state.node, *(task + 1 for task in tasks), *walk.legs.chargers]
+        self._ends = walk.ends
+        mission = walk.mission
+        change = np.array([mission.tasks[task].payload for task in tasks])
+        low = max(state.payload + float(change[change < 0].sum()), 0.0)
+        high = state.payload + float(change[change > 0].sum())
+        self.exact = mission.order == "given" or len(tasks) <= EXACT
+        loads = _reached(state.payload, change)
+        # few loads are priced each for itself; of many, some are, and the others lie in between
+        self._each = self.exact and len(loads) < _MOST_LOADS
+        self._levels = np.linspace(low, high, 1 if low == high else _LEVELS)
+        self._inflation = 1.0
+        self._power = walk.legs.grounds.driving_power
+        self._cache: dict[tuple[float, bool], FloatArray] = {}
+
+    @property
+    def true(self) -> bool:
+        """Whether energies and times of an order are those of its legs at each payload."""
+        return len(self._levels) == 1 or (self._each and not self._walk.timed)
+
+    # -- energies ---------------------------------------------------------------------------------
+
+    def _known(self, payload: float, hurried: bool) -> FloatArray:
+        """Energies with one payload: those of the legs where planned, from below where not."""
+        if (payload, hurried) not in self._cache:
+            legs = self._walk.legs
+            matrix = legs.lower_bounds(payload) * self._inflation
+            for i in {*self.nodes}:
+                for j in {*self.nodes, *self._ends}:
+                    # a route of least time takes no less than that of least energy
+                    for quick in (False, True) if hurried else (False,):
+                        if legs.planned(i, j, quick):
+                            matrix[i, j] = self._counted(legs.leg(i, j, payload, quick).energy)
+            self._cache[payload, hurried] = matrix
+        return self._cache[payload, hurried]
+
+    def _counted(self, energy: Estimate) -> float:
+        """Return what an energy counts, as the battery feels it."""
+        if not self._caution or not np.isfinite(energy.mean):
+            return energy.mean
+        felt = self._walk.legs.grounds.from_battery(energy)
+        return felt.upper(self._caution * self._walk.quantile)
+
+    def _all(self, payload: float, hurried: bool = False) -> FloatArray:
+        """Energies with any payload, interpolated between the levels."""
+        if self._each:
+            return self._known(round(payload, 6), hurried)
+        levels = self._levels
+        if len(levels) == 1:
+            return self._known(float(levels[0]), hurried)
+        weights = np.ones(len(levels))
+        for k, level in enumerate(levels):
+            for other in np.delete(levels, k):
+                weights[k] *= (payload - other) / (level - other)
+        known = [self._known(float(level), hurried) for level in levels]
+        blocked = np.any([~np.isfinite(m) for m in known], axis=0)
+        total = sum(w * np.where(blocked, 0.0, m) for w, m in zip(weights, known, strict=True))
+        return np.where(blocked, np.inf, np.asarray(total))
+
+    def _energy(self, payload: float, hurried: bool = False) -> FloatArray:
+        return np.asarray(self._all(payload, hurried)[np.ix_(self.nodes, self.nodes)])
+
+    def _finish(self, payload: float) -> FloatArray:
+        return np.asarray(self._all(payload)[np.ix_(self.nodes, self._ends)].min(axis=1))
+
+    def _times(self, hurried: bool = False) -> FloatArray:
+        """Tell the times between places: straight on at full speed where no route is planned."""
+        legs, payload = self._walk.legs, self._state.payload
+        speed = legs.cost(payload)[0].admissible_speed(0.0)
+        poses = np.array(legs.poses)[:, :2]
+        apart = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
+        times: FloatArray = np.asarray(apart / float(speed), float)
+        for i in {*self.nodes}:
+            for j in {*self.nodes, *self._ends}:
+                if legs.planned(i, j, hurried):
+                    times[i, j] = legs.leg(i, j, payload, hurried).duration
+        slower = self._walk.quantile * self._walk.mission.spreads.speed
+        return np.asarray(times * (1.0 + self._late * slower))
+
+    # -- the problem ------------------------------------------------------------------------------
+
+    @cached_property
+    def _fixed(self) -> dict[str, FloatArray]:
+        """What no route changes: energies and times of the tasks."""
+        walk, mission, payload = self._walk, self._walk.mission, self._state.payload
+        grounds, service, lasting = walk.legs.grounds, [], []
+        for k in self._tasks:
+            region = walk.legs.region(k + 1)
+            done = grounds.waiting(region, k, payload) + grounds.work(region, k, payload)
+            service.append(self._counted(done))
+            spread = np.linalg.norm(grounds.waiting_time(k) + grounds.dwell_time(k))
+            more = self._late * walk.quantile * float(spread)
+            lasting.append(mission.waiting + mission.tasks[k].dwell + more)
+        return {"service": np.array(service, float), "service_time": np.array(lasting, float)}
+
+    def problem(self) -> OrderProblem:
+        """Return the order problem on what is known now."""
+        walk, mission, state = self._walk, self._walk.mission, self._state
+        tasks = [mission.tasks[k] for k in self._tasks]
+        times, cautious = self._times(), min(self._caution, 1.0)
+        lost = cautious * (1.0 - mission.battery.charge_efficiency)
+        reserve = self._stored(mission.reserve, mission.reserve)
+        hurry = True in walk.ways
+        inner = np.ix_(self.nodes, self.nodes)
+        late = self._late * walk.quantile * state.time_spread
+        return OrderProblem(
+            **self._fixed,
+            energy=self._energy,
+            finish=self._finish,
+            time=times[inner],
+            finish_time=times[np.ix_(self.nodes, self._ends)].min(axis=1),
+            payload=state.payload,
+            payload_change=np.array([task.payload for task in tasks], float),
+            prize=np.array([task.prize for task in tasks], float),
+            required=np.array([task.required for task in tasks], bool),
+            window=np.array([task.window for task in tasks], float).reshape(-1, 2),
+            budget=self._scale * (self._stored(state.expected.soc, state.worst.soc) - reserve),
+            capacity=np.array([
+                self._scale * (self._stored(c.until, walk.at_least(c.until)) - reserve)
+                for c in mission.chargers
+            ]),
+            charge_power=np.array([c.power for c in mission.chargers]) * (1.0 - lost),
+            start_time=state.time + late,
+            full=self._scale * (self._stored(1.0, 1.0) - reserve),
+            hurried_energy=partial(self._energy, hurried=True) if hurry else None,
+            hurried_time=self._times(hurried=True)[inner] if hurry else None,
+            given=mission.order == "given",
+        )  # fmt: skip
+
+    def _stored(self, expected: float, least: float) -> float:
+        """Return the energy that the battery gives from a state of charge to empty [J]."""
+        battery, cautious = self._walk.mission.battery, min(self._caution, 1.0)
+        most = float(battery.usable_energy(_LOSSLESS, expected))
+        return most + cautious * (float(battery.usable_energy(self._power, least)) - most)
+
+    # -- routes -----------------------------------------------------------------------------------
+
+    def used(self, order: Order) -> list[tuple[int, int, bool]]:
+        """Routes that an order uses and whether in a hurry, the way to its end included."""
+        here, n = [0, *order.stops], len(self._tasks)
+        carried = sum(self._walk.mission.tasks[self._tasks[s - 1]].payload
+                      for s in order.stops if s <= n)  # fmt: skip
+        payload = float(np.clip(self._state.payload + carried, *self._levels[[0, -1]]))
+        finish = self._all(payload)[self.nodes[here[-1]], self._ends]
+        places = [self.nodes[k] for k in here]
+        return [
+            *((i, j, quick) for (i, j), quick in zip(pairwise(places), order.hurried, strict=True)),
+            (places[-1], self._ends[int(finish.argmin())], False),
+        ]
+
+    def plan(self, wanted: Sequence[tuple[int, int, bool]]) -> None:
+        """Plan some routes."""
+        legs, payload, ratios = self._walk.legs, float(self._levels[-1]), []
+        bounds = legs.lower_bounds(payload)
+        for i, j, quick in wanted:
+            leg = legs.leg(i, j, payload, quick)
+            if np.isfinite(leg.energy.mean) and bounds[i, j] > 0:
+                ratios.append(self._counted(leg.energy) / bounds[i, j])
+        if not self.exact and ratios:
+            # a search cannot wait for all bounds to become true: let them be typical instead
+            self._inflation = float(np.median(ratios))
+        self._cache.clear()
+
+    def missing(self, order: Order) -> list[tuple[int, int, bool]]:
+        """Return the routes of an order that are not planned."""
+        return [one for one in self.used(order) if not self._walk.legs.planned(*one)]
+
+    def settled(self, progress: Callable[[str], None] | None) -> Order:
+        """Solve and plan the routes of the answer until it uses planned routes only.
+
+        The answer is proven where that point is reached with an exact order. Its stops are nodes.
+        """
+        order, missing = Order((), 0.0, 0.0, False), []
+        for turn in range(_ROUNDS if self.exact else _FEW_ROUNDS):
+            order = solve(self.problem())
+            missing = self.missing(order)
+            if progress is not None:
+                progress(
+                    f"order {turn + 1}: {len(order.stops)} stops, {order.energy / 3600:.1f} Wh, "
+                    f"{len(missing)} routes to plan"
+                )
+            if not missing:
+                break
+            self.plan(missing)
+        nodes = tuple(self.nodes[stop] for stop in order.stops)
+        return replace(order, stops=nodes, proven=order.proven and not missing)
+
+
+def attempt(walk: Walk, state: State, task: int) -> Attempt:
+    """Try a task, in a hurry or after charging where it cannot be done otherwise."""
+    best = walk.attempt(state, task)
+    if best.reason == "late":
+        hurried = walk.attempt(state, task, hurried=True)
+        best = best if hurried.reason == "late" else hurried
+    if best.reason != "battery" or not walk.mission.chargers:
+        return best
+    found = best_stops(walk, state, (task,))
+    if task + 1 in found.stops:
+        at = found.stops.index(task + 1)
+        ready = walk.follow(state, found.stops[:at], found.hurried[:at], task + 1)
+        done = best if ready is None else walk.attempt(ready, task, found.hurried[at])
+        if done.reason == "none":
+            return done
+    # what is missing is told from where the least is
+    for charger in walk.legs.chargers:
+        docked = walk.dock(state, charger)
+        if docked is not None:
+            tried = walk.attempt(walk.charge(docked), task)
+            best = min(best, tried, key=walk.missing)
+    return best
+
+
+def finish(walk: Walk, state: State) -> State | None:
+    """Drive to where the mission may end, charging on the way if need be; None if it cannot."""
+    last = walk.arrives(state)
+    if last is not None or not walk.mission.chargers:
+        return last
+    found = best_stops(walk, state, ())
+    return walk.arrives(walk.follow(state, found.stops, found.hurried))

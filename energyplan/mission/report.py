@@ -10,8 +10,7 @@ import pandas as pd
 
 from energyplan import html
 from energyplan.errors import UnknownNameError
-from energyplan.mission.condition import Condition
-from energyplan.mission.simulation import Walk
+from energyplan.mission.simulation import State, Walk
 from energyplan.mission.tasks import Remedy
 from energyplan.mission.types import Mission
 from energyplan.path import FloatArray, Path, Pose, Trajectory
@@ -329,7 +328,7 @@ def _clock(seconds: float) -> str:
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 
 
-def leg_reports(walk: Walk, end: Condition) -> tuple[LegReport, ...]:
+def leg_reports(walk: Walk, end: State) -> tuple[LegReport, ...]:
     """Return the drives of a mission."""
     names, node, legs = walk.legs.names, walk.start.node, []
     for piece in end.pieces:
@@ -344,7 +343,7 @@ def leg_reports(walk: Walk, end: Condition) -> tuple[LegReport, ...]:
     return tuple(legs)
 
 
-def charger_reports(walk: Walk, end: Condition) -> tuple[ChargerReport, ...]:
+def charger_reports(walk: Walk, end: State) -> tuple[ChargerReport, ...]:
     """Return how each charger is used."""
     found = []
     for node in walk.legs.chargers:
@@ -355,7 +354,7 @@ def charger_reports(walk: Walk, end: Condition) -> tuple[ChargerReport, ...]:
     return tuple(found)
 
 
-def timeline(walk: Walk, end: Condition) -> Timeline:
+def timeline(walk: Walk, end: State) -> Timeline:
     """Return the mission over time."""
     columns: list[list[np.ndarray]] = [[] for _ in range(8)]
     for piece in end.pieces:
@@ -371,7 +370,7 @@ def timeline(walk: Walk, end: Condition) -> Timeline:
     return Timeline(*(np.concatenate(c) if c else np.zeros(0) for c in columns))
 
 
-def doubts(walk: Walk, end: Condition) -> tuple[Doubt, ...]:
+def doubts(walk: Walk, end: State) -> tuple[Doubt, ...]:
     """Tell what each unknown costs between the charges where the most is held back."""
     spent = max((*end.stretches, end.spent), key=lambda stretch: stretch.std)
     whole, quantile = spent.std, walk.quantile

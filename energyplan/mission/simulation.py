@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.mission.condition import Attempt, Charge, Condition, Piece, as_good
 from energyplan.mission.energy import Estimate
 from energyplan.mission.legs import Leg, Legs
 from energyplan.mission.types import Mission
@@ -24,6 +23,61 @@ _GRAM = 1e-3
 _INSTANT = 1e-6
 
 
+class Charge(NamedTuple):
+    """The battery at one instant."""
+
+    soc: float  # state of charge
+    polarisation: float = 0.0  # voltage of its RC pair [V]
+    failure: str = "none"  # why it gave up on the way
+    instant: float = np.inf  # when it gave up [s], and under which power [W]
+    load: float = 0.0  # when it gave up [s], and under which power [W]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of the mission: a drive, a stay or a charge."""
+
+    kind: str  # what the robot does
+    goal: int  # node at its end
+    t: FloatArray  # (n,): time [s]
+    power: FloatArray  # (n,): power from each time to the next [W]
+    soc: FloatArray  # (n,): state of charge, expected and at the bound
+    soc_lower: FloatArray  # (n,): state of charge, expected and at the bound
+    leg: Leg | None = None  # the drive
+
+
+@dataclass(frozen=True)
+class State:
+    """Where the robot stands."""
+
+    node: int  # place
+    payload: float  # payload [kg]
+    time: float  # time as expected [s]
+    lateness: FloatArray  # (n,): how the time changes with each shared unknown [s]
+    spent: Estimate
+    total: Estimate
+    origin: tuple[float, float]  # state of charge and time after the last charge
+    expected: Charge  # the battery as expected, and where the energy is at its bound
+    worst: Charge  # the battery as expected, and where the energy is at its bound
+    pieces: tuple[Segment, ...] = ()  # what it did so far
+    stretches: tuple[Estimate, ...] = ()  # what was spent between one charge and the next, so far
+
+    @property
+    def time_spread(self) -> float:
+        """Standard deviation of the time [s]."""
+        return float(np.linalg.norm(self.lateness))
+
+
+class Attempt(NamedTuple):
+    """What comes of a task."""
+
+    reason: str
+    after: State  # when it is done
+    safe: State  # at the nearest safe place after it
+    detail: str = ""  # why not, in one sentence
+    begin: float = np.nan  # when it begins at the bound [s]
+
+
 class _Charging(NamedTuple):
     """State of charge over the time since charging began [s], shape (n,) each."""
 
@@ -32,23 +86,24 @@ class _Charging(NamedTuple):
 
 
 class Walk:
-    """Steps from condition to condition."""
+    """Steps from state to state."""
 
-    def __init__(self, legs: Legs) -> None:
+    def __init__(
+        self, legs: Legs, taken: Mapping[int, Sequence[tuple[float, float]]] | None = None
+    ) -> None:
         self.legs = legs
+        self.taken = dict(taken or {})  # when chargers are taken by others [s], ascending
         self.mission: Mission = legs.mission
         self.quantile = NormalDist().inv_cdf(self.mission.confidence)
 
     @property
-    def start(self) -> Condition:
+    def start(self) -> State:
         """The condition at the start."""
         mission, nothing = self.mission, self.legs.grounds.nothing
         told, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
         gauge, origin = self.legs.grounds.gauge, (mission.soc, mission.time)
         known = np.zeros(self.legs.grounds.size)
-        return Condition(
-            0, mission.payload, mission.time, known, gauge, nothing, origin, told, least
-        )
+        return State(0, mission.payload, mission.time, known, gauge, nothing, origin, told, least)
 
     def at_least(self, soc: float) -> float:
         """Return the state of charge at the bound when the gauge tells one."""
@@ -58,18 +113,18 @@ class Walk:
         """Return what the gauge tells when the state of charge is at the bound."""
         return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
 
-    def latest(self, state: Condition) -> float:
+    def latest(self, state: State) -> float:
         """Return the time of a condition at the bound [s]."""
         return state.time + self.quantile * state.time_spread
 
-    def holds(self, state: Condition) -> bool:
+    def holds(self, state: State) -> bool:
         """Tell whether the reserve is left at the bound."""
         enough = state.worst.soc >= self.mission.reserve - _ROUNDING
         return enough and state.worst.failure == "none"
 
     # -- steps ------------------------------------------------------------------------------------
 
-    def drive(self, state: Condition, goal: int, hurried: bool = False) -> Condition | None:
+    def drive(self, state: State, goal: int, hurried: bool = False) -> State | None:
         """Drive to a place, quickly if in a hurry; None where the leg cannot be driven."""
         leg = self.legs.leg(state.node, goal, state.payload, hurried)
         if leg.trouble:
@@ -82,13 +137,13 @@ class Walk:
         late = state.lateness + self.legs.grounds.driving_time(leg.duration)
         return replace(moved, node=goal, lateness=late)
 
-    def wait(self, state: Condition, duration: float) -> Condition:
+    def wait(self, state: State, duration: float) -> State:
         """Stand still for so long [s]."""
         region = self.legs.region(state.node)
         energy = self.legs.grounds.idle(region, duration, state.payload)
         return self._stay(state, "wait", duration, energy)
 
-    def wait_until(self, state: Condition, time: float) -> Condition:
+    def wait_until(self, state: State, time: float) -> State:
         """Stand still until a time [s]; who is there before it in any case is no longer late."""
         latest = self.latest(state)
         if state.time >= time:
@@ -96,7 +151,7 @@ class Walk:
         late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
         return replace(self.wait(state, time - state.time), lateness=late * state.lateness)
 
-    def _stay(self, state: Condition, kind: str, duration: float, energy: Estimate) -> Condition:
+    def _stay(self, state: State, kind: str, duration: float, energy: Estimate) -> State:
         """Stand still for so long [s], which takes an energy."""
         if duration <= _INSTANT:
             return state
@@ -106,7 +161,7 @@ class Walk:
 
     def _draw(
         self,
-        state: Condition,
+        state: State,
         kind: str,
         goal: int,
         t: FloatArray,
@@ -114,7 +169,7 @@ class Walk:
         spread: FloatArray,
         energy: Estimate,
         leg: Leg | None = None,
-    ) -> Condition:
+    ) -> State:
         spent = state.spent + self.legs.grounds.from_battery(energy)
         more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
         # what it may take beyond the expectation is drawn where the power is uncertain
@@ -123,7 +178,7 @@ class Walk:
         clock = state.time + t - t[0]
         expected, soc = self._run(state.expected, clock, power)
         worst, soc_lower = self._run(state.worst, clock, raised)
-        piece = Piece(kind, goal, clock, np.append(power, power[-1]), soc, soc_lower, leg)
+        piece = Segment(kind, goal, clock, np.append(power, power[-1]), soc, soc_lower, leg)
         return replace(
             state,
             time=float(clock[-1]),
@@ -144,7 +199,7 @@ class Walk:
             after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
         return after, run.soc
 
-    def charge(self, state: Condition, leave_by: float = np.inf) -> Condition:
+    def charge(self, state: State, leave_by: float = np.inf) -> State:
         """Charge at the charger at hand until it suffices, or until it is time to leave [s]."""
         charger = self.mission.chargers[state.node - self.legs.chargers[0]]
         low = self._charge(state.worst, charger.power, self.at_least(charger.until))
@@ -156,7 +211,7 @@ class Walk:
         filled = [np.interp(t, one.t, one.soc) for one in (high, low)]
         power = np.where(t < min(high.t[-1], t[-1]), -charger.power, 0.0)
         t = state.time + t
-        piece = Piece("charge", state.node, t, power, filled[0], filled[1])
+        piece = Segment("charge", state.node, t, power, filled[0], filled[1])
         low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
         return replace(
             state,
@@ -200,7 +255,7 @@ class Walk:
 
     # -- tasks ------------------------------------------------------------------------------------
 
-    def attempt(self, state: Condition, task: int, hurried: bool = False) -> Attempt:
+    def attempt(self, state: State, task: int, hurried: bool = False) -> Attempt:
         """Try a task without charging before it."""
         asked, node = self.mission.tasks[task], task + 1
         there = self.drive(state, node, hurried)
@@ -241,21 +296,6 @@ class Walk:
             return Attempt("battery", done, safe, self._why_not(safe))
         return Attempt("none", done, safe, begin=max(latest, asked.window[0]))
 
-    def attempt_charged(self, state: Condition, task: int) -> Attempt:
-        """Try a task, charging before it where it cannot be done otherwise."""
-        best = self.attempt(state, task)
-        if best.reason == "late":
-            hurried = self.attempt(state, task, hurried=True)
-            best = best if hurried.reason == "late" else hurried
-        if best.reason != "battery":
-            return best
-        for charged in self.charged(state, [(task,)]):
-            for hurried_way in self.ways:
-                tried = self.attempt(charged, task, hurried_way)
-                if self._rank(tried) < self._rank(best):
-                    best = tried
-        return best
-
     @property
     def timed(self) -> bool:
         """Whether windows end, so that being late is possible."""
@@ -270,9 +310,7 @@ class Walk:
         """
         return (False, True) if self.timed else (False,)
 
-    def leave_by(
-        self, state: Condition, stops: Sequence[int], hurried: Sequence[bool] = ()
-    ) -> float:
+    def leave_by(self, state: State, stops: Sequence[int], hurried: Sequence[bool] = ()) -> float:
         """Return when to leave a place at the latest so that no later window is missed."""
         tasks, grounds = self.mission.tasks, self.legs.grounds
         ways = (*hurried, *(False for _ in stops[len(hurried) :]))
@@ -292,16 +330,21 @@ class Walk:
             node = stop
         return float(latest)
 
-    def follow(self, stops: Sequence[int], hurried: Sequence[bool]) -> Condition | None:
-        """Do tasks and charge in the order of some stops; None where that cannot be done."""
-        state = self.start
+    def follow(
+        self, state: State, stops: Sequence[int], hurried: Sequence[bool], then: int | None = None
+    ) -> State | None:
+        """Do tasks and charge in the order of some stops; None where that cannot be done.
+
+        Charges end in time for the windows of the stops and of one that comes `then`.
+        """
+        rest = (*stops, *(() if then is None else (then,)))
         for k, (stop, quick) in enumerate(zip(stops, hurried, strict=True)):
             if stop in self.legs.chargers:
-                docked = self.drive(state, stop, quick)
-                if docked is None or not self.holds(docked):
+                docked = self.dock(state, stop, quick)
+                if docked is None:
                     return None
-                rest = stops[k + 1 :], hurried[k + 1 :]
-                state = self.charge(docked, self.leave_by(docked, *rest))
+                leave = self.leave_by(docked, rest[k + 1 :], hurried[k + 1 :])
+                state = self.charge(docked, leave)
             else:
                 attempt = self.attempt(state, stop - 1, quick)
                 if attempt.reason != "none":
@@ -309,64 +352,39 @@ class Walk:
                 state = attempt.after
         return state
 
-    def charged(self, state: Condition, plans: Sequence[Sequence[int]] = ()) -> list[Condition]:
-        """Return the conditions after charging, at chargers reached directly or over others.
+    def dock(self, state: State, charger: int, hurried: bool = False) -> State | None:
+        """Drive to a charger and wait until it is free; None where the battery does not last."""
+        docked = self.drive(state, charger, hurried)
+        if docked is None or not self.holds(docked):
+            return None
+        for begin, end in self.taken.get(charger, ()):
+            if begin < self.charge(docked).time and docked.time < end:
+                docked = self.wait_until(docked, end)
+        return docked if self.holds(docked) else None
 
-        Of several ways to a charger the one of least energy is kept, and the quickest. Where one
-        of the plans, sequences of tasks to come, would miss a window after a whole charge, the
-        charge that ends in time is returned too.
-        """
-        kept: dict[int, list[Condition]] = {}
-        pending = [state]
-        while pending:
-            here = pending.pop(0)
-            for charger in self.legs.chargers:
-                if charger == here.node and here is not state:
-                    continue
-                docked = self.drive(here, charger) if charger != here.node else here
-                if docked is None or not self.holds(docked):
-                    continue
-                full, known = self.charge(docked), kept.setdefault(charger, [])
-                ends = [full]
-                for plan in plans if self.timed else ():
-                    stops = [task + 1 for task in plan]
-                    for quick in self.ways:
-                        hurried = [quick] * len(stops)
-                        leave = self.leave_by(docked, stops, hurried)
-                        if docked.time < leave < full.time:
-                            ends.append(self.charge(docked, leave))
-                for end in ends:
-                    if not any(as_good(other, end) for other in known):
-                        known[:] = [other for other in known if not as_good(end, other)]
-                        known.append(end)
-                        pending.append(end)
-        return [full for known in kept.values() for full in known]
-
-    def _rank(self, attempt: Attempt) -> tuple[bool, float]:
+    def missing(self, attempt: Attempt) -> tuple[bool, float]:
         """Sort what works by energy before what does not by what is missing."""
         if attempt.reason == "none":
             return False, attempt.after.total.mean
         return True, self.shortfall(attempt.safe) if attempt.reason == "battery" else np.inf
 
-    def refuge(self, state: Condition) -> tuple[Condition | None, Leg]:
+    def refuge(self, state: State) -> tuple[State | None, Leg]:
         """Drive to the nearest safe place: home or a charger."""
         return self._nearest(state, (self.legs.home, *self.legs.chargers))
 
-    def finish(self, state: Condition) -> Condition | None:
-        """Drive to where the mission may end, charging on the way if need be; None if it cannot."""
+    @property
+    def ends(self) -> list[int]:
+        """Where the mission may end."""
         rule = self.mission.return_to
-        ends = () if rule == "charger" else (self.legs.home,)
-        ends = ends if rule == "start" else (*ends, *self.legs.chargers)
-        direct, _ = self._nearest(state, ends)
-        if direct is not None and self.holds(direct):
-            return direct
-        for charged in self.charged(state):
-            last, _ = self._nearest(charged, ends)
-            if last is not None and self.holds(last):
-                return last
-        return None
+        ends = [] if rule == "charger" else [self.legs.home]
+        return ends if rule == "start" else [*ends, *self.legs.chargers]
 
-    def _nearest(self, state: Condition, places: tuple[int, ...]) -> tuple[Condition | None, Leg]:
+    def arrives(self, state: State | None) -> State | None:
+        """Drive to where the mission may end; None where the battery does not last for it."""
+        last = None if state is None else self._nearest(state, tuple(self.ends))[0]
+        return last if last is not None and self.holds(last) else None
+
+    def _nearest(self, state: State, places: tuple[int, ...]) -> tuple[State | None, Leg]:
         """Drive to the place of least energy; routes that cannot be the least are not planned."""
         bounds = self.legs.lower_bounds(state.payload)[state.node]
         first, *others = sorted(places, key=lambda place: float(bounds[place]))
@@ -381,7 +399,7 @@ class Walk:
 
     # -- shortfall --------------------------------------------------------------------------------
 
-    def shortfall(self, safe: Condition) -> float:
+    def shortfall(self, safe: State) -> float:
         """Energy that is missing at a safe place to keep the reserve [J].
 
         Nothing is missing where the battery holds the energy but not the power.
@@ -396,11 +414,11 @@ class Walk:
         by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0
         return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
 
-    def lacks_power(self, safe: Condition) -> bool:
+    def lacks_power(self, safe: State) -> bool:
         """Tell whether the battery holds the energy, and what it cannot deliver is the power."""
         return safe.worst.failure in SAGS and self.shortfall(safe) == 0
 
-    def _why_not(self, safe: Condition) -> str:
+    def _why_not(self, safe: State) -> str:
         need, missing = safe.spent.upper(self.quantile), self.shortfall(safe)
         worst = safe.worst
         if self.lacks_power(safe):

@@ -18,11 +18,10 @@ if TYPE_CHECKING:
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
     from energyplan.fit.doubts import Adequacy
-    from energyplan.fleet import FleetReport
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.live import Event
-    from energyplan.mission import LegReport, MissionReport
+    from energyplan.mission import FleetReport, LegReport, MissionReport
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan

@@ -15,12 +15,11 @@ if TYPE_CHECKING:
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
     from energyplan.fit.identification import InternalFriction
-    from energyplan.fleet import FleetReport
     from energyplan.io.logs import LogInfo
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.live import Event
-    from energyplan.mission import MissionReport
+    from energyplan.mission import FleetReport, MissionReport
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan

@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, evaluate
-from energyplan.mission.legs import Legs, Routes
-from energyplan.mission.many import GuessedLegs, routes_wanted
+from energyplan.mission.legs import Routes
 from energyplan.motion import Motion
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
@@ -529,24 +528,6 @@ def test_bad_tasks_are_refused(changes, place):
     assert caught.value.place == place
 
 
-@pytest.mark.parametrize("order", ["given", "free"])
-def test_without_obstacles_the_routes_foreseen_are_those_planned(order: str) -> None:
-    hall = OccupancyGrid(np.zeros((60, 60), bool), 0.2)
-    places = {"a": (10.5, 10.5, 0), "b": (1.5, 10.5, 0), "c": (10.5, 1.5, 0)}
-    asked = Mission(
-        PowerModel.preset("quadriga:empty:marble"), hall, Battery.preset("quadriga"),
-        Pose(1.5, 1.5, 0.0), tuple(Task(name, place) for name, place in places.items()),
-        order=order, confidence=0.5, planning_effort=150,
-    )  # fmt: skip
-    told: list[str] = []
-    nodes = ("start", *places)
-    foreseen = [
-        f"planning from {nodes[s]} to {nodes[g]}" for s, g, _ in routes_wanted(asked, Routes())
-    ]
-    evaluate(asked, told.append)
-    assert sorted(foreseen) == sorted(line for line in told if line.startswith("planning"))
-
-
 def test_a_mission_is_the_same_after_one_the_other_way() -> None:
     cells = np.zeros((60, 60), bool)
     cells[20:24, :40] = cells[38:42, 22:] = cells[28:31, 28:31] = True
@@ -563,24 +544,6 @@ def test_a_mission_is_the_same_after_one_the_other_way() -> None:
     alone = [told(Routes(), *pair) for pair in (ends, ends[::-1])]
     one_after_the_other = [told(shared, *pair) for pair in (ends, ends[::-1])]
     assert one_after_the_other == alone
-
-
-def test_the_way_back_of_a_known_route_is_not_guessed() -> None:
-    cells = np.zeros((60, 60), bool)
-    cells[20:24, :40] = True  # without it the way is a straight line
-    asked = Mission(
-        PowerModel.preset("quadriga:empty:marble"), OccupancyGrid(cells, 0.2),
-        Battery.preset("quadriga"), Pose(1.5, 1.5, 0.0), (Task("there", Pose(1.5, 10.5, 0.0)),),
-        confidence=0.5, planning_effort=150,
-    )  # fmt: skip
-    routes = Routes()
-    [(first, last, hurried)] = routes_wanted(asked, routes)
-    assert not GuessedLegs(asked, None, routes).leg(last, first, 0.0).path.length > 12.0
-    Legs(asked, None, routes).leg(first, last, 0.0)
-    legs = GuessedLegs(asked, None, routes)
-    assert legs.leg(last, first, 0.0).path.length > 12.0
-    assert (hurried, legs.wanted) == (False, [])
-    assert legs.planned(last, first)
 
 
 def test_all_bad_poses_are_told_at_once_and_an_optional_task_in_an_obstacle_is_left_out() -> None:

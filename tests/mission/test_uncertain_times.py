@@ -10,8 +10,6 @@ import pytest
 from test_corridor import charger, corridor
 
 from energyplan.mission import Mission, Spreads, Task, evaluate
-from energyplan.mission.condition import Charge, Condition, as_good
-from energyplan.mission.energy import Estimate
 from energyplan.path import Pose
 
 SPREADS = replace(Spreads.none(), speed=0.1, dwell=0.2, waiting=1.0)
@@ -134,21 +132,3 @@ def test_the_bound_of_a_start_is_that_of_its_one_unknown(kind: str, spread: floa
     }[kind]
     late = NormalDist().inv_cdf(0.95) * spread * deviation
     assert told.start_upper - told.start == pytest.approx(late, rel=1e-3)
-
-
-def test_a_condition_is_as_good_as_another_only_in_every_respect() -> None:
-    def at(energy=100.0, time=50.0, late=3.0, soc=0.6, payload=0.0, node=1) -> Condition:
-        charge, known = Charge(soc), Estimate(energy, np.zeros(2))
-        lateness = late * np.array([0.6, 0.8])
-        return Condition(
-            node, payload, time, lateness, known, known, (0.0, 0.0), Charge(0.7), charge
-        )
-
-    assert as_good(at(), at())
-    assert as_good(at(90.0, 40.0, 2.0, 0.7), at())
-    for worse in (
-        at(energy=100.1), at(time=50.1), at(late=3.1), at(soc=0.59), at(payload=1.0), at(node=2)
-    ):  # fmt: skip
-        assert not as_good(worse, at())
-        if worse.payload == 0.0 and worse.node == 1:
-            assert as_good(at(), worse)

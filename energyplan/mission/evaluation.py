@@ -1,0 +1,529 @@
+"""Battery budget missions: what can be done, with what certainty, and why not.
+
+A task is reachable only if the robot can do it and still get to where it started or to a charger
+with its reserve, at the confidence asked. Energies carry their uncertainty along (see
+`energyplan.mission.energy`); the battery is run twice, with the energy as expected and with the
+energy at its bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.battery import Battery
+from energyplan.errors import EnergyPlanError, MissionError
+from energyplan.kinds import checked
+from energyplan.mission.energy import Estimate
+from energyplan.mission.legs import Legs, Routes
+from energyplan.mission.order import attempt, best_stops, finish
+from energyplan.mission.report import (
+    MissionReport,
+    Reason,
+    Stop,
+    TaskReport,
+    charger_reports,
+    doubts,
+    leg_reports,
+    timeline,
+)
+from energyplan.mission.simulation import SAGS, Attempt, State, Walk
+from energyplan.mission.tasks import Remedy
+from energyplan.mission.types import Mission
+
+_CANDIDATES = 5
+"""How many earlier tasks are tried as the one to drop."""
+
+_CONFIRMED = 8
+"""Remedies of a free order of so many tasks are confirmed by solving it anew."""
+
+_FINER = 0.01
+"""Steps in which strings are added, in units of those that the battery has."""
+
+_MOST = 10.0
+"""Batteries beyond so many times the one on board are not proposed."""
+
+
+@checked(MissionError)
+def evaluate(
+    mission: Mission, progress: Callable[[str], None] | None = None, *, routes: Routes | None = None
+) -> MissionReport:
+    """Find which tasks of a mission can be done, and the energy that they take.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission. For one that is under way, `Mission.resume` gives the rest.
+    progress : callable, optional
+        Called with one line of text whenever a route is planned or an order is found.
+    routes : Routes, optional
+        Routes planned before; those that are planned now are added.
+
+    Returns
+    -------
+    MissionReport
+        A verdict with its reason and remedy for each task, and the mission as a whole.
+
+    Raises
+    ------
+    MissionError
+        If a bound is asked of models without a known uncertainty, or a payload leaves the range
+        of its models.
+
+    References
+    ----------
+    docs/missions.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from energyplan.io.mission import read_mission
+    >>> from energyplan.io.files import bundled
+    >>> mission = replace(read_mission(bundled("mission_warehouse.yaml")), planning_effort=250)
+    >>> evaluate(mission).feasible
+    True
+    """
+    return Evaluation(mission, progress, Legs(mission, progress, routes)).report()
+
+
+class _Try(NamedTuple):
+    """A task's attempt, the condition before it, and the tasks done until then."""
+
+    before: State
+    attempt: Attempt
+    earlier: tuple[int, ...]
+
+
+class Evaluation:
+    """One mission on its way to a report."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        progress: Callable[[str], None] | None,
+        legs: Legs,
+        taken: Mapping[int, Sequence[tuple[float, float]]] | None = None,
+    ) -> None:
+        self.mission = mission
+        self.legs = legs
+        self.walk = Walk(self.legs, taken)
+        self.progress = progress
+        self.attempts: dict[int, _Try] = {}
+        self.done: list[int] = []
+        self.proven, self.gap = False, float(np.nan)
+        self.end = self.walk.start
+
+    def report(self) -> MissionReport:
+        """Do the tasks, find the way home, and explain what is left out."""
+        state = self.go()
+        last = finish(self.walk, state)
+        self.end = state if last is None else last
+        tasks = tuple(self._task(k) for k in range(len(self.mission.tasks)))
+        missed = [
+            told.name
+            for told, task in zip(tasks, self.mission.tasks, strict=True)
+            if task.required and told.verdict == "unreachable"
+        ]
+        end = self.end
+        drives = [piece.leg.path for piece in end.pieces if piece.leg is not None]
+        return MissionReport(
+            mission=self.mission,
+            tasks=tasks,
+            order=self._order(end),
+            energy=end.total.mean,
+            energy_upper=end.total.upper(self.walk.quantile),
+            soc_end=end.expected.soc,
+            soc_end_lower=end.worst.soc,
+            feasible=last is not None and not missed,
+            end=self.legs.names[end.node],
+            duration=end.time - self.mission.time,
+            proven=self.proven,
+            gap=self.gap,
+            timeline=timeline(self.walk, end),
+            paths=tuple(drives),
+            trajectories=tuple(
+                piece.leg.trajectory
+                for piece in end.pieces
+                if piece.leg is not None and piece.leg.trajectory is not None
+            ),
+            route=self.route(end),
+            uncertainty=doubts(self.walk, end),
+            legs=leg_reports(self.walk, end),
+            chargers=charger_reports(self.walk, end),
+            warnings=self._warnings(),
+        )
+
+    # -- the way ----------------------------------------------------------------------------------
+
+    def go(self) -> State:
+        """Do the tasks that can be done."""
+        walk, state = self.walk, self.walk.start
+        given = self.mission.order == "given"
+        found = best_stops(walk, progress=self.progress)
+        self.proven, self.gap = found.proven, found.gap
+        turns = [state] * len(self.mission.tasks)  # where the robot is when a task has its turn
+        for at, (stop, hurried) in enumerate(zip(found.stops, found.hurried, strict=True)):
+            if stop in self.legs.chargers:
+                docked = walk.dock(state, stop, hurried)
+                if docked is not None:
+                    rest = found.stops[at + 1 :], found.hurried[at + 1 :]
+                    state = walk.charge(docked, walk.leave_by(docked, *rest))
+            else:
+                state = self._do(state, stop - 1, hurried)
+                turns[stop:] = [state] * len(turns[stop:])
+        for k in range(len(self.mission.tasks)):
+            if k not in self.attempts and given:
+                earlier = tuple(d for d in self.done if d < k)
+                self.attempts[k] = _Try(turns[k], attempt(walk, turns[k], k), earlier)
+            elif k not in self.attempts:
+                state = self._do(state, k)
+        return state
+
+    def _do(self, state: State, task: int, hurried: bool = False) -> State:
+        tried = self.walk.attempt(state, task, hurried)
+        if tried.reason != "none":
+            tried = attempt(self.walk, state, task)
+        self.attempts[task] = _Try(state, tried, tuple(self.done))
+        if tried.reason != "none":
+            return state
+        self.done.append(task)
+        return tried.after
+
+    def _order(self, end: State) -> tuple[str, ...]:
+        stops: list[int] = []
+        places = {*range(1, 1 + len(self.mission.tasks)), *self.legs.chargers}
+        done = {task + 1 for task in self.done}
+        nodes = [piece.goal for piece in end.pieces if piece.kind in ("drive", "work", "charge")]
+        order = [node for node in nodes if node in places]
+        for node in order:
+            if not stops or stops[-1] != node:
+                stops.append(node)
+        still = [node for node in done if node not in stops]
+        return tuple(self.legs.names[node] for node in (*still, *stops))
+
+    def _arrival(self, task: int) -> float:
+        """Return when the robot got to a task that is done [s]."""
+        after = self.attempts[task].attempt.after
+        arrival = after.time
+        for piece in reversed(after.pieces):
+            if piece.goal != task + 1 or piece.kind not in ("wait", "work"):
+                break
+            arrival = float(piece.t[0])
+        return arrival
+
+    def route(self, end: State) -> tuple[Stop, ...]:
+        """Return the stops: the start, tasks and charges in the order of their times, the end."""
+        names, poses, start = self.legs.names, self.legs.poses, self.walk.start
+        stops = []
+        for k in self.done:
+            after = self.attempts[k].attempt.after
+            charge = after.expected.soc, after.worst.soc
+            times = self._arrival(k), after.time
+            stops.append(Stop(names[k + 1], "task", poses[k + 1], *times, *charge))
+        for piece in end.pieces:
+            if piece.kind == "charge":
+                times, charge = piece.t[[0, -1]].tolist(), (piece.soc[-1], piece.soc_lower[-1])
+                node = piece.goal
+                stops.append(Stop(names[node], "charge", poses[node], *times, *map(float, charge)))
+        stops.sort(key=lambda stop: stop.arrival)
+        first = Stop(names[0], "start", poses[0], start.time, start.time, *[start.expected.soc] * 2)
+        charge = end.expected.soc, end.worst.soc
+        last = Stop(names[end.node], "end", poses[end.node], end.time, end.time, *charge)
+        return (first, *stops, last)
+
+    def _warnings(self) -> tuple[str, ...]:
+        battery = self.mission.battery
+        notes: tuple[str, ...] = ()
+        if isinstance(battery, Battery):
+            notes = tuple(filter(None, (battery.temperature_note, *battery.notes)))
+        return (*self.mission.notes, *notes)
+
+    # -- verdicts ---------------------------------------------------------------------------------
+
+    def _task(self, k: int) -> TaskReport:
+        task = self.mission.tasks[k]
+        before, tried, earlier = self.attempts[k]
+        if tried.reason == "none" and k not in self.done:
+            return self._left_out(k, tried, earlier)
+        if tried.reason == "none":
+            used = _between(before, tried.after)
+            return TaskReport(
+                task.name, "reachable", "none", True, used.mean, used.upper(self.walk.quantile),
+                tried.after.expected.soc, 0.0, "", "", tried.after.time - task.dwell,
+                arrival=self._arrival(k), departure=tried.after.time,
+                soc_lower=tried.after.worst.soc, start_upper=tried.begin,
+            )  # fmt: skip
+        alone = tried if not self.done else attempt(self.walk, self.walk.start, k)
+        blocked = alone.reason == "none"
+        # What a task leaves another one may have to bring; alone it cannot be judged.
+        told = tried if blocked or alone.reason == "payload" else alone
+        reason: Reason = "blocked_by_earlier" if blocked else _REASONS[told.reason]
+        lacking = told.reason == "battery"
+        used = _between(before if blocked else self.walk.start, told.after)
+        remedies, remedy = self._remedy(k, reason, told)
+        return TaskReport(
+            name=task.name,
+            verdict="unreachable",
+            reason=reason,
+            reachable_alone=blocked,
+            energy=used.mean if lacking else np.nan,
+            energy_upper=used.upper(self.walk.quantile) if lacking else np.nan,
+            soc_after=told.after.expected.soc if lacking else np.nan,
+            shortfall=self.walk.shortfall(told.safe) if lacking else 0.0,
+            remedy=remedy,
+            detail=told.detail,
+            remedies=remedies,
+        )
+
+    def _left_out(self, k: int, tried: Attempt, earlier: tuple[int, ...]) -> TaskReport:
+        """Report a task that could be done, but for which a later one could then not be."""
+        task = self.mission.tasks[k]
+        used = _between(self.attempts[k].before, tried.after)
+        later = [self.mission.tasks[d].name for d in self.done if d not in earlier]
+        names = ", ".join(repr(name) for name in later) or "the rest of the route"
+        remedies, remedy = self._remedy(k, "blocked_by_earlier", tried)
+        return TaskReport(
+            task.name, "unreachable", "blocked_by_earlier", True, used.mean,
+            used.upper(self.walk.quantile), tried.after.expected.soc, 0.0, remedy,
+            f"left out, since with it the battery would not last for {names}", remedies=remedies,
+        )  # fmt: skip
+
+    def _remedy(self, k: int, reason: Reason, told: Attempt) -> tuple[tuple[Remedy, ...], str]:
+        """Return what makes a task reachable, and the sentence that says so."""
+        if reason == "no_path":
+            return (), f"clear the route or move the task: {told.detail}"
+        remedies, advice = self._drop(k) if reason == "blocked_by_earlier" else [], ""
+        if told.reason == "late":
+            remedies += self._sooner(k, told)
+        elif told.reason == "time":
+            advice = "give more planning_time or planning_effort"
+        elif told.reason == "payload":
+            advice = "put a task before it that takes the payload on board"
+        elif told.reason == "motor":
+            advice = f"take another route or a stronger drive: {told.detail}"
+            if self.mission.payload > 0:
+                advice += ", or leave payload behind"
+        elif told.reason == "no_path":
+            advice = f"clear the route back: {told.detail}"
+        else:
+            earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
+            tasks = (*earlier, k)
+            remedies += [
+                *self._slower(tasks, told.safe),
+                *self._charge_first(tasks),
+                *self._larger_battery(tasks, told.safe),
+                *self._smaller_reserve(tasks),
+            ]
+        hints = [*map(str, remedies), *([advice] if advice else [])]
+        return tuple(remedies), ", or ".join(hints) or told.detail
+
+    def _sooner(self, k: int, told: Attempt) -> list[Remedy]:
+        """Tell what brings the robot there in time: speed, or a wider window."""
+        task, tasks = self.mission.tasks[k], (*self.attempts[k].earlier, k)
+        top = float(self.mission.vehicle.motor.speed)
+        now = self.mission.tread_speed
+        faster = np.isfinite(top) and (now is None or now < top)
+        speeds = [Remedy("speed", top, "m/s")] if faster else []
+        in_turn = self.attempts[k].attempt
+        times = [self.walk.latest(a.after) for a in (told, in_turn) if a.reason == "late"]
+        late = sorted({float(np.ceil(time - task.window[1])) for time in times})
+        windows = [Remedy("window", s, "s", task.name) for s in (*late, 2 * late[-1])]
+        return [*self._first(tasks, speeds), *self._first(tasks, windows)]
+
+    def _drop(self, k: int) -> list[Remedy]:
+        """Name a task without which this one can be done, the least worth first."""
+        tasks, (_, tried, earlier) = self.mission.tasks, self.attempts[k]
+        others = self.done if tried.reason == "none" else earlier
+        ranked = sorted(others, key=lambda d: (tasks[d].required, tasks[d].prize, -d))
+        for dropped in ranked[:_CANDIDATES]:
+            rest = [d for d in earlier if d != dropped]
+            remedy = Remedy("drop", task=tasks[dropped].name)
+            if tasks[dropped].required and not tasks[k].required:
+                continue
+            if self._follow(self.walk, [*rest, k]) and self._holds(k, remedy):
+                return [remedy]
+        return []
+
+    def _follow(self, walk: Walk, tasks: Sequence[int]) -> bool:
+        state = walk.start
+        for task in tasks:
+            tried = attempt(walk, state, task)
+            if tried.reason != "none":
+                return False
+            state = tried.after
+        return True
+
+    def _charge_first(self, tasks: Sequence[int]) -> list[Remedy]:
+        """Tell the state of charge with which to leave so that the task can be done."""
+        if self.mission.soc >= 1:
+            return []
+        levels = np.arange(np.ceil(100 * self.mission.soc) + 1, 101) / 100
+        remedies = [Remedy("charge", float(level), "1") for level in levels]
+        low, high = 0, len(levels) - 1
+        if high < 0 or not self._works(tasks, remedies[high]):
+            return []
+        while low < high:
+            middle = (low + high) // 2
+            low, high = (
+                (low, middle) if self._works(tasks, remedies[middle]) else (middle + 1, high)
+            )
+        return [remedies[high]]
+
+    def _larger_battery(self, tasks: Sequence[int], safe: State) -> list[Remedy]:
+        """Tell how much more the battery has to hold, in whole watt-hours, or to deliver.
+
+        It has to hold more than is missing: part of it is reserve, and the load draws charge too.
+        Where no energy is missing, what limits is its power: that of its strings.
+        """
+        full, powerless = self.mission.battery.full_energy, self.walk.lacks_power(safe)
+        step = _FINER * full if powerless else 3600.0
+
+        def remedy(n: int) -> Remedy:
+            strings = Remedy("strings", 1.0 + _FINER * n, "1")
+            return strings if powerless else Remedy("capacity", step * n, "J")
+
+        low, high = 0, max(int(np.ceil(self.walk.shortfall(safe) / step)), 1)
+        while not self._works(tasks, remedy(high)):
+            low, high = high, 2 * high
+            if step * high > _MOST * full:
+                return []
+        while high - low > max(0.02 * high, 1):
+            middle = (low + high) // 2
+            low, high = (low, middle) if self._works(tasks, remedy(middle)) else (middle, high)
+        return [remedy(high)]
+
+    def _smaller_reserve(self, tasks: Sequence[int]) -> list[Remedy]:
+        least, now = self.mission.battery.cutoff_soc, self.mission.reserve
+        reserves = [max(round(share * now, 3), least) for share in (0.75, 0.5, 0.25)]
+        return self._first(tasks, [Remedy("reserve", r, "1") for r in reserves if r < now])
+
+    def _slower(self, tasks: Sequence[int], safe: State) -> list[Remedy]:
+        """Tell whether another speed helps: that of least energy, or one of less power."""
+        given, top = self.mission.tread_speed, float(self.mission.vehicle.motor.speed)
+        remedies = [] if given is None else [Remedy("cheapest_speed")]
+        if safe.worst.failure in SAGS and np.isfinite(top):
+            most = min(top, given or top)
+            remedies += [Remedy("speed", share * most, "m/s") for share in (0.75, 0.5, 0.25)]
+        return self._first(tasks, remedies)
+
+    def _first(self, tasks: Sequence[int], remedies: Sequence[Remedy]) -> list[Remedy]:
+        """Return the first of some remedies that works, if any does."""
+        return next(([remedy] for remedy in remedies if self._works(tasks, remedy)), [])
+
+    def _works(self, tasks: Sequence[int], remedy: Remedy) -> bool:
+        """Tell whether the last of some tasks can be done after the others with a remedy."""
+        walk = Walk(self.legs.under(self.mission.with_remedy(remedy)))
+        return self._follow(walk, tasks) and self._holds(tasks[-1], remedy)
+
+    def _holds(self, k: int, remedy: Remedy) -> bool:
+        """Tell whether the whole mission with a remedy does the task.
+
+        Others that it makes possible must not take what it gains; at another speed routes change.
+        """
+        if self.mission.order == "free" and len(self.mission.tasks) > _CONFIRMED:
+            return True
+        changed = self.mission.with_remedy(remedy)
+        anew = remedy.kind in ("drop", "speed", "cheapest_speed")
+        legs = Legs(changed, None, self.legs.routes) if anew else self.legs.under(changed)
+        again = Evaluation(changed, None, legs)
+        again.go()
+        name = self.mission.tasks[k].name
+        return any(changed.tasks[d].name == name for d in again.done)
+
+
+_REASONS: dict[str, Reason] = {
+    "no_path": "no_path",
+    "motor": "motor",
+    "battery": "battery",
+    "late": "late",
+    "time": "time_limit",
+    "payload": "blocked_by_earlier",
+}
+
+
+def _between(before: State, after: State) -> Estimate:
+    """Return the energy from one condition to a later one."""
+    return Estimate(
+        after.total.mean - before.total.mean,
+        after.total.sensitivity - before.total.sensitivity,
+        after.total.noise - before.total.noise,
+    )
+
+
+# -- many missions -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """What comes of one of many missions: a report, or the error in its place."""
+
+    index: int  # place of the mission among all
+    report: MissionReport | None
+    error: BaseException | None = None
+
+
+def evaluate_many(
+    missions: Iterable[Mission], executor: Executor, routes: Routes | None = None
+) -> Iterator[Evaluated]:
+    """Evaluate many missions over an executor; yield each result when it is ready.
+
+    Of missions that share their map, costs and planner one is evaluated first, and the routes that
+    it needed are handed to the others. A mission that fails is told with its error, and the others
+    go on.
+
+    Parameters
+    ----------
+    missions : iterable of Mission
+        The missions; variants of one, made by ``dataclasses.replace``, share their routes.
+    executor : concurrent.futures.Executor
+        Where they are evaluated.
+    routes : Routes, optional
+        Routes planned before; those that are planned first are added.
+
+    Yields
+    ------
+    Evaluated
+        ``index``, ``report`` and ``error`` of each mission.
+
+    Examples
+    --------
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> from dataclasses import replace
+    >>> import energyplan as ep
+    >>> from energyplan.io.files import bundled
+    >>> from energyplan.mission import evaluate_many
+    >>> mission = ep.read_mission(bundled("mission_warehouse.yaml"))
+    >>> variants = [replace(mission, planning_effort=250, soc=soc) for soc in (0.6, 0.9)]
+    >>> with ThreadPoolExecutor(2) as pool:
+    ...     found = {one.index: one.report for one in evaluate_many(variants, pool)}
+    >>> found[0].soc_end < found[1].soc_end
+    True
+    """
+    known = Routes() if routes is None else routes
+    first: dict[int, tuple[bytes, Mission]] = {}
+    rest: dict[int, tuple[bytes, Mission]] = {}
+    for k, mission in enumerate(missions):
+        try:
+            kind = Legs(mission).digest
+        except EnergyPlanError as failed:
+            yield Evaluated(k, None, failed)
+            continue
+        (rest if kind in {one for one, _ in first.values()} else first)[k] = kind, mission
+    for turn in (first, rest):
+        flying = {
+            executor.submit(_evaluated, mission, known): k for k, (_, mission) in turn.items()
+        }
+        for done in as_completed(flying):
+            error, report, k = done.exception(), None, flying[done]
+            if error is None:
+                report, planned = done.result()
+                known.of(turn[k][0]).update(planned.of(turn[k][0]))
+            yield Evaluated(k, report, error)
+
+
+def _evaluated(mission: Mission, routes: Routes) -> tuple[MissionReport, Routes]:
+    return evaluate(mission, routes=routes), routes
