@@ -352,15 +352,16 @@ class _Sharing:
         mission = walk.mission
         mine = tuple(mission.tasks[self.own[r].index(task)] for task in tasks)
         part = replace(mission, tasks=mine, order="free" if len(mine) <= EXACT else "given")
-        first = 1 + len(mine)
-        taken = {first + charger: stays for charger, stays in full.items()}
+        taken = {1 + len(mine) + charger: stays for charger, stays in full.items()}
         found = Evaluation(part, self.progress, Legs(part, self.progress, self.routes), taken)
         state = found.go()
         last = finish(found.walk, state)
         lost = frozenset(task for k, task in enumerate(tasks) if k not in found.done)
         end = state if last is None else last
         found.end = end
-        told = self._told(name, found.walk, end, found.route(end), last is not None)
+        first, *rest = found.route(end)
+        first = replace(first, soc_lower=found.walk.start.worst.soc)
+        told = self._told(name, found.walk, end, (first, *rest), last is not None)
         return replace(told, lost=lost, proven=found.proven)
 
     def _told(
@@ -377,7 +378,7 @@ class _Sharing:
             )  # fmt: skip
         at = [(s.goal - legs.chargers[0], s) for s in end.pieces if s.goal in legs.chargers]
         stays = tuple((c, float(s.t[0]), float(s.t[-1])) for c, s in at if s.kind == "charge")
-        waited = sum(float(s.t[-1] - s.t[0]) for _, s in at if s.kind == "wait")
+        waited = sum((float(s.t[-1] - s.t[0]) for _, s in at if s.kind == "wait"), 0.0)
         report = RobotReport(
             name=name,
             tasks=tuple(stop.name for stop in route if stop.kind == "task"),
