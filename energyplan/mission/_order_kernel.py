@@ -5,7 +5,8 @@ given order the last one of them (see `energyplan.mission.order`). A label is on
 to a stage and a place: the energy that it took, the charge that is left, the time, the worth of
 what was done and the payload. Where time matters charging may stop early. Such a label is a
 segment: after `time` with `left` on board, each further second, up to `slack`, adds `rate`; how
-much of it is used shows later. Waiting for a window is time to charge at no cost. Of the labels of
+much of it is used shows later. Waiting for a window is time to charge first, and takes the power of
+standing still once nothing more can be charged. Of the labels of
 a stage and place only those are kept that no other one beats in every respect, and only those that
 can still lead to a better order than the best one known.
 
@@ -56,6 +57,7 @@ class Table(NamedTuple):
     service: Floats  # (n,): energy [J] and time [s] of each task
     service_time: Floats  # (n,): energy [J] and time [s] of each task
     window: FloatTable  # (n, 2): earliest and latest begin [s]
+    idle: Floats  # (n + 1,): power of waiting at each task [W], last none
     worth: Floats  # (n,): what each task is worth
     change: Floats  # (n,): change of the payload by each task [kg]
     loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
@@ -66,6 +68,7 @@ class Table(NamedTuple):
     load: Floats  # (S,): payload of a stage [kg], infinite if the stage does not tell it
     load_index: Ints  # (S,): which of the L loads that is, or L
     pressing: Flags  # (S,): whether a window of the tasks that may still be done ends
+    opening: Floats  # (S,): when the last window of those for which waiting takes power opens [s]
     need: Floats  # (N,): charge without which no charger and no end is reached from a place [J]
     capacity: Floats  # energy on leaving each charger when full [J], and stored per second [W]
     charge_power: Floats  # energy on leaving each charger when full [J], and stored per second [W]
@@ -235,14 +238,16 @@ def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
 
 
 @njit
-def _begin(label: Label, earliest: float, latest: float) -> Label:
+def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
     """Wait for a window, charging meanwhile what may be charged; the time tells a miss."""
-    left, time, slack = label.left, label.time, label.slack
+    energy, left, time, slack = label.energy, label.left, label.time, label.slack
     if time < earliest:
         more = min(slack, earliest - time)
-        left, slack, time = left + label.rate * more, slack - more, earliest
+        drawn = idle * (earliest - time - more)
+        energy, left = energy + drawn, left + label.rate * more - drawn
+        slack, time = slack - more, earliest
     slack = max(min(slack, latest - time), 0.0)
-    return Label(label.energy, left, time, label.rate, slack, label.worth, label.load)
+    return Label(energy, left, time, label.rate, slack, label.worth, label.load)
 
 
 @njit
@@ -259,18 +264,25 @@ def _left_at(label: Label, time: float) -> float:
 
 
 @njit
-def _as_good(one: Label, other: Label, timed: bool) -> bool:
-    """Tell whether a label is as good as another in every respect."""
-    if one.energy > other.energy + _EPSILON or one.worth < other.worth - _EPSILON:
+def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float) -> bool:
+    """Tell whether a label is as good as another in every respect.
+
+    Whose charge ends earlier may have to wait longer for a window, at most at the power `idle`.
+    """
+    ready, end = one.time + one.slack, other.time + other.slack
+    wait = idle * max(min(end, opening) - ready, 0.0) - _EPSILON
+    if one.energy + wait > other.energy or one.worth < other.worth - _EPSILON:
         return False
     if abs(one.load - other.load) > _MILLIGRAM:
         return False
     if not timed:
-        return one.left >= other.left - _EPSILON
-    if one.time > other.time + _EPSILON or _left_at(one, other.time) < other.left - _EPSILON:
-        return False
-    end = other.time + other.slack
-    return _left_at(one, end) >= other.left + other.rate * other.slack - _EPSILON
+        return one.left >= other.left + wait
+    early = idle * max(min(other.time, opening) - ready, 0.0) - _EPSILON
+    return (
+        one.time <= other.time + _EPSILON
+        and _left_at(one, other.time) >= other.left + early
+        and _left_at(one, end) >= other.left + other.rate * other.slack + wait
+    )
 
 
 @njit
@@ -344,13 +356,13 @@ def _keep(
 ) -> bool:
     """Add a label to its bucket; not where one there is as good, or where nothing comes of it."""
     bucket, ahead = stage * len(table.need) + place, table.ahead[stage]
-    timed = table.pressing[stage]
+    timed, opening, idle = table.pressing[stage], table.opening[stage], table.idle.max()
     least, more = _promise(known, bucket, new, ahead)
     if not (more or least <= loosely(known.energy)):
         return False
     there, k = 0, store.head[bucket]
     while k >= 0:
-        if _as_good(_label(store, k), new, timed):
+        if _as_good(_label(store, k), new, timed, opening, idle):
             return False
         k = store.link[k, 3]
     if count >= len(store.value):
@@ -360,7 +372,7 @@ def _keep(
     last, last_least = new, least
     while k >= 0:
         after, old = store.link[k, 3], _label(store, k)
-        if _as_good(new, old, timed):
+        if _as_good(new, old, timed, opening, idle):
             _take_out(store, bucket, k, before)
         else:
             there += 1
@@ -498,7 +510,9 @@ def search(table: Table, known: Known) -> Found:
                         there = _spend(here, spent, table.time[way, place, 1 + t], table.full)
                         if there.left < 0.0 or there.time > table.window[t, 1] + _EPSILON:
                             continue
-                        begun = _begin(there, table.window[t, 0], table.window[t, 1])
+                        begun = _begin(
+                            there, table.window[t, 0], table.window[t, 1], table.idle[t]
+                        )
                         done = _spend(begun, table.service[t], 0.0, table.full)
                         if done.left < 0.0 or done.time > table.window[t, 1] + _EPSILON:
                             continue
@@ -543,6 +557,7 @@ class Tours(NamedTuple):
     finish: FloatTable  # (R, N): energy to where a robot may end [J]
     service_time: FloatTable  # (R, n): time of each task [s]
     window: FloatTable  # (n, 2): earliest and latest begin [s]
+    idle: FloatTable  # (R, n): power of waiting at each task [W]
     change: Floats  # (n,): change of the payload by each task [kg]
     worth: Floats  # (n,): energy that doing a task is worth [J]
     budget: Floats  # (R,): energy at the start [J], and what a charge adds at most [J]
@@ -574,7 +589,9 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
             energy += tours.finish[r, here]
             break
         energy += tours.energy[r, here, goal]
-        time = max(time + tours.time[r, here, goal], tours.window[goal - 1, 0])
+        time += tours.time[r, here, goal]
+        wait = max(tours.window[goal - 1, 0] - time, 0.0)
+        energy, time = energy + tours.idle[r, goal - 1] * wait, time + wait
         load += tours.change[goal - 1]
         if time > tours.window[goal - 1, 1] + _EPSILON or load < -_GRAM:
             return np.inf

@@ -128,12 +128,14 @@ class Evaluation:
             for told, task in zip(tasks, self.mission.tasks, strict=True)
             if task.required and told.verdict == "unreachable"
         ]
-        end = self.end
+        end, route = self.end, self.route(self.end)
+        to_charger = end.node in self.legs.chargers and route[-2].name != route[-1].name
+        stops = route[1:] if to_charger else route[1:-1]
         drives = [piece.leg.path for piece in end.pieces if piece.leg is not None]
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
-            order=self._order(end),
+            order=tuple(stop.name for stop in stops),
             energy=end.total.mean,
             energy_upper=end.total.upper(self.walk.quantile),
             soc_end=end.expected.soc,
@@ -150,7 +152,7 @@ class Evaluation:
                 for piece in end.pieces
                 if piece.leg is not None and piece.leg.trajectory is not None
             ),
-            route=self.route(end),
+            route=route,
             uncertainty=doubts(self.walk, end),
             legs=leg_reports(self.walk, end),
             chargers=charger_reports(self.walk, end),
@@ -192,18 +194,6 @@ class Evaluation:
             return state
         self.done.append(task)
         return tried.after
-
-    def _order(self, end: State) -> tuple[str, ...]:
-        stops: list[int] = []
-        places = {*range(1, 1 + len(self.mission.tasks)), *self.legs.chargers}
-        done = {task + 1 for task in self.done}
-        nodes = [piece.goal for piece in end.pieces if piece.kind in ("drive", "work", "charge")]
-        order = [node for node in nodes if node in places]
-        for node in order:
-            if not stops or stops[-1] != node:
-                stops.append(node)
-        still = [node for node in done if node not in stops]
-        return tuple(self.legs.names[node] for node in (*still, *stops))
 
     def _arrival(self, task: int) -> float:
         """Return when the robot got to a task that is done [s]."""

@@ -110,6 +110,7 @@ class OrderProblem:
     charge_power: FloatArray  # (m,): energy stored per second at each charger [W]
     start_time: float = 0.0  # time at the start [s]
     full: float = np.inf  # energy of a full battery, the reserve taken off [J]
+    idle: FloatArray | None = None  # (n,): power of waiting at each task [W]; None for no power
     hurried_energy: Callable[[float], FloatArray] | None = None
     hurried_time: FloatArray | None = None
     given: bool = False  # whether no task may come before one of a lower number
@@ -123,6 +124,11 @@ class OrderProblem:
     def worth(self) -> FloatArray:
         """Prizes, with those of required tasks above the sum of all others."""
         return self.prize + np.where(self.required, 1.0 + self.prize.sum(), 0.0)
+
+    @property
+    def waiting(self) -> FloatArray:
+        """Power of waiting at each task [W]."""
+        return np.zeros(self.tasks) if self.idle is None else np.asarray(self.idle, float)
 
     def in_turn(self, tasks: Sequence[int]) -> OrderProblem:
         """Return the problem of some of the tasks, numbered in another way."""
@@ -141,6 +147,7 @@ class OrderProblem:
             finish_time=self.finish_time[nodes],
             hurried_energy=None if quick[0] is None else partial(between, quick[0]),
             hurried_time=None if quick[1] is None else quick[1][np.ix_(nodes, nodes)],
+            idle=self.waiting[mine],
             **{
                 name: getattr(self, name)[mine]
                 for name in ("service", "service_time", "payload_change", "prize", "required",
@@ -210,7 +217,7 @@ def _tours(
     size = 1 + n + m
     energy, time = np.full((2, robots, size, size), np.inf)
     finish = np.full((robots, size), np.inf)
-    service = np.zeros((robots, n))
+    service, idle = np.zeros((2, robots, n))
     window, change = np.tile([0.0, np.inf], (n, 1)), np.zeros(n)
     for r, (one, numbers) in enumerate(zip(problems, own, strict=True)):
         mine = np.array(numbers, int)
@@ -221,7 +228,7 @@ def _tours(
         energy[r][np.ix_(nodes, nodes)] = spent
         time[r][np.ix_(nodes, nodes)] = one.time[:k, :k]
         finish[r, nodes] = one.finish(one.payload)[:k]
-        service[r, mine] = one.service_time
+        service[r, mine], idle[r, mine] = one.service_time, one.waiting
         window[mine], change[mine] = one.window, one.payload_change
     # what a task is worth is more than all that any sequence takes
     dearest = np.where(np.isfinite(energy), np.abs(energy), 0.0).max(axis=(0, 1)).sum()
@@ -232,6 +239,7 @@ def _tours(
         finish=finish,
         service_time=service,
         window=window,
+        idle=idle,
         change=change,
         worth=2.0 * max(float(dearest), 1.0) / least * np.asarray(worth, float),
         budget=np.array([one.budget for one in problems], float),
@@ -354,6 +362,7 @@ def _table(problem: OrderProblem, reach: int) -> Table:
     room = _ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
     energy[:, :, asked > (left + room)[:, None]] = np.inf
     ends = np.isfinite(problem.window[:, 1])
+    opens = np.where(problem.waiting > 0, problem.window[:, 0], -np.inf)
     places = np.column_stack([np.arange(len(after)) == 0, there, np.ones((len(after), m), bool)])
     return Table(
         energy=np.concatenate([energy, energy.min(axis=0, keepdims=True)]),
@@ -363,16 +372,18 @@ def _table(problem: OrderProblem, reach: int) -> Table:
         service=service,
         service_time=np.asarray(problem.service_time, float),
         window=np.ascontiguousarray(problem.window, float).reshape(n, 2),
+        idle=np.append(problem.waiting, 0.0),
         worth=worth,
         change=change,
         loads=np.asarray(known, float),
-        after=np.ascontiguousarray(after, np.int64).reshape(-1, n),
+        after=np.ascontiguousarray(after, np.int64).reshape(len(after), n),
         there=np.ascontiguousarray(places),
         done=done @ worth,
         ahead=~done @ worth,
         load=loads,
         load_index=index.ravel().astype(np.int64),
         pressing=np.any(~done & ends, axis=1),
+        opening=np.where(done, -np.inf, opens).max(axis=1, initial=-np.inf),
         need=need,
         capacity=np.asarray(problem.capacity, float),
         charge_power=np.asarray(problem.charge_power, float),
@@ -457,17 +468,18 @@ def best_stops(
     asked = _Search(walk, state, tuple(tasks), progress)
     if not asked.exact:
         return asked.at_bounds().told()
-    hope = asked.tried(0.0)
-    if hope.end is not None and hope.order.proven and hope.true:
-        return hope.told(0.0)
-    found, low, high = asked.at_bounds(), 0.0, 1.0
-    for _ in range(_HALVES):
+    hope = asked.tried(0.0, ideal=True)
+    found, low, high = hope, 0.0, 1.0
+    if not asked.gap(hope, hope) <= _SAME:
+        found = min(hope, asked.at_bounds(), key=asked.rank)
+    for _ in range(_HALVES if walk.quantile > 0 else 0):
         if asked.gap(found, hope) <= _SAME:
             break
-        middle = asked.tried(0.5 * (low + high))
-        low, high = (0.5 * (low + high), high) if middle.end is None else (low, 0.5 * (low + high))
-        found = min(found, middle, key=asked.rank)
-    return found.told(asked.gap(found, hope) if hope.true else np.nan)
+        middle = 0.5 * (low + high)
+        tried = asked.tried(middle)
+        low, high = (middle, high) if tried.end is None else (low, middle)
+        found = min(found, tried, key=asked.rank)
+    return found.told(asked.gap(found, hope))
 
 
 @dataclass(frozen=True)
@@ -502,9 +514,11 @@ class _Search:
             k + 1: t.prize + whole * t.required for k, t in zip(tasks, chosen, strict=True)
         }
 
-    def tried(self, caution: float, scale: float = 1.0, late: float | None = None) -> _Trial:
+    def tried(
+        self, caution: float, scale: float = 1.0, late: float | None = None, ideal: bool = False
+    ) -> _Trial:
         """Solve at a caution, plan what is used, and drive what was found."""
-        matrix = Matrix(self.walk, self.state, self.tasks, caution, scale, late)
+        matrix = Matrix(self.walk, self.state, self.tasks, caution, scale, late, ideal)
         order = matrix.settled(self.progress)
         end = self.walk.arrives(self.walk.follow(self.state, order.stops, order.hurried))
         return _Trial(order, end, matrix.true)
@@ -534,17 +548,20 @@ class _Search:
 
     def gap(self, found: _Trial, hope: _Trial) -> float:
         """Return by which fraction of an order's energy a better one may exist at most."""
-        spent = 0.0 if found.end is None else found.end.total.mean - self.state.total.mean
-        if spent <= 0 or self.worth(found) < self.worth(hope) - _SAME:
+        if found.end is None or not hope.true or self.worth(found) < self.worth(hope) - _SAME:
             return float(np.nan)
+        spent = found.end.total.mean - self.state.total.mean
+        if spent <= 0:
+            return 0.0 if spent <= hope.order.bound + _SAME else float(np.nan)
         return max(1.0 - hope.order.bound / spent, 0.0)
 
 
 class Matrix:
     """Energies between places, known or bounded, and the energy that the battery holds.
 
-    With a caution of 0 all is as expected and the battery loses nothing; with 1 all is at its
-    bound, as the battery feels it. Times may have a caution of their own, `late`.
+    With a caution of 0 all is as expected; with 1 all is at its bound, as the battery feels it.
+    Times may have a caution of their own, `late`. An ideal battery loses nothing, and waiting for
+    a window then takes nothing: that bounds all orders.
     """
 
     def __init__(
@@ -555,9 +572,10 @@ class Matrix:
         caution: float,
         scale: float = 1.0,
         late: float | None = None,
+        ideal: bool = False,
     ) -> None:
         self._walk, self._state, self._tasks = walk, state, tuple(tasks)
-        self._caution, self._scale = caution, scale
+        self._caution, self._scale, self._ideal = caution, scale, ideal
         self._late = caution if late is None else late
         self.nodes = [state.node, *(task + 1 for task in tasks), *walk.legs.chargers]
         self._ends = walk.ends
@@ -644,7 +662,7 @@ class Matrix:
     def _fixed(self) -> dict[str, FloatArray]:
         """What no route changes: energies and times of the tasks."""
         walk, mission, payload = self._walk, self._walk.mission, self._state.payload
-        grounds, service, lasting = walk.legs.grounds, [], []
+        grounds, service, lasting, idle = walk.legs.grounds, [], [], []
         for k in self._tasks:
             region = walk.legs.region(k + 1)
             done = grounds.waiting(region, k, payload) + grounds.work(region, k, payload)
@@ -652,14 +670,16 @@ class Matrix:
             spread = np.linalg.norm(grounds.waiting_time(k) + grounds.dwell_time(k))
             more = self._late * walk.quantile * float(spread)
             lasting.append(mission.waiting + mission.tasks[k].dwell + more)
-        return {"service": np.array(service, float), "service_time": np.array(lasting, float)}
+            idle.append(0.0 if self._ideal else self._counted(grounds.idle(region, 1.0, payload)))
+        return {"service": np.array(service, float), "service_time": np.array(lasting, float),
+                "idle": np.array(idle, float)}  # fmt: skip
 
     def problem(self) -> OrderProblem:
         """Return the order problem on what is known now."""
         walk, mission, state = self._walk, self._walk.mission, self._state
         tasks = [mission.tasks[k] for k in self._tasks]
-        times, cautious = self._times(), min(self._caution, 1.0)
-        lost = cautious * (1.0 - mission.battery.charge_efficiency)
+        times = self._times()
+        kept = 1.0 if self._ideal else mission.battery.charge_efficiency
         reserve = self._stored(mission.reserve, mission.reserve)
         hurry = True in walk.ways
         inner = np.ix_(self.nodes, self.nodes)
@@ -680,7 +700,7 @@ class Matrix:
                 self._scale * (self._stored(c.until, walk.at_least(c.until)) - reserve)
                 for c in mission.chargers
             ]),
-            charge_power=np.array([c.power for c in mission.chargers]) * (1.0 - lost),
+            charge_power=np.array([c.power for c in mission.chargers]) * kept,
             start_time=state.time + late,
             full=self._scale * (self._stored(1.0, 1.0) - reserve),
             hurried_energy=partial(self._energy, hurried=True) if hurry else None,
@@ -690,9 +710,9 @@ class Matrix:
 
     def _stored(self, expected: float, least: float) -> float:
         """Return the energy that the battery gives from a state of charge to empty [J]."""
-        battery, cautious = self._walk.mission.battery, min(self._caution, 1.0)
-        most = float(battery.usable_energy(_LOSSLESS, expected))
-        return most + cautious * (float(battery.usable_energy(self._power, least)) - most)
+        power = _LOSSLESS if self._ideal else self._power
+        soc = expected + self._caution * (least - expected)
+        return float(self._walk.mission.battery.usable_energy(power, soc))
 
     # -- routes -----------------------------------------------------------------------------------
 

@@ -206,8 +206,10 @@ class Walk:
         high = self._charge(state.expected, charger.power, charger.until)
         gauge = self.legs.grounds.gauge
         last = min(max(low.t[-1], high.t[-1]), leave_by - state.time)
-        t = np.unique(np.append(np.concatenate([low.t, high.t]), max(last, _INSTANT)))
-        t = t[t <= max(last, _INSTANT)]
+        if last <= _INSTANT:
+            return state
+        t = np.unique(np.append(np.concatenate([low.t, high.t]), last))
+        t = t[t <= last]
         filled = [np.interp(t, one.t, one.soc) for one in (high, low)]
         power = np.where(t < min(high.t[-1], t[-1]), -charger.power, 0.0)
         t = state.time + t
