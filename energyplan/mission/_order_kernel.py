@@ -510,9 +510,7 @@ def search(table: Table, known: Known) -> Found:
                         there = _spend(here, spent, table.time[way, place, 1 + t], table.full)
                         if there.left < 0.0 or there.time > table.window[t, 1] + _EPSILON:
                             continue
-                        begun = _begin(
-                            there, table.window[t, 0], table.window[t, 1], table.idle[t]
-                        )
+                        begun = _begin(there, table.window[t, 0], table.window[t, 1], table.idle[t])
                         done = _spend(begun, table.service[t], 0.0, table.full)
                         if done.left < 0.0 or done.time > table.window[t, 1] + _EPSILON:
                             continue
