@@ -303,7 +303,9 @@ def foretold(model: PowerModel, drives: Sequence[Drive]) -> Foretold | None:
         for drive in drives:
             count = max(round(_STRETCHES * float(drive.t[-1]) / whole), 1)
             number = np.minimum(drive.t / drive.t[-1] * count, count - 1).astype(int)
-            parts += [drive.some(np.flatnonzero(number == k)) for k in range(count)]
+            stretches = [np.flatnonzero(number == k) for k in range(count)]
+            # of a stretch in a gap there is nothing
+            parts += [drive.some(stretch) for stretch in stretches if len(stretch) > 2]
     weights = [part.weights for part in parts]
     energy = np.array([float(w @ part.power) for w, part in zip(weights, parts, strict=True)])
     seconds = np.array([float(w.sum()) for w in weights])
