@@ -45,6 +45,7 @@ class Settings(NamedTuple):
     headings: int = 32  # headings of the coarsest lattice
     most_headings: int = 512  # headings of the finest lattice
     coarse: float = 2.0  # scale of the lattice on which ways through open ground are compared
+    less: float = 1e-6  # share of the cost by which a further path has to be cheaper
     hope: float = 1.08  # cost over the best one's that refinement may still make up for
     slice: int = 500  # expansions between two looks at the budget
 
@@ -353,7 +354,8 @@ class Search:
         """Return the cheapest motions to the goal, if they cost less than `limit`."""
         best = None
         while self.run(budget, limit=limit) == FOUND:
-            best, limit = self._to_goal()
+            best, cost = self._to_goal()
+            limit = (1.0 - SETTINGS.less) * cost
         return best
 
     def segments(self) -> Segments:
