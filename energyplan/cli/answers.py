@@ -80,7 +80,7 @@ def warn_with_answer() -> None:
     for line in former_options.get():
         warn(line)
     for name, source in presets_used.get().items():
-        warn(f"preset {name}: not measured on this robot, but taken from {source}")
+        warn(f"preset {name} was not measured on this robot; source: {source}")
 
 
 def verdict(yes: bool, strict: bool) -> None:
