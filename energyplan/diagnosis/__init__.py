@@ -52,6 +52,7 @@ from energyplan.fit import fit_icr, identify
 from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words, usual_effects
 from energyplan.fit.drive import Drive, Late, check_long_enough, prepared
 from energyplan.fit.estimate import PAPER, Problem, with_breakaway
+from energyplan.fit.identification import name_of
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
@@ -208,6 +209,7 @@ class _Case:
     ) -> None:
         self.entries = tuple(entries)
         self.logs = (tuple(train), tuple(holdout))
+        self.name = name_of(vehicle, self.logs[0])
         self.notes: list[str] = []
         self.limits: list[str] = []  # of what these drives can tell: said before anything else
         train, holdout = (self._in_step(logs) for logs in self.logs)
@@ -365,7 +367,9 @@ class _Case:
         return Diagnosis(
             verdict=verdict,
             effects=found,
-            model=_for_planners(told.model, used, replace(errors[1], run_spread=told.run_spread)),
+            model=_for_planners(
+                told.model, used, replace(errors[1], run_spread=told.run_spread), self.name
+            ),
             before=errors[0],
             after=errors[1],
             before_interval=interval(before),
@@ -410,7 +414,7 @@ class _Case:
             Explanation(
                 (*moved, *one.names), one.probability,
                 _for_planners(final_fit(one.problem, one.parts).model,
-                              [part.effect for part in one.parts], None),
+                              [part.effect for part in one.parts], None, self.name),
             )
             for one in searched.explanations[:_SHOWN]
             if one.probability >= _POSSIBLE * searched.best.probability
@@ -458,14 +462,13 @@ class _Case:
 
 
 def _for_planners(
-    model: PowerModel, used: Sequence[Effect], residual: Residual | None
+    model: PowerModel, used: Sequence[Effect], residual: Residual | None, name: str
 ) -> PowerModel:
     """Leave out what belongs to the log; a change happens at time 0, before any plan."""
     logged = {term.name for entry in used if entry.acts == "log" for term in entry.terms}
     keep = [k for k, term in enumerate(model.terms) if term.name not in logged]
     terms = [model.terms[k] for k in keep]
     covariance = None if model.covariance is None else model.covariance[np.ix_(keep, keep)]
-    name = "extended" if used else "paper"
     return PowerModel(
         model.vehicle, tuple(terms), model.coefficients[keep], covariance, residual, name
     )

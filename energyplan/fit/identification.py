@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, cast
 
@@ -607,6 +608,12 @@ class Identification(ByValue, html.Readable):
         return value - reach, value + reach
 
 
+def name_of(vehicle: Vehicle, logs: Sequence[DriveLog]) -> str:
+    """Return the name of a model: its robot and the drives that it is of, which tell the ground."""
+    more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+    return f"{vehicle.name}, {Path(logs[0].name).stem}{more}"
+
+
 @checked()
 def identify(
     logs: DriveLog | Sequence[DriveLog],
@@ -615,7 +622,7 @@ def identify(
     terms: Sequence[Term] = (SLIP, TRACTION),
     method: Method = "lad",
     icr: ICRChoice | TreadICR = "auto",
-    name: str = "identified",
+    name: str = "",
 ) -> Identification:
     """Identify a power model from drive logs.
 
@@ -639,7 +646,7 @@ def identify(
         ``symmetric`` and ``asymmetric`` raise if the logs do not determine them. ``vehicle`` or
         given values: not identified.
     name : str
-        Name of the model.
+        Name of the model; by default that of the robot and of its drives.
 
     Returns
     -------
@@ -694,6 +701,7 @@ def identify(
     vehicle = vehicle.with_icr(settled)
     bounds = Bounds(*np.array([term.bounds for term in terms], float).T)
     start = bounds.clip(np.zeros(len(terms)))
+    name = name or name_of(vehicle, drives)
     model = PowerModel(vehicle, tuple(terms), start, name=name)
 
     turning = turned(drives, settled)
