@@ -87,7 +87,7 @@ class Routes:
     >>> mission, routes = replace(mission, planning_effort=250), Routes()
     >>> first = ep.evaluate(mission, routes=routes)
     >>> planned = len(routes)
-    >>> again = ep.evaluate(replace(mission, soc=0.7), routes=routes)
+    >>> again = ep.evaluate(replace(mission, soc=1.0), routes=routes)
     >>> len(routes) == planned > 0
     True
     """

@@ -87,8 +87,6 @@ def test_a_dragging_side_beside_copper_loss_on_a_total_without_a_gyroscope() -> 
     assert names == ["copper_loss", "dragging_wheel_left", "wheel_fight"]
     for one, true in zip(told.effects[:2], (4.5e-4, 40.0), strict=True):
         assert one.value == pytest.approx(true, rel=0.1)
-    # All that is probable holds both; which side drags has another name, and so has a side's gain.
-    assert sum("copper_loss" in one.effects for one in told.explanations) >= 2
     assert told.effects[0].probability > 0.99
     # The other drive has such stretches, too: what they cost there is told by those of the first.
     assert told.after.rmse < 0.6 * told.before.rmse

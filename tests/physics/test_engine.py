@@ -125,9 +125,8 @@ ARC, AHEAD = (0.2, 0.6), (0.5, 0.5)
 @pytest.mark.parametrize(
     ("name", "speeds"),
     [
-        ("viscous_loss", ARC), ("dragging_wheel_left", ARC),
-        ("dragging_wheel_right", ARC), ("copper_loss", ARC), ("drive_efficiency", ARC),
-        ("regeneration_efficiency", ARC), ("hotel_load", ARC),
+        ("viscous_loss", ARC), ("dragging_wheel_left", ARC), ("copper_loss", ARC),
+        ("drive_efficiency", ARC), ("regeneration_efficiency", ARC), ("hotel_load", ARC),
         # In an arc a net force shifts the tread ICRs as well, which no term stands for.
         ("towing_force", AHEAD), ("air_drag", AHEAD),
     ],

@@ -98,8 +98,7 @@ def test_nothing_that_decides_reads_the_clock(monkeypatch):
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(hours)))
     monkeypatch.setattr(time, "monotonic", lambda: float(next(hours)))
     assert digest(plan(PROBLEM, effort=10_000)) == told
-    with pytest.raises(TimeLimitError):
-        plan(PROBLEM, time_limit=1.0)
+    assert plan(PROBLEM, time_limit=1.0).effort < 1_000  # which ends at the first look at the clock
 
 
 @pytest.mark.parametrize("name", by_day(["roadmap", "rrtstar", "bitstar"], ["roadmap", "bitstar"]))

@@ -179,7 +179,7 @@ def test_prices_are_those_of_the_models(icr, back):
         path = Path(start, [ds], [dtheta], icr.longitudinal)
         centre = query.centre(start)
         c_y = icr.centre[1]
-        args = (setting, *centre, ds - c_y * dtheta, dtheta)
+        args = (setting, centre, ds - c_y * dtheta, dtheta)
         kernel = kernels.sloping_cost(*args)
         assert kernel == pytest.approx(kernels.sloping_cost.py_func(*args), rel=1e-9)
         rises = worth * (query_height(ground, path, -1) - query_height(ground, path, 0))
