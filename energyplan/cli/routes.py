@@ -578,7 +578,7 @@ def mission(
             )
         asked = mission_from(
             {
-                "name": "mission", "model": model, "map": str(map_file), "battery": battery,
+                "model": model, "map": str(map_file), "battery": battery,
                 "start": start, "soc": soc or "100 %", "reserve": reserve or "20 %",
                 "return_to": "start" if back else "any",
                 "tasks": [_task(text) for text in task or []],

@@ -83,7 +83,7 @@ class _Battery(_Strict):
 
 
 class _Mission(SiteFile, _Strict):
-    name: str = "mission"
+    name: str = ""
     vehicle: str | None = None
     model: str
     payload_models: dict[str, dict[float, str]] = {}
@@ -165,6 +165,7 @@ class MissionReader:
         self._spec = document.check(
             _Mission, context={"places": places if isinstance(places, dict) else {}}
         )
+        self._name = self._spec.name or Path(document.source).stem
 
     def mission(self) -> Mission:
         """Return the mission."""
@@ -211,7 +212,7 @@ class MissionReader:
             home=spec.home,
             time=spec.time, speed=spec.speed, objective=spec.objective, planner=spec.planner,
             planning_time=spec.planning_time, planning_effort=spec.planning_effort,
-            name=spec.name,
+            name=self._name,
         )  # fmt: skip
 
     def _placed(self, loc: Loc, build: Callable[..., T], *args: Any, **values: Any) -> T:
@@ -308,7 +309,7 @@ class MissionReader:
         if isinstance(spec, str):
             source = self._file(spec) if _is_yaml(spec) else spec
             return self._placed(("battery",), read_battery, source)
-        return _built(spec, self._spec.name, self._document, ("battery",))
+        return _built(spec, self._name, self._document, ("battery",))
 
 
 def _built(spec: _Battery, name: str, document: Document, at: Loc) -> Battery:

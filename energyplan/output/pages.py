@@ -430,7 +430,7 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
 
 def mission_page(told: MissionReport) -> Page:
     """Return the report of a mission, flagged tasks first."""
-    page = Page(f"Mission {told.mission.name}")
+    page = Page(f"Mission: {told.mission.name}")
     _models(page, told.mission.model, told.mission.surfaces)
     flagged = [task for task in told.tasks if task.verdict == "unreachable"]
     page.paragraph(f"{told.sentence[0].upper()}{told.sentence[1:]}. It ends at {told.end}.", "lead")
