@@ -50,7 +50,7 @@ def iso_energy() -> Figure:
     x, y = np.meshgrid(side, side)
     made = Figure(figsize=(plots.WIDTH, 5.2), layout="constrained")
     axes = made.subplots(2, 2, sharex=True, sharey=True)
-    for row, (c, ground) in zip(axes, ((0.2, "turning is cheap"), (2.7, "turning is expensive")),
+    for row, (c, ground) in zip(axes, ((0.2, "cheap turns"), (2.7, "expensive turns")),
                                 strict=True):  # fmt: skip
         cost = ep.EnergyCost.from_coefficients(per_metre=1.0, per_radian=c, icr=1.0)
         for ax, heading in zip(row, (0, 90), strict=True):
