@@ -66,7 +66,6 @@ FlagTable = Annotated[NDArray[np.bool_], 2]
 
 Column = Annotated[NDArray[np.float64], 1, STRIDED, READONLY]
 AnyTable = Annotated[NDArray[np.float64], 2, STRIDED, READONLY]
-AnyBlock = Annotated[NDArray[np.float64], 3, STRIDED, READONLY]
 AnyInts = Annotated[NDArray[np.int64], 1, STRIDED, READONLY]
 """What is read alone may have any layout, as the columns of a table do."""
 

@@ -193,7 +193,6 @@ class Gain:
     p_value: float  # of its coefficients being zero, times the number of candidates
     weight: float  # by how much it raises the logarithm of the set's likelihood
     share: float  # root of the fall of the mean square error, over the root mean square power
-    falls: FloatArray  # (scales,) [W^2]
     lasting: float  # fall of the cross-validated loss without the block that shows most of it
 
 
@@ -689,8 +688,7 @@ class Search:
         return Gain(
             float(blocks.sum()), float(np.sqrt(len(blocks)) * blocks.std(ddof=1)),
             self._p_value(full, part, looks), self.score(full) - self.score(less),
-            float(np.sqrt(max(shares.sum(axis=1).max(), 0.0))), fall.sum(axis=1)[: len(SCALES)],
-            float(blocks.sum() - blocks.max()),
+            float(np.sqrt(max(shares.sum(axis=1).max(), 0.0))), float(blocks.sum() - blocks.max()),
         )  # fmt: skip
 
     def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:

@@ -434,22 +434,6 @@ class Problem:
                 return found
             linear = possible
 
-    def means(
-        self, extra: Sequence[Term], terms: Sequence[Term] = (), values: FloatArray | None = None
-    ) -> list[FloatArray]:
-        """Return window means of the columns of further terms beside a model's."""
-        columns = []
-        for drive in self.drives:
-            if values is not None and is_lossy(drive, terms):
-                whole = np.append(values, np.zeros(len(extra)))
-                wanted = range(len(terms), len(whole))
-                about = linearise_drive(drive, self.vehicle, [*terms, *extra], whole, wanted)
-                columns.append(about.columns)
-            else:
-                found = np.stack([columns_of(t, drive, self.vehicle) for t in extra], axis=-1)
-                columns.append(drive.observed(found))
-        return window_means(self.drives, columns)
-
     def reference(self, design: Design) -> FloatArray:
         """Return the cross-validated error of a design, plus the floor, at each scale [W^2]."""
         errors = np.full(len(design.rows), 1.0)

@@ -272,7 +272,6 @@ class Kind:
     meaning: str  # one line
     draw: _Draw  # ``draw(robot, rng) -> float``, a size worth finding
     details: tuple[str, ...] = ()  # further numbers that it takes
-    electrical: bool = False  # whether it acts between battery and shaft
 
 
 def _resistance(robot: Robot) -> float:
@@ -340,19 +339,19 @@ _EFFECTS: dict[str, Kind] = {
     ),
     "hotel_load": Kind(
         _grows("hotel"), "W", "constant draw",
-        _times(0.2, 0.8, lambda r: 2 * _resistance(r) * FULL_EFFORT), electrical=True,
+        _times(0.2, 0.8, lambda r: 2 * _resistance(r) * FULL_EFFORT),
     ),
     "drive_efficiency": Kind(
         _grows("drive_loss"), "1", "1/eta - 1: power lost while drawing",
-        _times(0.1, 0.35, _one), electrical=True,
+        _times(0.1, 0.35, _one),
     ),
     "regeneration_efficiency": Kind(
         _grows("regeneration_loss"), "1", "1 - eta_r: power lost while returning",
-        _times(0.3, 1.0, _one), electrical=True,
+        _times(0.3, 1.0, _one),
     ),
     "copper_loss": Kind(
         _grows("copper"), "W/N^2", "heat in the windings",
-        _times(0.1, 0.35, lambda r: FULL_EFFORT / _resistance(r)), electrical=True,
+        _times(0.1, 0.35, lambda r: FULL_EFFORT / _resistance(r)),
     ),
 }  # fmt: skip
 

@@ -29,7 +29,7 @@ from energyplan.planning.space.cost_to_go import (
     node_at,
     to_and_fro,
 )
-from energyplan.planning.space.motions import KernelProblem, join, surface_at, turn_prices
+from energyplan.planning.space.motions import KernelProblem, join, pose_at, surface_at, turn_prices
 from energyplan.planning.space.queues import angle_between, pop, push, slot_of
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 from energyplan.terrain.collision import Body, pose_free
@@ -76,12 +76,6 @@ class Passage(NamedTuple):
     poses: FloatTable  # (n, 3): from one end to the other
     tests: int  # poses that were tested
     closed: bool
-
-
-@njit
-def _pose(poses: FloatTable, k: int) -> Pose:
-    """Return a row as a pose."""
-    return Pose(poses[k, 0], poses[k, 1], poses[k, 2])
 
 
 @njit
@@ -253,7 +247,7 @@ def follow(
     at = 0
     written = 0
     tried = 0
-    here = _pose(poses, 0)
+    here = pose_at(poses, 0)
     far = SETTINGS.longest
     while at < last and tried < limit and written + MAX_SEGMENTS <= len(ds):
         # so many poses further, or that part of the way to the next one
@@ -569,7 +563,9 @@ def join_poses(
             if steer_energy(dx, dy, poses[i, 2], poses[j, 2], setting.steering) >= left:
                 continue
             tried += 1
-            cost, _ = join(setting, _pose(poses, i), _pose(poses, j), left, part_ds, part_dtheta)
+            cost, _ = join(
+                setting, pose_at(poses, i), pose_at(poses, j), left, part_ds, part_dtheta
+            )
             if cost < left:
                 best[j] = best[i] + cost
                 before[j] = i
@@ -587,7 +583,7 @@ def join_poses(
     for k in range(n - 1, 0, -1):
         i = order[k]
         j = order[k - 1]
-        _, m = join(setting, _pose(poses, i), _pose(poses, j), inf, part_ds, part_dtheta)
+        _, m = join(setting, pose_at(poses, i), pose_at(poses, j), inf, part_ds, part_dtheta)
         for s in range(m):
             ds[written + s] = part_ds[s]
             dtheta[written + s] = part_dtheta[s]

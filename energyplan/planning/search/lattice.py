@@ -267,6 +267,13 @@ def grow(
     return RUNNING
 
 
+def joined(setting: KernelProblem, pose: Pose, to: Pose) -> tuple[Segments, float]:
+    """Return the cheapest free motion known between two poses, and its cost; infinite if none."""
+    ds, dtheta = np.empty((2, MAX_SEGMENTS))
+    cost, count = join(setting, pose, to, np.inf, ds, dtheta)
+    return Segments(ds[:count].copy(), dtheta[:count].copy()), cost
+
+
 def lattice_for(setting: KernelProblem, scale: float = 1.0) -> Lattice:
     """Return a lattice that suits the map and the body; `scale` below 1 makes it finer."""
     cell = max(setting.space.resolution, 0.2 * setting.reach) * scale
@@ -371,10 +378,7 @@ class Search:
             node = int(tree.parent[node])
         yaw = self.setting.start.yaw + int(tree.heading[last]) * self.lattice.turn
         pose = Pose(float(tree.x[last]), float(tree.y[last]), yaw)
-        ds, dtheta = np.empty((2, MAX_SEGMENTS))
-        cost, count = join(self.setting, pose, self.setting.goal, np.inf, ds, dtheta)
-        steps = np.array(chain[::-1]).reshape(-1, 2)
-        whole = Segments(
-            np.concatenate([steps[:, 0], ds[:count]]), np.concatenate([steps[:, 1], dtheta[:count]])
-        )
-        return whole, float(tree.g[last]) + cost
+        rest, cost = joined(self.setting, pose, self.setting.goal)
+        steps = np.array(chain[::-1]).reshape(-1, 2).T
+        whole = [np.concatenate(parts) for parts in zip(steps, rest, strict=True)]
+        return Segments(*whole), float(tree.g[last]) + cost

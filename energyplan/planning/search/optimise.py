@@ -23,7 +23,7 @@ from energyplan.compilation import Flags, Floats, FloatTable, Words, njit
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning.budget import UNITS, Budget, Work, do_together
 from energyplan.planning.space.compiled import CompiledProblem, Segments, merged
-from energyplan.planning.space.motions import KernelProblem, join, motion_cost
+from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
 from energyplan.terrain.collision import pose_free
 
@@ -103,8 +103,8 @@ def shortcut(
             limit = best[j] - best[i] - 1e-9 - stop
             if limit <= 0:
                 continue
-            a = pose_of(chain, i)
-            b = pose_of(chain, j)
+            a = pose_at(chain.poses, i)
+            b = pose_at(chain.poses, j)
             dx = b.x - a.x
             dy = b.y - a.y
             if setting.least_metre * hypot(dx, dy) >= limit:
@@ -129,7 +129,7 @@ def shortcut(
         j = before[j]
     for k in range(n):
         j = order[n - 1 - k]
-        _set_pose(chain, k, pose_of(chain, j))
+        _set_pose(chain, k, pose_at(chain.poses, j))
         chain.step[k] = 0.3
         if k > 0:
             chain.cost[k - 1] = edge[j]
@@ -162,12 +162,6 @@ def random_number(state: Words) -> float:
 
 
 @njit
-def pose_of(chain: Chain, k: int) -> Pose:
-    """Return a pose of the chain."""
-    return Pose(chain.poses[k, 0], chain.poses[k, 1], chain.poses[k, 2])
-
-
-@njit
 def _set_pose(chain: Chain, k: int, pose: Pose) -> None:
     chain.poses[k, 0] = pose.x
     chain.poses[k, 1] = pose.y
@@ -177,7 +171,7 @@ def _set_pose(chain: Chain, k: int, pose: Pose) -> None:
 @njit
 def _copy(chain: Chain, k: int, other: int) -> None:
     """Set a place of the chain to what stands at another one."""
-    _set_pose(chain, k, pose_of(chain, other))
+    _set_pose(chain, k, pose_at(chain.poses, other))
     chain.cost[k] = chain.cost[other]
     chain.kept[k] = chain.kept[other]
     chain.ds[k] = chain.ds[other]
@@ -191,8 +185,8 @@ def _try_move(
 ) -> bool:
     """Move pose `k` of the chain if that is cheaper and free."""
     old = chain.cost[k - 1] + chain.cost[k]
-    a = pose_of(chain, k - 1)
-    b = pose_of(chain, k + 1)
+    a = pose_at(chain.poses, k - 1)
+    b = pose_at(chain.poses, k + 1)
     steering = setting.steering
     before = steer_energy(pose.x - a.x, pose.y - a.y, a.yaw, pose.yaw, steering)
     rest = steer_energy(b.x - pose.x, b.y - pose.y, pose.yaw, b.yaw, steering)
@@ -228,8 +222,8 @@ def insert_pose(
     dtheta: Floats,
 ) -> int:
     """Put one more pose onto the motion from pose `k` to the next one; return the new number."""
-    a = pose_of(chain, k)
-    b = pose_of(chain, k + 1)
+    a = pose_at(chain.poses, k)
+    b = pose_at(chain.poses, k + 1)
     pose = a
     costs = (inf, inf)
     # the whole motion, on which the pose is chosen; then the way there, and the way on
@@ -292,8 +286,8 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
         k = 1 + int(random_number(state) * (count - 2))
         if what < 0.08:
             old = chain.cost[k - 1] + chain.cost[k]
-            a = pose_of(chain, k - 1)
-            b = pose_of(chain, k + 1)
+            a = pose_at(chain.poses, k - 1)
+            b = pose_at(chain.poses, k + 1)
             limit = old * (1 + 1e-12)
             cost, _ = join(setting, a, b, limit, ds, dtheta)
             if cost < inf:
@@ -326,7 +320,7 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
 def fill_costs(chain: Chain, setting: KernelProblem, count: int) -> None:
     """Price the motions given between the poses of a chain."""
     for k in range(count - 1):
-        chain.cost[k] = motion_cost(setting, pose_of(chain, k), chain.ds[k], chain.dtheta[k])
+        chain.cost[k] = motion_cost(setting, pose_at(chain.poses, k), chain.ds[k], chain.dtheta[k])
 
 
 @njit
@@ -347,8 +341,8 @@ def unfold(
             dtheta[n] = chain.dtheta[k]
             n += 1
             continue
-        a = pose_of(chain, k)
-        b = pose_of(chain, k + 1)
+        a = pose_at(chain.poses, k)
+        b = pose_at(chain.poses, k + 1)
         _, m = join(setting, a, b, inf, part_ds, part_dtheta)
         for i in range(m):
             ds[n + i] = part_ds[i]
@@ -374,8 +368,8 @@ def reopen(chain: Chain, setting: KernelProblem, count: int) -> int:
 @njit
 def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Floats) -> bool:
     """Join pose `k` to the next one, and tell whether that is free."""
-    a = pose_of(chain, k)
-    b = pose_of(chain, k + 1)
+    a = pose_at(chain.poses, k)
+    b = pose_at(chain.poses, k + 1)
     cost, _ = join(setting, a, b, inf, ds, dtheta)
     chain.cost[k] = cost
     chain.kept[k] = False
@@ -430,7 +424,7 @@ def unblock(
             before += cost[i] == inf
         after = 0
         for i in range(first, last + 1):
-            here = pose_of(chain, i)
+            here = pose_at(chain.poses, i)
             if not pose_free(setting.space, setting.body, here.x, here.y, here.yaw):
                 after = before
         for i in range(first - 1, last + 1):
@@ -603,10 +597,6 @@ TURN = 400
 
 SAME = 1e-9
 """Part of the cost by which two paths that are entered differ, or are one: rounding."""
-
-
-AGAIN = 2
-"""How often the best path is refined anew, each time with other random numbers, at once."""
 
 
 class Portfolio:

@@ -35,7 +35,7 @@ from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.search.follow import follow_route
-from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, lattice_for
+from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, joined, lattice_for
 from energyplan.planning.search.lattice import SETTINGS as LATTICE
 from energyplan.planning.search.optimise import SAME, Portfolio, Refiner
 from energyplan.planning.search.optimise import SETTINGS as PORTFOLIO
@@ -59,8 +59,7 @@ from energyplan.planning.space.cost_to_go import (
     reached,
     regions_for,
 )
-from energyplan.planning.space.motions import KernelProblem, join
-from energyplan.steering.kernels import MAX_SEGMENTS
+from energyplan.planning.space.motions import KernelProblem
 from energyplan.terrain.collision import motion_free
 
 
@@ -172,14 +171,18 @@ class Paths:
         if way is not None:
             self.enter(self.ends.whole(way))
 
+    def _enter_all(self, ways: Iterable[Segments]) -> None:
+        """Enter ways between the ends."""
+        for way in ways:
+            self._enter(way)
+
     def _enter_direct(self) -> bool:
         """Enter the exact motion from end to end, straighter than any route, if it is free."""
         setting = self.ends.between(self.setting)
-        ds, dtheta = np.empty((2, MAX_SEGMENTS))
-        cost, count = join(setting, setting.start, setting.goal, np.inf, ds, dtheta)
-        if cost < np.inf:
-            self._enter(Segments(ds[:count].copy(), dtheta[:count].copy()))
-        return cost < np.inf
+        motions, cost = joined(setting, setting.start, setting.goal)
+        free = cost < np.inf
+        self._enter(motions if free else None)
+        return free
 
     def _enter_way(self) -> bool:
         """Enter the path along the shortest route, if it can be followed; tell whether it can."""
@@ -192,8 +195,7 @@ class Paths:
         """Enter the paths along other routes; tell whether one can be followed."""
         setting = self.ends.between(self.setting)
         ways = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage))
-        for way in ways:
-            self._enter(way)
+        self._enter_all(ways)
         return bool(ways)
 
     def _enter_slots(self) -> bool:
@@ -232,16 +234,9 @@ class Paths:
         """Find further paths until the searches' part of the budget is over, or the gap closed."""
         searching = self.budget.part(SHARES.stage)
         self.kept = SHARES.aside * self.budget.left
-        setting, to_go = self.ends.between(self.setting), self.to_go
-
-        def routes(own: Budget) -> list[Segments]:
-            return cheapest_routes(setting, to_go, own)
-
-        def take(found: list[Segments]) -> None:
-            for way in found:
-                self._enter(way)
-
-        routing = Work(routes, SHARES.stage * searching.left, take)
+        setting = self.ends.between(self.setting)
+        routes = partial(cheapest_routes, setting, self.to_go)
+        routing = Work(routes, SHARES.stage * searching.left, self._enter_all)
         comparing = self._compared(SHARES.aside * searching.left)
         do_together(searching, [*self.portfolio.turns(self.enough), routing, comparing])
         if searching.over or self.done:

@@ -293,6 +293,12 @@ def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: F
 
 
 @njit
+def pose_at(poses: FloatTable, k: int) -> Pose:
+    """Return a row of poses as a pose."""
+    return Pose(poses[k, 0], poses[k, 1], poses[k, 2])
+
+
+@njit
 def join(
     setting: KernelProblem, pose: Pose, to: Pose, limit: float, ds: Floats, dtheta: Floats
 ) -> tuple[float, int]:
