@@ -1,314 +1,356 @@
-"""Make the table of the model card: how well energies of unseen drives are predicted.
+"""Make the tables of the model card: how well energies of drives that were left out are predicted.
 
-``python benchmarks/card.py --data FOLDER --out docs/model_card.md`` writes them between the page's
-marks; without ``--out`` it prints them. FOLDER holds ``borealtc``, ``vulpi``, ``drive`` and
-``quadriga_mujoco`` as docs/model_card.md tells; without it only the simulated rows are made.
-Every row learns from some drives and is judged on others. Nothing is left out of a row: a case that
-ends in an error is counted. All rows take about twenty minutes on one core. ``--runs`` makes the
-second table alone: one run after the other of a ground left out, and predicted from all others.
-``--single`` makes the third one alone: each run is predicted from one other alone.
+    python benchmarks/card.py FOLDER [TABLE...] [--ground NAME...] [--write docs/model_card.md]
+
+FOLDER holds the data that docs/model_card.md lists; each TABLE, by default all, goes between its
+marks in the page or is printed:
+
+    grounds      each real run from the others of its ground, and what is left of it after a quarter
+    closed_loop  trajectories of a physics engine from the drives between other poses
+    other        simulated drives, and the engine's with one hidden effect each
+    single       each real run from the one before it alone
+
+A case that ends in an error is counted. Every run is told on stderr. All take about half an hour.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.stats import norm
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError, NotIdentifiableError
 from energyplan.fit import fit_residual
+from energyplan.fit.online import RunMemory
 from energyplan.io.husky import read_husky
+from energyplan.io.tables import read_trajectory
 from energyplan.power import TRACTION
 
-SEEDS = range(5)
 SHORTEST = 16.0
-"""Shortest run that the card counts [s]."""
+"""Shortest run that is predicted [s]."""
+
+PARTS = {"MIXED": 8}
+"""Parts that a single drive is cut into, where they are not `USUAL_PARTS`."""
+
+USUAL_PARTS = 5
+
+IDLE = 0.1
+"""Share of the usual power below which a part tells no relative error."""
 
 POINT = 0.01
 """One percentage point."""
 
-NORMAL_MAD = 1.4826
-"""Standard deviation of normal values over their median size."""
-
-MARKS = ("<!-- tables: python benchmarks/card.py -->", "<!-- end of tables -->")
+SEEDS = range(5)
 
 
-class Case(NamedTuple):
-    """What was learned from and judged on."""
-
-    robot: str
-    ground: str
-    train: list[ep.DriveLog]
-    judge: list[ep.DriveLog]
-    vehicle: ep.Vehicle
+# -- real runs -------------------------------------------------------------------------------------
 
 
-class Row(NamedTuple):
-    """What came of the cases of one robot and ground."""
-
-    robot: str
-    ground: str
-    drives: int
-    within: int
-    before: list[float]
-    after: list[float]
-    failed: int
-
-
-def simulated() -> Iterator[Case]:
-    """Yield drives of the paper's robot that obey its model, with noise; the easiest case."""
-    for ground in ("empty:marble", "empty:concrete", "full:marble", "full:concrete"):
-        model = ep.PowerModel.preset(f"quadriga:{ground}")
-        for seed in SEEDS:
-            noise = {"power_noise": 10.0, "correlation_time": 0.2, "speed_noise": 0.005}
-            train = ep.simulate.identification_drive(model, seed=seed, **noise)
-            judge = ep.simulate.validation_drive(model, seed=100 + seed, **noise)
-            yield Case("Quadriga, simulated by the model", ground.replace(":", ", "), [train],
-                       [judge], model.vehicle)  # fmt: skip
-
-
-def engine(folder: Path) -> Iterator[Case]:
-    """Yield drives of a physics engine that uses no equation of the model, with hidden effects."""
-    for file in sorted(folder.glob("*_s2_ident.csv.gz")):
-        stem = file.name.removesuffix("_ident.csv.gz")
-        vehicle = ep.Vehicle.preset("quadriga" if "empty" in stem else "quadriga:full")
-        plain = "no hidden effect" if stem.startswith("none") else "one hidden effect each"
-        judge = ep.DriveLog.read(folder / f"{stem}_valid.csv.gz")
-        yield Case(
-            "Quadriga in a physics engine", plain, [ep.DriveLog.read(file)], [judge], vehicle
-        )
-
-
-def warthog(file: Path) -> Iterator[Case]:
-    """Yield a real Warthog's drive, cut in two."""
-    log = ep.DriveLog.read(file)
-    cut = float(log.t[0] + 0.6 * (log.t[-1] - log.t[0]))
-    first, last = log.segment(float(log.t[0]), cut), log.segment(cut, float(log.t[-1]))
-    yield Case("Warthog, real", "grass", [first], [last], ep.Vehicle.preset("warthog"))
-
-
-class Run(NamedTuple):
-    """A run that was left out: relative errors of its energy."""
+class Ground(NamedTuple):
+    """Runs of one robot on one ground."""
 
     name: str
-    two_terms: float
-    after: float
-    within: bool
+    runs: list[ep.DriveLog]
+    vehicle: ep.Vehicle
+
+    def judged(self) -> Iterator[ep.DriveLog]:
+        """Yield the runs in which the robot moves."""
+        usual = np.median([log.energy / log.duration for log in self.runs])
+        return (log for log in self.runs if log.energy > IDLE * usual * log.duration)
 
 
-def runs_of(folder: Path) -> list[ep.DriveLog]:
-    """Return the runs of a ground that are long enough to count."""
-    logs = [read_husky(file) for file in sorted(folder.glob("pro_*.csv"))]
+def grounds(folder: Path, only: list[str]) -> Iterator[Ground]:
+    """Yield the grounds that are asked for, or all."""
+    husky, warthog = (ep.Vehicle.preset(name) for name in ("husky_a200", "warthog"))
+    places = [*sorted(folder.glob("borealtc/*/")), *sorted(folder.glob("vulpi/*/"))]
+    files = sorted(folder.glob("drive/warthog*.csv"))
+    known = [place.stem.upper() for place in (*places, *files)]
+    if unknown := [name for name in only if name not in known]:
+        raise SystemExit(f"no ground {unknown[0]!r} in {folder}; there are {', '.join(known)}")
+    for place, name in zip((*places, *files), known, strict=True):
+        if name in (only or known):
+            real = place.is_dir()
+            logs = [read_husky(file) for file in sorted(place.glob("pro_*.csv"))] if real else [
+                ep.DriveLog.read(place)
+            ]  # fmt: skip
+            yield Ground(name, runs_of(name, logs), husky if real else warthog)
+
+
+def runs_of(name: str, logs: list[ep.DriveLog]) -> list[ep.DriveLog]:
+    """Return the runs that are long enough, and one long drive in parts."""
+    if len(logs) == 1:
+        (log,) = logs
+        cuts = np.linspace(log.t[0], log.t[-1], PARTS.get(name, USUAL_PARTS) + 1).tolist()
+        logs = [log.segment(a, b) for a, b in pairwise(cuts)]
     return [log for log in logs if log.duration >= SHORTEST]
 
 
-def grounds(folder: Path, only: Sequence[str]) -> list[Path]:
-    """Return the folders of the grounds that are asked for, or of all."""
-    found = {one.name: one for one in (*sorted(folder.glob("borealtc/*/")),
-                                       *sorted(folder.glob("vulpi/*/")))}  # fmt: skip
-    for name in only:
-        if name not in found:
-            raise SystemExit(f"no ground {name!r} in {folder}; there are {', '.join(found)}")
-    return [found[name] for name in only or found]
-
-
-def single_table(folder: Path, only: Sequence[str] = ()) -> str:
-    """Return how each run is predicted from the one before it alone, as Markdown."""
-    lines = [
-        "| ground | pairs of runs | error of energy, median | mean | in the 90 % interval "
-        "| half width of the interval, median |",
-        "|---|---|---|---|---|---|",
-    ]
-    vehicle, made = ep.Vehicle.preset("husky_a200"), list[tuple[str, float, float, bool]]()
-    for ground in grounds(folder, only):
-        logs = runs_of(ground)
-        for train, unseen in pairwise([logs[-1], *logs]):
-            (one,) = ep.diagnose(train, holdout=unseen, vehicle=vehicle).predictions
-            low, high = one.energy_interval
-            size = abs(one.measured)
-            made.append((ground.name, abs(one.energy - one.measured) / size,
-                         0.5 * (high - low) / size, low <= one.measured <= high))  # fmt: skip
-    for name in (*dict.fromkeys(one[0] for one in made), "all"):
-        some = [one[1:] for one in made if name in ("all", one[0])]
-        error, half, within = np.array(some, float).T
-        lines.append(
-            f"| {name.lower().replace('_', ' ')} | {len(some)} | {100 * np.median(error):.0f} % "
-            f"| {100 * error.mean():.0f} % | {100 * within.mean():.0f} % "
-            f"| {100 * np.median(half):.0f} % |"
-        )
-    return "\n".join(lines)
-
-
-def runs_left_out(folder: Path) -> list[Run]:
-    """Predict each run of a Husky on one ground from all others: two terms, and diagnosis."""
-    vehicle, logs = ep.Vehicle.preset("husky_a200"), runs_of(folder)
-    found = []
-    for unseen in logs:
-        rest = [log for log in logs if log is not unseen]
-        told = ep.diagnose(rest, holdout=unseen, vehicle=vehicle)
-        (one,) = told.predictions
-        low, high = one.energy_interval
-        found.append(
-            Run(unseen.name, two_terms(rest, unseen, vehicle), one.energy / one.measured - 1.0,
-                low <= one.measured <= high)
-        )  # fmt: skip
-    return found
-
-
-def two_terms(rest: list[ep.DriveLog], unseen: ep.DriveLog, vehicle: ep.Vehicle) -> float:
-    """Relative error of a run's energy by the paper's two terms, least absolute deviations."""
+def two_terms(rest: list[ep.DriveLog], vehicle: ep.Vehicle) -> ep.PowerModel:
+    """Fit the paper's two terms by least absolute deviations."""
     try:
-        model = ep.identify(rest, vehicle).model
+        return ep.identify(rest, vehicle).model
     except NotIdentifiableError:  # hardly any turning: the message says to leave the term out
-        model = ep.identify(rest, vehicle, terms=(TRACTION,)).model
-    return fit_residual(model, unseen).energy_error
+        return ep.identify(rest, vehicle, terms=(TRACTION,)).model
 
 
-def with_hindsight(folder: Path) -> float:
+class Run(NamedTuple):
+    """Relative errors of the energy of a run that was left out, and of its last three quarters."""
+
+    two_terms: float
+    handed_on: float
+    within: bool  # whether the 90 % interval holds the measured energy
+    rest: float  # of the last three quarters, by the two terms
+    rest_factored: float  # of the same, with the factor of the first quarter
+
+
+def left_out(ground: Ground) -> list[Run]:
+    """Predict each run from all others."""
+    made = []
+    for run in ground.judged():
+        former = [log for log in ground.runs if log is not run]
+        (told,) = ep.diagnose(former, run, ground.vehicle).predictions
+        low, high = told.energy_interval
+        model = two_terms(former, ground.vehicle)
+        cut = float(run.t[0]) + 0.25 * run.duration
+        first, left = run.segment(float(run.t[0]), cut), run.segment(cut, float(run.t[-1]))
+        so_far, rest = (fit_residual(model, log).energy_error for log in (first, left))
+        factor = RunMemory.of(former, model).factor(first.energy, first.energy * (1.0 + so_far))
+        made.append(
+            Run(fit_residual(model, run).energy_error, told.energy / told.measured - 1.0,
+                low <= told.measured <= high, rest, factor * (1.0 + rest) - 1.0)
+        )  # fmt: skip
+        print(f"  {run.name}: {made[-1]}", file=sys.stderr, flush=True)
+    return made
+
+
+def with_hindsight(ground: Ground) -> float:
     """Mean relative error of the paper's two terms, chosen for these very runs' energies.
 
     The least that any K and mu reach that hold for all runs of a ground, whatever they are learned
     from: a linear program. What is left is what the runs differ in.
     """
-    vehicle = ep.Vehicle.preset("husky_a200")
-    logs = [read_husky(file) for file in sorted(folder.glob("pro_*.csv"))]
-    logs = [log for log in logs if log.duration >= SHORTEST]
+    runs = list(ground.judged())
     one, both = (
-        np.array([1.0 + fit_residual(model, log).energy_error for log in logs])
-        for model in (ep.PowerModel.paper(vehicle, K=1.0, mu=0.0),
-                      ep.PowerModel.paper(vehicle, K=1.0, mu=1.0))
+        np.array([1.0 + fit_residual(model, log).energy_error for log in runs])
+        for model in (ep.PowerModel.paper(ground.vehicle, K=1.0, mu=0.0),
+                      ep.PowerModel.paper(ground.vehicle, K=1.0, mu=1.0))
     )  # fmt: skip
-    X, identity = np.stack([one, both - one], axis=1), np.eye(len(logs))
+    X, identity = np.stack([one, both - one], axis=1), np.eye(len(runs))
     found = linprog(
-        np.append(np.zeros(2), np.full(len(logs), 1.0 / len(logs))),
+        np.append(np.zeros(2), np.full(len(runs), 1.0 / len(runs))),
         A_ub=np.block([[X, -identity], [-X, -identity]]),
-        b_ub=np.repeat([1.0, -1.0], len(logs)),
+        b_ub=np.repeat([1.0, -1.0], len(runs)),
     )
     return float(found.fun)
 
 
-def exact_worse(made: list[Run]) -> float:
-    """Return how many runs an exact prediction is expected to lose by a point to two terms.
-
-    Exact but for what makes runs of one ground differ, a normal factor of each run that no channel
-    records: of the size that diagnosis misses runs by, in the median, and about its predictions.
-    Two terms are the better where that factor leads more than half of the way to theirs.
-    """
-    scatter = NORMAL_MAD * float(np.median([abs(run.after) for run in made]))
-    apart = np.abs([run.two_terms - run.after for run in made])
-    chance = norm.sf((apart + POINT) / (2.0 * scatter))
-    return float(chance[apart > POINT].sum())
-
-
-def runs_table(folder: Path, only: Sequence[str] = ()) -> str:
-    """Return the table of grounds with runs that were left out, as Markdown."""
-    lines = [
-        "| ground | runs | two terms | with diagnosis | change | two terms with hindsight "
-        "| worse by a point | of an exact one | largest | in the 90 % interval |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
+def grounds_table(folder: Path, only: list[str]) -> Iterator[str]:
+    """Yield a line for each ground, and one for all."""
+    yield (
+        "| ground | runs | two terms | with hindsight | handed on | ratio | largest "
+        "| in the 90 % interval | rest of the run | with its factor | ratio |"
+    )
+    yield "|---|---|---|---|---|---|---|---|---|---|---|"
+    means, every = list[np.ndarray](), list[Run]()
     for ground in grounds(folder, only):
-        made = runs_left_out(ground)
-        before, after = (
-            np.abs([getattr(run, which) for run in made]) for which in ("two_terms", "after")
-        )
-        for run in made:
-            print(f"  {ground.name} {run.name}: {run.two_terms:+.3f} {run.after:+.3f} {run.within}")
-        lines.append(
-            f"| {ground.name.lower().replace('_', ' ')} | {len(made)} "
-            f"| {100 * before.mean():.1f} % | {100 * after.mean():.1f} % "
-            f"| {100 * (after.mean() / before.mean() - 1):+.0f} % "
-            f"| {100 * with_hindsight(ground):.1f} % "
-            f"| {np.count_nonzero(after > before + POINT)} | {exact_worse(made):.1f} "
-            f"| {100 * after.max():.0f} % "
-            f"| {sum(run.within for run in made)} of {len(made)} |"
-        )
-        print(lines[-1], flush=True)
-    return "\n".join(lines)
+        made = left_out(ground)
+        every += made
+        size = np.abs(np.array(made, float))
+        means.append(size.mean(axis=0))
+        name = ground.name.lower().replace("_", " ")
+        yield _line(name, made, means[-1], with_hindsight(ground), float(size[:, 1].max()))
+    sums = np.mean(means, axis=0)
+    yield _line("mean of all", every, sums, None, None)
+    worse = sum(abs(run.handed_on) > abs(run.two_terms) + POINT for run in every)
+    yield ""
+    yield f"{worse} of {len(every)} runs are predicted worse by more than a point than by the two."
 
 
-def rows(cases: Iterator[Case]) -> Iterator[Row]:
-    """Diagnose each case, and gather those of one robot and ground."""
-    found: dict[tuple[str, str], Row] = {}
-    for case in cases:
-        key = (case.robot, case.ground)
-        row = found.setdefault(key, Row(*key, 0, 0, [], [], 0))
+def _line(
+    name: str, made: list[Run], mean: np.ndarray, hindsight: float | None, largest: float | None
+) -> str:
+    percent = ["-" if one is None else f"{100 * one:.1f} %" for one in
+               (mean[0], hindsight, mean[1], largest, mean[3], mean[4])]  # fmt: skip
+    before, best, after, most, rest, factored = percent
+    held = sum(run.within for run in made)
+    cells = (
+        name, len(made), before, best, after, f"{mean[1] / mean[0]:.2f}", most,
+        f"{held} of {len(made)} ({100 * held / len(made):.0f} %)", rest, factored,
+        f"{mean[4] / mean[3]:.2f}",
+    )  # fmt: skip
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def single_table(folder: Path, only: list[str]) -> Iterator[str]:
+    """Yield how each run is predicted from the one before it alone, the first from the last."""
+    yield (
+        "| ground | pairs of runs | error of energy, median | mean | in the 90 % interval "
+        "| half width of the interval, median |"
+    )
+    yield "|---|---|---|---|---|---|"
+    every = list[tuple[float, float, bool]]()
+    for ground in grounds(folder, only):
+        made = list[tuple[float, float, bool]]()
+        runs = list(ground.judged())
+        for train, unseen in pairwise([runs[-1], *runs]):
+            (one,) = ep.diagnose(train, holdout=unseen, vehicle=ground.vehicle).predictions
+            low, high = one.energy_interval
+            made.append((abs(one.energy / one.measured - 1.0), 0.5 * (high - low) / one.measured,
+                         low <= one.measured <= high))  # fmt: skip
+        every += made
+        yield _single(ground.name.lower().replace("_", " "), made)
+    yield _single("all", every)
+
+
+def _single(name: str, made: list[tuple[float, float, bool]]) -> str:
+    error, half, within = np.array(made, float).T
+    return (
+        f"| {name} | {len(made)} | {100 * np.median(error):.0f} % | {100 * error.mean():.0f} % "
+        f"| {100 * within.mean():.0f} % | {100 * np.median(half):.0f} % |"
+    )
+
+
+# -- drives of the model and of a physics engine ---------------------------------------------------
+
+
+def closed_loop_table(folder: Path, _: list[str]) -> Iterator[str]:
+    """Yield how the trajectories of each pair of poses follow from drives between the others."""
+    yield "| effect | pair left out | two terms | handed on | 90 % interval over measured |"
+    yield "|---|---|---|---|---|"
+    vehicle = ep.Vehicle.preset("quadriga:full")
+    place, found = folder / "driven", dict[str, dict[str, list[str]]]()
+    for file in sorted(place.glob("*_trajectory.csv")):
+        scenario, pair, route = file.stem.removesuffix("_trajectory").rsplit("_", 2)
+        found.setdefault(scenario, {}).setdefault(pair, []).append(f"{scenario}_{pair}_{route}")
+    for scenario, pairs in found.items():
+        logs = {
+            name: ep.DriveLog.read(place / f"{name}.csv.gz")
+            for names in pairs.values() for name in names
+        }  # fmt: skip
+        for pair, names in pairs.items():
+            rest = [log for name, log in logs.items() if name not in names]
+            told = ep.diagnose(rest, [logs[name] for name in names], vehicle)
+            plain = two_terms(rest, vehicle)
+            for name, one in zip(names, told.predictions, strict=True):
+                wanted = read_trajectory(place / f"{name}_trajectory.csv")
+                before, after = (
+                    100.0 * (ep.check(wanted, model).energy / logs[name].energy - 1.0)
+                    for model in (plain, told.model)
+                )
+                low, high = (end / one.measured for end in one.energy_interval)
+                yield (
+                    f"| {scenario.replace('_', ' ')} | {pair} | {before:+.1f} % | {after:+.1f} % "
+                    f"| {low:.2f} to {high:.2f} |"
+                )
+
+
+class Case(NamedTuple):
+    """A drive to learn from, and one to be judged on."""
+
+    robot: str
+    ground: str
+    train: ep.DriveLog
+    judge: ep.DriveLog
+    vehicle: ep.Vehicle
+
+
+def simulated() -> Iterator[Case]:
+    """Yield drives of the paper's robot that obey its model, with noise; the easiest case."""
+    noise = {"power_noise": 10.0, "correlation_time": 0.2, "speed_noise": 0.005}
+    for ground in ("empty:marble", "empty:concrete", "full:marble", "full:concrete"):
+        model = ep.PowerModel.preset(f"quadriga:{ground}")
+        for seed in SEEDS:
+            train = ep.simulate.identification_drive(model, seed=seed, **noise)
+            judge = ep.simulate.validation_drive(model, seed=100 + seed, **noise)
+            yield Case("Quadriga, simulated by the model", ground.replace(":", ", "), train, judge,
+                       model.vehicle)  # fmt: skip
+
+
+def engine(folder: Path) -> Iterator[Case]:
+    """Yield drives of a physics engine that uses no equation of the model, with hidden effects."""
+    for file in sorted(folder.glob("quadriga_mujoco/*_s2_ident.csv.gz")):
+        stem = file.name.removesuffix("_ident.csv.gz")
+        vehicle = ep.Vehicle.preset("quadriga" if "empty" in stem else "quadriga:full")
+        plain = "no hidden effect" if stem.startswith("none") else "one hidden effect each"
+        judge = ep.DriveLog.read(file.with_name(f"{stem}_valid.csv.gz"))
+        yield Case("Quadriga in a physics engine", plain, ep.DriveLog.read(file), judge, vehicle)
+
+
+def other_table(folder: Path, _: list[str]) -> Iterator[str]:
+    """Yield a line for each robot and ground."""
+    yield (
+        "| robot | ground | drives judged | error of energy, paper's model | with diagnosis "
+        "| worst | in the 90 % interval | no answer |"
+    )
+    yield "|---|---|---|---|---|---|---|---|"
+    rows: dict[tuple[str, str], list[tuple[float, float, bool] | None]] = {}
+    for case in (*simulated(), *engine(folder)):
+        row = rows.setdefault((case.robot, case.ground), [])
         try:
             told = ep.diagnose(case.train, holdout=case.judge, vehicle=case.vehicle)
         except EnergyPlanError as error:
-            print(f"{case.robot}, {case.ground}: {error}")
-            found[key] = row._replace(failed=row.failed + 1)
+            print(f"  {case.robot}, {case.ground}: {error}", file=sys.stderr)
+            row.append(None)
             continue
-        for log, power, one in zip(case.judge, told.predictions_before, told.predictions,
-                                   strict=True):  # fmt: skip
-            row.before.append(abs(float(log.weights @ power) / one.measured - 1.0))
-            row.after.append(abs(one.energy / one.measured - 1.0))
-            low, high = one.energy_interval
-            row = row._replace(
-                drives=row.drives + 1, within=row.within + (low <= one.measured <= high)
-            )
-        found[key] = row
-    yield from found.values()
+        (one,), (power,) = told.predictions, told.predictions_before
+        low, high = one.energy_interval
+        row.append((abs(float(case.judge.weights @ power) / one.measured - 1.0),
+                    abs(one.energy / one.measured - 1.0), low <= one.measured <= high))  # fmt: skip
+    for (robot, ground), row in rows.items():
+        judged = [one for one in row if one is not None]
+        before, after, within = np.array(judged, float).reshape(-1, 3).T
+        yield (
+            f"| {robot} | {ground} | {len(judged)} | {100 * np.median(before):.1f} % "
+            f"| {100 * np.median(after):.1f} % | {100 * after.max():.1f} % "
+            f"| {within.sum():.0f} of {len(judged)} | {len(row) - len(judged)} |"
+        )
 
 
-def table(made: list[Row]) -> str:
-    """Return the rows as a Markdown table."""
-    lines = [
-        "| robot | ground | drives judged | error of energy, paper's model | with diagnosis "
-        "| worst | in the 90 % interval | no answer |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for row in made:
-        told = ["-"] * 4
-        if row.drives:
-            told = [
-                f"{100 * np.median(row.before):.1f} %", f"{100 * np.median(row.after):.1f} %",
-                f"{100 * max(row.after):.1f} %", f"{row.within} of {row.drives}",
-            ]  # fmt: skip
-        cells = [row.robot, row.ground, str(row.drives), *told, str(row.failed)]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+TABLES: dict[str, Callable[[Path, list[str]], Iterator[str]]] = {
+    "grounds": grounds_table,
+    "closed_loop": closed_loop_table,
+    "other": other_table,
+    "single": single_table,
+}
 
 
 def main() -> None:
-    """Make the table; print it or write it into the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder of recorded drives")
-    parser.add_argument("--out", type=Path, help="page whose table is made anew")
-    parser.add_argument(
-        "--runs", nargs="*", metavar="GROUND", help="runs left out alone, of these grounds or all"
+    """Make the tables that are asked for; print them and write them into the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--single", nargs="*", metavar="GROUND", help="runs predicted from one other alone"
-    )
-    asked = parser.parse_args()
-    if asked.single is not None:
-        print(single_table(asked.data, asked.single))
-        return
-    if asked.runs is not None:
-        print(runs_table(asked.data, asked.runs))
-        return
-    made = list(rows(simulated()))
-    if asked.data:
-        made += rows(warthog(asked.data / "drive" / "warthog_grass.csv"))
-        made += rows(engine(asked.data / "quadriga_mujoco"))
-    text = table(made)
-    if asked.data:
-        text += "\n\n" + runs_table(asked.data) + "\n\n" + single_table(asked.data)
-    if asked.out is None:
-        print(text)
-        return
-    page = asked.out.read_text()
-    pattern = re.compile(f"{re.escape(MARKS[0])}.*?{re.escape(MARKS[1])}", re.DOTALL)
-    asked.out.write_text(pattern.sub(lambda _: f"{MARKS[0]}\n{text}\n{MARKS[1]}", page))
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=", ".join(TABLES))
+    parser.add_argument("--ground", nargs="*", default=[], help="names of grounds, such as MIXED")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="page with the tables' marks")
+    given = parser.parse_args()
+    if unknown := [name for name in given.tables if name not in TABLES]:
+        parser.error(f"no table is called {unknown[0]}; there are {', '.join(TABLES)}")
+    for name in given.tables or TABLES:
+        lines = []
+        for line in TABLES[name](given.folder, given.ground):
+            print(line, flush=True)
+            lines.append(line)
+        if given.write is not None:
+            page, text = given.write.read_text(), "\n".join(lines)
+            pattern = rf"(<!-- table: {name} -->\n).*?(\n<!-- end of table -->)"
+            page, count = re.subn(
+                pattern,
+                lambda found, text=text: f"{found[1]}{text}{found[2]}",
+                page,
+                flags=re.DOTALL,
+            )
+            if count != 1:
+                raise SystemExit(f"{given.write} has no marks <!-- table: {name} -->")
+            given.write.write_text(page)
 
 
 if __name__ == "__main__":
