@@ -19,7 +19,7 @@ from energyplan.io.files import bundled, is_file
 from energyplan.io.maps import PARTS, SiteFile, read_site
 from energyplan.kinds import amount, checked
 from energyplan.mission import Charger, Mission, Spreads, Task
-from energyplan.mission.tasks import Fraction, Mass, Place, Time, Uncertain, amount_of, uncertain
+from energyplan.mission.types import Fraction, Mass, Place, Time, Uncertain, amount_of, uncertain
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.terrain import Site, with_weights

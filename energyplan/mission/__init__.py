@@ -1,16 +1,18 @@
 """Battery budget missions of one robot or several; see `energyplan.mission.evaluation`."""
 
-from energyplan.mission.evaluation import Evaluated, evaluate, evaluate_many
-from energyplan.mission.legs import Routes
-from energyplan.mission.report import (
+from energyplan.mission.evaluation import (
     ChargerReport,
     Doubt,
+    Evaluated,
     LegReport,
     MissionReport,
     Stop,
     TaskReport,
     Timeline,
+    evaluate,
+    evaluate_many,
 )
+from energyplan.mission.legs import Routes
 from energyplan.mission.robots import (
     Fleet,
     FleetReport,
@@ -20,8 +22,7 @@ from energyplan.mission.robots import (
     RobotState,
     evaluate_fleet,
 )
-from energyplan.mission.tasks import Charger, Remedy, Spreads, Task
-from energyplan.mission.types import Mission
+from energyplan.mission.types import Charger, Mission, Remedy, Spreads, Task
 
 __all__ = [
     "Charger", "ChargerReport", "Doubt", "Evaluated", "Fleet", "FleetReport", "LeftOut",

@@ -10,7 +10,6 @@ errors add up instead of averaging out; only the noise of the drive itself is ea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -28,78 +27,11 @@ from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
 
-RUN = 0
-"""Place of what differs from run to run."""
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """Places of the unknowns among their coordinates."""
-
-    labels: tuple[str, ...]  # what each belongs to
-    tools: tuple[int, ...]  # place for each task
-    dwells: tuple[int, ...]  # place for each task
-    waits: tuple[int, ...]  # place for each task
-    speed: int  # place of the time that driving takes
-    gauge: int  # place of the state of charge
-    gauge_energy: float  # energy that one standard deviation of it stands for [J]
-    battery: Mapping[int, float]
-
-    @classmethod
-    def of(cls, mission: Mission, power: float) -> Unknowns:
-        """Return the unknowns of a mission."""
-        labels = ["difference from run to run"]
-
-        def new(label: str) -> int:
-            labels.append(label)
-            return len(labels) - 1
-
-        tools: dict[tuple[float, float | None], int] = {}
-        for task in mission.tasks:
-            if (task.power, task.power_spread) not in tools:
-                tools[task.power, task.power_spread] = new("power of tools")
-        battery = {new(label): share for label, share in _shares(mission, power).items()}
-        stored = float(mission.battery.usable_energy(power, 1.0)) or mission.battery.full_energy
-        return cls(
-            tools=tuple(tools[task.power, task.power_spread] for task in mission.tasks),
-            dwells=tuple(new("duration of tasks") for _ in mission.tasks),
-            waits=tuple(new("waiting") for _ in mission.tasks),
-            speed=new("speed of driving"),
-            gauge=new("state of charge"),
-            gauge_energy=mission.spreads.soc * stored,
-            battery=battery,
-            labels=tuple(labels),
-        )
-
-
-def _shares(mission: Mission, power: float) -> dict[str, float]:
-    """Return the share of the energy by which the battery delivers less, by what is open."""
-    battery, spreads = mission.battery, mission.spreads
-    shares = {"capacity of the battery": spreads.capacity}
-    if not isinstance(battery, Battery):
-        return shares
-
-    def usable(changed: Battery) -> float:
-        return float(changed.usable_energy(power, 1.0))
-
-    warm, cold = (
-        usable(replace(battery, temperature=battery.temperature + sign * spreads.temperature))
-        for sign in (1.0, -1.0)
-    )
-    # one that delivers nothing at all has nothing to lose
-    told = max(usable(battery), 1.0)
-    # a battery cannot be healthier than new, nor older than nothing
-    fresh = min(battery.health + spreads.health, 1.0)
-    aged = max(battery.health - spreads.health, 0.1 * battery.health)
-    better, worse = (usable(replace(battery, health=h)) for h in (fresh, aged))
-    steps = (fresh - aged) / spreads.health if spreads.health else 1.0
-    shares["health of the battery"] = (better - worse) / told / steps
-    shares["temperature of the battery"] = (warm - cold) / told / 2.0
-    return shares
-
-
 _USUAL_SPEED = 1.0
 """Speed of robots of this kind, where nothing tells theirs [m/s]."""
+
+_RUN, _SPEED, _GAUGE = "difference from run to run", "speed of driving", "state of charge"
+_TOOLS, _DWELLS, _WAITS = "power of tools", "duration of tasks", "waiting"
 
 
 @dataclass(frozen=True)
@@ -132,19 +64,44 @@ class _Holdout(NamedTuple):
     strength: float  # variance of the energy per second of driving [J^2/s]
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A model and its loaded relatives, with the place of their unknowns among the coordinates."""
+class _Source(NamedTuple):
+    """A model and its loaded relatives."""
 
     payloads: FloatArray
     models: tuple[PowerModel, ...]
-    first: int
+    places: slice  # of its coefficients' unknowns; that of its error on the hold-out follows
     roots: tuple[FloatArray, ...]
 
-    @property
-    def size(self) -> int:
-        """Number of unknowns: covariances, spread of each coefficient, error on the hold-out."""
-        return sum(len(root.T) for root in self.roots) + len(self.models[0].terms) + 1
+
+def _battery_shares(mission: Mission, power: float) -> tuple[dict[str, float], float]:
+    """Return by which share of the energy the battery delivers less, by what is open of it.
+
+    Beside it comes the energy of one standard deviation of the state of charge [J].
+    """
+    battery, spreads = mission.battery, mission.spreads
+    shares = {"capacity of the battery": spreads.capacity}
+    stored = float(battery.usable_energy(power, 1.0))
+    gauge = spreads.soc * (stored or battery.full_energy)
+    if not isinstance(battery, Battery):
+        return shares, gauge
+
+    def usable(changed: Battery) -> float:
+        return float(changed.usable_energy(power, 1.0))
+
+    warm, cold = (
+        usable(replace(battery, temperature=battery.temperature + sign * spreads.temperature))
+        for sign in (1.0, -1.0)
+    )
+    # one that delivers nothing at all has nothing to lose
+    told = max(stored, 1.0)
+    # a battery cannot be healthier than new, nor older than nothing
+    fresh = min(battery.health + spreads.health, 1.0)
+    aged = max(battery.health - spreads.health, 0.1 * battery.health)
+    better, worse = (usable(replace(battery, health=h)) for h in (fresh, aged))
+    steps = (fresh - aged) / spreads.health if spreads.health else 1.0
+    shares["health of the battery"] = (better - worse) / told / steps
+    shares["temperature of the battery"] = (warm - cold) / told / 2.0
+    return shares, gauge
 
 
 def _root(model: PowerModel) -> FloatArray:
@@ -157,11 +114,22 @@ def _root(model: PowerModel) -> FloatArray:
     return np.asarray(vector[:, keep] * np.sqrt(value[keep]))
 
 
+class Priced(NamedTuple):
+    """What a drive takes."""
+
+    power: FloatArray  # (n,): mean power of each interval of its trajectory [W]
+    # (n,): standard deviation of the power in each interval [W]: where along a trajectory the
+    # uncertainty of its energy arises; energies may cancel, uncertainties of powers do not
+    spread: FloatArray
+    energy: Estimate
+
+
 class Grounds:
     """The power models of a mission, by surface and payload, with their unknowns."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
+        self.labels: list[str] = []  # what each shared unknown belongs to
         surfaces = mission.surfaces
         bare = [mission.model, *(s.model for s in (surfaces.surfaces if surfaces else ()))]
         self._sources: list[_Source] = []
@@ -176,9 +144,19 @@ class Grounds:
         self._known: dict[tuple[int, float], PowerModel] = {}
         self._directions: dict[tuple[int, float], FloatArray] = {}
         self._idle: dict[tuple[int, float], Estimate] = {}
-        self._models = sum(source.size for source in self._sources)
-        self._unknowns = Unknowns.of(mission, self.driving_power)
-        self._refuse_unfounded_bounds()
+        tools = dict.fromkeys((task.power, task.power_spread) for task in mission.tasks)
+        self._shares, self._gauge = _battery_shares(mission, self.driving_power)
+        numbers = range(len(mission.tasks))
+        unknowns = [(_RUN, None), *((_TOOLS, tool) for tool in tools),
+                    *((label, None) for label in self._shares), *((_DWELLS, k) for k in numbers),
+                    *((_WAITS, k) for k in numbers), (_SPEED, None), (_GAUGE, None)]  # fmt: skip
+        self._place: dict[tuple[str, object], int] = {
+            key: len(self.labels) + k for k, key in enumerate(unknowns)
+        }
+        self.labels += [label for label, _ in unknowns]
+        for model in (model for source in self._sources for model in source.models):
+            if reason := unfounded(model, mission.confidence, mission.coefficient_spread):
+                raise MissionError(reason, ("model",))
 
     def under(self, mission: Mission) -> Grounds:
         """Return these grounds for a mission that differs in battery, charge or speed.
@@ -186,27 +164,14 @@ class Grounds:
         What is open about a battery depends on the battery.
         """
         other = copy(self)
-        other._mission = mission
-        other._unknowns = Unknowns.of(mission, other.driving_power)
-        other._idle = {}
+        other._mission, other._idle = mission, {}
+        other._shares, other._gauge = _battery_shares(mission, other.driving_power)
         return other
 
     @property
     def size(self) -> int:
         """Number of shared unknowns."""
-        return self._models + len(self._unknowns.labels)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What each shared unknown belongs to, shape (size,)."""
-        labels: list[str] = []
-        for source in self._sources:
-            name = source.models[0].name
-            drawn = sum(len(root.T) for root in source.roots)
-            labels += [f"coefficients of {name}"] * drawn
-            labels += ["coefficient_spread"] * len(source.models[0].terms)
-            labels.append(f"hold-out error of {name}")
-        return (*labels, *self._unknowns.labels)
+        return len(self.labels)
 
     def by_source(self, energy: Estimate) -> dict[str, float]:
         """Return the standard deviation that each source of doubt alone gives an energy [J].
@@ -236,18 +201,14 @@ class Grounds:
                     "both with the same terms",
                     ("payload_models",),
                 )
+        roots, first = tuple(_root(other) for _, other in nodes), len(self.labels)
+        self.labels += [f"coefficients of {model.name}"] * sum(len(root.T) for root in roots)
+        self.labels += ["coefficient_spread"] * len(terms)
+        self.labels.append(f"hold-out error of {model.name}")
         return _Source(
-            np.array([payload for payload, _ in nodes]),
-            tuple(other for _, other in nodes),
-            sum(source.size for source in self._sources),
-            tuple(_root(other) for _, other in nodes),
-        )
-
-    def _refuse_unfounded_bounds(self) -> None:
-        mission = self._mission
-        for model in (model for source in self._sources for model in source.models):
-            if reason := unfounded(model, mission.confidence, mission.coefficient_spread):
-                raise MissionError(reason, ("model",))
+            np.array([payload for payload, _ in nodes]), tuple(other for _, other in nodes),
+            slice(first, len(self.labels) - 1), roots,
+        )  # fmt: skip
 
     def _weights(self, source: _Source, payload: float) -> FloatArray:
         nodes = source.payloads
@@ -305,38 +266,18 @@ class Grounds:
         ground = Ground(first, mission.surfaces, mission.heights, tuple(others))
         return Drive(trajectory, ground)
 
-    def estimate(self, trajectory: Trajectory, payload: float) -> Estimate:
-        """Return the energy of a trajectory with a payload [kg], at the battery."""
-        total = self.nothing
-        for part in self.drive(trajectory, payload).quadrature():
-            energy = self._one(part.region, part.motion, part.weight, payload)
+    def priced(self, trajectory: Trajectory, payload: float) -> Priced:
+        """Return what a trajectory takes with a payload [kg], at the battery."""
+        total, joules = self.nothing, np.zeros(len(trajectory) - 1)
+        drive = self.drive(trajectory, payload)
+        for part in drive.quadrature():
+            energy, squares = self._one(part.region, part.motion, part.weight, payload)
             run = self._run_spread(part.region) * energy.mean
-            total = total + energy + self._unknown(RUN, run)
-        return total
-
-    def spread(self, trajectory: Trajectory, payload: float) -> FloatArray:
-        """Return the standard deviation of the power in each interval [W], shape (n - 1,).
-
-        It tells where along a trajectory the uncertainty of its energy arises: energies may
-        cancel, uncertainties of powers do not.
-        """
-        joules = np.zeros(len(trajectory) - 1)
-        for part in self.drive(trajectory, payload).quadrature():
-            model = self.model(part.region, payload)
-            watts = model.battery_side().power(part.motion)
-            squares = (self._holdout(part.region, payload).error * watts) ** 2
-            squares += (self._run_spread(part.region) * watts) ** 2
-            for step in self.directions(part.region, payload).T:
-                if step.any():
-                    more, less = (
-                        model.with_coefficients(model.coefficients + sign * step)
-                        .battery_side()
-                        .power(part.motion)
-                        for sign in (1.0, -1.0)
-                    )
-                    squares += (0.5 * (more - less)) ** 2
+            total = total + energy + self._unknown(_RUN, run)
             np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
-        return np.asarray(joules / np.diff(trajectory.t))
+        duration = np.diff(trajectory.t)
+        power = np.asarray(drive.interval_energies() / duration)
+        return Priced(power, np.asarray(joules / duration), total)
 
     def _run_spread(self, region: int) -> float:
         """Return how far a model's power differs from run to run, as a fraction."""
@@ -358,17 +299,12 @@ class Grounds:
             float(weights @ [2 * r.rmse**2 * r.correlation_time for r in residuals]),
         )
 
-    def power(self, trajectory: Trajectory, payload: float) -> FloatArray:
-        """Return the mean power of each interval of a trajectory [W], shape (n - 1,)."""
-        drive = self.drive(trajectory, payload)
-        return np.asarray(drive.interval_energies() / np.diff(trajectory.t))
-
     def idle(self, region: int, duration: float, payload: float) -> Estimate:
         """Return the energy of standing still for so long [s]."""
         key = (region, payload)
         if key not in self._idle:
             motion = _straight(self.model(region, payload), 0.0)
-            self._idle[key] = self._one(region, motion, np.ones(1), payload)
+            self._idle[key] = self._one(region, motion, np.ones(1), payload)[0]
         second = self._idle[key]
         # The residual is what the model misses while driving.
         return Estimate(duration * second.mean, duration * second.sensitivity)
@@ -380,43 +316,43 @@ class Grounds:
         drawn = asked.power + self.idle(region, 1.0, payload).mean
         tool = spreads.power * asked.power if asked.power_spread is None else asked.power_spread
         done = replace(idle, mean=idle.mean + asked.power * asked.dwell)
-        done = done + self._unknown(self._unknowns.tools[task], tool * asked.dwell)
-        return done + self._unknown(self._unknowns.dwells[task], self._dwell_spread(task) * drawn)
+        done = done + self._unknown(_TOOLS, tool * asked.dwell, (asked.power, asked.power_spread))
+        return done + self._unknown(_DWELLS, self._dwell_spread(task) * drawn, task)
 
     def waiting(self, region: int, task: int, payload: float) -> Estimate:
         """Return the energy of the time lost before a task begins."""
         idle = self.idle(region, self._mission.waiting, payload)
         spread = self._mission.spreads.waiting * idle.mean
-        return idle + self._unknown(self._unknowns.waits[task], spread)
+        return idle + self._unknown(_WAITS, spread, task)
 
     # -- time -------------------------------------------------------------------------------------
 
     def driving_time(self, duration: float) -> FloatArray:
         """Return how a drive's duration changes with each unknown [s], shape (size,)."""
-        return self._sensitivity(self._unknowns.speed, self._mission.spreads.speed * duration)
+        return self._sensitivity(_SPEED, self._mission.spreads.speed * duration)
 
     def waiting_time(self, task: int) -> FloatArray:
         """Return how the time lost before a task changes with each unknown [s]."""
         spread = self._mission.spreads.waiting * self._mission.waiting
-        return self._sensitivity(self._unknowns.waits[task], spread)
+        return self._sensitivity(_WAITS, spread, task)
 
     def dwell_time(self, task: int) -> FloatArray:
         """Return how the duration of a task changes with each unknown [s]."""
-        return self._sensitivity(self._unknowns.dwells[task], self._dwell_spread(task))
+        return self._sensitivity(_DWELLS, self._dwell_spread(task), task)
 
     def _dwell_spread(self, task: int) -> float:
         asked = self._mission.tasks[task]
         told = asked.dwell_spread
         return self._mission.spreads.dwell * asked.dwell if told is None else told
 
-    def _sensitivity(self, place: int, value: float) -> FloatArray:
+    def _sensitivity(self, label: str, value: float, which: object = None) -> FloatArray:
         sensitivity = np.zeros(self.size)
-        sensitivity[self._models + place] = value
+        sensitivity[self._place[label, which]] = value
         return sensitivity
 
-    def _unknown(self, place: int, energy: float) -> Estimate:
+    def _unknown(self, label: str, energy: float, which: object = None) -> Estimate:
         """Return an energy that is nothing but its sensitivity to one unknown [J]."""
-        return Estimate(0.0, self._sensitivity(place, energy))
+        return Estimate(0.0, self._sensitivity(label, energy, which))
 
     # -- battery ----------------------------------------------------------------------------------
 
@@ -427,14 +363,14 @@ class Grounds:
         should is by a dearer drive.
         """
         sensitivity = energy.sensitivity.copy()
-        for place, share in self._unknowns.battery.items():
-            sensitivity[self._models + place] += share * energy.mean
+        for label, share in self._shares.items():
+            sensitivity[self._place[label, None]] += share * energy.mean
         return replace(energy, sensitivity=sensitivity)
 
     @property
     def gauge(self) -> Estimate:
         """What is open about the charge after it was read off the gauge, as an energy."""
-        return self._unknown(self._unknowns.gauge, self._unknowns.gauge_energy)
+        return self._unknown(_GAUGE, self._gauge)
 
     @property
     def driving_power(self) -> float:
@@ -447,26 +383,34 @@ class Grounds:
         power = model.battery_side().power(_straight(model, float(speed)))
         return max(float(power[0]), 1.0)
 
-    def _one(self, region: int, motion: Motion, weight: FloatArray, payload: float) -> Estimate:
-        """Integrate over instants of a motion that stand for so much time each [s]."""
-        model = self.model(region, payload)
-        source = self._sources[self._source_of[region]]
+    def _one(
+        self, region: int, motion: Motion, weight: FloatArray, payload: float
+    ) -> tuple[Estimate, FloatArray]:
+        """Integrate over instants of a motion that stand for so much time each [s].
 
-        def energy(coefficients: FloatArray) -> float:
-            power = model.with_coefficients(coefficients).battery_side().power(motion)
-            return float((weight * power).sum())
+        Beside the energy comes the variance of the power at each instant [W^2].
+        """
+        model, source = self.model(region, payload), self._sources[self._source_of[region]]
 
-        values = model.coefficients
-        mean = energy(values)
+        def power(change: FloatArray | float = 0.0) -> FloatArray:
+            changed = model.with_coefficients(model.coefficients + change)
+            return np.asarray(changed.battery_side().power(motion))
+
+        def energy(watts: FloatArray) -> float:
+            return float((weight * watts).sum())
+
+        watts, missed = power(), self._holdout(region, payload)
+        squares = (missed.error * watts) ** 2
+        squares += (self._run_spread(region) * watts) ** 2
         sensitivity = np.zeros(self.size)
-        for j, step in enumerate(self.directions(region, payload).T):
+        for j, step in enumerate(self.directions(region, payload).T, source.places.start):
             if step.any():
-                change = 0.5 * (energy(values + step) - energy(values - step))
-                sensitivity[source.first + j] = change
-        missed = self._holdout(region, payload)
-        sensitivity[source.first + source.size - 1] = missed.error * mean
-        noise = missed.strength * float(weight.sum())
-        return Estimate(mean, sensitivity, noise)
+                more, less = power(step), power(-step)
+                sensitivity[j] = 0.5 * (energy(more) - energy(less))
+                squares += (0.5 * (more - less)) ** 2
+        mean = energy(watts)
+        sensitivity[source.places.stop] = missed.error * mean
+        return Estimate(mean, sensitivity, missed.strength * float(weight.sum())), squares
 
 
 def _straight(model: PowerModel, speed: float) -> Motion:

@@ -32,7 +32,7 @@ from energyplan.mission._order_kernel import (
     share,
 )
 from energyplan.mission.energy import Estimate
-from energyplan.mission.simulation import Attempt, State, Walk
+from energyplan.mission.legs import Attempt, State, Walk
 from energyplan.path import FloatArray
 
 EXACT = 15

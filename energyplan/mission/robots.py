@@ -17,13 +17,10 @@ import numpy as np
 
 from energyplan.errors import MissionError
 from energyplan.kinds import checked
-from energyplan.mission.evaluation import Evaluation
-from energyplan.mission.legs import Legs, Routes
+from energyplan.mission.evaluation import Evaluation, Stop, StopKind
+from energyplan.mission.legs import Legs, Routes, State, Walk
 from energyplan.mission.order import EXACT, Matrix, Order, attempt, finish, shared
-from energyplan.mission.report import Stop, StopKind
-from energyplan.mission.simulation import State, Walk
-from energyplan.mission.tasks import Charger, Task
-from energyplan.mission.types import Mission
+from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import Pose
 from energyplan.records import ReadOnly
 

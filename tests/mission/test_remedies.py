@@ -17,7 +17,7 @@ from worlds import tiny
 from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError
 from energyplan.mission import Mission, Remedy, Routes, Spreads, Task, evaluate
-from energyplan.mission.tasks import RemedyKind
+from energyplan.mission.types import RemedyKind
 from energyplan.path import FloatArray, Pose
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
