@@ -65,18 +65,33 @@ class Comparison(html.Readable):
         return _spent(best, self.driven), _spent(shortest, self.driven)
 
     def _summaries(self) -> list[html.Summary]:
-        plans = (self.energy_optimal, self.shortest)
-        rows = [
-            (f"{name} [{unit}]", *(getattr(plan, name) for plan in plans))
-            for name, unit in (
-                ("energy", "J"), ("length", "m"), ("turning", "rad"), ("duration", "s")
-            )
-        ]  # fmt: skip
+        plans, spent = (self.energy_optimal, self.shortest), self.spent
+        rows: list[tuple[object, ...]] = [
+            ("energy [J]", *(plan.energy for plan in plans)),
+            ("lower bound, of energy [J] and length [m]", *(plan.lower_bound for plan in plans)),
+            ("at most above the least possible [%]", *(100 * plan.gap for plan in plans)),
+            ("length [m]", *(plan.length for plan in plans)),
+            ("turning [deg]", *(float(np.degrees(plan.turning)) for plan in plans)),
+            ("duration [s]", *(plan.duration for plan in plans)),
+        ]
         title = f"saving: {100 * self.saving:.1f} % of the shortest route's energy"
+        if self.driven or all("driven" in vars(plan) for plan in plans):
+            rows.insert(1, ("energy driven [J]", *(plan.driven.energy for plan in plans)))
+            rows.append(("duration driven [s]", *(plan.driven.duration for plan in plans)))
         if self.driven:
-            rows.insert(1, ("energy driven [J]", *(of.energy for of in self.spent)))
             title += ", driven with its stops"
-        return [html.Summary(title, ("", "least energy", "shortest"), rows)]
+        parts = [
+            (html.words(name), *(of.by_term.get(name, 0.0) for of in spent), saved)
+            for name, saved in self.by_term.items()
+        ]
+        notes = [note for plan in plans for note in plan.notes]
+        return [
+            html.Summary(title, ("", "least energy", "shortest"), rows, notes),
+            html.Summary(
+                "where the energy goes", ("term", "least energy [J]", "shortest [J]", "saved [J]"),
+                parts,
+            ),
+        ]  # fmt: skip
 
 
 class Spent(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 
@@ -44,6 +44,32 @@ def spanned(value: float, low: float, high: float) -> str:
     places = max(0, 2 - math.floor(math.log10(wide))) if 0.0 < wide < math.inf else 9
     shown = (f"{one:.{places}f}" if places < 9 else number(one, 3) for one in (value, low, high))
     return "{} ({} to {})".format(*shown)
+
+
+def chance(probability: float) -> str:
+    """Return a probability with as many digits as it bears."""
+    if probability < 0.01:
+        return "below 0.01"
+    return f"{probability:.2f}" if probability <= 0.99 else "above 0.99"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a sentence gives them; of many the first two, and how many there are more."""
+    if len(names) <= 3:
+        return ", ".join(names)
+    return f"{', '.join(names[:2])} and {len(names) - 2} more"
+
+
+def set_aside(counts: Mapping[str, Mapping[str, int]]) -> list[str]:
+    """Return how many samples were set aside, by drive and reason, as a line for each reason."""
+    drives: dict[str, dict[str, int]] = {}
+    for drive, reasons in counts.items():
+        for reason, count in reasons.items():
+            drives.setdefault(reason, {})[drive] = count
+    return [
+        f"set aside in {listed(list(of))}: {sum(of.values())} samples: {reason}"
+        for reason, of in drives.items()
+    ]
 
 
 WIDE = 4
@@ -108,6 +134,11 @@ class Readable:
 
     def _summaries(self) -> Iterable[Summary]:
         raise NotImplementedError
+
+    @property
+    def tables(self) -> tuple[Summary, ...]:
+        """What there is to be said of it, as titled rows."""
+        return tuple(self._summaries())
 
     def _repr_html_(self) -> str:
         return "".join(one.html() for one in self._summaries())

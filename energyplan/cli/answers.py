@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
-former_options: ContextVar[tuple[str, ...]] = ContextVar("former", default=())
-"""What to say of options given by their names of the last release."""
 NEW_KEYS = {"energy_told": "energy_predicted", "energy_taken": "energy_measured"}
 """Keys of the last release, beside which an answer has the new ones."""
 NO, INTERRUPTED = 3, 130
@@ -60,8 +58,8 @@ def _both_names(value: Any) -> Any:
     return [_both_names(one) for one in value] if isinstance(value, list) else value
 
 
-def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
-    """Print the answer, as JSON or as lines of text; JSON names ready-made models."""
+def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
+    """Print the answer, as JSON or as text, of which a list holds parts; JSON names presets."""
     presets = [
         {"name": name, "measured": False, "source": source}
         for name, source in presets_used.get().items()
@@ -72,13 +70,11 @@ def answer(document: dict[str, Any], lines: list[str], *, json: bool) -> None:
     if json:
         say(jsonlib.dumps(_both_names(document), indent=1, allow_nan=False))
     else:
-        say("\n".join(lines))
+        say("\n".join(map(str, text)) if isinstance(text, list) else str(text))
 
 
 def warn_with_answer() -> None:
-    """Say what goes with the answer, so that an error stays one line: presets, former options."""
-    for line in former_options.get():
-        warn(line)
+    """Name the presets with the answer, so that an error stays one line."""
     for name, source in presets_used.get().items():
         warn(f"preset {name} was not measured on this robot; source: {source}")
 

@@ -18,7 +18,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from energyplan.cli.answers import former_options, presets_used, remember_command, say
+from energyplan.cli.answers import presets_used, remember_command, say
 from energyplan.cli.options import OUTPUTS
 from energyplan.errors import InvalidInputError
 
@@ -43,8 +43,9 @@ def misuse(error: typer.TyperException) -> str:
         message += "; a pose, a list and a value with blanks are one word each, as in 2.0,3.5,90deg"
     if message.startswith("No such option"):
         name = getattr(error, "option_name", "")
-        if name in MOVED_OPTIONS:
-            message = f"{name} {MOVED_OPTIONS[name]}"
+        of_mission = name if context.command.name == "mission" else ""
+        if moved := MOVED_OPTIONS.get(name) or _MISSION_OPTIONS.get(of_mission):
+            message = f"{name} {moved}"
     if message.startswith("No such option") and isinstance(context.command, TyperGroup):
         message = (
             message.partition(" (Possible")[0] + ", before a command; give it after the command"
@@ -76,7 +77,6 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, each value of a list as if its option stood before it."""
         ctx.meta[_ARGUMENTS] = list(args)
-        args = self._renamed(args)
         lists = {
             name
             for param in self.params
@@ -104,16 +104,6 @@ class Command(TyperCommand):
             if bare and (not follows or follows[0].startswith("-")):
                 raise InvalidInputError(f"{word} is given without a value")
         return super().parse_args(ctx, spread)
-
-    def _renamed(self, args: list[str]) -> list[str]:
-        """Return the arguments with options of the last release by their names of today."""
-        new = RENAMED_OPTIONS.get(self.name or "", {})
-        names = [word.partition("=")[0] for word in args]
-        former = dict.fromkeys(name for name in names if name in new)
-        former_options.set(tuple(f"{name} is now {new[name]}" for name in former))
-        return [
-            new.get(name, name) + word[len(name) :] for name, word in zip(names, args, strict=True)
-        ]
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, unless it could not end well."""
@@ -170,22 +160,27 @@ RENAMED = {
     "rmf": "examples/openrmf_config.py",
 }
 """Commands of the last release, and what does their work now."""
-RENAMED_OPTIONS = {
-    "range": {"--from": "--start", "--pack": "--battery", "--coefficient-spread": "--spread"},
-    "design": {"--report": "--diagnosis", "--speed": "--max-speed"},
-    "close-the-loop": {"--tolerance": "--error"},
-    **{name: {"--battery": "--at-battery"} for name in ("plan", "compare", "check")},
-}
-"""Options of the last release by command, and their names now; they are taken for one release."""
 _OF_SITE = "is a key of a site's file, which --map takes (docs/maps lists its keys)"
+_OF_MISSION = "is a key of a mission's file (docs/missions lists its keys)"
+_OF_VEHICLE = "is a key of a vehicle's or a project's file"
 MOVED_OPTIONS = {
     **dict.fromkeys(("--heights", "--speed-mask", "--costmap"), _OF_SITE),
+    **dict.fromkeys(("--surfaces", "--keepout", "--clearance"), _OF_SITE),
+    **dict.fromkeys(("--task", "--soc"), _OF_MISSION),
+    "--done": "is not needed: take tasks that were done out of the mission's file",
+    **dict.fromkeys(("--length", "--width"), _OF_VEHICLE),
+    "--speed": "is the key usual_speed of a vehicle's file",
     "--tolerance": "is the key tracking_tolerance of a vehicle's file",
+    "--seed": "is a part of --sensors, as in --sensors seed=3",
     "--charger": "is the argument back of energyplan.energy_map, in Python",
+    "--former-map": "is the map of energyplan.planning.replanning.replan, in Python",
     "--time-limit": "is the key planning_time of a mission's file; --effort limits the work",
-    **dict.fromkeys(("--mission-every", "--near"), "is a setting of energyplan.watch, in Python"),
 }
-"""Options of the last release, and where what they gave is given now."""
+"""Options that are given elsewhere, and where."""
+_MISSION_OPTIONS = dict.fromkeys(
+    ("--map", "--model", "--battery", "--start", "--reserve", "--return", "--confidence",
+     "--spread"), _OF_MISSION,
+)  # fmt: skip
 
 
 class _Group(TyperGroup):

@@ -81,8 +81,6 @@ def start(
     counts_per_revolution: Annotated[
         float | None, Option(metavar="N", help="Counts of an encoder for one turn of the wheel.")
     ] = None,
-    length: Annotated[float | None, Option(help="Length of the footprint [m].")] = None,
-    width: Annotated[float | None, Option(help="Width of the footprint [m].")] = None,
     name: Annotated[str, Option(help="Name of the robot.")] = "",
     like: Annotated[
         str | None,
@@ -114,7 +112,7 @@ def start(
         return
     told = {
         "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
-        "length": length, "width": width, "counts_per_revolution": counts_per_revolution,
+        "counts_per_revolution": counts_per_revolution,
     }  # fmt: skip
     if like is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
         told |= {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if told[key] is None}
@@ -234,7 +232,7 @@ def identify(
         found = replace(found, warnings=(*doubts, *found.warnings))
         if out:
             write_model(found.model, out)
-        answer(documents.identification(found), text.identification(found), json=json)
+        answer(documents.identification(found), found, json=json)
 
 
 def _read(paths: list[Path], robot: Robot) -> list[DriveLog]:
@@ -252,7 +250,7 @@ def _contradictions(logs: list[DriveLog], vehicle: Any) -> list[str]:
 
 def _notes(logs: list[DriveLog], told: Sequence[str] = ()) -> list[str]:
     """Return what the readers of logs warned of, and is not yet told; once for several logs."""
-    from energyplan.output.text import listed
+    from energyplan.html import listed
 
     warned: dict[str, list[str]] = {}
     for log in logs:
@@ -326,7 +324,7 @@ def diagnose(
     from energyplan.io.config import read_vehicle, write_model
     from energyplan.io.files import same_file
     from energyplan.logs.clean import set_aside_by_drive
-    from energyplan.output import documents, text
+    from energyplan.output import documents
     from energyplan.output.pages import diagnosis_page
 
     vehicle = read_vehicle(robot.vehicle)
@@ -357,7 +355,7 @@ def diagnose(
         page.heading("Drives")
         page.bullets(lines)
         write_report(page, report)
-    answer({**parts, **documents.diagnosis(told)}, [*lines, *text.diagnosis(told)], json=json)
+    answer({**parts, **documents.diagnosis(told)}, [*lines, told], json=json)
     verdict(told.verdict != "unexplained", strict)
 
 
@@ -372,8 +370,6 @@ def watch(
     columns: Columns = None,
     once: Annotated[bool, Option("--once", help="Stop at the end of the file.")] = False,
     every: Annotated[float, Option(help="Time between two reports [s].")] = 10.0,
-    soc: Annotated[str | None, Option(help="State of charge at the log's start, as 80%.")] = None,
-    done: Annotated[list[str] | None, Option(metavar="NAME...", help="Tasks already done.")] = None,
     former: Annotated[
         list[Path] | None,
         Option(
@@ -402,14 +398,10 @@ def watch(
         raise InvalidInputError("--model and --vehicle: a model has its vehicle; give one of them")
     if not (model or vehicle or mission):
         raise InvalidInputError("the robot is not known; give --model, --vehicle or --mission")
-    for name, given in (("--soc", soc), ("--done", done)):
-        if given is not None and mission is None:
-            raise InvalidInputError(f"{name} goes with --mission; give both or neither")
     if former and not model:
         raise InvalidInputError("--former goes with the --model that was identified from it")
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
-    charge = None if soc is None else number("--soc", "fraction", soc)
-    settings = Settings(every, soc=charge, done=tuple(done or ()))
+    settings = Settings(every)
     wanted = read_mission(mission) if mission else None
     mapping = read_columns(columns) if columns and columns.endswith(YAML) else columns
     source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)

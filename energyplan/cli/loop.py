@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,9 +14,8 @@ from energyplan.cli.app import app
 from energyplan.cli.options import (
     TABLES,
     Drive,
-    Ground,
     Json,
-    MaybePose,
+    MapFile,
     MaybeSite,
     ModelName,
     OutModel,
@@ -74,7 +73,7 @@ class Truth:
 )
 def drive(
     trajectory: Annotated[Path, Argument(help="CSV with columns t,x,y,yaw,v,omega.")],
-    ground: Ground,
+    model: ModelName,
     robot: Truth,
     map_file: MaybeSite = None,
     out: Annotated[
@@ -85,10 +84,10 @@ def drive(
         Option(
             metavar="NAME=VALUE,...",
             help="How the drive is recorded: rate [Hz], power_noise [W], speed_noise, speed_step "
-            "[m/s], current_step [A], delay [s], unsigned=true, measured=sides, total or battery.",
+            "[m/s], current_step [A], delay [s], unsigned=true, measured=sides, total or battery; "
+            "seed of the noise.",
         ),
     ] = "",
-    seed: Annotated[int, Option(help="Seed of the sensors' noise.")] = 0,
     json: Json = False,
     strict: Strict = False,
 ) -> None:
@@ -98,15 +97,15 @@ def drive(
     """
     from energyplan.io.maps import read_site
     from energyplan.io.tables import read_trajectory, write_log
-    from energyplan.output import documents, text
+    from energyplan.output import documents
     from energyplan.physics import Ground as Floor
     from energyplan.physics import Robot, Sensors, switch_on
     from energyplan.physics import drive as run
 
     wanted = read_trajectory(trajectory)
     place = read_site(map_file) if map_file else None
-    cost, surfaces, heights = priced_ground(Drive(**asdict(ground), at_battery=True), place)
-    recording = Sensors.parse(sensors, seed)
+    cost, surfaces, heights = priced_ground(Drive(model, at_battery=True), place)
+    recording = Sensors.parse(sensors)
     simulated = Robot.from_model(cost.model)
     x, y, _ = wanted.poses[len(wanted) // 2]
     simulated = switch_on(simulated, robot.effects(simulated, float(x), float(y)))
@@ -115,7 +114,11 @@ def drive(
     if out:
         write_log(recording.log(made.run, out.name), out)
     secret = robot.hidden is not None
-    answer(documents.driven(made, secret=secret), text.driven(made, secret=secret), json=json)
+    (energy,) = made.tables
+    if secret:  # what was taken by term would tell the effects
+        rows = [row[:2] for row in energy.rows if row[1]]
+        energy = energy._replace(header=energy.header[:2], rows=rows)
+    answer(documents.driven(made, secret=secret), energy.text(), json=json)
     verdict(made.arrived, strict)
 
 
@@ -125,8 +128,8 @@ def drive(
     "--report loop.html"
 )
 def close_the_loop(
-    site: Site,
-    ground: Ground,
+    map_file: MapFile,
+    model: ModelName,
     start: PoseText,
     goal: PoseText,
     robot: Truth,
@@ -137,13 +140,6 @@ def close_the_loop(
     ] = None,
     rounds: Annotated[int, Option(help="Largest number of rounds.")] = 3,
     error: Annotated[float, Option(help="Error of the prediction at which to stop.")] = 0.01,
-    speed: Annotated[
-        float | None,
-        Option(
-            help="Tread speed [m/s]. Default: the vehicle's usual speed; without one, three fifths "
-            "of its motors', which leaves the controller room."
-        ),
-    ] = None,
     survey: Annotated[float, Option(help="Longest test drive in between [s]; 0: none.")] = 60.0,
     out: OutModel = None,
     report: Report = None,
@@ -158,14 +154,14 @@ def close_the_loop(
     from energyplan.io.config import write_model
     from energyplan.io.documents import parse_pose
     from energyplan.io.logs import read_drives
-    from energyplan.output import documents, text
+    from energyplan.output import documents
     from energyplan.output.pages import loop_page
     from energyplan.physics import EngineDrives, Robot, close_loop, switch_on
     from energyplan.physics import Ground as Floor
     from energyplan.physics.loop import Source
 
-    priced = Drive(**asdict(ground), at_battery=True)
-    problem = problem_of(site, priced, parse_pose(start), parse_pose(goal))
+    priced = Drive(model, at_battery=True)
+    problem = problem_of(Site(map_file), priced, parse_pose(start), parse_pose(goal))
     problem = replace(problem, cost=EnergyCost(problem.cost.model, battery=True))
     source: Source
     if logs is not None:
@@ -187,14 +183,14 @@ def close_the_loop(
         source = EngineDrives(simulated, Floor(problem.surfaces, problem.heights))
     with progress("closing the loop") as update:
         made = close_loop(
-            problem, source, rounds=rounds, tolerance=error, speed=speed, survey=survey,
-            progress=update, effort=effort, time_limit=PLAN_TIME,
+            problem, source, rounds=rounds, tolerance=error, survey=survey, progress=update,
+            effort=effort, time_limit=PLAN_TIME,
         )  # fmt: skip
     if out:
         write_model(made.model, out)
     if report:
         write_report(loop_page(made, problem), report)
-    answer(documents.loop(made), text.loop(made), json=json)
+    answer(documents.loop(made), made, json=json)
     verdict(made.closed, strict)
 
 
@@ -207,7 +203,9 @@ def design(
     map_file: Annotated[
         Path | None, Option("--map", help="Default: an empty square of 6 m.")
     ] = None,
-    start: MaybePose = None,
+    start: Annotated[
+        str | None, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")
+    ] = None,
     duration: Annotated[float, Option(help="Longest time of the drive [s].")] = 60.0,
     max_speed: Annotated[float | None, Option(help="Largest tread speed [m/s].")] = None,
     screen: Annotated[bool, Option("--screen", help="Look for every effect.")] = False,

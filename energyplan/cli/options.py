@@ -115,13 +115,6 @@ Report = Annotated[
 ]
 Plot = Annotated[Path | None, Option(callback=writes(*IMAGES), help="Draw it: .png, .svg or .pdf.")]
 PoseText = Annotated[str, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")]
-MaybePose = Annotated[
-    str | None, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")
-]
-Spread = Annotated[
-    float | None,
-    Option(help="Relative spread of the model's coefficients, as 0.05."),
-]
 AtBattery = Annotated[
     bool,
     Option("--at-battery", help="Energy at the battery, with drive losses."),
@@ -135,29 +128,29 @@ Speed = Annotated[
 ]
 
 
+MapFile = Annotated[Path, Option("--map", help="YAML file of a map, or of a site.")]
+MaybeSite = Annotated[
+    Path | None, Option("--map", help="A map's or a site's file, whose ground is driven on.")
+]
+
+
 @dataclass(frozen=True)
-class Ground:
-    """The model of what drives, and the ground that it drives on."""
+class Drive:
+    """What drives, how fast, and where its energy is measured."""
 
     model: ModelName
-    surfaces: Annotated[
-        Path | None, Option(help="GeoJSON of areas, each with a model, a speed or both.")
-    ] = None
-
-
-@dataclass(frozen=True)
-class Drive(Ground):
-    """How fast it is driven there, and where its energy is measured."""
-
     at_battery: AtBattery = False
     speed: Speed = None
 
 
 @dataclass(frozen=True)
 class Site:
-    """The place: its map, and what closes parts of it."""
+    """The place: its map, and what lies on it or closes parts of it."""
 
-    map_file: Annotated[Path, Option("--map", help="YAML file of a map or of a site.")]
+    map_file: MapFile
+    surfaces: Annotated[
+        Path | None, Option(help="GeoJSON of areas, each with a model, a speed or both.")
+    ] = None
     keepout: Annotated[Path | None, Option(help="A map whose occupied cells are closed.")] = None
     clearance: Annotated[float | None, Option(help="Distance to keep from obstacles [m].")] = None
 
@@ -167,9 +160,6 @@ Work = Annotated[
     Option(
         min=1, help="Work for each route, the same under any load, for time. 50000 is about 1 s."
     ),
-]
-MaybeSite = Annotated[
-    Path | None, Option("--map", help="A map's or a site's file, whose ground is driven on.")
 ]
 
 

@@ -15,9 +15,9 @@ from energyplan.cli.options import (
     AtBattery,
     Drive,
     Json,
+    MapFile,
     ModelName,
     Site,
-    Speed,
     writes,
 )
 from energyplan.cli.routes import level_model, problem_of
@@ -33,8 +33,9 @@ app.add_typer(export, name="export")
 )
 def graph(
     file: Annotated[Path, Argument(help="A route graph of Nav2's route server (GeoJSON).")],
-    site: Site,
-    drive: Drive,
+    map_file: MapFile,
+    model: ModelName,
+    at_battery: AtBattery = False,
     effort: Annotated[
         int | None, Option(min=1, help="Work for each edge; 50000 is about 1 s.")
     ] = None,
@@ -61,7 +62,7 @@ def graph(
         raise InvalidInputError(f"{file} holds no nodes; give points with an id")
     # where a plan would start and end does not matter to its edges
     somewhere = as_pose((*next(iter(places.nodes(data="pos")))[1], 0.0), "a node")
-    problem = problem_of(site, drive, somewhere, somewhere)
+    problem = problem_of(Site(map_file), Drive(model, at_battery), somewhere, somewhere)
     with progress("planning"):
         made = run(places, problem, effort=EFFORT if effort is None else effort)
     if out:
@@ -89,8 +90,6 @@ def lattice(
             help="Write the planner's parameters to this file.",
         ),
     ] = None,
-    at_battery: AtBattery = False,
-    speed: Speed = None,
     json: Json = False,
 ) -> None:
     """Write primitives and penalties for Nav2's SmacPlannerLattice.
@@ -107,7 +106,7 @@ def lattice(
     )
 
     power = level_model(model)
-    cost = EnergyCost(power, battery=at_battery, speed=asked_speed(speed, power.vehicle))
+    cost = EnergyCost(power, speed=asked_speed(None, power.vehicle))
     controls = control_set(cost, resolution)
     found = penalties(controls, cost)
     write_lattice(controls, out)

@@ -18,16 +18,17 @@ from energyplan.cli.options import (
     GEOJSON,
     RECORDING,
     TABLES,
+    AtBattery,
     Drive,
     Effort,
     Json,
-    MaybePose,
+    MapFile,
     MaybeSite,
+    ModelName,
     Plot,
     PoseText,
     Report,
     Site,
-    Spread,
     Strict,
     Work,
     number,
@@ -38,6 +39,7 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathEr
 if TYPE_CHECKING:
     from energyplan.cost import EnergyCost
     from energyplan.io.documents import Document
+    from energyplan.mission import Mission
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.planning.driven import DrivenPath
@@ -85,18 +87,15 @@ class PricedGround(NamedTuple):
 
 
 def priced_ground(drive: Drive, place: Place | None) -> PricedGround:
-    """Return the ground that options or a site name, and what motions cost on it."""
+    """Return the ground of a site, and what motions cost on it."""
     from energyplan.cost import EnergyCost
     from energyplan.cost.speeds import asked_speed
     from energyplan.io.config import read_model
-    from energyplan.io.geojson import read_surfaces
     from energyplan.power.effects import reads_slope, with_weight
     from energyplan.terrain import knows_ground, with_weights
 
     power = read_model(drive.model)
     surfaces, heights = (place.surfaces, place.heights) if place else (None, None)
-    if drive.surfaces:
-        surfaces = read_surfaces(drive.surfaces)
     warn_of_surfaces(power.vehicle, surfaces)
     if knows_ground(power):
         warn(
@@ -129,10 +128,13 @@ def level_model(name: str) -> PowerModel:
 
 def problem_of(site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -> PlanningProblem:
     """Return the problem that options name."""
+    from energyplan.io.geojson import read_surfaces
     from energyplan.io.maps import read_map, read_site
     from energyplan.planning import PlanningProblem
 
     place = read_site(site.map_file)
+    if site.surfaces:
+        place = replace(place, surfaces=read_surfaces(site.surfaces))
     if site.keepout:
         place = replace(place, keepout=read_map(site.keepout))
     if site.clearance is not None:
@@ -253,11 +255,8 @@ def plan(
         Path | None,
         Option(
             help="A path being driven, as plan --out writes it: what is left of it is kept if it "
-            "is still free and no obstacle is gone."
+            "is still free."
         ),
-    ] = None,
-    former_map: Annotated[
-        Path | None, Option(help="The map of that path, if obstacles are gone.")
     ] = None,
     costmap_weight: Annotated[
         float,
@@ -282,15 +281,13 @@ def plan(
     """
     from energyplan.io.documents import parse_pose
     from energyplan.io.tables import read_path
-    from energyplan.output import documents, text
+    from energyplan.output import documents
     from energyplan.planning import plan as run
     from energyplan.planning.replanning import replan
 
     _writable(out)
     if former is None and goal is None:
         raise InvalidInputError("--goal is missing; give X,Y,YAW, or a path by --former")
-    if former is None and former_map is not None:
-        raise InvalidInputError("--former-map goes with --former; give both or neither")
     if former is not None and goal is not None:
         raise InvalidInputError("--former has its own goal, the end of the path; leave --goal out")
     if former is not None and planner != "lattice":
@@ -309,15 +306,12 @@ def plan(
     else:
         path = read_path(former, problem.cost.icr.longitudinal)
         before = replace(problem, start=path.start, goal=path.end)
-        if former_map:
-            known = problem_of(replace(site, map_file=former_map), drive, here, here, **more)
-            before = replace(before, map=known.map)
         with planning(json, strict):
             made = replan(before, path, start=here, map=problem.map, **spent)
     told = driven(made, trajectory)
     _write(problem, out, plot, {"plan": made})
     document = {**documents.plan(made), **documents.driven_path(told)}
-    answer(document, [*text.plan(made, objective), *text.driven_path(made, told)], json=json)
+    answer(document, made, json=json)
 
 
 @app.command(
@@ -346,7 +340,7 @@ def compare(
     """
     from energyplan.comparison import compare as run
     from energyplan.io.documents import parse_pose
-    from energyplan.output import documents, text
+    from energyplan.output import documents
     from energyplan.output.pages import comparison_page
 
     _writable(out)
@@ -365,10 +359,7 @@ def compare(
     document = documents.comparison(made)
     document["energy_optimal"] |= documents.driven_path(best)
     document["shortest"] |= documents.driven_path(shortest)
-    lines = text.comparison(made)
-    lines += [f"least energy, {line}" for line in text.driven_path(made.energy_optimal, best)]
-    lines += [f"shortest, {line}" for line in text.driven_path(made.shortest, shortest)]
-    answer(document, lines, json=json)
+    answer(document, made, json=json)
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
@@ -392,7 +383,7 @@ def check(
     from energyplan.io.maps import read_site
     from energyplan.io.tables import read_drive
     from energyplan.limits.feasibility import check as run
-    from energyplan.output import documents, text
+    from energyplan.output import documents
     from energyplan.path import Trajectory
     from energyplan.planning.driven import counted, drive_path
 
@@ -412,18 +403,8 @@ def check(
         )
     law, ground = counted(cost, ground)
     report = run(found, law, limits, surfaces=ground, heights=hills)
-    answer(documents.feasibility(report), text.feasibility(report), json=json)
+    answer(documents.feasibility(report), report, json=json)
     verdict(report.feasible, strict)
-
-
-BatteryName = Annotated[
-    str | None,
-    Option(
-        metavar="BATTERY",
-        help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'.",
-    ),
-]
-Charge = Annotated[str | None, Option(help="State of charge at the start, as 80%. Default: full.")]
 
 
 @app.command(
@@ -432,18 +413,29 @@ Charge = Annotated[str | None, Option(help="State of charge at the start, as 80%
     "--start 2,2,0 --energy 5000 --return --confidence 0.95 --spread 0.05",
 )
 def reach(
-    site: Site,
-    drive: Drive,
+    map_file: MapFile,
+    model: ModelName,
     start: PoseText,
     energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None,
-    battery: BatteryName = None,
-    soc: Charge = None,
+    battery: Annotated[
+        str | None,
+        Option(
+            metavar="BATTERY",
+            help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'.",
+        ),
+    ] = None,
+    soc: Annotated[
+        str | None, Option(help="State of charge at the start, as 80%. Default: full.")
+    ] = None,
     reserve: Annotated[str, Option(help="What of it to keep, as 20%.")] = "0",
+    at_battery: AtBattery = False,
     confidence: Annotated[
         float | None,
         Option(help="Probability that a place shown as reachable really is, such as 0.95."),
     ] = None,
-    spread: Spread = None,
+    spread: Annotated[
+        float | None, Option(help="Relative spread of the model's coefficients, as 0.05.")
+    ] = None,
     back: Annotated[bool, Option("--return", help="It must still get back to the start.")] = False,
     out: Annotated[
         Path | None,
@@ -476,9 +468,9 @@ def reach(
         raise InvalidInputError("--spread needs --confidence; give both")
     kept = _fraction("--reserve", reserve)
     pose = parse_pose(start)
-    if battery:  # what a battery delivers is counted at the battery
-        drive = replace(drive, at_battery=True)
-    problem = problem_of(site, drive, pose, pose)
+    # what a battery delivers is counted at the battery
+    drive = Drive(model, at_battery=at_battery or battery is not None)
+    problem = problem_of(Site(map_file), drive, pose, pose)
     if battery:
         charge = 1.0 if soc is None else _fraction("--soc", soc)
         energy = energy_of_charge(problem.cost, read_battery(battery), charge)
@@ -507,25 +499,9 @@ def _fraction(option: str, text: str) -> float:
 
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
-    file: Annotated[Path | None, Argument(help="Mission YAML file, or the options below.")] = None,
-    map_file: Annotated[Path | None, Option("--map", help="As in plan.")] = None,
-    model: Annotated[str | None, Option(metavar="MODEL", help="As in plan.")] = None,
-    battery: BatteryName = None,
-    start: MaybePose = None,
-    task: Annotated[
-        list[str] | None,
-        Option(
-            metavar="TASK...",
-            help="Task NAME=X,Y,YAW[,DWELL[,POWER]], as meter=3.9,2,90deg,5 min,30 W; repeatable.",
-        ),
-    ] = None,
-    soc: Charge = None,
-    reserve: Annotated[str | None, Option(help="What must be left. Default: 20 %.")] = None,
-    back: Annotated[bool, Option("--return", help="Return to the start.")] = False,
-    confidence: Annotated[
-        float | None, Option(help="Probability that a verdict holds, as 0.95.")
-    ] = None,
-    spread: Spread = None,
+    file: Annotated[
+        Path, Argument(metavar="MISSION.yaml", help="Its keys are listed in docs/missions.")
+    ],
     effort: Work = None,
     fail: Annotated[
         str | None,
@@ -552,59 +528,24 @@ def mission(
     """
     from energyplan.errors import MissionError
     from energyplan.io.documents import load
-    from energyplan.io.mission import MissionReader, mission_from
+    from energyplan.io.mission import MissionReader
     from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
     from energyplan.output.pages import mission_page
 
-    described: dict[str, Any] = {
-        "map": map_file,
-        "model": model,
-        "battery": battery,
-        "start": start,
-        "task": task,
-    }
-    stated: dict[str, Any] = {
-        "planning_effort": effort, "confidence": confidence, "coefficient_spread": spread
-    }  # fmt: skip
-    stated = {name: value for name, value in stated.items() if value is not None}
-    if file is None:
-        missing = [f"--{name}" for name, value in described.items() if not value]
-        if missing:
+    document = load(file, MissionError)
+    if "robots" in document.data:
+        if report or trajectories:
             raise InvalidInputError(
-                f"without a mission's file {', '.join(missing)} must be given; docs/missions lists "
-                "what a file may contain"
+                f"{file} is a mission of several robots, which has no --report and no "
+                "--trajectories yet; leave them out"
             )
-        asked = mission_from(
-            {
-                "model": model, "map": str(map_file), "battery": battery,
-                "start": start, "soc": soc or "100 %", "reserve": reserve or "20 %",
-                "return_to": "start" if back else "any",
-                "tasks": [_task(text) for text in task or []],
-            }
-        )  # fmt: skip
-    else:
-        described |= {"soc": soc, "reserve": reserve, "return": back}
-        clash = [f"--{name}" for name, value in described.items() if value]
-        if clash:
-            raise InvalidInputError(
-                f"the mission's file already sets what {', '.join(clash)} would; drop "
-                f"{'it' if len(clash) == 1 else 'them'}, or give no file"
-            )
-        document = load(file, MissionError)
-        if "robots" in document.data:
-            if report or trajectories:
-                raise InvalidInputError(
-                    f"{file} is a mission of several robots, which has no --report and no "
-                    "--trajectories yet; leave them out"
-                )
-            _robots(document, file.parent, fail, stated, json, strict)
-            return
-        asked = MissionReader(document, file.parent, anywhere=True).mission()
+        _robots(document, file.parent, fail, effort, json, strict)
+        return
     if fail is not None:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
-    asked = replace(asked, **stated)
+    asked = _with_effort(MissionReader(document, file.parent, anywhere=True).mission(), effort)
     warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"):
         told = evaluate(asked)
@@ -618,21 +559,12 @@ def mission(
     verdict(told.feasible, strict)
 
 
-def _task(text: str) -> dict[str, str]:
-    """Return what a task's option says, as a mission's file would hold it."""
-    name, _, rest = text.partition("=")
-    parts = [part.strip() for part in rest.split(",")]
-    if not name.strip() or not 3 <= len(parts) <= 5:
-        raise InvalidInputError(
-            f"task {text!r} cannot be read; write NAME=X,Y,YAW[,DWELL[,POWER]], such as "
-            "meter=3.9,2,90deg,5 min,30 W"
-        )
-    task = {"name": name.strip(), "pose": ",".join(parts[:3])}
-    return task | dict(zip(("dwell", "power"), parts[3:], strict=False))
+def _with_effort(asked: Mission, effort: int | None) -> Mission:
+    return asked if effort is None else replace(asked, planning_effort=effort)
 
 
 def _robots(
-    file: Document, folder: Path, fail: str | None, stated: dict[str, Any], json: bool, strict: bool
+    file: Document, folder: Path, fail: str | None, effort: int | None, json: bool, strict: bool
 ) -> None:
     """Share the tasks of a mission between its robots."""
     from energyplan.io.fleet import fleet_from
@@ -641,7 +573,7 @@ def _robots(
 
     name, instant = _failure(fail) if fail else ("", 0.0)
     asked = fleet_from(file, folder)
-    robots = [replace(one, mission=replace(one.mission, **stated)) for one in asked.robots]
+    robots = [replace(one, mission=_with_effort(one.mission, effort)) for one in asked.robots]
     asked = Fleet(tuple(robots), asked.places, asked.name)
     with progress("evaluating the mission"):
         told = evaluate_fleet(asked)

@@ -187,24 +187,53 @@ class Diagnosis(html.Readable):
     average: Average | None = None
 
     def _summaries(self) -> list[html.Summary]:
-        effects = html.Summary(
-            f"verdict: {self.verdict.replace('_', ' ')}",
-            ("effect", "symbol", "value", "standard error", "unit", "cannot be separated from"),
-            [
-                (e.name, e.symbol, e.value, e.std_error, e.unit, ", ".join(e.rivals) or "-")
-                for e in self.effects
-            ],
-        )
-        errors = html.Summary(
-            "on the hold-out drives",
-            ("model", "rmse [W]", "mae [W]", "bias [W]", "energy error [%]"),
-            [
-                (name, misfit.rmse, misfit.mae, misfit.bias, 100 * misfit.energy_error)
-                for name, misfit in (("before", self.before), ("after", self.after))
-            ],
-            self.advice,
-        )
-        return [effects, errors]
+        errors = [
+            (name, *(_spanned(error, interval, key) for key in ("rmse", "mae", "bias")),
+             _spanned(error, interval, "energy_error", 100.0))
+            for name, error, interval in (("before", self.before, self.before_interval),
+                                          ("after", self.after, self.after_interval))
+        ]  # fmt: skip
+        quality = self.adequacy
+        notes = [
+            f"residual on the training drives: {html.number(quality.residual)} W; noise: "
+            f"{html.number(quality.noise)} W"
+            + ("; the residual lasts longer than noise does" if quality.coloured else ""),
+            *html.set_aside(self.set_aside),
+            *(f"unexplained: {found.channel} ({found.shape}), "
+              f"{100 * found.explained_variance:.0f} % of the residual's variance"
+              for found in self.unexplained),
+            *(f"advice: {one}" for one in self.advice),
+        ]  # fmt: skip
+        found = [
+            html.Summary(
+                f"verdict: {html.words(self.verdict)}",
+                ("effect", "symbol", "value", "standard error", "unit", "probability",
+                 "cannot be separated from"),
+                [(e.name, e.symbol, e.value, e.std_error, e.unit, html.chance(e.probability),
+                  ", ".join(map(html.words, e.rivals)) or "-") for e in self.effects],
+            ),
+            html.Summary(
+                "possible explanations", ("effects", "probability"),
+                [(" and ".join(map(html.words, one.effects)) or "none",
+                  html.chance(one.probability)) for one in self.explanations],
+            ),
+            html.Summary(
+                "error on the hold-out drives, with 95 % intervals from resampled blocks",
+                ("model", "rmse [W]", "mae [W]", "bias [W]", "energy error [%]"), errors, notes,
+            ),
+            html.Summary(
+                "energy of the hold-out drives",
+                ("drive", "predicted [J]", "90 % interval [J]", "measured [J]"),
+                [(one.drive, one.energy, "{} to {}".format(*map(html.number, one.energy_interval)),
+                  one.measured) for one in self.predictions],
+            ),
+        ]  # fmt: skip
+        return [one for one in found if one.rows or one is found[0]]
+
+
+def _spanned(error: Residual, interval: ErrorInterval, key: str, scale: float = 1.0) -> str:
+    """Return an error with its interval."""
+    return html.spanned(*(scale * one for one in (getattr(error, key), *getattr(interval, key))))
 
 
 # -- what to do next, in sentences -----------------------------------------------------------------

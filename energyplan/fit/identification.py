@@ -540,18 +540,26 @@ class Identification(ByValue, html.Readable):
             object.__setattr__(self, "icr_covariance", known)
 
     def _summaries(self) -> list[html.Summary]:
-        rows: list[tuple[object, ...]] = [
-            (term.name, term.symbol, float(value), self.std_error[term.name], term.unit)
-            for term, value in zip(self.model.terms, self.model.coefficients, strict=True)
-        ]
         spread = self.icr_std_error or {}
+        rows: list[tuple[object, ...]] = [
+            (term.name, term.symbol, float(value), self.std_error[term.name],
+             "{} to {}".format(*map(html.number, self.interval(term.name))), term.unit)
+            for term, value in zip(self.model.terms, self.model.coefficients, strict=True)
+        ]  # fmt: skip
         rows += [
-            (f"tread ICR {side}", "C", getattr(self.icr, side), spread.get(side, "kept"), "m")
+            (f"tread ICR {side}", "C", getattr(self.icr, side), spread.get(side, "kept"), "-", "m")
             for side in ("left", "right")
         ]
-        title = f"{self.model.name}: residual {html.number(self.residual.rmse)} W rms"
-        header = ("term", "symbol", "value", "standard error", "unit")
-        return [html.Summary(title, header, rows, self.warnings)]
+        left = self.residual
+        title = (
+            f"{self.model.name}: residual rmse {html.number(left.rmse)} W, mae "
+            f"{html.number(left.mae)} W, bias {html.number(left.bias)} W, energy "
+            f"{100 * left.energy_error:+.2f} %"
+        )
+        header = ("term", "symbol", "value", "standard error", "95 % interval", "unit")
+        seen = [f"unseen driving: {self.foretold.in_words}"] if self.foretold else []
+        notes = [*seen, *html.set_aside(self.set_aside), *self.warnings]
+        return [html.Summary(title, header, rows, notes)]
 
     @property
     def residual(self) -> Residual:

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from energyplan import __version__
 from energyplan import html as _html
 from energyplan.comparison import energy_along
-from energyplan.errors import InfeasibleMotionError, InvalidInputError
-from energyplan.html import number, quantity, spanned, words
+from energyplan.errors import InvalidInputError
+from energyplan.html import chance, number, words
 from energyplan.output import plots
 from energyplan.output.plots.style import svg
 from energyplan.path import wrap_angle
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from energyplan.logs import DriveLog
     from energyplan.mission import MissionReport
     from energyplan.physics import Loop
-    from energyplan.planning import Plan, PlanningProblem
-    from energyplan.power import PowerModel, Residual
+    from energyplan.planning import PlanningProblem
+    from energyplan.power import PowerModel
     from energyplan.terrain import SurfaceMap
 
 
@@ -130,6 +130,19 @@ class Page:
         """
         self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
 
+    def summaries(self, found: Iterable[_html.Summary]) -> None:
+        """Add titled rows: a section for each, with its notes below."""
+        for one in found:
+            self.heading(f"{one.title[:1].upper()}{one.title[1:]}")
+            if rows := list(one.rows):
+                self.table(one.header, rows)
+            self.bullets(one.notes)
+
+    def pictures(self, pictures: Iterable[Picture]) -> None:
+        """Add figures with their captions."""
+        for _, figure, caption in pictures:
+            self.picture(figure, caption)
+
     def picture(self, figure: Figure, caption: str) -> None:
         """Add a figure, as vectors, with its caption."""
         data = base64.b64encode(svg(figure)).decode("ascii")
@@ -217,101 +230,25 @@ def _models(page: Page, model: PowerModel, surfaces: SurfaceMap | None) -> None:
         page.made_from(model=surface.model)
 
 
-def _illustrate(page: Page, pictures: Iterable[Picture]) -> None:
-    for _, figure, caption in pictures:
-        page.picture(figure, caption)
-
-
 def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     """Return the report of a diagnosis; `holdout` are the drives that it was judged on."""
     page = Page("Diagnosis of a power model")
     page.made_from(model=told.model)
     before, after = (f"{number(one.rmse, 3)} W" for one in (told.before, told.after))
+    found = " and ".join(words(effect.name) for effect in told.effects) or "none"
     page.paragraph(
         {
-            "effect_found": f"The most probable cause of the residual is {_names(told)}, with a "
-            f"probability of {_chance(told.explanations[0].probability)}. On drives that were not "
+            "effect_found": f"The most probable cause of the residual is {found}, with a "
+            f"probability of {chance(told.explanations[0].probability)}. On drives that were not "
             f"fitted to, the root mean square error is {before} without it and {after} with it.",
             "no_effect": "No effect of the catalogue predicts these drives better than the paper's "
             "model alone.",
-            "unexplained": "More is left than noise"
-            + (
-                ", and part of it depends on a channel in a way that no effect of the catalogue "
-                "explains."
-                if told.unexplained
-                else ", and no effect of the catalogue explains it."
-            ),
+            "unexplained": "More is left than noise, and no effect of the catalogue explains it.",
         }[told.verdict],
         "lead",
     )
-    if told.effects:
-        page.heading("Effects found, largest first")
-        page.table(
-            ("effect", "symbol", "size", "probability", "or instead"),
-            [
-                (
-                    words(effect.name), effect.symbol,
-                    quantity(effect.value, effect.std_error, effect.unit),
-                    _chance(effect.probability), ", ".join(map(words, effect.rivals)) or "-",
-                )
-                for effect in told.effects
-            ],
-        )  # fmt: skip
-        page.paragraph("After ± stands the standard error.")
-    if len(told.explanations) > 1:
-        page.heading("Possible explanations")
-        page.table(
-            ("effects", "probability"),
-            [(_together(one.effects), _chance(one.probability)) for one in told.explanations],
-        )
-    page.heading("Error on the hold-out drives")
-    rows = (
-        ("before", told.before, told.before_interval),
-        ("after", told.after, told.after_interval),
-    )
-    page.table(
-        ("model", "rmse [W]", "mae [W]", "bias [W]", "energy error [%]"),
-        [
-            (
-                name, *(_with_interval(residual, interval, key) for key in ("rmse", "mae", "bias")),
-                _with_interval(residual, interval, "energy_error", 100.0),
-            )
-            for name, residual, interval in rows
-        ],
-    )  # fmt: skip
-    page.paragraph("In brackets: 95 % intervals from resampled blocks of the drives.")
-    page.table(
-        ("drive", "predicted energy [J]", "90 % interval [J]", "measured energy [J]"),
-        [
-            (
-                one.drive, number(one.energy),
-                f"{number(one.energy_interval[0])} to {number(one.energy_interval[1])}",
-                number(one.measured),
-            )
-            for one in told.predictions
-        ],
-    )  # fmt: skip
-    if told.set_aside:
-        page.heading("Samples that were set aside")
-        page.table(
-            ("drive", "reason", "samples"),
-            [
-                (drive, reason, count)
-                for drive, reasons in told.set_aside.items()
-                for reason, count in reasons.items()
-            ],
-        )
-    for found in told.unexplained:
-        page.paragraph(
-            f"Unexplained: the residual depends on the {described(found.channel).name} "
-            f"({found.shape}); "
-            f"{100 * found.explained_variance:.0f} % of its variance.",
-            "flag",
-        )
-    _illustrate(page, diagnosis_pictures(told, holdout))
-    if told.advice:
-        page.heading("What to do next")
-        page.bullets(told.advice)
+    page.pictures(diagnosis_pictures(told, holdout))
+    page.summaries(told.tables)
     return page
 
 
@@ -357,48 +294,17 @@ def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
     """Return the report of a comparison; `problem` is what was planned."""
     page = Page("Least energy against the shortest route")
     _models(page, problem.cost.model, problem.surfaces)
-    best, shortest = made.energy_optimal, made.shortest
     least, most = made.spent
     page.paragraph(
         f"{'Driven with its stops, the' if made.driven else 'The'} route of least energy takes "
         f"{number(least.energy)} J, the shortest one {number(most.energy)} J: "
-        f"{100 * made.saving:.1f} % saved. No route takes less than {number(best.lower_bound)} J"
-        f"{' at a steady speed' if made.driven else ''}.",
+        f"{100 * made.saving:.1f} % saved. No route takes less than "
+        f"{number(made.energy_optimal.lower_bound)} J{' at a steady speed' * made.driven}.",
         "lead",
     )
-    page.table(
-        ("route", "energy [J]", "length [m]", "turning [deg]", "driven: energy [J]",
-         "driven: time [s]"),
-        [
-            (label, plan.energy, plan.length, float(np.degrees(plan.turning)), *_driven(plan))
-            for label, plan in (("least energy", best), ("shortest", shortest))
-        ],
-    )  # fmt: skip
-    page.paragraph(
-        "The energy is that of the path at steady speed; driven, the robot also starts, slows down "
-        "in corners and stops."
-    )
-    page.heading("Where the energy goes")
-    page.table(
-        ("term", "least energy [J]", "shortest [J]", "saved [J]"),
-        [
-            (
-                words(name), least.by_term.get(name, 0.0),
-                most.by_term.get(name, 0.0), saved,
-            )
-            for name, saved in made.by_term.items()
-        ],
-    )  # fmt: skip
-    _illustrate(page, comparison_pictures(made, problem))
+    page.pictures(comparison_pictures(made, problem))
+    page.summaries(made.tables)
     return page
-
-
-def _driven(plan: Plan) -> tuple[object, object]:
-    """Return energy [J] and time [s] of driving a plan, where the motors can."""
-    try:
-        return plan.driven.energy, plan.driven.duration
-    except (InfeasibleMotionError, InvalidInputError):
-        return "-", "-"
 
 
 def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[Picture]:
@@ -439,10 +345,8 @@ def mission_page(told: MissionReport) -> Page:
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
     for warning in told.warnings:
         page.paragraph(f"Warning: {warning}.", "flag")
-    _illustrate(page, mission_pictures(told))
-    for table in told.tables:
-        page.heading(table.title)
-        page.table(table.header, list(table.rows))
+    page.pictures(mission_pictures(told))
+    page.summaries(told.tables)
     return page
 
 
@@ -459,27 +363,6 @@ def mission_pictures(told: MissionReport) -> Iterator[Picture]:
     )
 
 
-def _chance(probability: float) -> str:
-    """Return a probability with as many digits as it bears."""
-    if probability < 0.01:
-        return "below 0.01"
-    return f"{probability:.2f}" if probability <= 0.99 else "above 0.99"
-
-
-def _together(names: Sequence[str]) -> str:
-    """Return effects that act together."""
-    return " and ".join(map(words, names)) or "none"
-
-
-def _names(told: Diagnosis) -> str:
-    return _together([effect.name for effect in told.effects])
-
-
-def _with_interval(residual: Residual, interval: object, key: str, scale: float = 1.0) -> str:
-    told = (scale * one for one in (getattr(residual, key), *getattr(interval, key)))
-    return spanned(*told)
-
-
 def loop_page(made: Loop, problem: PlanningProblem) -> Page:
     """Return the report of a closed loop; `problem` is what was planned."""
     page = Page("Plan, drive, learn, plan again")
@@ -494,50 +377,18 @@ def loop_page(made: Loop, problem: PlanningProblem) -> Page:
         f"{number(last.energy_taken)} J.",
         "lead",
     )
-    page.table(
-        ("round", "predicted [J]", "95 % interval [J]", "measured [J]", "error", "length [m]",
-         "found"),
-        [
-            (
-                k, number(now.energy_told),
-                " to ".join(number(v) for v in now.energy_interval or ()) or "-",
-                number(now.energy_taken), f"{100 * now.error:+.1f} %", number(now.length),
-                ", ".join(words(e.name) for e in now.effects) or now.note or "-",
-            )
-            for k, now in enumerate(made.rounds, 1)
-        ],
-    )  # fmt: skip
-    _illustrate(page, loop_pictures(made, problem))
+    page.pictures(loop_pictures(made, problem))
+    page.summaries(made.tables)
     for k, now in enumerate(made.rounds, 1):
-        if now.effects:
-            page.heading(f"Round {k}: what was found")
-            page.table(
-                ("effect", "size"),
-                [(words(e.name), quantity(e.value, e.std_error, e.unit))
-                 for e in now.effects],
-            )  # fmt: skip
         if now.driven is not None:
-            page.heading(f"Round {k}: where the energy went")
-            page.table(
-                ("term", "predicted [J]", "measured [J]"),
-                list(_rounded(now.driven.terms)),
-            )
+            energy = now.driven.tables[0]
+            page.summaries([energy._replace(title=f"Round {k}, {energy.title}")])
     return page
 
 
 def _off(error: float) -> str:
     """Return how a prediction lies to what was measured."""
     return f"{100 * abs(error):.1f} % {'above' if error > 0 else 'below'}"
-
-
-def _rounded(rows: Sequence[tuple[str, float, float]]) -> Iterator[tuple[str, str, str]]:
-    """Yield energies by name, all to the place of the largest one's fourth digit; none of zero."""
-    most = max((abs(joules) for _, *both in rows for joules in both), default=0.0)
-    places = max(0, 3 - int(np.floor(np.log10(most)))) if most > 0 else 0
-    for name, *both in rows:
-        shown = [f"{round(joules, places) + 0.0:.{places}f}" for joules in both]
-        if any(float(text) for text in shown):
-            yield words(name), shown[0], shown[1]
 
 
 def loop_pictures(made: Loop, problem: PlanningProblem) -> Iterator[Picture]:

@@ -56,9 +56,9 @@ class Sensors:
                     )
 
     @classmethod
-    def parse(cls, text: str, seed: int = 0) -> Sensors:
+    def parse(cls, text: str) -> Sensors:
         """Return the sensors that ``NAME=VALUE,NAME=VALUE`` stands for."""
-        known = [item.name for item in fields(cls) if item.name not in ("without", "seed")]
+        known = [item.name for item in fields(cls) if item.name != "without"]
         given: dict[str, str] = {}
         for part in filter(None, text.split(",")):
             name, _, value = (word.strip() for word in part.partition("="))
@@ -66,7 +66,7 @@ class Sensors:
                 raise UnknownNameError("property of sensors", name, known)
             given[name] = value
         try:
-            return TypeAdapter(cls).validate_python({**given, "seed": seed})
+            return TypeAdapter(cls).validate_python(given)
         except ValidationError as problem:
             wrong = problem.errors(include_url=False)[0]
             place = ".".join(map(str, wrong["loc"]))
@@ -265,14 +265,17 @@ class Driven(html.Readable):
         return sorted(rows, key=lambda row: -max(abs(row[1]), abs(row[2])))
 
     def _summaries(self) -> list[html.Summary]:
-        return [
-            html.Summary(
-                f"predicted {self.energy_told:.0f} J, taken {self.energy_taken:.0f} J "
-                f"({100 * self.error:+.1f} %), {'arrived' if self.arrived else 'not arrived'}",
-                ("term", "predicted [J]", "measured [J]"),
-                self.terms,
-            )
-        ]
+        note = (
+            f"{'arrived' if self.arrived else 'not arrived'}: {100 * self.final_error:.1f} cm from "
+            f"the end; at most {100 * self.tracking_error:.1f} cm and "
+            f"{np.degrees(self.heading_error):.1f} deg off on the way"
+        )
+        title = (
+            f"energy predicted: {html.number(self.energy_told, 5)} J, measured: "
+            f"{html.number(self.energy_taken, 5)} J ({100 * self.error:+.2f} %)"
+        )
+        header = ("term", "predicted [J]", "measured [J]")
+        return [html.Summary(title, header, self.terms, [note])]
 
 
 def energy_told(

@@ -229,17 +229,37 @@ class Loop(html.Readable):
 
     def _summaries(self) -> list[html.Summary]:
         rows = [
-            (k, r.energy_told, r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
-             ", ".join(e.name for e in r.effects) or "-")
+            (
+                k, r.energy_told, " to ".join(map(html.number, r.energy_interval or ())) or "-",
+                r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
+                ", ".join(
+                    f"{html.words(e.name)} {html.quantity(e.value, e.std_error, e.unit)}"
+                    for e in r.effects
+                ) or r.note or "-",
+            )
             for k, r in enumerate(self.rounds, 1)
         ]  # fmt: skip
-        return [
-            html.Summary(
-                "closed" if self.closed else "not closed",
-                ("round", "predicted [J]", "measured [J]", "error", "length [m]", "found"),
-                rows,
-            )
+        surveys = [
+            f"after round {k} a designed drive of {r.survey.trajectory.duration:.0f} s was made to "
+            "learn from"
+            for k, r in enumerate(self.rounds, 1)
+            if r.survey
         ]
+        header = (
+            "round", "predicted [J]", "95 % interval [J]", "measured [J]", "error", "length [m]",
+            "found",
+        )  # fmt: skip
+        return [html.Summary(f"the last prediction {self._verdict}", header, rows, surveys)]
+
+    @property
+    def _verdict(self) -> str:
+        if self.closed:
+            return "was right"
+        last = self.rounds[-1]
+        low, high = last.energy_interval or (np.nan, np.nan)
+        if low <= last.energy_taken <= high:
+            return "holds the energy taken, but is too wide to count as right; drive more rounds"
+        return "was still wrong"
 
 
 # -- where drives come from -----------------------------------------------------------------------

@@ -292,17 +292,28 @@ class Plan(html.Readable):
         return self.driven.speed
 
     def _summaries(self) -> list[html.Summary]:
-        rows = [
+        asked = self.problem.objective if self.problem else "energy"
+        objective = asked if isinstance(asked, str) else "objective"
+        unit = {"length": "m", "time": "s"}.get(objective, "J")
+        rows: list[tuple[str, object]] = [
             ("energy [J]", self.energy),
-            *((f"of it {name.replace('_', ' ')} [J]", joules)
-              for name, joules in self.breakdown.items()),
+            *((f"of it {html.words(name)} [J]", part) for name, part in self.breakdown.items()),
+            (f"lower bound of the {objective} [{unit}]", self.lower_bound),
             ("at most above the least possible [%]", 100 * self.gap),
             ("length [m]", self.length),
             ("turning [deg]", float(np.degrees(self.turning))),
             ("duration [s]", self.duration),
-            ("planning time [s]", self.planning_time),
-        ]  # fmt: skip
-        return [html.Summary(f"plan by {self.planner}", ("", ""), rows, self.notes)]
+        ]
+        if self.soft_cost:
+            rows.insert(1, (f"costmap [{unit}]", self.soft_cost))
+        if "driven" in vars(self):
+            rows += [
+                ("driven, with its stops: energy [J]", self.driven.energy),
+                ("driven: duration [s]", self.driven.duration),
+                ("driven: speed [m/s]", self.driven.speed),
+            ]
+        title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
+        return [html.Summary(title, ("", ""), rows, self.notes)]
 
     @property
     def poses(self) -> FloatArray:

@@ -269,7 +269,10 @@ def test_what_belongs_to_another_robot_is_told(
     write_trajectory(ep.speed.profile(path, MODEL), Path("t.csv"))
     _, _, error = run(capsys, "check", "t.csv", "--model", "model.yaml", "--vehicle", robot)
     assert ("limits are of another robot, husky" in error) == (robot == "husky_a200")
-    ground = ("--surfaces", bundled("office_surfaces.geojson"))
+    (folder / "ground.yaml").write_text(
+        f"map: office.yaml\nsurfaces: {bundled('office_surfaces.geojson')}\n"
+    )
+    ground = ("--map", "ground.yaml")
     ground_model = {"husky_a200": "husky_a200:flooring"}.get(robot, "quadriga:empty:marble")
     _, _, error = run(capsys, "check", "t.csv", "--model", ground_model, *ground)
     assert ("surfaces are of another robot, quad" in error) == (robot == "husky_a200")
@@ -332,13 +335,16 @@ plna | Did you mean 'plan'
 range --start 2,2,0 --energy 5kJ | '5kJ' should be a valid number in J
 range --map {surfaces} --model model.yaml --start 1.2,2,0 | these are surfaces and no obstacles
 range {site} --energy 5000 --spread -1 | give
+range {site} --energy 5000 --surfaces s.geojson | --surfaces is a key of a site's file
+range {site} --energy 5000 --speed 1 | usual_speed
 mission absent.yaml | absent.yaml
 mission model.yaml | this file seems to be a power model
 mission round.yaml --fail a@1 | has robots
-mission round.yaml --soc '5 %' | drop it
-mission round.yaml --reserve '50 %' | drop it
+mission round.yaml --soc '5 %' | --soc is a key of a mission's file
+mission --map office.yaml | --map is a key of a mission's file
+mission | MISSION.yaml
 start a.csv --track nan --out new.yaml | --track is nan; give a number
-watch a.csv --once --mission round.yaml --vehicle robot.yaml --done zz | no task
+watch a.csv --once --mission round.yaml --done zz | take tasks that were done out
 design --model model.yaml --duration 1e9 | give
 export lattice --model model.yaml --out l.json --resolution 1e-9 | give
 serve . --port=99999 | '99999' should be less than
@@ -383,19 +389,6 @@ def test_a_command_of_the_last_release_names_its_successor(
         assert (code, out) == (2, "")
         assert f"{former} is now {now}" in error
         assert len(error.splitlines()) == 1
-
-
-def test_an_option_of_the_last_release_is_taken_and_its_new_name_told(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = ep.Path(ep.Pose(1.2, 2.0, 0.0), ds=[1.0], dtheta=[0.0])
-    write_trajectory(ep.speed.profile(path, MODEL), Path("t.csv"))
-    new = run(capsys, "check", "t.csv", "--model", "model.yaml", "--at-battery", "--json")
-    code, out, error = run(capsys, "check", "t.csv", "--model", "model.yaml", "--battery", "--json")
-    assert (code, out, error) == (*new[:2], "--battery is now --at-battery\n" + new[2])
-    refused(
-        folder, capsys, "range", "--from=1.2,2", "--map", "office.yaml", "--model", "model.yaml"
-    )
 
 
 def test_a_project_is_no_second_vehicle_beside_a_model(

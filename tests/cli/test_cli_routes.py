@@ -52,9 +52,8 @@ def test_a_path_is_kept_while_it_is_free_and_bypassed_where_it_is_not(
     cells[36:44, 60:64] = True
     write_map(OccupancyGrid(cells, 0.1), tmp_path / "now.yaml")
     after = tmp_path / "after.csv"
-    code, out, err = run("plan", "--former", path, "--map", tmp_path / "now.yaml",
-                         "--former-map", hall, *asked, "--start", "3,4,0",
-                         "--effort", 3000, "--out", after)  # fmt: skip
+    code, out, err = run("plan", "--former", path, "--map", tmp_path / "now.yaml", *asked,
+                         "--start", "3,4,0", "--effort", 3000, "--out", after)  # fmt: skip
     assert code == 0, err
     assert json.loads(out)["energy"] > rest["energy"] + 1
     assert np.ptp(np.genfromtxt(after, delimiter=",", names=True)["y"]) > 0.4

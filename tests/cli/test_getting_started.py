@@ -1,6 +1,6 @@
 """From a robot's log to a trajectory and a mission as a new user would, in an empty folder.
 
-Nothing is edited by hand: every file comes from a command, but for the log and the map.
+Every file comes from a command, but for the log, the map and the mission.
 """
 
 from __future__ import annotations
@@ -60,8 +60,11 @@ def chain(run: Run, log: str, measures: tuple[object, ...], poses: tuple[str, st
     assert checked["energy"] == pytest.approx(plan["energy_driven"], rel=1e-3)
     # equal where the plan is optimal: the file's digits round the twelfth
     assert checked["energy"] >= plan["lower_bound"] * (1 - 1e-9)
-    mission = run("mission", *project, *route, "--battery", "quadriga", "--start", start,
-                  "--task", f"look={goal}", "--effort", 20_000)  # fmt: skip
+    Path("mission.yaml").write_text(
+        f"model: extended.yaml\nmap: map.yaml\nbattery: quadriga\nstart: [{start}]\n"
+        f"tasks: [{{name: look, pose: [{goal}]}}]\n"
+    )
+    mission = run("mission", "mission.yaml", *project, "--effort", 20_000)
     assert [task["name"] for task in mission["tasks"]] == ["look"]
     assert mission["tasks"][0]["reachable_alone"]
 

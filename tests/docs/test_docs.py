@@ -180,7 +180,7 @@ def command(
 def write_files(page: Path, folder: Path) -> None:
     """Write the files that a page shows."""
     for block in blocks(page):
-        name = re.match(r"#\s*([\w-]+\.yaml)\s*\n", block.text)
+        name = re.match(r"\s*#\s*([\w-]+\.yaml)\s*\n", block.text)
         if block.language == "yaml" and name:
             (folder / name[1]).write_text(block.text)
 

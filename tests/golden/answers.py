@@ -104,17 +104,12 @@ ANSWERS = {
         (*ROUTE, Tolerance(0.05, "whole cells are counted, and rounding decides ties", "*area")),
     ),
     "mission": Answer("mission mission_warehouse.yaml --effort 2000", ROUTE),
-    "mission-options": Answer(
-        "mission --map office.yaml --model found.yaml --battery quadriga --start 1.2,2,90deg "
-        "--task 'look=3.9,2,90deg,5 min,30 W' --effort 2000",
-        ROUTE,
-    ),
     "mission-robots": Answer(
         "mission fleet_warehouse.yaml --effort 1000", ROUTE, page="mission, with robots"
     ),
     "watch": Answer("watch drive.csv --vehicle quadriga:full --once"),
     "drive": Answer(
-        f"drive trajectory.csv {MODEL} --effect viscous_loss=60 --seed 1 --out log.csv",
+        f"drive trajectory.csv {MODEL} --effect viscous_loss=60 --sensors seed=1 --out log.csv",
         (Tolerance(1e-6, "the trajectory is timed cell by cell"),),
     ),
     "close-the-loop": Answer(

@@ -170,7 +170,7 @@ def test_bad_sensors_are_named(driven: Driven) -> None:
 
 def test_sensors_parse() -> None:
     expected = Sensors(rate=50.0, unsigned=True, measured="battery", seed=3)
-    assert Sensors.parse("rate=50, unsigned=true,measured=battery", seed=3) == expected
+    assert Sensors.parse("rate=50, unsigned=true,measured=battery,seed=3") == expected
     assert Sensors.parse("") == Sensors()
 
 
