@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Flags, Ints, Words, njit
+from energyplan.compilation import Ints, Words, njit
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import MARGIN, CompiledProblem
@@ -30,7 +30,7 @@ from energyplan.planning.space.cost_to_go import (
     reached,
 )
 from energyplan.planning.space.motions import KernelProblem
-from energyplan.planning.space.queues import STEP_COLUMNS, STEP_ROWS, longer_ints
+from energyplan.planning.space.queues import STEP_COLUMNS, STEP_ROWS
 from energyplan.terrain.collision import Body, Space, pose_free
 
 NEIGHBOURS = 8
@@ -50,34 +50,31 @@ class Settings(NamedTuple):
 SETTINGS = Settings()
 
 
-class Chain(NamedTuple):
-    """A way from place to place."""
-
-    place: Ints  # (n,): its places, from the start to the goal
-    headings: Words  # (n,): headings with which each may be reached
-    work: int  # steps that the flood took
-
-
 class Queue(NamedTuple):
     """Places and headings in the order in which they came; there may be room for more."""
 
     place: Ints  # (n,): the places
     bits: Words  # (n,): headings of each
     parent: Ints  # (n,): where each was reached from
-    side: Ints  # (n,): the end whose flood it belongs to
+
+
+class Chain(NamedTuple):
+    """A way from place to place, none where there is none, and what was reached."""
+
+    place: Ints  # (n,): its places, from the start to the goal
+    headings: Words  # (n,): headings with which each may be reached
+    reached: Words  # headings that were reached at every place
+    work: int  # steps that it took
 
 
 @njit
 def _queue(room: int) -> Queue:
     """Return a queue with room for some entries."""
-    return Queue(
-        np.empty(room, np.int64), np.empty(room, np.uint64),
-        np.empty(room, np.int64), np.empty(room, np.int64),
-    )  # fmt: skip
+    return Queue(np.empty(room, np.int64), np.empty(room, np.uint64), np.empty(room, np.int64))
 
 
 @njit
-def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int, side: int) -> Queue:
+def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int) -> Queue:
     """Return a queue with an entry behind the first `count`: a longer one where it is full."""
     if count == len(queue.place):
         longer = _queue(2 * count)
@@ -85,12 +82,10 @@ def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int, s
             longer.place[k] = queue.place[k]
             longer.bits[k] = queue.bits[k]
             longer.parent[k] = queue.parent[k]
-            longer.side[k] = queue.side[k]
         queue = longer
     queue.place[count] = place
     queue.bits[count] = bits
     queue.parent[count] = parent
-    queue.side[count] = side
     return queue
 
 
@@ -117,147 +112,75 @@ def chain_between(
     passable: Words, tested: Words, across: int, start: int, begin: int, goal: int, end: int
 ) -> Chain:
     """Return a way from place to place between two of them, through tested headings mostly."""
-    count = len(passable)
-    reached = np.zeros((2, count), np.uint64)
-    waiting = np.zeros((2, count), np.uint64)
-    rows = STEP_ROWS
-    columns = STEP_COLUMNS
-    steps = np.empty(NEIGHBOURS, np.int64)
-    for k in range(NEIGHBOURS):
-        steps[k] = rows[k] * across + columns[k]
-    # what was reached in the order in which it was, of both ends; what waits for its turn
+    reached = np.zeros(len(passable), np.uint64)
+    waiting = np.zeros(len(passable), np.uint64)
+    # what was reached, in that order, and what waits until all tested headings were
     found = _queue(1024)
-    later = _queue(1024)
-    events = 0
-    laters = 0
-    head = np.zeros(2, np.int64)
-    later_head = np.zeros(2, np.int64)
-    for who in range(2):
-        place = start if who == 0 else goal
-        heading = np.uint64(1) << np.uint64(begin if who == 0 else end)
-        later = _added(later, laters, place, heading, -1, who)
-        laters += 1
-    work = 0
-    who = 1
+    later = _added(_queue(1024), 0, start, np.uint64(1) << np.uint64(begin), -1)
+    events = head = later_head = work = 0
+    laters = 1
     while True:
-        who = 1 - who
-        # the next of what this end reached
-        while head[who] < events and found.side[head[who]] != who:
-            head[who] += 1
-        if head[who] == events:
+        if head == events:
             # a step further, where nothing was tested
-            further = False
-            while later_head[who] < laters and not further:
-                k = later_head[who]
-                later_head[who] += 1
-                if later.side[k] != who:
-                    continue
-                there = later.place[k]
-                waiting[who, there] &= ~later.bits[k]
-                fresh = later.bits[k] & passable[there] & ~reached[who, there]
-                if fresh == 0:
-                    continue
-                fresh |= _spread(fresh, tested[there] & passable[there]) & ~reached[who, there]
-                found = _added(found, events, there, fresh, later.parent[k], who)
-                reached[who, there] |= fresh
+            if later_head == laters:
+                return Chain(np.empty(0, np.int64), np.empty(0, np.uint64), reached, work)
+            there = later.place[later_head]
+            waiting[there] &= ~later.bits[later_head]
+            fresh = later.bits[later_head] & passable[there] & ~reached[there]
+            if fresh != 0:
+                fresh |= _spread(fresh, tested[there] & passable[there]) & ~reached[there]
+                found = _added(found, events, there, fresh, later.parent[later_head])
+                reached[there] |= fresh
                 events += 1
-                further = True
-                if reached[1 - who, there] & fresh != 0:
-                    return _joined(found, events, work)
-            if not further:
-                return Chain(np.empty(0, np.int64), np.empty(0, np.uint64), work)
+            later_head += 1
             continue
-        at = head[who]
-        head[who] += 1
+        at = head
+        head += 1
         here = found.place[at]
+        if here == goal and found.bits[at] & (np.uint64(1) << np.uint64(end)) != 0:
+            return _way_to(found, at, reached, work)
         # this place's other headings, then its neighbours
         for k in range(-1, NEIGHBOURS):
             work += 1
-            there = here if k < 0 else here + steps[k]
+            there = here
+            if k >= 0:
+                there += STEP_ROWS[k] * across + STEP_COLUMNS[k]
             mask = passable[there]
             if mask == 0:
                 continue
             if k >= 0:
                 known = tested[there] & mask
-                fresh = _spread(found.bits[at] & tested[here] & known, known) & ~reached[who, there]
+                fresh = _spread(found.bits[at] & tested[here] & known, known) & ~reached[there]
                 if fresh != 0:
-                    found = _added(found, events, there, fresh, at, who)
-                    reached[who, there] |= fresh
+                    found = _added(found, events, there, fresh, at)
+                    reached[there] |= fresh
                     events += 1
-                    if reached[1 - who, there] & fresh != 0:
-                        return _joined(found, events, work)
                 fresh = found.bits[at] & mask
             else:
                 fresh = _beside(found.bits[at]) & mask
-            fresh &= ~(reached[who, there] | waiting[who, there])
+            fresh &= ~(reached[there] | waiting[there])
             if fresh != 0:
-                later = _added(later, laters, there, fresh, at, who)
-                waiting[who, there] |= fresh
+                later = _added(later, laters, there, fresh, at)
+                waiting[there] |= fresh
                 laters += 1
 
 
 @njit
-def _joined(found: Queue, events: int, work: int) -> Chain:
-    """Return the way by the last thing reached, and by what the other end reached there."""
-    place, bits, parent, side = found.place, found.bits, found.parent, found.side
-    last = events - 1
-    other = last - 1
-    while not (
-        place[other] == place[last] and side[other] != side[last] and bits[other] & bits[last] != 0
-    ):
-        other -= 1
-    if side[last] == 1:
-        last, other = other, last
-    before = 0
+def _way_to(found: Queue, last: int, reached: Words, work: int) -> Chain:
+    """Return the way to what was reached last."""
+    count = 0
     k = last
-    while k >= 0:
-        before += 1
-        k = parent[k]
-    count = before
-    k = other
     while k >= 0:
         count += 1
-        k = parent[k]
-    out = np.empty(count, np.int64)
+        k = found.parent[k]
+    place = np.empty(count, np.int64)
     headings = np.empty(count, np.uint64)
     k = last
-    for n in range(before):
-        out[before - 1 - n] = place[k]
-        headings[before - 1 - n] = bits[k]
-        k = parent[k]
-    k = other
-    for n in range(before, count):
-        out[n] = place[k]
-        headings[n] = bits[k]
-        k = parent[k]
-    return Chain(out, headings, work)
-
-
-@njit
-def places_reached(passable: Words, across: int, start: int, begin: int) -> Flags:
-    """Tell which places a place and heading leads to."""
-    reached = np.zeros(len(passable), np.uint64)
-    out = np.zeros(len(passable), np.bool_)
-    rows = STEP_ROWS
-    columns = STEP_COLUMNS
-    queue = np.empty(1024, np.int32)
-    reached[start] = _spread(np.uint64(1) << np.uint64(begin), passable[start])
-    queue[0] = start
-    size = 1
-    while size > 0:
-        size -= 1
-        here = queue[size]
-        out[here] = True
-        for k in range(NEIGHBOURS):
-            there = here + rows[k] * across + columns[k]
-            fresh = _spread(reached[here], passable[there]) & ~reached[there]
-            if fresh != 0:
-                reached[there] |= fresh
-                if size == len(queue):
-                    queue = longer_ints(queue)
-                queue[size] = there
-                size += 1
-    return out
+    for n in range(count - 1, -1, -1):
+        place[n] = found.place[k]
+        headings[n] = found.bits[k]
+        k = found.parent[k]
+    return Chain(place, headings, reached, work)
 
 
 class Looked(NamedTuple):
@@ -375,9 +298,8 @@ class _Closer:
     def found(self) -> Closure:
         """Return what is known in the end."""
         for words, proven in ((self.may, True), (self.free, False)):
-            if self._closed(words):
-                (start, begin), _ = self.ends
-                reached = places_reached(words, self.across, start, begin)
+            reached = self._closed(words)
+            if reached is not None:
                 return Closure(proven, self.resolution, np.flatnonzero(reached))
             if self.budget.over:
                 break
@@ -389,15 +311,15 @@ class _Closer:
         self.budget.spend(found.work / UNITS.nodes)
         return found
 
-    def _closed(self, words: Words) -> bool:
-        """Look closer along ways, until there is none or all of one is known."""
+    def _closed(self, words: Words) -> Words | None:
+        """Look closer along ways until all of one is known; return what is reached if none is."""
         while not self.budget.over:
             chain = self._chain(words)
             if len(chain.place) == 0:
-                return True
+                return chain.reached
             if not self._look(chain):
-                return False
-        return False
+                break
+        return None
 
     def _look(self, chain: Chain) -> bool:
         """Look closer about the steps of a way that are not known; tell whether there were any."""
