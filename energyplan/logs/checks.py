@@ -1,13 +1,13 @@
 """Does a drive log make sense, whatever the robot: signs, sides, sensors, units and clocks.
 
-Each check looks at a drive and returns what is wrong, with its remedy; `find_checks` runs them all.
+A rule looks at a drive and returns what is wrong, with its remedy; `find_checks` runs them all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from energyplan.logs.consistency import (
     check_consistency,
     correlation,
     lasts,
+    regress,
 )
 from energyplan.logs.mapping import ROW, UNITS
 from energyplan.path import FloatArray
@@ -38,21 +39,19 @@ _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 _PAUSE, _BURSTS = 10.0, 0.05  # usual steps, and share of the rows, that tell rows in bursts
-
-
 _EACH_SIDE = (("left", "right"), ("right", "left"))
+_BOTH_RATES = "p_left=CURRENT*SPEED[*V_S_PER_M]"  # how a motor's current makes a power
 _Found = Iterable[Check]
 
 
-@dataclass(frozen=True)
-class Invariant:
+class Rule(NamedTuple):
     """What holds of every drive, and how what breaks it is found."""
 
     what: str
-    needs: frozenset[str]  # channels without which nothing can be said
     find: Callable[[Drive], _Found]
     refuses: str = "trust"  # what a check rules out that says nothing of it
     of_two_sides: bool = False  # of a dead side, the other one seems to break it
+    needs: frozenset[str] = frozenset()  # channels without which nothing can be said
 
 
 def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) -> list[Check]:
@@ -61,7 +60,7 @@ def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) ->
     dead = any(True for _ in _dead(drive))
     return [
         check if check.refuses else replace(check, refuses=one.refuses)
-        for one in INVARIANTS if one.needs <= set(channels) and not (dead and one.of_two_sides)
+        for one in RULES if one.needs <= set(channels) and not (dead and one.of_two_sides)
         for check in one.find(drive)
     ]  # fmt: skip
 
@@ -79,34 +78,32 @@ def refuse_one_side(logs: Sequence[DriveLog]) -> None:
 
 
 def _time(drive: Drive) -> _Found:
-    """Time in another unit; gaps."""
-    t, runs, step = drive.t, drive.runs, drive.usual_step
+    """Time in another unit; rows in bursts; gaps."""
+    t, step = drive.t, drive.usual_step
     if not 1e-4 <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
         unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / 0.05)))
         yield Check(
             f"the time step of t is {step:g} s; between 0.1 ms and {LONGEST_STEP:g} s is possible",
-            remedy=f"name its unit, as in t=NAME[{unit}]", refuses="reading",
+            f"name its unit, as in t=NAME[{unit}]", "reading",
         )  # fmt: skip
-    steps = np.diff(t)
-    if np.mean(steps > _PAUSE * step) > _BURSTS:
+    jumps = np.mean(np.diff(t) > _PAUSE * step)
+    if jumps > _BURSTS:
         yield Check(
-            f"t jumps by more than {_PAUSE:g} usual steps in {np.mean(steps > _PAUSE * step):.0%} "
-            "of the rows: rows that were buffered bear the time of their arrival, or the logger "
-            "sleeps",
-            remedy=f"of readings at a steady rate, map t={ROW}[*PERIOD] with the time from row to "
-            "row [s]", refuses="trust",
-        )  # fmt: skip
-    if len(runs) < 2:
-        return
-    starts = [t[run][-1] for run in runs[:-1]]
-    lost = sum(float(t[b][0] - t[a][-1]) for a, b in pairwise(runs))
-    named = ", ".join(f"{start:.2f} s" for start in starts[:3])
-    gaps = "1 gap" if len(starts) == 1 else f"{len(starts)} gaps"
-    yield Check(
-        f"t has {gaps} longer than {gap_limit(t):.2g} s, {lost:.1f} s in all, after "
-        f"t = {named}{', ...' if len(starts) > 3 else ''}; nothing is interpolated across them"
-    )
+            f"t jumps by more than {_PAUSE:g} usual steps in {jumps:.0%} of the rows: rows that "
+            "were buffered bear the time of their arrival, or the logger sleeps",
+            f"of readings at a steady rate, map t={ROW}[*PERIOD] with the time from row to row [s]",
+            "trust",
+        )
+    starts = [t[run][-1] for run in drive.runs[:-1]]
+    if starts:
+        lost = sum(float(t[run][0]) for run in drive.runs[1:]) - sum(map(float, starts))
+        named = ", ".join(f"{start:.2f} s" for start in starts[:3])
+        gaps = "1 gap" if len(starts) == 1 else f"{len(starts)} gaps"
+        yield Check(
+            f"t has {gaps} longer than {gap_limit(t):.2g} s, {lost:.1f} s in all, after "
+            f"t = {named}{', ...' if len(starts) > 3 else ''}; nothing is interpolated across them"
+        )
 
 
 _GROWS = 0.9  # share of all change that is growth, of a counter
@@ -138,36 +135,35 @@ def _counters(drive: Drive) -> _Found:
         way = grows(values, _STEADY)
         # A power changes as the robot speeds up; what is counted, as long as it drives.
         if way and abs(correlation(np.diff(values), drive.effort[1:])) > 0.5:
-            what, unit, other = (
-                ("charge", "mAh", "Ah") if name == "current" else ("energy", "Wh", "J")
-            )
-            sign = "-" if way < 0 else ""
+            what, units = ("energy", ("Wh", "J"))
+            if name == "current":
+                what, units = ("charge", ("mAh", "Ah"))
+            ways = " or ".join(f"{name}=NAME[{'-' if way < 0 else ''}{unit}]" for unit in units)
             yield Check(
                 f"{name} only ever {'grows' if way > 0 else 'falls'}, also where the robot slows "
-                f"down: it counts {what}",
-                remedy=f"map its rate of change, as in {name}=NAME[{sign}{unit}] or "
-                f"{name}=NAME[{sign}{other}]", refuses="reading",
+                f"down: it counts {what}", f"map its rate of change, as in {ways}", "reading",
             )  # fmt: skip
 
 
-# -- turning ------------------------------------------------------------------------------------
+# -- turning and pose ---------------------------------------------------------------------------
 
 
 def _some(runs: Sequence[slice], most: int = 200_000) -> list[slice]:
     """Stretches that suffice to find a time offset: the first hours of a long log."""
-    some: list[slice] = []
-    for run in runs:
-        if most > 0:
-            some.append(slice(run.start, min(run.stop, run.start + most)))
-        most -= run.stop - run.start
-    return some
+    ends = np.cumsum([0, *(run.stop - run.start for run in runs)])
+    return [
+        slice(run.start, min(run.stop, run.start + most - int(end)))
+        for run, end in zip(runs, ends, strict=False) if end < most
+    ]  # fmt: skip
+
+
+def _offset(drive: Drive, name: str, rate: FloatArray) -> Offset | None:
+    return find_offset(name, drive.t, rate, [drive.difference], _some(drive.runs), centred=False)
 
 
 def yaw_rate_offset(log: DriveLog) -> Offset | None:
     """Return the time offset of a log's yaw rate against its tread speeds, if the drive tells."""
-    difference = log.channel("v_right") - log.channel("v_left")
-    rate = log.channel("yaw_rate")
-    return find_offset("yaw_rate", log.t, rate, [difference], _some(log.runs), centred=False)
+    return _offset(Drive(log.channels, log.power, log.runs), "yaw_rate", log.channel("yaw_rate"))
 
 
 def _late(offset: Offset) -> Check:
@@ -175,78 +171,154 @@ def _late(offset: Offset) -> Check:
     return Check(
         f"{offset.channel} {way} the tread speeds by {abs(offset.seconds):.3f} s (explained "
         f"variance {offset.before:.3f} as logged, {offset.explained:.3f} once shifted)",
-        remedy=f"diagnose allows for it, and DriveLog.shifted({offset.channel}="
-        f"{-offset.seconds:.3f}) puts it right",
+        f"diagnose allows for it, and DriveLog.shifted({offset.channel}={-offset.seconds:.3f}) "
+        "puts it right",
     )
+
+
+class _Relation(NamedTuple):
+    """How a yaw rate goes with the difference of the tread speeds."""
+
+    rate: FloatArray
+    alike: float  # correlation as logged
+    late: Offset | None  # by how much it is shifted in time, for certain
+    sign: int  # -1 where it goes against them, 0 where nothing tells
+
+
+def _relations(drive: Drive) -> dict[str, _Relation]:
+    """Return how the yaw rates go with the treads, where the robot turns at all."""
+    found = {}
+    difference = drive.difference
+    if np.count_nonzero(np.abs(difference) > _TURNING) < _ENOUGH:
+        return {}
+    for name, rate in drive.rates.items():
+        if name == "yaw" and abs(correlation(rate, difference)) < 0.5:
+            wrapped = np.unwrap(drive.channels[name], period=360.0)
+            degrees = derivative(drive.t, wrapped, drive.runs, 0.5)
+            rate = degrees if abs(correlation(degrees, difference)) > 0.5 else rate
+        alike, offset = correlation(rate, difference), _offset(drive, name, rate)
+        late = offset if offset is not None and offset.certain else None
+        sign = late.sign if late is not None and abs(alike) < 0.5 else int(np.sign(alike))
+        told = late is not None or abs(alike) > 0.3
+        found[name] = _Relation(rate, alike, late, sign if told else 0)
+    return found
 
 
 def _turning(drive: Drive) -> _Found:
     """Measured turning against the tread speeds."""
-    t, difference, runs = drive.t, drive.difference, drive.runs
-    if np.count_nonzero(np.abs(difference) > _TURNING) < _ENOUGH:
-        return
-    for name, rate in drive.rates.items():
-        if name == "yaw" and abs(correlation(rate, difference)) < 0.5:
-            wrapped = np.unwrap(drive.channels[name], period=360.0)
-            degrees = derivative(t, wrapped, runs, 0.5)
-            rate = degrees if abs(correlation(degrees, difference)) > 0.5 else rate
+    for name, (rate, alike, late, sign) in _relations(drive).items():
         if not np.any(rate):
             yield Check(f"{name} never changes, though the tread speeds say that the robot turns")
-            continue
-        product, alike = float(rate @ difference), correlation(rate, difference)
-        offset = find_offset(name, t, rate, [difference], _some(runs), centred=False)
-        shifted = offset if offset is not None and offset.certain else None
-        sign = shifted.sign if shifted is not None and abs(alike) < 0.5 else np.sign(alike)
-        if sign < 0 and (shifted is not None or alike < -0.3):
-            yield _against(drive, name, alike)
-        elif shifted is not None:
-            yield _late(shifted)
-        track = float(difference @ difference) / product if product > 0 else np.inf
+        if late is not None and sign >= 0:
+            yield _late(late)
+        track = float(drive.difference @ drive.difference) / max(
+            float(rate @ drive.difference), 1e-300
+        )
         if alike > 0.5 and track < 0.05:
             yield Check(
                 f"{name} changes as if the slip track were {track * 1e3:.1f} mm; it seems to be in "
-                "degrees",
-                remedy=f"map {name}=NAME[{'deg' if name == 'yaw' else 'deg/s'}]", refuses="reading",
+                "degrees", f"map {name}=NAME[{'deg' if name == 'yaw' else 'deg/s'}]", "reading",
             )  # fmt: skip
-        if shifted is None and abs(alike) < 0.3:
+        if sign == 0 and np.any(rate):
             yield Check(
                 f"{name} hardly follows v_right - v_left (correlation {alike:.2f})",
-                remedy="the tread ICRs cannot be trusted",
+                "the tread ICRs cannot be trusted",
             )
 
 
-def _against(drive: Drive, name: str, alike: float) -> Check:
-    """Say what is wrong where a yaw rate falls while the right tread is the faster."""
-    said = f"{name} falls while v_right exceeds v_left (correlation {alike:.2f}): "
-    mirrored = mirrored_side(drive)
-    if mirrored:
-        one = _in_the_mirror(mirrored)
-        return Check(said + one.what, remedy=one.remedy, turned=one.turned, refuses="reading")
-    flip = f"map {name}=NAME[-{'rad' if name == 'yaw' else 'rad/s'}]"
-    others = [correlation(r, drive.difference) for key, r in drive.rates.items() if key != name]
-    backwards = _way(drive).angle
-    if any(value > 0.3 for value in others):
-        kind = "the gyroscope's axis is flipped" if name == "yaw_rate" else "yaw counts clockwise"
-        what, remedy = f"{kind}, for the other channel turns with the treads", flip
-        return Check(said + what, remedy=remedy, turned=(name,), refuses="reading")
-    if np.isfinite(backwards) and abs(backwards) > 2.4:
-        what, remedy = (
-            "the treads run backwards",
-            "map both with a minus, as in v_left=NAME[-m/s],v_right=NAME[-m/s]",
-        )
-    elif abs(backwards) < 0.6:  # the heading goes with the pose
-        what, remedy = (
-            "left and right are swapped, or all of the pose is in a frame whose z axis points down "
-            "(NED)",
-            "swap them in the column mapping; or map y=NAME[-m],yaw=NAME[-rad] and, if there is "
-            "one, yaw_rate=NAME[-rad/s]",
-        )
-    else:
-        what, remedy = (
-            f"left and right are swapped, or {name} counts clockwise",
-            f"swap them in the column mapping, or {flip}",
-        )
-    return Check(said + what, remedy=remedy, refuses="reading")
+class _Frame(NamedTuple):
+    """A mistake of signs or sides, its remedy, and the channels without it."""
+
+    what: str
+    remedy: str
+    undone: Callable[[Mapping[str, FloatArray]], dict[str, FloatArray]]
+    needs: frozenset[str]
+    turned: tuple[str, ...] = ()
+
+
+def _frame(what: str, remedy: str, undone: str) -> _Frame:
+    """Read a mistake whose remedy is to take other channels, or their negatives."""
+    pairs = [entry.split("=") for entry in undone.split(",")]
+
+    def made(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        return {
+            name: -channels[other[1:]] if other.startswith("-") else channels[other]
+            for name, other in pairs if name in channels
+        }  # fmt: skip
+
+    alone = len(pairs) == 1 and pairs[0][0] not in "xy"
+    needs = frozenset(name for name, _ in pairs if len(pairs) < 3 or name != "yaw_rate")
+    return _Frame(what, remedy, made, needs, (pairs[0][0],) if alone else ())
+
+
+_MIRROR = "{0} counts the other way, as of a motor mounted in the mirror"
+_MINUS = "map {0} with a minus before its unit, as in {0}=NAME[-m/s]"
+_FRAMES = (
+    *(_frame(_MIRROR.format(name), _MINUS.format(name), f"{name}=-{name}")
+      for name in ("v_left", "v_right")),
+    _frame("left and right are swapped", "swap them in the column mapping",
+           "v_left=v_right,v_right=v_left"),
+    _frame("the treads run backwards", "map both with a minus, as in v_left=NAME[-m/s],v_right="
+           "NAME[-m/s]", "v_left=-v_left,v_right=-v_right"),
+    _frame("the robot's rear counts as its front", "map both tread speeds with a minus and swap "
+           "their sides", "v_left=-v_right,v_right=-v_left"),
+    _frame("the gyroscope's axis is flipped", "map yaw_rate=NAME[-rad/s]", "yaw_rate=-yaw_rate"),
+    _frame("yaw counts clockwise", "map yaw=NAME[-rad]", "yaw=-yaw"),
+    _frame("all of the pose is in a frame whose z axis points down (NED)", "map y=NAME[-m],"
+           "yaw=NAME[-rad] and, if there is one, yaw_rate=NAME[-rad/s]",
+           "y=-y,yaw=-yaw,yaw_rate=-yaw_rate"),
+    _frame("x and y are swapped", "swap them", "x=y,y=x"),
+    _frame("y counts to the right", "map y=NAME[-m]", "y=-y"),
+    _frame("x counts backwards", "map x=NAME[-m]", "x=-x"),
+)  # fmt: skip
+"""Mistakes of signs and sides."""
+
+
+def _faults(drive: Drive, sure: bool = False) -> list[str]:
+    """Say where turning, treads and pose contradict each other; if `sure`, or do not agree."""
+    found = [
+        f"{name} falls while v_right exceeds v_left (correlation {one.alike:.2f})"
+        for name, one in _relations(drive).items() if one.sign < 0 or (sure and one.sign == 0)
+    ]  # fmt: skip
+    if mirrored_side(drive):
+        found.append("the robot turns with the sum of the tread speeds, not with their difference")
+    if {"x", "y", "yaw"} <= set(drive.channels):
+        direct, mirrored = _way(drive), _way(drive, mirrored=True)
+        if mirrored.alike > 0.9 and direct.alike < 0.9 * mirrored.alike:
+            found.append("the pose is a mirror image of the motion")
+        elif abs(direct.angle) > 2.4:
+            found.append("the pose goes backwards where the treads go forwards")
+        elif abs(direct.angle) >= 0.6 or (sure and np.isnan(direct.angle)):
+            found.append(f"the pose goes {np.degrees(direct.angle):.0f} degrees beside the heading")
+    return found
+
+
+def _frames(drive: Drive) -> _Found:
+    """Whether turning, treads and pose have the signs and sides of one robot; if not, why."""
+    faults = _faults(drive)
+    if not faults:
+        return
+    against = any("falls while" in fault for fault in faults)
+    frames = [one for one in _FRAMES if one.needs <= set(drive.channels)]
+    angle = _way(drive).angle if {"x", "y", "yaw"} <= set(drive.channels) else np.nan
+    if np.isfinite(angle):
+        frames.append(_Frame(
+            "yaw is not measured from the x axis of the pose",
+            "map them so that a robot of yaw 0 drives along +x",
+            lambda channels: {"yaw": channels["yaw"] + angle}, frozenset(),
+        ))  # fmt: skip
+    left = {}
+    for one in frames:
+        channels = {**drive.channels, **one.undone(drive.channels)}
+        left[one] = len(_faults(Drive(channels, drive.power, drive.runs), sure=True))
+    least = min(left.values())
+    best = [one for one in frames if left[one] == least < len(_faults(drive, sure=True))]
+    why = ", or ".join(one.what for one in best) or "several mistakes at once"
+    yield Check(
+        f"{', and '.join(faults)}: {why}",
+        "; or ".join(one.remedy for one in best) or "check signs and sides of speeds and pose",
+        "reading" if against else "trust", best[0].turned if len(best) == 1 else (),
+    )  # fmt: skip
 
 
 def _factors(drive: Drive) -> Iterator[tuple[float, float]]:
@@ -270,32 +342,17 @@ def _factors(drive: Drive) -> Iterator[tuple[float, float]]:
             factors = np.full(2, total @ rate / (total @ total))
         else:
             continue
-        alike, as_they_are = (
-            correlation(factors @ speeds, rate),
-            correlation(drive.difference, rate),
-        )
-        if alike >= 0.93 and 1.0 - as_they_are**2 >= 2.0 * (1.0 - alike**2):
+        alike = correlation(factors @ speeds, rate)
+        as_it_is = correlation(drive.difference, rate)
+        if alike >= 0.93 and 1.0 - as_it_is**2 >= 2.0 * (1.0 - alike**2):
             yield float(factors[0]), float(factors[1])
 
 
 def mirrored_side(drive: Drive) -> str:
     """Name the side whose speed counts the other way, as of a motor mounted in the mirror."""
-    found = (_mirrored(left, right) for left, right in _factors(drive))
-    return next(found, "")
-
-
-def _mirrored(left: float, right: float) -> str:
-    """Name the side that counts the other way by the factors of both; empty where none does."""
-    if left * right > 0 and 0.4 < abs(right / left) < 2.5:
-        return "v_right" if right < 0 else "v_left"
-    return ""
-
-
-def _in_the_mirror(side: str) -> Check:
-    return Check(
-        "the robot turns with the sum of the tread speeds, not with their difference: "
-        f"{side} counts the other way",
-        remedy=f"map {side} with a minus before its unit, as in {side}=NAME[-m/s]", turned=(side,),
+    return next(
+        ("v_right" if right < 0 else "v_left" for left, right in _factors(drive)
+         if left * right > 0 and 0.4 < abs(right / left) < 2.5), "",
     )  # fmt: skip
 
 
@@ -310,17 +367,14 @@ def _counting(drive: Drive) -> _Found:
             return [Check(
                 f"the yaw rate follows {turning} alone, as if it were an angular speed and the "
                 "other the robot's forward speed: tread speeds are those of the left and of the "
-                "right wheels",
-                remedy="of speed V and yaw rate W make them, as in v_left=V-0.25*W,v_right="
-                "V+0.25*W with half the track",
+                "right wheels", "of speed V and yaw rate W make them, as in v_left=V-0.25*W,"
+                "v_right=V+0.25*W with half the track",
             )]  # fmt: skip
-        if _mirrored(left, right):
-            return [_in_the_mirror(_mirrored(left, right))]
         if left * right < 0 and not 0.6 < size < 1.6:
             return [Check(
                 f"the yaw rate shows that v_left counts {size:.3g} times as much as v_right: one "
                 "side is in another unit or has another wheel radius",
-                remedy=f"give both the same, or map v_left=NAME[*{1 / size:.4g}]",
+                f"give both the same, or map v_left=NAME[*{1 / size:.4g}]",
             )]  # fmt: skip
     return []
 
@@ -343,29 +397,22 @@ def _opposed(drive: Drive) -> _Found:
         gone = np.hypot(*(np.diff(np.interp(edges, drive.t, drive.channels[n])) for n in "xy"))
         if float(gone.sum()) < 0.5 * float(steps.sum()):
             return
-    if spun < _OPPOSED and not _turning_saves(drive):
-        return
+    saves = ""
+    if spun < _OPPOSED:
+        fit = regress([effort, np.abs(drive.difference), np.ones(len(drive.t))], drive.power)
+        # Neighbouring samples repeat each other for about a second.
+        chance = np.sqrt(max(1.0, 1.0 / drive.usual_step))
+        per, turning = fit.values[:2]
+        if fit.condition > 1e6 or turning > -max(0.2 * abs(per), 5.0 * chance * fit.errors[1]):
+            return
+        saves = ", and draw less power then"
     back = "v_left" if float(np.sum(drive.left)) < float(np.sum(drive.right)) else "v_right"
     yield Check(
-        f"v_left and v_right go against each other in {spun:.0%} of the driving"
-        + (", and draw less power then" if spun < _OPPOSED else "")
-        + ": a robot that turns on the spot all the time, or a motor mounted in the mirror",
-        remedy=f"map the side that counts backwards with a minus, as in {back}=NAME[-m/s]; or log "
-        "the yaw rate, which tells",
+        f"v_left and v_right go against each other in {spun:.0%} of the driving{saves}: a robot "
+        "that turns on the spot all the time, or a motor mounted in the mirror",
+        f"map the side that counts backwards with a minus, as in {back}=NAME[-m/s]; or log the yaw "
+        "rate, which tells",
     )
-
-
-def _turning_saves(drive: Drive) -> bool:
-    """Whether the power falls the more the sides' speeds differ, beyond chance."""
-    X = np.stack([drive.effort, np.abs(drive.difference), np.ones(len(drive.t))], axis=1)
-    if np.linalg.matrix_rank(X / np.maximum(np.abs(X).max(axis=0), 1e-300), 1e-3) < 3:
-        return False
-    found = np.linalg.lstsq(X, drive.power, rcond=None)[0]
-    rest = drive.power - X @ found
-    # Neighbouring samples repeat each other for about a second.
-    repeats = max(1.0, 1.0 / drive.usual_step)
-    error = float(np.sqrt(np.mean(rest**2) * repeats * np.linalg.inv(X.T @ X)[1, 1]))
-    return bool(found[1] < -0.2 * abs(found[0]) and found[1] < -5.0 * error)
 
 
 class _Way(NamedTuple):
@@ -377,8 +424,6 @@ class _Way(NamedTuple):
 
 def _way(drive: Drive, mirrored: bool = False) -> _Way:
     """Compare the pose with the treads' way, or with that way's mirror image in the x axis."""
-    if not {"x", "y", "yaw"} <= set(drive.channels):
-        return _Way(np.nan, 0.0)
     t, speed = drive.t, 0.5 * (drive.left + drive.right)
     heading = np.unwrap(drive.channels["yaw"]) * (-1.0 if mirrored else 1.0)
     place = drive.channels["x"] + 1j * drive.channels["y"]
@@ -394,34 +439,6 @@ def _way(drive: Drive, mirrored: bool = False) -> _Way:
     norm = np.sqrt(size.prod())
     alike = abs(product) / norm if norm > 0 else 0.0
     return _Way(float(np.angle(product)) if alike >= 0.7 else np.nan, alike)
-
-
-def _pose(drive: Drive) -> _Found:
-    """Whether the pose goes where treads and heading take the robot."""
-    direct, mirrored = _way(drive), _way(drive, mirrored=True)
-    if mirrored.alike > 0.9 and direct.alike < 0.9 * mirrored.alike:
-        if abs(abs(mirrored.angle) - 0.5 * np.pi) < 0.6:
-            what, remedy = "x and y are swapped", "swap them"
-        else:
-            what = "y counts to the right, or x backwards"
-            remedy = f"map {'y' if abs(mirrored.angle) < 0.6 else 'x'}=NAME[-m]"
-        yield Check(f"the pose is a mirror image of the motion: {what}", remedy=remedy)
-        return
-    angle = direct.angle
-    if not np.isfinite(angle) or abs(angle) < 0.6:
-        return
-    if abs(angle) > 2.4:
-        yield Check(
-            "the pose goes backwards where the treads go forwards",
-            remedy="map both tread speeds with a minus and swap their sides, or yaw is half a turn "
-            "off",
-        )
-    else:
-        yield Check(
-            f"the pose goes {np.degrees(angle):.0f} degrees beside the heading: yaw is not "
-            "measured from the x axis of the pose, or x and y are swapped",
-            remedy="map them so that a robot of yaw 0 drives along +x",
-        )
 
 
 def _measured_twice(drive: Drive) -> _Found:
@@ -454,7 +471,7 @@ def _dead(drive: Drive) -> _Found:
             yield Check(
                 f"v_{side} is {speed[0]:g} throughout while v_{other} changes: its encoder is "
                 "dead, or the column another",
-                remedy=f"map v_{side} to the speed of the {side} wheels", refuses="fitting",
+                f"map v_{side} to the speed of the {side} wheels", "fitting",
             )  # fmt: skip
         if not drive.sides:
             continue
@@ -465,17 +482,8 @@ def _dead(drive: Drive) -> _Found:
             yield Check(
                 f"p_{side} is {power[0]:g} throughout while p_{other} is not, also where both go "
                 "as fast: its sensor is dead, or the column another",
-                remedy=f"map p_{side} to the power of the {side} motors, or log the battery's",
-                refuses="fitting",
-            )
-
-
-def _ends(values: FloatArray) -> Iterator[slice]:
-    """Yield the stretches at the beginning and at the end in which a reading stays the same."""
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
-    ends = np.append(starts[1:], len(values))
-    for k in sorted({0, len(starts) - 1}):
-        yield slice(int(starts[k]), int(ends[k]))
+                f"map p_{side} to the power of the {side} motors, or log the battery's", "fitting",
+            )  # fmt: skip
 
 
 def _dying(drive: Drive) -> _Found:
@@ -484,55 +492,48 @@ def _dying(drive: Drive) -> _Found:
     What died stays dead; between others, such a stretch may be one of little power.
     """
     time = np.gradient(drive.t)
-    electric = ["p_left", "p_right"] if drive.sides else ["power", "current"]
-    for name in (n for n in ("v_left", "v_right", *electric) if n in drive.channels):
-        values = drive.channels[name]
-        for some in _ends(values):
-            elsewhere = drive.moving.copy()
-            elsewhere[some] = False
-            others = values[elsewhere]
-            # Without noise, or with few digits, all that is steady repeats.
-            lively = len(others) >= _ENOUGH and len(np.unique(others)) > 0.5 * len(others)
-            if lively and float((time * drive.moving)[some].sum()) > _LONG:
-                yield _stays(drive, name, some, "the robot drives", "is dead there")
-                break
     size = np.abs(drive.difference)
     turns = size > 0.4 * float(np.quantile(size, 0.95))
-    for name, rate in drive.rates.items():
-        for some in _ends(drive.channels[name]):
-            alive = turns.copy()
-            alive[some] = False
-            # A steady turn may repeat a reading; one that is far below all others does not.
-            still = alive.any() and np.median(np.abs(rate[some])) < 0.1 * np.median(
-                np.abs(rate[alive])
-            )
-            if float((time * turns)[some].sum()) > _LONG and still:
-                yield _stays(drive, name, some, "the treads turn",
-                             "is dead there, or the wheels are off the ground")  # fmt: skip
-
-
-def _stays(drive: Drive, name: str, some: slice, though: str, why: str) -> Check:
-    """Say of a sensor that it shows the same for a stretch."""
-    value, t = drive.channels[name][some.start], drive.t[some]
-    return Check(
-        f"{name} stays at {value:.4g} from t = {t[0]:.2f} to {t[-1]:.2f} s while {though}: its "
-        f"sensor {why}",
-        remedy="leave that stretch out",
-    )
+    electric = ["p_left", "p_right"] if drive.sides else ["power", "current"]
+    for name in ("v_left", "v_right", *electric, *drive.rates):
+        if name not in drive.channels:
+            continue
+        rate = drive.rates.get(name)
+        active = drive.moving if rate is None else turns
+        starts, counts = drive.stretches(name)
+        for k in (0, -1):
+            some = slice(int(starts[k]), int(starts[k] + counts[k]))
+            elsewhere = active.copy()
+            elsewhere[some] = False
+            others = (drive.channels[name] if rate is None else rate)[elsewhere]
+            if rate is None:  # without noise, or with few digits, all that is steady repeats
+                changes = len(others) >= _ENOUGH and len(np.unique(others)) > 0.5 * len(others)
+            else:  # a steady turn may repeat a reading, but none that is far below all others
+                changes = len(others) > 0 and bool(
+                    np.median(np.abs(rate[some])) < 0.1 * np.median(np.abs(others))
+                )
+            if changes and float((time * active)[some].sum()) > _LONG:
+                t, value = drive.t[some], drive.channels[name][some.start]
+                though, why = ("the robot drives", "") if rate is None else (
+                    "the treads turn", ", or the wheels are off the ground")  # fmt: skip
+                yield Check(
+                    f"{name} stays at {value:.4g} from t = {t[0]:.2f} to {t[-1]:.2f} s while "
+                    f"{though}: its sensor is dead there{why}", "leave that stretch out",
+                )  # fmt: skip
+                break
 
 
 def _false_speeds(drive: Drive) -> _Found:
     """Speeds that are not those of two sides: one column twice, or without signs."""
     left, right, difference = drive.left, drive.right, drive.difference
-    second = max(int(1.0 / drive.usual_step), 1)
     if np.array_equal(left, right):
+        second = max(int(1.0 / drive.usual_step), 1)
         for name, rate in drive.rates.items():
             mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
             if len(mean) and np.mean(np.abs(mean) > _TURNS) > _SHARE:
                 yield Check(
                     f"v_left and v_right are the same while {name} shows that the robot turns: "
-                    "one column was used for both sides",
-                    remedy="map each to its own", refuses="fitting",
+                    "one column was used for both sides", "map each to its own", "fitting",
                 )  # fmt: skip
                 return
         return
@@ -549,10 +550,9 @@ def _false_speeds(drive: Drive) -> _Found:
         if not _turns_by(difference, rate, spinning, turning & ~spinning):
             yield Check(
                 f"{name} shows that the robot spins where both treads seem to go forwards: the "
-                "tread speeds lost their sign",
-                remedy="log them with it, for unsigned speeds show neither turns nor reversing",
-                refuses="fitting",
-            )
+                "tread speeds lost their sign", "log them with it, for unsigned speeds show "
+                "neither turns nor reversing", "fitting",
+            )  # fmt: skip
             return
 
 
@@ -567,11 +567,11 @@ def _turns_by(
         return False
     if np.count_nonzero(others) < _ENOUGH:
         return True
-    tracks = [
-        float(difference[part] @ rate[part]) / float(rate[part] @ rate[part])
+    here, there = (
+        abs(float(difference[part] @ rate[part]) / float(rate[part] @ rate[part]))
         for part in (some, others)
-    ]
-    return abs(tracks[0]) > 0.5 * abs(tracks[1])
+    )
+    return here > 0.5 * there
 
 
 def _unlike(drive: Drive) -> _Found:
@@ -588,23 +588,19 @@ def _unlike(drive: Drive) -> _Found:
     if np.array_equal(p_left[drawing], p_right[drawing]):
         yield Check(
             "p_left and p_right are the same, though the sides go at different speeds: one column "
-            "was used for both",
-            remedy="map each to its own, or map a total as power=NAME", refuses="fitting",
+            "was used for both", "map each to its own, or map a total as power=NAME", "fitting",
         )  # fmt: skip
-        return
-    if np.count_nonzero(alike) < _ENOUGH:
-        return
-    sizes = {
-        name: [float(np.median(np.abs(power[some]))) for some in (drawing, alike)]
-        for name, power in (("p_left", p_left), ("p_right", p_right))
-    }
-    for less, more in (("p_left", "p_right"), ("p_right", "p_left")):
-        pairs = list(zip(sizes[less], sizes[more], strict=True))
-        if all(0 < _UNLIKE * small < large for small, large in pairs):
+    elif np.count_nonzero(alike) >= _ENOUGH:
+        sizes: dict[str, FloatArray] = {
+            name: np.array([np.median(np.abs(power[some])) for some in (drawing, alike)])
+            for name, power in (("p_left", p_left), ("p_right", p_right))
+        }
+        less, more = sorted(sizes, key=lambda name: float(sizes[name][0]))
+        if np.all((sizes[less] > 0) & (_UNLIKE * sizes[less] < sizes[more])):
             yield Check(
-                f"{more} is {pairs[0][1] / pairs[0][0]:.3g} times as large as {less}: one side is "
-                f"in another unit, or the sensor of {less} is dead",
-                remedy=f"map both in one unit, as in {less}=NAME[kW]", refuses="fitting",
+                f"{more} is {sizes[more][0] / sizes[less][0]:.3g} times as large as {less}: one "
+                f"side is in another unit, or the sensor of {less} is dead",
+                f"map both in one unit, as in {less}=NAME[kW]", "fitting",
             )  # fmt: skip
 
 
@@ -640,25 +636,24 @@ def _lost_sign(drive: Drive) -> _Found:
             returned = True
             continue
         some, size = turns | straight, np.abs(speed)
-        X = np.stack([along * turns, size * turns, size * ~turns, np.ones(len(size))], axis=1)
-        slip, resistance, seen, _ = np.linalg.lstsq(X[some], power[some], rcond=None)[0]
+        shapes = [along * turns, size * turns, size * ~turns, np.ones(len(size))]
+        fit = regress([one[some] for one in shapes], power[some])
+        slip, resistance, seen = fit.values[:3]
         exchanged = 0.0 < 1.5 * slip < resistance and seen < np.sqrt(slip * resistance)
-        pushed = 0.0 < _DRAGGED * seen < resistance - slip
-        if not (exchanged or pushed):
+        if not (exchanged or 0.0 < _DRAGGED * seen < resistance - slip):
             return
         lost.append(side)
     if len(lost) == 1 and returned:
         yield Check(
             f"{lost[0]} is never negative, where the other side's is in arcs, and seems to be held "
             "back far more on the inside of them than on straight lines: its sensor shows what it "
-            "returns as power drawn",
-            remedy="log it with its sign",
-        )
+            "returns as power drawn", "log it with its sign",
+        )  # fmt: skip
     elif lost:
         yield Check(
             "p_left and p_right are never negative, and in arcs the inner side seems to be held "
             "back far more than on straight lines: the sensors show what it returns as power drawn",
-            remedy="log signed currents, or let diagnose find unsigned_power",
+            "log signed currents, or let diagnose find unsigned_power",
         )
 
 
@@ -666,19 +661,17 @@ def _lost_sign(drive: Drive) -> _Found:
 
 
 def _powers(drive: Drive) -> _Found:
-    """Power against the tread speeds: its sign, its side, its time."""
-    t, channels, effort = drive.t, drive.channels, drive.effort
+    """Power against the tread speeds: its digits, its sign, its side, its time."""
+    channels, effort = drive.channels, drive.effort
     moving = effort > 2 * _MOVING
     driven = int(np.count_nonzero(moving))
     if driven < _ENOUGH:
-        few = f"{driven} readings of driving are too few", "nor mistakes with it; log longer"
-        if 2 * driven < len(t):
-            yield Check("the robot hardly moves; its power parameters cannot be found")
-        else:
-            yield Check(
-                f"{few[0]}: power parameters cannot be found from this log alone, {few[1]}, or "
-                "more often"
-            )
+        yield Check(
+            "the robot hardly moves; its power parameters cannot be found"
+            if 2 * driven < len(drive.t) else
+            f"{driven} readings of driving are too few: power parameters cannot be found from this "
+            "log alone, nor mistakes with it; log longer, or more often"
+        )  # fmt: skip
         return
     if not np.any(drive.power):
         yield Check("power is zero all along")
@@ -692,35 +685,31 @@ def _powers(drive: Drive) -> _Found:
         yield Check(
             f"{' and '.join(names)} {'are' if len(names) > 1 else 'is'} read every {period_text} s "
             f"only, and repeated from row to row between: {0.5 * float(period_text):.2g} s late in "
-            "the mean, which diagnose allows for",
-            remedy="log the power as often as the speeds",
-        )
+            "the mean, which diagnose allows for", "log the power as often as the speeds",
+        )  # fmt: skip
     flipped = [name for name in ("p_left", "p_right") if drive.sides and _flipped(drive, name)]
     if len(flipped) != 1:
         wrong = _wrong_sign(drive.power[moving]) and not _descends(drive)
-        source = ["current"] if "current" in channels and "power" not in channels else ["power"]
-        flipped = (["p_left", "p_right"] if drive.sides else source) if wrong else []
+        flipped = list(drive.electric_names) if wrong else []
     if flipped:
         unit = "A" if flipped == ["current"] else "W"
         yield Check(
             f"{' and '.join(flipped)} has the wrong sign: power drawn counts positive, and so does "
             "the current of a discharge",
-            remedy=f"map it with a minus in its unit, as in {flipped[0]}=NAME[-{unit}]",
-            turned=tuple(flipped), refuses="reading",
+            f"map it with a minus in its unit, as in {flipped[0]}=NAME[-{unit}]", "reading",
+            tuple(flipped),
         )  # fmt: skip
     elif drive.sides:
-        speeds = np.abs(drive.left), np.abs(drive.right)
-        arcs = (np.abs(speeds[1] - speeds[0]) > 0.15 * effort) & moving
-        lean = (speeds[1] ** 2 - speeds[0] ** 2)[arcs]
+        fast = np.abs(drive.right) - np.abs(drive.left)
+        arcs = (np.abs(fast) > 0.15 * effort) & moving
         excess = (channels["p_right"] - channels["p_left"])[arcs]
-        if len(lean) >= _ENOUGH and correlation(lean, excess) < -0.5:
+        if len(excess) >= _ENOUGH and correlation((fast * effort)[arcs], excess) < -0.5:
             yield Check(
                 "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
-                "the more",
-                refuses="trust",
-            )
+                "the more", refuses="trust",
+            )  # fmt: skip
     some = _some(drive.runs)
-    offset = find_offset("power", t, drive.power, power_regressors(channels, some), some)
+    offset = find_offset("power", drive.t, drive.power, power_regressors(channels, some), some)
     # Readings that are held are late by up to the time between them, which is told already.
     longest = max(held.values(), default=0.0)
     certain = offset is not None and offset.certain and offset.explained > 0.75
@@ -745,27 +734,25 @@ def _step(values: FloatArray, usual: float) -> float:
     found = np.unique(np.round(values, 9))
     if not 4 <= len(found) <= len(values) / 4:
         return 0.0
-    step = float(min(np.abs(found[found != 0.0]).min(), np.diff(found).min()))
+    step = float(np.append(np.abs(found[found != 0.0]), np.diff(found)).min())
     coarse = step >= 0.1 * usual and np.all(np.abs(found / step - np.round(found / step)) <= 0.02)
     return step if coarse else 0.0
 
 
 def _steps(drive: Drive, moving: NDArray[np.bool_]) -> _Found:
     """Find readings with so few digits that a steady one is not known, however long it lasts."""
-    speeds = np.concatenate([drive.left, drive.right])
-    read = {"the tread speeds": (speeds[np.abs(speeds) > _MOVING], "m/s")}
-    for name in (name for name in POWERS if name in drive.channels):
-        if name != "current" or not {"p_left", "p_right", "power"} & set(drive.channels):
-            read[name] = drive.channels[name][moving], "A" if name == "current" else "W"
+    speeds = np.abs(np.concatenate([drive.left, drive.right]))
+    read = {"the tread speeds": (speeds[speeds > _MOVING], "m/s")}
+    for name in drive.electric_names:
+        read[name] = drive.channels[name][moving], "A" if name == "current" else "W"
     for name, (values, unit) in read.items():
         usual = float(np.median(np.abs(values)))
-        values = np.abs(values) if unit == "m/s" else values
         if usual > 0.0 and (step := _step(values, usual)):
             yield Check(
                 f"{name} {'come' if unit == 'm/s' else 'comes'} in steps of {step:.3g} {unit}, "
                 f"where {usual:.2g} {unit} is usual: power parameters may be wrong by "
                 f"{50 * step / usual:.0f} %, and more than their standard errors",
-                remedy="log more digits",
+                "log more digits",
             )
 
 
@@ -778,9 +765,9 @@ def held_periods(channels: Channels) -> dict[str, float]:
     changing = np.append(False, np.diff(drive.effort) != 0.0)
     found = {}
     for name in (name for name in POWERS if name in channels):
-        starts = np.flatnonzero(np.append(True, np.diff(channels[name]) != 0.0))
+        starts, counts = drive.stretches(name)
         drives = np.logical_and.reduceat(drive.moving, starts)
-        counts, driving = np.diff(starts), drives[:-1] & drives[1:]
+        counts, driving = counts[:-1], drives[:-1] & drives[1:]
         if np.count_nonzero(driving) < 8:
             continue
         usual = float(np.median(counts[driving]))
@@ -824,17 +811,13 @@ def _flipped(drive: Drive, side: str) -> bool:
 
 def _directed(drive: Drive) -> _Found:
     """Find a power that counts backwards where the robot goes so, as torques and currents may."""
-    name = "current" if "current" in drive.channels and "power" not in drive.channels else "power"
-    parts = [(name, drive.power, drive.left + drive.right, drive.moving)]
-    if drive.sides:
-        size = {"left": np.abs(drive.left), "right": np.abs(drive.right)}
-        parts = [  # the inner side of an arc may return power
-            (f"p_{one}", drive.channels[f"p_{one}"], drive.channels[f"v_{one}"],
-             drive.moving & ((size[one] >= 0.95 * size[two]) | (drive.left * drive.right < 0.0)))
-            for one, two in _EACH_SIDE
-        ]  # fmt: skip
     found = []
-    for name, power, speed, some in parts:
+    for name in drive.electric_names:
+        power, speed, some = drive.power, drive.left + drive.right, drive.moving
+        if drive.sides:  # the inner side of an arc may return power
+            one, other = (drive.left, drive.right)[:: 1 if name == "p_left" else -1]
+            power, speed = drive.channels[name], one
+            some = some & ((np.abs(one) >= 0.95 * np.abs(other)) | (one * other < 0.0))
         ahead, back = (some & (sign * speed > _MOVING) for sign in (1.0, -1.0))
         enough = min(np.count_nonzero(ahead), np.count_nonzero(back)) >= _ENOUGH
         if enough and _wrong_sign(-power[ahead]) and _wrong_sign(power[back]):
@@ -844,8 +827,7 @@ def _directed(drive: Drive) -> _Found:
             f"{' and '.join(found)} {'are' if len(found) > 1 else 'is'} positive forwards and "
             "negative backwards, as a motor's torque or current with the sign of its direction is: "
             "who drives draws power both ways",
-            remedy="log the battery's current, or multiply by the speed, as in "
-            "p_left=CURRENT*SPEED[*V_S_PER_M]",
+            f"log the battery's current, or multiply by the speed, as in {_BOTH_RATES}",
         )
 
 
@@ -856,10 +838,9 @@ def _wrong_sign(power: FloatArray) -> bool:
 
 def _descends(drive: Drive) -> bool:
     """Whether the drive goes downhill on the whole, as far as the log tells."""
-    if "slope" not in drive.channels:
-        return False
     forward = drive.left + drive.right
-    return float(np.sin(drive.channels["slope"]) @ forward) < -0.02 * float(np.abs(forward).sum())
+    slope = drive.channels.get("slope", np.zeros(1))
+    return float(np.sum(np.sin(slope) * forward)) < -0.02 * float(np.abs(forward).sum())
 
 
 def _repeats(drive: Drive) -> _Found:
@@ -878,8 +859,7 @@ def _repeats(drive: Drive) -> _Found:
     seldom = held_periods(drive.channels)
     for name in (name for name in POWERS if name in drive.channels and name not in seldom):
         values = drive.channels[name]
-        starts = np.flatnonzero(np.append(True, np.diff(values) != 0.0))
-        counts = np.diff(np.append(starts, len(values)))
+        starts, counts = drive.stretches(name)
         drives = np.logical_and.reduceat(moving, starts)
         if name.startswith("p_"):  # of a side that returns nothing, zero is a reading
             drives &= (values[starts] != 0.0) | (drive.power[starts] == 0.0)
@@ -887,30 +867,28 @@ def _repeats(drive: Drive) -> _Found:
         if name in ("power", "current") and np.count_nonzero(blank) > max(_ENOUGH, 0.01 * len(t)):
             yield Check(
                 f"{name} falls to 0 for a moment {np.count_nonzero(blank)} times in driving: rows "
-                "without a reading were filled with 0",
-                remedy="leave such cells empty",
-            )
+                "without a reading were filled with 0", "leave such cells empty",
+            )  # fmt: skip
         hangs = drives & (counts >= least)
         lost, usual = int(counts[hangs].sum()), counts[drives & ~hangs]
-        if np.count_nonzero(hangs) < 3 or lost < 0.01 * np.count_nonzero(moving):
+        held, share = values[starts[hangs]], lost / max(int(np.count_nonzero(moving)), 1)
+        often = np.count_nonzero(hangs) >= 3 and share >= 0.01
+        if not often or not len(usual) or np.mean(usual > 1) > 0.05:
             continue
-        if not len(usual) or np.mean(usual > 1) > 0.05:
-            continue
-        if np.mean(turned[np.repeat(hangs, counts)]) < 0.5:
-            continue  # without noise, all that is driven steadily repeats
-        held = values[starts[hangs]]
-        if np.ptp(held) > 0.0 and np.mean(np.append(False, np.diff(values) == 0.0)[steady]) > 0.5:
+        # Without noise, all that is driven steadily repeats.
+        lively = np.mean(turned[np.repeat(hangs, counts)]) >= 0.5
+        repeats = np.append(False, np.diff(values) == 0.0)
+        if not lively or (np.ptp(held) > 0.0 and np.mean(repeats[steady]) > 0.5):
             continue
         what = "hangs"
-        if np.all(held == held[0]) and held[0] == 0.0:
+        if np.all(held == 0.0):
             what = "drops out to 0"
-        elif np.all(held == held[0]) and held[0] in (values.max(), values.min()):
+        elif np.ptp(held) == 0.0 and held[0] in (values.max(), values.min()):
             what = f"ends at {held[0]:.4g}, which is the end of its range"
-        share = lost / np.count_nonzero(moving)
         yield Check(
             f"{name} {what} in {share:.0%} of the driving, first {t[starts[hangs][0]] - t[0]:.6g} "
             "s into the log: it repeats a reading where others change with every sample",
-            remedy="mend the sensor, or leave such stretches out",
+            "mend the sensor, or leave such stretches out",
         )
 
 
@@ -920,55 +898,48 @@ def _motor_current(drive: Drive) -> _Found:
     rest, moving = drive.effort < 0.02 * top, drive.effort > 0.15 * top
     if np.count_nonzero(rest) < _ENOUGH or np.count_nonzero(moving) < 5 * _ENOUGH:
         return
-    speed = drive.effort[moving]
+    speed, power = drive.effort[moving], drive.power[moving]
     low, high = np.quantile(speed, [0.15, 0.85])
     if high < 1.6 * low:
         return  # one speed tells nothing of how the power depends on it
     turn = np.abs(drive.difference)[moving] / speed
     # Power per speed is a force, and depends on how tight the robot turns; a motor's current too.
     # What grows with speed and what does not is held apart for each.
-    y = drive.power[moving]
-    X = np.stack([speed, speed * turn, np.ones(len(speed)), turn])
-    scale = np.sqrt((X * X).sum(axis=1))
-    if np.any(scale == 0):
-        X, scale = X[[0, 2]], scale[[0, 2]]
-    unit = X / scale[:, None]
-    gram = unit @ unit.T
-    if np.linalg.cond(gram) > 1e4:
+    shapes = [speed, speed * turn, np.ones(len(speed)), turn]
+    fit = regress(shapes if np.any(turn) else shapes[::2], power)
+    if fit.condition > 1e4:
         return
-    found = np.linalg.solve(gram, unit @ y) / scale
-    half, mean = len(found) // 2, X.mean(axis=1)
-    flat = float(found[half:] @ mean[half:]) - float(drive.power[rest].mean())
-    grown = float(found[:half] @ mean[:half])
-    spread = float(np.std(y - found @ X)) / max(abs(float(y.mean())), 1e-300)
-    if flat > 0.7 * float(y.mean()) > 0 and flat > 3 * abs(grown) and spread < 0.8:
+    half = len(fit.values) // 2
+    flat = float(fit.means[half:].sum()) - float(drive.power[rest].mean())
+    grown = float(fit.means[:half].sum())
+    spread = float(np.std(fit.rest)) / max(abs(float(power.mean())), 1e-300)
+    if flat > 0.7 * float(power.mean()) > 0 and flat > 3 * abs(grown) and spread < 0.8:
         yield Check(
             "the power jumps up when the robot begins to move and then hardly depends on its "
             "speed, as a motor's current does: voltage times motor current is no power",
-            remedy="log the battery's current, or map the power by the motor's constant, as in "
-            "p_left=CURRENT*SPEED[*V_S_PER_M]",
+            "log the battery's current, or map the power by the motor's constant, as in "
+            + _BOTH_RATES,
         )
 
 
-_SIDES, _PLACE = frozenset({"p_left", "p_right"}), frozenset({"x", "y"})
-_ALL: frozenset[str] = frozenset()
-INVARIANTS = (
-    Invariant("time steps are those of a drive, without gaps", _ALL, _time, ""),
-    Invariant("a power falls where the robot slows down", _ALL, _counters, ""),
-    Invariant("the robot turns as its treads say", _ALL, _turning, "", of_two_sides=True),
-    Invariant("who drives draws power, at that time", _ALL, _powers, "", of_two_sides=True),
-    Invariant("speeds are those of two sides, with their signs", _ALL, _false_speeds),
-    Invariant("both sides show something", _ALL, _dead),
-    Invariant("what sensors show changes to the end", _ALL, _dying),
-    Invariant("both speeds count alike", _ALL, _counting),
-    Invariant("sides seldom go against each other", _ALL, _opposed),
-    Invariant("two powers are two, in one unit", _SIDES, _unlike),
-    Invariant("a side that returns power has a negative one", _SIDES, _lost_sign),
-    Invariant("a noisy power does not repeat", _ALL, _repeats),
-    Invariant("the pose goes where treads and heading do", _PLACE | {"yaw"}, _pose),
-    Invariant("power depends on speed", _ALL, _motor_current),
-    Invariant("power is drawn backwards, too", _ALL, _directed, of_two_sides=True),
-    Invariant("what is measured twice is the same", _ALL, _measured_twice),
+_SIDES = frozenset({"p_left", "p_right"})
+RULES = (
+    Rule("time steps are those of a drive, without gaps", _time, ""),
+    Rule("a power falls where the robot slows down", _counters, ""),
+    Rule("signs and sides are those of one robot", _frames, "", True),
+    Rule("the robot turns as its treads say", _turning, "", True),
+    Rule("who drives draws power, at that time", _powers, "", True),
+    Rule("speeds are those of two sides, with their signs", _false_speeds),
+    Rule("both sides show something", _dead),
+    Rule("what sensors show changes to the end", _dying),
+    Rule("both speeds count alike", _counting),
+    Rule("sides seldom go against each other", _opposed),
+    Rule("two powers are two, in one unit", _unlike, needs=_SIDES),
+    Rule("a side that returns power has a negative one", _lost_sign, needs=_SIDES),
+    Rule("a noisy power does not repeat", _repeats),
+    Rule("power depends on speed", _motor_current),
+    Rule("power is drawn backwards, too", _directed, of_two_sides=True),
+    Rule("what is measured twice is the same", _measured_twice),
 )
 """What is asked of every drive, in the order in which it is told."""
 

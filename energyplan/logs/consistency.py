@@ -51,6 +51,15 @@ class Drive:
         self.usual_step = float(np.median(np.diff(self.t))) if len(self.t) > 1 else np.nan
         # Nothing but the heading tells the slip track.
         self.from_pose = "yaw_rate" not in channels
+        battery = "current" in channels and "power" not in channels
+        self.electric_names = (
+            ("p_left", "p_right") if self.sides else ("current",) if battery else ("power",)
+        )
+
+    def stretches(self, name: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Where a channel's readings change, and how many samples each lasts."""
+        starts = np.flatnonzero(np.append(True, np.diff(self.channels[name]) != 0.0))
+        return starts, np.diff(np.append(starts, len(self.t)))
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
@@ -147,22 +156,12 @@ class Drive:
                 np.interp(self.t - lag, self.t, np.clip(gain, *ends))
                 for ends in ((0, None), (None, 0))
             )
-            one = np.ones(len(self.t))
-            X = np.stack([shifted, back, 0.5 * self.effort, np.abs(self.difference), one])
-            scale = np.sqrt((X * X).sum(axis=1))
-            if scale[0] == 0 or not np.all(np.isfinite(scale)):
-                return np.nan
-            scale[scale == 0] = 1.0
-            unit = X / scale[:, None]
-            gram = unit @ unit.T + 1e-9 * np.eye(len(X))
-            solution = np.linalg.solve(gram, unit @ self.power)
-            residual = self.power - solution @ unit
-            loss = float(residual @ residual)
+            rest = [0.5 * self.effort, np.abs(self.difference), np.ones(len(self.t))]
+            fit = regress([shifted, back, *rest], self.power)
+            loss = float(fit.rest @ fit.rest)
             if loss < best:
-                best = loss
-                variance = loss / len(self.t) * _repeats(residual) * np.linalg.inv(gram)[0, 0]
-                error = np.sqrt(variance) / scale[0]
-                mass = float(solution[0] / scale[0])
+                best, mass = loss, float(fit.values[0])
+                error = fit.errors[0] * np.sqrt(_repeats(fit.rest))
                 found = mass if mass > 0 and error < _INERTIA_ERROR * mass else np.nan
         return found
 
@@ -177,6 +176,31 @@ def _whole(values: FloatArray | None) -> bool:
     if values is None or np.any(np.mod(values, 1.0) != 0.0):
         return False
     return len(np.unique(values)) > _FEW_NUMBERS or float(np.median(np.abs(values))) > 60.0
+
+
+class Regression(NamedTuple):
+    """A fit by least squares, and what it leaves."""
+
+    values: FloatArray  # (k,): factors of the shapes
+    errors: FloatArray  # (k,): their standard errors, were all samples independent
+    means: FloatArray  # (k,): what each shape makes in the mean
+    rest: FloatArray  # (n,): what is left
+    condition: float  # of the normal equations; large where shapes are alike
+
+
+def regress(shapes: Sequence[FloatArray], y: FloatArray) -> Regression:
+    """Fit a sum of shapes to readings; one that is zero throughout gets the factor 0."""
+    X = np.stack(shapes)
+    scale = np.sqrt((X * X).sum(axis=1))
+    scale[scale == 0] = 1.0
+    unit = X / scale[:, None]
+    gram = unit @ unit.T
+    inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
+    values = inverse @ (unit @ y)
+    rest = y - values @ unit
+    errors = np.sqrt(float(rest @ rest) / len(y) * np.diag(inverse)) / scale
+    condition = float(np.linalg.cond(gram)) if np.all(np.any(X, axis=1)) else np.inf
+    return Regression(values / scale, errors, values / scale * X.mean(axis=1), rest, condition)
 
 
 def yaw_rates(channels: Channels, runs: Sequence[slice]) -> dict[str, FloatArray]:
@@ -276,12 +300,12 @@ class Check:
     """What was compared or found in a log, whether it is right, and what to do if not."""
 
     what: str  # what was compared, or what is wrong
+    remedy: str = ""  # what to do if it is wrong
+    refuses: str = ""  # what it rules out: "reading" the log, "fitting" anything to it, or "trust"
+    turned: tuple[str, ...] = ()  # channels that count the other way
     value: float = nan  # what came out
     expected: str = ""  # what was expected
     ok: bool = False  # whether it came out so
-    remedy: str = ""  # what to do if not
-    turned: tuple[str, ...] = ()  # channels that count the other way
-    refuses: str = ""  # what it rules out: "reading" the log, "fitting" anything to it, or "trust"
 
     def __str__(self) -> str:
         compared = f": {self.value:.3g}, expected {self.expected}" if isfinite(self.value) else ""
@@ -523,11 +547,10 @@ def check_consistency(
             "wheel radius and the measures"
         )
     return [
-        Check(
-            span.what, value, span.expected, span not in wrong, remedy if span in wrong[:1] else ""
-        )
+        Check(span.what, remedy if span in wrong[:1] else "", value=value, expected=span.expected,
+              ok=span not in wrong)
         for span, value in ratios
-    ]
+    ]  # fmt: skip
 
 
 def contradictions(log: DriveLog, vehicle: Vehicle) -> list[Check]:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from energyplan.path import FloatArray
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd
     import pyarrow as pa
-    from _typeshed import WriteableBuffer
 
 MAX_COLUMNS = 4096
 """Widest table that is read."""
@@ -410,8 +409,6 @@ _OTHERS = {
                     "ulog2csv and mavlogdump.py --format csv do"),
 }  # fmt: skip
 """What files are that are not read, and what makes a table of them, by suffix."""
-_INTERRUPTED = "Calling read(nbytes) on source failed"
-"""What the parser makes of Ctrl-C at the moment when it asks for bytes; errors it passes on."""
 
 
 def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
@@ -423,9 +420,7 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
     with _reading(file, error):
         if _suffix(file, error) == ".parquet":
             return _read_parquet(file, error)
-        with file.open("rb") as raw:
-            stream = io.BufferedReader(_Guarded(raw, file, error))
-            return _read_csv(stream, file, error)
+        return _read_csv(file, error)
 
 
 def parts_of(path: str | Path) -> list[str]:
@@ -493,9 +488,8 @@ def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
     with _reading(file, error):
         if _suffix(file, error) == ".parquet":
             raise error(f"{file} is no CSV file")
-        with file.open("rb") as raw:
-            stream = io.BufferedReader(_Guarded(raw, file, error))
-            return _opened(stream, file, error).dialect.names
+        head = _bytes(file, error, _AHEAD)
+        return find_dialect(head, len(head) < _AHEAD, file, error).names
 
 
 @contextmanager
@@ -525,122 +519,48 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     return suffix
 
 
-class _Guarded(io.RawIOBase):
-    """A text file, unzipped where need be, with an end to its size and to its lines.
-
-    A few bytes of gzip can hold terabytes, and a line without an end would fill the memory.
-    """
-
-    def __init__(self, raw: BinaryIO, file: Path, error: type[InvalidInputError]) -> None:
-        super().__init__()
-        self._stream = gzip.GzipFile(fileobj=raw) if file.suffix.lower() == ".gz" else raw
-        self._file, self._error, self._left, self._line = file, error, MAX_BYTES, 0
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: WriteableBuffer, /) -> int:
-        view = memoryview(buffer).cast("B")
-        data = self._raw(len(view))
-        view[: len(data)] = data
-        self._left -= len(data)
-        if self._left < 0:
-            raise self._error(f"{self._file} holds more than {MAX_BYTES >> 20} MiB; split it")
-        end = data.rfind(b"\n")
-        self._line = len(data) - 1 - end if end >= 0 else self._line + len(data)
-        if self._line > MAX_LINE:
-            raise self._error(
-                f"{self._file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of "
-                "numbers"
-            )
-        return len(data)
-
-    def _raw(self, size: int) -> bytes:
-        try:
-            return self._stream.read(size)
-        except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
-            raise self._error(
-                f"{self._file} is no sound gzip file ({problem}); copy or compress it anew"
-            ) from None
+def _bytes(file: Path, error: type[InvalidInputError], most: int = -1) -> bytes:
+    """Return a text file's bytes, or the first of them; a few of gzip can hold terabytes."""
+    limit = MAX_BYTES + 1 if most < 0 else most
+    try:
+        with gzip.open(file) if file.suffix.lower() == ".gz" else file.open("rb") as stream:
+            data = stream.read(limit)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
+        raise error(f"{file} is no sound gzip file ({problem}); copy or compress it anew") from None
+    if len(data) > MAX_BYTES:
+        raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
+    return data
 
 
-class _Rewound(io.RawIOBase):
-    """What was read ahead of a stream, and then the stream."""
-
-    def __init__(self, ahead: bytes, stream: io.BufferedReader[Any]) -> None:
-        super().__init__()
-        self._ahead, self._stream = io.BytesIO(ahead), stream
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: WriteableBuffer, /) -> int:
-        return self._ahead.readinto(buffer) or self._stream.readinto(buffer)
+def _short(data: bytes, separator: str, cells: int) -> NDArray[np.intp]:
+    """Return which rows have fewer cells, though some: the parser does not tell."""
+    mark = separator.encode()
+    counts = np.fromiter((line.count(mark) for line in io.BytesIO(data)), np.int32)
+    return np.flatnonzero((counts > 0) & (counts < cells - 1))
 
 
-class _Rows(io.RawIOBase):
-    """Lines on their way to the parser, which does not tell how many cells each had."""
-
-    def __init__(self, stream: io.BufferedReader[Any], separator: str) -> None:
-        super().__init__()
-        self._stream, self._separator = stream, separator.encode()
-        self._counts: list[NDArray[np.int32]] = []
-        self._open = 0  # separators in the line that has not ended
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: WriteableBuffer, /) -> int:
-        size = self._stream.readinto1(buffer)
-        data = np.frombuffer(memoryview(buffer), np.uint8)[:size]
-        marks = np.cumsum(data == ord(self._separator), dtype=np.int32)
-        ends = marks[data == ord("\n")]
-        counts = np.diff(ends, prepend=np.int32(0))
-        if len(ends):
-            counts[0] += self._open
-            self._counts.append(counts)
-            self._open = 0
-        self._open += int(marks[-1] - (ends[-1] if len(ends) else 0)) if size else 0
-        return size
-
-    def short(self, cells: int) -> NDArray[np.intp]:
-        """Return which rows have fewer cells, though some."""
-        counts = np.concatenate([*self._counts, np.array([self._open], np.int32)])
-        return np.flatnonzero((counts > 0) & (counts < cells - 1))
-
-
-class _Opened(NamedTuple):
-    """How a text file writes its table, and its readings."""
-
-    dialect: Dialect
-    readings: io.BufferedReader[Any]
-
-
-def _opened(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInputError]) -> _Opened:
-    """Read the line of column names, and look at the lines that follow."""
-    head = stream.read(_AHEAD)
-    dialect = find_dialect(head, len(head) < _AHEAD, file, error)
-    return _Opened(dialect, io.BufferedReader(_Rewound(head[dialect.start :], stream)))
-
-
-def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInputError]) -> Table:
+def _read_csv(file: Path, error: type[InvalidInputError]) -> Table:
     import pandas as pd
 
-    dialect, readings = _opened(stream, file, error)
-    names = dialect.names
+    data = _bytes(file, error)
+    dialect = find_dialect(data[:_AHEAD], len(data) < _AHEAD, file, error)
+    data, names = data[dialect.start :], dialect.names
+    if max(map(len, io.BytesIO(data)), default=0) > MAX_LINE:
+        raise error(
+            f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"
+        )
     most = MAX_CELLS // len(names)
     columns = Columns(names, dialect.line, "line", dialect.decimal)
     # before 3.1 pandas is out by the last bit in one number of six, unless it is asked not to be
     old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     parts: list[pd.DataFrame] | None = []  # of one reading a row
-    rows = _Rows(readings, dialect.separator) if len(dialect.separator) == 1 else None
     try:
         with warnings.catch_warnings():
             # Rows wider than the header would lose their surplus with no more than a warning.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             for frame in pd.read_csv(
-                readings if rows is None else io.BufferedReader(rows),
+                io.BytesIO(data),
                 header=None,
                 names=range(len(names)),
                 sep=dialect.separator,
@@ -675,8 +595,6 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
             "where commas separate cells"
         ) from None
     except pd.errors.ParserError as problem:
-        if _INTERRUPTED in str(problem):
-            raise KeyboardInterrupt from None
         raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
     wide = _wide(pd.concat(parts), names) if parts else None
     if wide is not None:
@@ -684,7 +602,8 @@ def _read_csv(stream: io.BufferedReader[Any], file: Path, error: type[InvalidInp
         columns.add(wide)
         return columns.table(file, error)
     table = columns.table(file, error)
-    short = np.zeros(0, int) if rows is None else rows.short(dialect.named)
+    one = len(dialect.separator) == 1
+    short = _short(data, dialect.separator, dialect.named) if one else np.zeros(0, int)
     short = short[short < columns.rows]
     if len(short) > max(1.0, _STRAY_ROWS * columns.rows):
         raise error(

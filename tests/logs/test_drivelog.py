@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import pickle
 import re
-import signal
 import subprocess
 import sys
 
@@ -182,28 +181,6 @@ def test_truncated_and_exploding_gzip_are_refused(tmp_path, monkeypatch):
     assert bomb.stat().st_size < 1 << 15
     with pytest.raises(DriveLogError, match="more than 1 MiB"):
         DriveLog.read(bomb)
-
-
-def test_ctrl_c_while_the_parser_asks_for_bytes_is_no_complaint_about_the_file(
-    tmp_path, monkeypatch
-):
-    file = write(tmp_path, HEAD + "".join(f"{k},1,1,5\n" for k in range(20000)))
-    before = tables._Guarded.readinto
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-    calls = []
-
-    def readinto(self, buffer):
-        calls.append(len(buffer))
-        if len(calls) == 3:
-            signal.raise_signal(signal.SIGINT)
-        return before(self, buffer)
-
-    monkeypatch.setattr(tables._Guarded, "readinto", readinto)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            DriveLog.read(file)
-    finally:
-        signal.signal(signal.SIGINT, handler)
 
 
 def test_text_and_lists_in_parquet_are_named_and_left_unread(tmp_path):
