@@ -34,9 +34,10 @@ from energyplan.logs import DriveLog
 from energyplan.logs.align import AS_LOGGED, Series, align
 from energyplan.logs.clean import SetAside
 from energyplan.logs.guess import guess, side_of, words
-from energyplan.logs.mapping import UNITS, Column
+from energyplan.logs.mapping import UNITS, Column, formula
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
+_NAME = r"(?:yaw\([\w.\s]+\)|[A-Za-z_][\w.]*(?:\s*\[[^\[\]]+\])?)"
 
 
 _FIELDS = "write a field such as angular_velocity.z, a.b[0], yaw(a.b) or a.b-0.25*c.d"
@@ -48,28 +49,6 @@ class _Place(NamedTuple):
     parts: tuple[str, ...]
     element: str | None
     heading: bool
-
-
-_TERM = re.compile(
-    r"\s*([-+]?)\s*(?:(\d+\.?\d*(?:[eE][-+]?\d+)?)\s*\*)?\s*([^-+*\[]+(?:\[[^\]]*\])?\)?)"
-)
-
-
-def _parse(formula: str) -> list[tuple[float, str]]:
-    """Read a field, or a sum of fields with factors such as ``a.b-0.25*c.d``."""
-    terms: list[tuple[float, str]] = []
-    at = 0
-    while at < len(formula.rstrip()):
-        match = _TERM.match(formula, at)
-        if match is None or (terms and not match[1]):
-            raise ValueError(_FIELDS)
-        weight = float(match[2] or 1.0)
-        _place(match[3])
-        terms.append((-weight if match[1] == "-" else weight, match[3].strip()))
-        at = match.end()
-    if not terms:
-        raise ValueError(_FIELDS)
-    return terms
 
 
 @lru_cache(maxsize=256)
@@ -111,12 +90,14 @@ def _readable(column: Column) -> Column:
         _place(column.times)
     if column.weights and len(column.weights) != 1 + len(column.plus):
         raise ValueError("give one weight for each field, or write a sum of fields with factors")
-    terms = _parse(column.written if column.plus else column.field)
-    weights = tuple(weight for weight, _ in terms)
-    first, *rest = (name for _, name in terms)
-    plain = all(weight == 1.0 for weight in weights)
-    parts = {"field": first, "plus": tuple(rest), "weights": () if plain else weights}
-    return column.model_copy(update=parts)
+    added = column.model_copy(update={"times": None})
+    made = formula(added.written if column.plus else column.field, _NAME)
+    if made is None or made.times is not None:
+        raise ValueError(_FIELDS)
+    for name in made.names:
+        _place(name)
+    first, *rest = made.names
+    return column.model_copy(update={"field": first, "plus": tuple(rest), "weights": made.weights})
 
 
 def source(channel: str, topic: str, field: str) -> Column:

@@ -24,6 +24,7 @@ from energyplan.io.files import same_file
 from energyplan.io.husky import NOT_TOLD, WHEEL_COLUMNS, is_husky, read_husky
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import LONGEST_STEP
+from energyplan.logs.clean import POWER_WAYS
 from energyplan.logs.guess import guess
 from energyplan.logs.mapping import UNITS, Column
 from energyplan.logs.tables import Table, read_table
@@ -178,7 +179,6 @@ def _duration(table: Table, name: str, seems: Column | None) -> float:
 
 def _missing(channels: tuple[str, ...]) -> list[str]:
     """Name what a drive log takes beyond these channels."""
-    told = set(channels)
-    lacks = [name for name in ("t", "v_left", "v_right") if name not in told]
-    ways = ({"p_left", "p_right"}, {"power"}, {"voltage", "current"})
-    return lacks if any(way <= told for way in ways) else [*lacks, "power"]
+    lacks = [name for name in ("t", "v_left", "v_right") if name not in channels]
+    there = any(set(way) <= set(channels) for way in POWER_WAYS)
+    return lacks if there else [*lacks, "power"]

@@ -20,7 +20,7 @@ from energyplan.io.logs import read_log
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
 from energyplan.logs.checks import find_checks, grows, mirrored_side
-from energyplan.logs.clean import RECORDING, join_rows, possible
+from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
     Check,
     Drive,
@@ -355,15 +355,6 @@ def refuse_unlike(table: Table, found: Mapping[str, Column]) -> None:
                 )
 
 
-def total_power(channels: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the power of both sides together, from whichever channels there are [W]."""
-    if {"p_left", "p_right"} <= set(channels):
-        return channels["p_left"] + channels["p_right"]
-    if "power" in channels:
-        return channels["power"]
-    return channels["voltage"] * channels["current"]
-
-
 _SOME = 20_000  # readings that suffice to tell a unit
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
@@ -372,7 +363,6 @@ _VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # us
 _HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
 _USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
-POWER_WAYS = (("p_left", "p_right"), ("power",), ("voltage", "current"))
 _CHARGE = {"percentage", "percent", "soc", "pct"}  # words of how full a battery is
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
 _RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}

@@ -26,7 +26,7 @@ from energyplan.logs.align import (
     time_weights,
 )
 from energyplan.logs.checks import find_checks
-from energyplan.logs.clean import Place, SetAside, clean, needed_channels
+from energyplan.logs.clean import Place, SetAside, clean, needed_channels, total_power
 from energyplan.logs.consistency import Check
 from energyplan.logs.mapping import UNITS, Column, own_columns, parse_columns
 from energyplan.logs.tables import read_table, table_of
@@ -291,12 +291,7 @@ class DriveLog(ReadOnly, html.Readable):
     @cached_property
     def power(self) -> FloatArray:
         """Measured total power [W], positive when drawn."""
-        sides = self.sides
-        if sides is not None:
-            return sides.total
-        if self.has("power"):
-            return self.channels["power"]
-        return np.asarray(self.channels["voltage"] * self.channels["current"])
+        return total_power(self.channels)
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:

@@ -227,6 +227,19 @@ class Cleaned:
     warnings: list[str]
 
 
+POWER_WAYS = (("p_left", "p_right"), ("power",), ("voltage", "current"))
+"""Channels that make a power, by preference."""
+
+
+def total_power(channels: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the power from whichever channels there are [W], positive when drawn."""
+    one, *other = next(way for way in POWER_WAYS if set(way) <= set(channels))
+    if not other:
+        return channels[one]
+    left, right = channels[one], channels[other[0]]
+    return left * right if one == "voltage" else left + right
+
+
 def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
     """Channels without which a sample is of no use: time, tread speeds and power."""
     if not isinstance(names, Iterable):
@@ -243,8 +256,8 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
                 f"{label}: the channel {channel!r} is missing; the log has {there}; map a column to"
                 f" it, such as {channel}=NAME, or let energyplan start find the columns"
             )
-    for way in (("p_left", "p_right"), ("power",), ("voltage", "current")):
-        if all(channel in names for channel in way):
+    for way in POWER_WAYS:
+        if set(way) <= set(names):
             return ("t", "v_left", "v_right", *way)
     raise DriveLogError(
         f"{label}: power is missing; give p_left and p_right, or power, or voltage and current; "

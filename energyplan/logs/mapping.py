@@ -485,37 +485,39 @@ def _resolve(channel: str, text: str, names: Collection[str]) -> Column:
     source, unit = (match[1], match[2]) if match else (source, "")
     if source.count("[") != source.count("]"):
         raise _unreadable(f"{channel}={text}")
-    formula = None if source in names else _formula(source, names)
-    if formula is None:
+    known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True) if name)
+    made = None if source in names or not known else formula(source, known)
+    if made is None:
         return column_from(channel, source, unit)
-    terms, times = formula
-    parts = [name for _, name in terms]
-    weights = [weight for weight, _ in terms]
-    written = unit or _unit_of(channel, parts, times)
-    plain = all(weight == 1.0 for weight in weights)
-    return column_from(channel, parts[0], written, times, parts[1:], () if plain else weights)
+    written = unit or _unit_of(channel, made.names, made.times)
+    return column_from(channel, made.names[0], written, made.times, made.names[1:], made.weights)
 
 
 _NUMBER = r"\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+"
 
 
-def _formula(
-    text: str, names: Collection[str]
-) -> tuple[list[tuple[float, str]], str | None] | None:
-    """Read a sum of columns with factors, and perhaps a column to multiply it by."""
-    known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True) if name)
-    if not known:
-        return None
-    term = rf"(?:({_NUMBER})\s*\*\s*)?({known})(?:\s*\*\s*({_NUMBER})(?![\w.]))?"
-    whole = rf"(\()?\s*([-+]?\s*{term}(?:\s*[-+]\s*{term})*)\s*(?(1)\))(?:\s*\*\s*({known}))?"
+class Formula(NamedTuple):
+    """A sum of columns or fields with factors, and what it is multiplied by."""
+
+    names: tuple[str, ...]
+    weights: tuple[float, ...]  # none where all are one
+    times: str | None
+
+
+def formula(text: str, name: str) -> Formula | None:
+    """Read a sum of names, each of a pattern, with factors; None where it is no such sum."""
+    term = rf"(?:({_NUMBER})\s*\*\s*)?({name})(?:\s*\*\s*({_NUMBER})(?![\w.]))?"
+    whole = rf"(\()?\s*([-+]?\s*{term}(?:\s*[-+]\s*{term})*)\s*(?(1)\))(?:\s*\*\s*({name}))?"
     match = re.fullmatch(whole, text.strip())
     if match is None:
         return None
-    found = []
-    for sign, before, name, after in re.findall(rf"([-+]?)\s*{term}", match[2]):
+    names, weights = [], []
+    for sign, before, one, after in re.findall(rf"([-+]?)\s*{term}", match[2]):
         weight = float(before or 1.0) * float(after or 1.0)
-        found.append((-weight if sign == "-" else weight, name))
-    return found, match[match.re.groups]
+        names.append(one)
+        weights.append(-weight if sign == "-" else weight)
+    plain = all(weight == 1.0 for weight in weights)
+    return Formula(tuple(names), () if plain else tuple(weights), match[match.re.groups])
 
 
 def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:

@@ -90,22 +90,6 @@ def test_readers_refuse_by_name(name: str) -> None:
         attack()
 
 
-def test_a_reader_without_an_answer_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the fuzzers look for is found where it is."""
-    monkeypatch.setattr("fuzzing.MEMORY", 1 << 24)
-    file = folder() / "log.csv"
-    for answer, told in (
-        (lambda _: {"a": [1.0, float("nan")]}, r"result\.a\[1\] is NaN"),
-        (lambda _: len(bytearray(os.urandom(1 << 20) * 64)), "MiB at its peak"),
-    ):
-        with pytest.raises(AssertionError, match=told):
-            assert_answered(answer, file)
-    with pytest.raises(MemoryError):
-        assert_answered(lambda _: bytearray(1 << 40), file)
-    with pytest.raises(KeyError):
-        assert_answered(lambda _: {}["a"], file)
-
-
 # -- commands -----------------------------------------------------------------------------------
 
 
