@@ -41,16 +41,16 @@ from energyplan.logs.guess import (
     words,
 )
 from energyplan.logs.mapping import (
+    COUNTS,
     RATE,
+    RATES,
     ROW,
     SINCE,
     TOTAL,
     Column,
     column_from,
     counting,
-    is_count,
     is_unit,
-    is_wheel_rate,
     parse_columns,
     scale_of,
     split_unit,
@@ -414,7 +414,7 @@ def _start_table(file: Path, known: Given) -> Start:
         if clock is not None:
             columns["t"] = Column(field=clock, channel="t")
     _refuse_percentages(table.source, table.columns, {*columns, *found})
-    encoders = {name: found.pop(name) for name in [*found] if is_count(found[name].unit)}
+    encoders = {name: found.pop(name) for name in [*found] if found[name].unit in COUNTS}
     speeds = {"v_left", "v_right"}
     notes: list[str] = []
     used = {name for one in (*columns.values(), *found.values()) for name in one.names}
@@ -433,7 +433,7 @@ def _start_table(file: Path, known: Given) -> Start:
     refuse_halves(table, found, there)
     refuse_unlike(table, found)
     for channel, one in found.items():
-        bare = is_wheel_rate(one.unit) and channel in speeds  # takes a radius, below
+        bare = one.unit in RATES and channel in speeds  # takes a radius, below
         columns[channel] = _mean(one.model_copy(update={"unit": "" if bare else one.unit}))
     for channel in ("slope", "temperature", "payload"):
         if channel in table.columns and channel not in columns:
@@ -619,7 +619,7 @@ def _with_units(
     radius = known.wheel_radius
     if {"v_left", "v_right"} & set(found):
         rates = [found[name].unit for name in ("v_left", "v_right") if name in found]
-        named = next((unit for unit in rates if is_wheel_rate(unit)), "")
+        named = next((unit for unit in rates if unit in RATES), "")
         if named:
             choices.append((("v_left", "v_right"), (f"{named}*",)))
         elif {"v_left", "v_right"} <= free:

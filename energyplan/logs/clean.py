@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from math import nan
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -16,6 +17,9 @@ from energyplan.kinds import described, numbers
 from energyplan.logs.align import Series, align, gap_limit
 from energyplan.logs.mapping import ROW
 from energyplan.path import FloatArray
+
+if TYPE_CHECKING:  # which imports this module
+    from energyplan.logs import DriveLog
 
 LIMITS = {
     "t": (-1e11, 1e11, "s"),
@@ -198,23 +202,13 @@ class SetAside:
         return f"{self.count} samples: {self.reason} ({self.where})"
 
 
-class _Cleaned(Protocol):
-    """What has a name and says what was set aside, such as a drive log."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def set_aside(self) -> tuple[SetAside, ...]: ...
-
-
-def set_aside_by_drive(logs: Iterable[_Cleaned]) -> dict[str, dict[str, int]]:
+def set_aside_by_drive(logs: Iterable[DriveLog]) -> dict[str, dict[str, int]]:
     """Count samples that were left out or mended, by drive and reason."""
-    counts: dict[str, dict[str, int]] = {}
+    counts: dict[str, Counter[str]] = {}
     for log in logs:
         for item in log.set_aside:
-            reasons = counts.setdefault(log.name, {})
-            reasons[item.reason] = reasons.get(item.reason, 0) + item.count
-    return counts
+            counts.setdefault(log.name, Counter())[item.reason] += item.count
+    return {name: dict(reasons) for name, reasons in counts.items()}
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.4470
           "in/s": 0.0254, "kn": 0.514444, "m/min": 1 / 60, "ft/min": 0.3048 / 60}  # fmt: skip
 _ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
 RATES = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
-_COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
+COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
 _ENERGY = {"J": 1.0, "kJ": 1e3, "mWh": 3.6, "Wh": 3.6e3, "kWh": 3.6e6}
 _CHARGE = {"mAh": 3.6, "Ah": 3.6e3}
 _POWER = {"W": 1.0, "kW": 1e3, "mW": 1e-3, "hp": 745.69987, "PS": 735.49875, **_ENERGY}
@@ -90,7 +90,7 @@ _ALIASES = {
 }  # fmt: skip
 """Other ways to write a unit, in small letters."""
 _WHEEL_CHANNELS = ("v_left", "v_right")
-_OF_WHEELS = {**RATES, **_COUNTS}
+_OF_WHEELS = {**RATES, **COUNTS}
 
 
 def known_unit(channel: str, unit: str) -> str | None:
@@ -102,16 +102,6 @@ def known_unit(channel: str, unit: str) -> str | None:
     folded = {name.lower(): name for name in known if name not in ("mW", "mWh")}  # M: a million
     spelt = _ALIASES.get(bare.lower(), folded.get(bare.lower()))
     return spelt if spelt in known else None
-
-
-def is_wheel_rate(unit: str) -> bool:
-    """Tell whether a unit of tread speeds is one of wheel rates, which take a wheel radius."""
-    return unit in RATES
-
-
-def is_count(unit: str) -> bool:
-    """Tell whether a unit of tread speeds is one of encoders, which takes the metres per count."""
-    return unit in _COUNTS
 
 
 @lru_cache(maxsize=512)
@@ -151,7 +141,7 @@ def scale_of(channel: str, unit: str) -> Scale:
             "before it where the sign is opposite, or give a factor such as [*0.001]"
         )
     if spelt not in known:
-        if not star and is_count(spelt):
+        if not star and spelt in COUNTS:
             raise DriveLogError(
                 f"{channel} in [{unit}] is an encoder's count; give the metres per count with it, "
                 f"as in {channel}=NAME[{spelt}*0.0001] for 0.1 mm"

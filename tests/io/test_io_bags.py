@@ -8,13 +8,10 @@ from numpy.testing import assert_allclose
 
 from energyplan.errors import ConfigError, DriveLogError, UnknownNameError
 from energyplan.io.bags import (
-    TOPIC_MAPS,
     TopicMap,
     bag_info,
     is_bag,
     read_bag,
-    read_message,
-    source,
 )
 from energyplan.io.logs import read_log
 from energyplan.io.tables import write_log
@@ -267,28 +264,6 @@ def test_no_wheel_radius_is_assumed(bags):
             DriveLogError, match=r"radius of its wheels.*topics='husky' or 'jackal'"
         ):
             read(bags["ros2"])
-
-
-def test_fields_are_read_from_messages():
-    class Message:
-        name = ("a_left", "b_left", "c_right")
-        velocity = (1.0, 3.0, 7.0)
-
-    def value(field):
-        return read_message(source("x", "t", field), Message())
-
-    assert value("velocity[*left*]") == 2.0
-    assert value("velocity[2]") == 7.0
-    assert np.isnan(value("velocity[9]"))
-    assert np.isnan(value("velocity[*wheel*]"))
-    assert np.isnan(value("effort"))
-
-
-@pytest.mark.parametrize("name", sorted(TOPIC_MAPS))
-def test_ready_made_maps_tell_speeds_and_power(name):
-    channels = set(TOPIC_MAPS[name].channels)
-    assert {"v_left", "v_right", "yaw_rate", "x", "y", "yaw"} <= channels
-    assert {"p_left", "p_right"} <= channels or "power" in channels
 
 
 def test_bags_are_told_from_tables(tmp_path, bags, drive):

@@ -444,13 +444,6 @@ def test_channels_are_read_only_and_survive_pickling(noisy):
         noisy.channel("humidity")
 
 
-def test_logs_describe_themselves_and_compare_by_identity(noisy):
-    assert "3001 samples over 150.0 s" in repr(noisy)
-    assert noisy == noisy
-    assert noisy != noisy.segment(0.0, 200.0)
-    assert {noisy: 1}[noisy] == 1
-
-
 def test_power_from_sides_total_and_battery(model):
     sides, total, battery = (
         identification_drive(model, measured=how) for how in ("sides", "total", "battery")

@@ -104,13 +104,6 @@ def test_power_noise_has_the_deviation_and_the_correlation_asked_for(model, tau)
     assert np.corrcoef(log.sides.left, log.sides.right)[0, 1] == pytest.approx(0.0, abs=0.05)
 
 
-def test_ways_to_measure_power_agree(model):
-    logs = [validation_drive(model, measured=how) for how in ("sides", "total", "battery")]
-    assert [log.has("p_left") for log in logs] == [True, False, False]
-    for log in logs[1:]:
-        assert_allclose(log.power, logs[0].power, atol=1e-9)
-
-
 def test_inertia_costs_nothing_from_rest_to_rest(model):
     heavy = model.with_term(LINEAR_INERTIA, 150.0)
     bare, log = (drive(m, "straight", rate=200.0) for m in (model, heavy))
