@@ -40,7 +40,7 @@ _TURNING = 0.05  # difference of the tread speeds from which the robot surely tu
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 _PAUSE, _BURSTS = 10.0, 0.05  # usual steps, and share of the rows, that tell rows in bursts
 _EACH_SIDE = (("left", "right"), ("right", "left"))
-_BOTH_RATES = "p_left=CURRENT*SPEED[*V_S_PER_M]"  # how a motor's current makes a power
+_BY_SPEED = "p_left=CURRENT*SPEED[*V_S_PER_M]"  # how a motor's current makes a power
 _Found = Iterable[Check]
 
 
@@ -827,7 +827,7 @@ def _directed(drive: Drive) -> _Found:
             f"{' and '.join(found)} {'are' if len(found) > 1 else 'is'} positive forwards and "
             "negative backwards, as a motor's torque or current with the sign of its direction is: "
             "who drives draws power both ways",
-            f"log the battery's current, or multiply by the speed, as in {_BOTH_RATES}",
+            f"log the battery's current, or multiply by the speed, as in {_BY_SPEED}",
         )
 
 
@@ -918,7 +918,7 @@ def _motor_current(drive: Drive) -> _Found:
             "the power jumps up when the robot begins to move and then hardly depends on its "
             "speed, as a motor's current does: voltage times motor current is no power",
             "log the battery's current, or map the power by the motor's constant, as in "
-            + _BOTH_RATES,
+            + _BY_SPEED,
         )
 
 
@@ -946,7 +946,6 @@ RULES = (
 # -- drives that are the same -------------------------------------------------------------------
 
 _COMPARED = 16  # samples of which all must be found before all others are compared
-_ENOUGH = 20  # samples at the same times that are alike by no chance
 
 
 def without_copies(
@@ -959,7 +958,7 @@ def without_copies(
     left_out: dict[int, str] = {}
     # The longest first: of a drive and a part of it, the drive stays.
     for k in sorted(range(len(train)), key=lambda k: -len(train[k])):
-        known = _named(train[k], kept)
+        known = next((other.name for other in kept if _alike(train[k], other)), None)
         if known is None:
             kept.append(train[k])
         else:
@@ -974,7 +973,7 @@ def without_copies(
         for one, other in combinations(learned, 2) if (shared := _shared(one, other))
     ]  # fmt: skip
     for log in holdout:
-        known = _named(log, learned)
+        known = next((other.name for other in learned if _alike(log, other)), None)
         if known is not None:
             told.append(
                 f"{log.name} holds the same readings as {known}, which was learned from: errors on "
@@ -989,44 +988,30 @@ def without_copies(
     return learned, told
 
 
-def _named(log: DriveLog, others: Iterable[DriveLog]) -> str | None:
-    """Return the name of a drive that holds all of another one's readings, or is part of it."""
-    return next((other.name for other in others if _alike(log, other)), None)
-
-
 def _alike(one: DriveLog, other: DriveLog) -> bool:
     """Tell whether the shorter of two drives is part of the longer one.
 
     Of robots that stand all readings may be the same.
     """
-    few, many = sorted((one, other), key=len)
-    short, long = _readings(few), _readings(many)
+    short, long = (_readings(log) for log in sorted((one, other), key=len))
     if not np.any(short[0]):
         return False
-    firsts = np.arange(len(many) - len(few) + 1)
-    for place in np.linspace(0, len(few) - 1, _COMPARED).astype(int):
-        for part, whole in zip(short, long, strict=True):
-            firsts = firsts[whole[firsts + place] == part[place]]
-    return any(
-        all(
-            np.array_equal(part, whole[first : first + len(few)])
-            for part, whole in zip(short, long, strict=True)
-        )
-        for first in firsts
-    )
+    count = short.shape[1]
+    firsts = np.arange(long.shape[1] - count + 1)
+    for place in np.linspace(0, count - 1, _COMPARED).astype(int):
+        firsts = firsts[np.all(long[:, firsts + place] == short[:, [place]], axis=0)]
+    return any(np.array_equal(short, long[:, first : first + count]) for first in firsts)
 
 
 def _shared(one: DriveLog, other: DriveLog) -> int:
     """Count the samples of a moving robot that stand in two drives at the same times."""
     _, mine, theirs = np.intersect1d(one.t, other.t, assume_unique=True, return_indices=True)
-    some, others = (
-        np.stack(_readings(log))[:, rows] for log, rows in ((one, mine), (other, theirs))
-    )
+    some, others = _readings(one)[:, mine], _readings(other)[:, theirs]
     alike = np.all(some == others, axis=0) & np.any(some[:2] != 0.0, axis=0)
     count = int(np.count_nonzero(alike))
     return count if count >= _ENOUGH else 0
 
 
-def _readings(log: DriveLog) -> list[FloatArray]:
-    """Return what every drive has: the speeds of both sides, and the power."""
-    return [log.channel("v_left"), log.channel("v_right"), log.power]
+def _readings(log: DriveLog) -> FloatArray:
+    """Return what every drive has, (3, n): the speeds of both sides, and the power."""
+    return np.stack([log.channel("v_left"), log.channel("v_right"), log.power])
