@@ -460,9 +460,7 @@ def read_project(path: str | Path) -> Project:
             )
         except DriveLogError as problem:
             raise document.fail(("columns", channel), str(problem)) from None
-    topics = None
-    if spec.topics is not None:
-        topics = TopicMap.model_validate(spec.topics)
+    topics = None if spec.topics is None else TopicMap.model_validate(spec.topics)
     return Project(
         spec.name, read_vehicle(Path(path)), columns, topics, spec.log or "", spec.defaults
     )
@@ -478,15 +476,11 @@ def read_columns(path: str | Path) -> dict[str, Column]:
 
 def write_project(project: Project, path: str | Path) -> Path:
     """Write a project as YAML, whole or not at all."""
-    data: dict[str, Any] = {"kind": "project", "name": project.name}
-    data |= {"log": project.log} if project.log else {}
-    data["vehicle"] = plain_vehicle(project.vehicle)
-    if project.columns:
-        data["columns"] = {
-            channel: column.described() for channel, column in project.columns.items()
-        }
-    if project.topics is not None:
-        data["topics"] = project.topics.described()
-    if project.defaults:
-        data["defaults"] = dict(project.defaults)
-    return atomic_write(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))
+    data = {
+        "kind": "project", "name": project.name, "log": project.log,
+        "vehicle": plain_vehicle(project.vehicle),
+        "columns": {channel: column.described() for channel, column in project.columns.items()},
+        "topics": None if project.topics is None else project.topics.described(),
+        "defaults": dict(project.defaults),
+    }  # fmt: skip
+    return _dump({key: value for key, value in data.items() if value}, path)

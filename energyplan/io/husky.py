@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,11 +76,17 @@ def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -
         reason = f"{name}: current within the dead band of {train.dead_band:g} A; half of it used"
         _note(aside, table, faint & (speed != 0), reason)
     channels = {name: np.array(values) for name, values in channels.items()}
-    inner = _blind_inner(left, right, current_left, current_right, train)
-    channels["p_left"][inner.left] = 0.0
-    channels["p_right"][inner.right] = 0.0
+    # In an arc, beyond rounding, both treads roll the same way at different speeds.
+    slow, step = {"left": np.abs(left), "right": np.abs(right)}, 1.5 * train.quantum
+    arc = (left * right > 0) & (np.minimum(*slow.values()) > step)
+    lost = np.zeros(len(t), bool)
+    for side, other, current in (
+        ("left", "right", current_left), ("right", "left", current_right)
+    ):  # fmt: skip
+        inner = arc & (slow[other] - slow[side] > step) & (current <= train.dead_band)
+        channels[f"p_{side}"][inner] = 0.0
+        lost |= inner
     fate = "taken as drawing nothing" if blind == "keep" else "left out"
-    lost = inner.left | inner.right
     _note(aside, table, lost, f"the inner motor of an arc reads nothing and may generate; {fate}")
     warnings = [
         f"speeds come in steps of {train.quantum:.4f} m/s",
@@ -125,30 +131,6 @@ def _note(aside: list[SetAside], table: Table, chosen: NDArray[np.bool_], reason
         names = ", ".join(table.place(int(k)) for k in some[:3])
         where = f"{names}, ..." if len(some) > 3 else names
         aside.append(SetAside(reason, len(some), where))
-
-
-class _Blind(NamedTuple):
-    """Samples at which the left or the right motor is the inner one and reads nothing."""
-
-    left: NDArray[np.bool_]
-    right: NDArray[np.bool_]
-
-
-def _blind_inner(
-    left: FloatArray,
-    right: FloatArray,
-    current_left: FloatArray,
-    current_right: FloatArray,
-    train: HuskyDrive,
-) -> _Blind:
-    slow_left, slow_right = np.abs(left), np.abs(right)
-    # Beyond rounding, both treads roll the same way at different speeds.
-    step = 1.5 * train.quantum
-    arc = (left * right > 0) & (np.minimum(slow_left, slow_right) > step)
-    return _Blind(
-        arc & (slow_right - slow_left > step) & (current_left <= train.dead_band),
-        arc & (slow_left - slow_right > step) & (current_right <= train.dead_band),
-    )
 
 
 def _beside(wheels: Path) -> Path | None:

@@ -205,8 +205,10 @@ def _relations(drive: Drive) -> dict[str, _Relation]:
 
 
 def _turning(drive: Drive) -> _Found:
-    """Measured turning against the tread speeds."""
-    for name, (rate, alike, late, sign) in _relations(drive).items():
+    """Measured turning and pose against the tread speeds."""
+    relations = _relations(drive)
+    yield from _frames(drive, relations)
+    for name, (rate, alike, late, sign) in relations.items():
         if not np.any(rate):
             yield Check(f"{name} never changes, though the tread speeds say that the robot turns")
         if late is not None and sign >= 0:
@@ -274,11 +276,11 @@ _FRAMES = (
 """Mistakes of signs and sides."""
 
 
-def _faults(drive: Drive, sure: bool = False) -> list[str]:
+def _faults(drive: Drive, relations: Mapping[str, _Relation], sure: bool = False) -> list[str]:
     """Say where turning, treads and pose contradict each other; if `sure`, or do not agree."""
     found = [
         f"{name} falls while v_right exceeds v_left (correlation {one.alike:.2f})"
-        for name, one in _relations(drive).items() if one.sign < 0 or (sure and one.sign == 0)
+        for name, one in relations.items() if one.sign < 0 or (sure and one.sign == 0)
     ]  # fmt: skip
     if mirrored_side(drive):
         found.append("the robot turns with the sum of the tread speeds, not with their difference")
@@ -293,9 +295,9 @@ def _faults(drive: Drive, sure: bool = False) -> list[str]:
     return found
 
 
-def _frames(drive: Drive) -> _Found:
+def _frames(drive: Drive, relations: Mapping[str, _Relation]) -> _Found:
     """Whether turning, treads and pose have the signs and sides of one robot; if not, why."""
-    faults = _faults(drive)
+    faults = _faults(drive, relations)
     if not faults:
         return
     against = any("falls while" in fault for fault in faults)
@@ -310,9 +312,10 @@ def _frames(drive: Drive) -> _Found:
     left = {}
     for one in frames:
         channels = {**drive.channels, **one.undone(drive.channels)}
-        left[one] = len(_faults(Drive(channels, drive.power, drive.runs), sure=True))
-    least = min(left.values())
-    best = [one for one in frames if left[one] == least < len(_faults(drive, sure=True))]
+        undone = Drive(channels, drive.power, drive.runs)
+        left[one] = len(_faults(undone, _relations(undone), sure=True))
+    least, before = min(left.values()), len(_faults(drive, relations, sure=True))
+    best = [one for one in frames if left[one] == least < before]
     why = ", or ".join(one.what for one in best) or "several mistakes at once"
     yield Check(
         f"{', and '.join(faults)}: {why}",
@@ -926,8 +929,7 @@ _SIDES = frozenset({"p_left", "p_right"})
 RULES = (
     Rule("time steps are those of a drive, without gaps", _time, ""),
     Rule("a power falls where the robot slows down", _counters, ""),
-    Rule("signs and sides are those of one robot", _frames, "", True),
-    Rule("the robot turns as its treads say", _turning, "", True),
+    Rule("the robot turns, and goes, as its treads say", _turning, "", True),
     Rule("who drives draws power, at that time", _powers, "", True),
     Rule("speeds are those of two sides, with their signs", _false_speeds),
     Rule("both sides show something", _dead),

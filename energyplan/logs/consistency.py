@@ -492,9 +492,8 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     sides = ("v_left", "v_right")
     found = []
     mapped = columns.get("v_left")
-    rolls = (
-        mapped is None or known_unit("v_left", mapped.unit.lstrip("-").partition("*")[0]) in RATES
-    )
+    unit = "" if mapped is None else mapped.unit.lstrip("-").partition("*")[0]
+    rolls = mapped is None or known_unit("v_left", unit) in RATES
     scale = 1.0 if mapped is None else abs(mapped.conversion.factor)
     for unit, rate in RATES.items():
         radius = wanted * scale / rate
@@ -508,25 +507,19 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
                          f"{unit}*{size:.3g}", wanted, rare)
             )  # fmt: skip
     if 1 / _GEAR_RATIOS[1] <= wanted <= 1 / _GEAR_RATIOS[0]:
-        name = (
-            f"the tread speeds are those of the motors, before their gear of about {1 / wanted:.3g}"
-        )
-        found.append(_Mistake(sides, name, f"*{wanted * scale:.3g}", wanted, 0.1))
+        name = "the tread speeds are those of the motors, before their gear of about"
+        unit = f"*{wanted * scale:.3g}"
+        found.append(_Mistake(sides, f"{name} {1 / wanted:.3g}", unit, wanted, 0.1))
     if 0.3 <= wanted <= 3.3:
         name = f"the tread speeds are {1 / wanted:.3g} times what they should be"
         give = ""
         if rolls:
-            name, give = (
-                "the wheel radius is not this robot's",
-                f"{name}: give {wanted:.3g} times the wheel radius",
-            )
+            give = f"{name}: give {wanted:.3g} times the wheel radius"
+            name = "the wheel radius is not this robot's"
         found.append(_Mistake(sides, name, f"*{wanted * scale:.4g}", wanted, 0.2, give))
     if rolls:
-        name, give = (
-            "a wheel's diameter is in the place of its radius",
-            "give half the wheel radius",
-        )
-        found.append(_Mistake(sides, name, "", 0.5, instead=give))
+        name = "a wheel's diameter is in the place of its radius"
+        found.append(_Mistake(sides, name, "", 0.5, instead="give half the wheel radius"))
     return found
 
 
@@ -575,26 +568,22 @@ def strain(drive: Drive, known: Measures) -> float:
 
 def _explain(seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns) -> str:
     """Name the mistakes that explain all the ratios, the likeliest first."""
-    fitting: list[tuple[float, str]] = []
     there = {*drive.channels} | {"track", "wheelbase", "mass"}
-    for one in [*_MISTAKES, *_of_speeds(seen, known, columns)]:
-        if not there.issuperset(one.channels):
-            continue
-        mapped = columns.get(one.channels[0])
-        scale = 1.0 if mapped is None else abs(mapped.conversion.factor)
-        absolute = one in _MISTAKES
-        factor = one.factor / scale if absolute else one.factor
-        if abs(factor - 1.0) < 1e-9:
-            continue  # so it is read already
-        ratios = _ratios(one.undo(seen, drive, factor), drive)
-        if all(span.holds(value) for span, value in ratios):
-            cost = sum(span.strain(value) for span, value in ratios) + one.rarity
-            fitting.append((cost, f"perhaps {one.name}: {_remedy(one, columns)}"))
     swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
-    ratios = _ratios(swapped, drive)
-    if all(span.holds(value) for span, value in ratios):
-        cost = sum(span.strain(value) for span, value in ratios) + 0.1
-        fitting.append((cost, "perhaps track and wheelbase are swapped: swap them"))
+    tried = [(0.1, "track and wheelbase are swapped: swap them", swapped)]
+    for one in [*_MISTAKES, *_of_speeds(seen, known, columns)]:
+        mapped = columns.get(one.channels[0])
+        scale = 1.0 if mapped is None or one not in _MISTAKES else mapped.conversion.factor
+        factor = one.factor / abs(scale)
+        if there.issuperset(one.channels) and abs(factor - 1.0) >= 1e-9:  # else it is read so
+            text = f"{one.name}: {_remedy(one, columns)}"
+            tried.append((one.rarity, text, one.undo(seen, drive, factor)))
+    fitting: list[tuple[float, str]] = []
+    for rarity, text, undone in tried:
+        ratios = _ratios(undone, drive)
+        if all(span.holds(value) for span, value in ratios):
+            cost = sum(span.strain(value) for span, value in ratios) + rarity
+            fitting.append((cost, f"perhaps {text}"))
     return "; or ".join(text for _, text in sorted(fitting)[:_NAMED])
 
 
