@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -122,43 +122,13 @@ def chemistry_of(name: str) -> Chemistry | None:
     return next((c for c in CHEMISTRIES.values() if told in (c.name, *c.aliases)), None)
 
 
-class Pack(TypedDict, total=False):
-    """Arguments of `energyplan.battery.Battery.from_units` for a ready-made pack."""
-
-    chemistry: str
-    series: int
-    parallel: int
-    unit_capacity: float
-    unit_resistance: float
-    rated_time: float
-    discharge_rate: float
-    charge_rate: float
-
-
-PRESETS: dict[str, Pack] = {
-    "quadriga": {
-        "chemistry": "lead_acid",
-        "series": 3,
-        "parallel": 2,
-        "unit_capacity": 18 * 3600.0,
-        "unit_resistance": 0.015,
-    },
-    "husky_a200": {
-        "chemistry": "lead_acid",
-        "series": 2,
-        "parallel": 1,
-        "unit_capacity": 20 * 3600.0,
-        "unit_resistance": 0.014,
-    },
-    "jackal": {
-        "chemistry": "lithium_ion",
-        "series": 7,
-        "parallel": 3,
-        "unit_capacity": 3.6 * 3600.0,
-        "unit_resistance": 0.020,
-        "rated_time": 5 * 3600.0,
-        "discharge_rate": 3.0,
-        "charge_rate": 0.7,
-    },
-}
+PRESETS: dict[str, dict[str, Any]] = {
+    "quadriga": {"chemistry": "lead_acid", "series": 3, "parallel": 2,
+                 "unit_capacity": 18 * 3600.0, "unit_resistance": 0.015},
+    "husky_a200": {"chemistry": "lead_acid", "series": 2, "parallel": 1,
+                   "unit_capacity": 20 * 3600.0, "unit_resistance": 0.014},
+    "jackal": {"chemistry": "lithium_ion", "series": 7, "parallel": 3,
+               "unit_capacity": 3.6 * 3600.0, "unit_resistance": 0.020, "rated_time": 5 * 3600.0,
+               "discharge_rate": 3.0, "charge_rate": 0.7},
+}  # fmt: skip
 """Ready-made packs by name."""

@@ -191,7 +191,6 @@ class Found(NamedTuple):
     time: float
     bound: float  # energy that no order of this worth undercuts [J]
     open: bool  # whether an order of greater worth may have been left out
-    labels: int  # labels kept
     stops: Ints  # places in the order of their visits, and the way of driving to each
     ways: Ints  # places in the order of their visits, and the way of driving to each
 
@@ -539,8 +538,7 @@ def search(table: Table, known: Known) -> Found:
         k = store.link[k, 0]
     bound = min(best_energy, store.lost[0])
     return Found(
-        best >= 0, best_worth, best_energy, best_time, bound, store.lost[1] > 0.0, count, stops,
-        driven,
+        best >= 0, best_worth, best_energy, best_time, bound, store.lost[1] > 0.0, stops, driven,
     )  # fmt: skip
 
 

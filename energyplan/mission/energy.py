@@ -47,6 +47,14 @@ class Estimate:
             self.mean + other.mean, self.sensitivity + other.sensitivity, self.noise + other.noise
         )
 
+    def since(self, before: Estimate) -> Estimate:
+        """Return what came to it after an earlier one of the same sum."""
+        return Estimate(
+            self.mean - before.mean,
+            self.sensitivity - before.sensitivity,
+            self.noise - before.noise,
+        )
+
     @property
     def std(self) -> float:
         """Standard deviation [J]."""

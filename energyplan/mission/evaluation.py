@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -20,7 +20,6 @@ from energyplan import html
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.kinds import checked
-from energyplan.mission.energy import Estimate
 from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, State, Walk
 from energyplan.mission.order import attempt, best_stops, finish
 from energyplan.mission.types import Mission, Remedy
@@ -44,8 +43,8 @@ class TaskReport:
     energy: float  # [J]
     energy_upper: float  # [J]
     soc_after: float  # expected state of charge when it is done
-    shortfall: float  # missing energy, including the route to a safe place and the reserve [J]
-    remedy: str  # what would make the task reachable
+    shortfall: float = 0.0  # missing energy, with the route to a safe place and the reserve [J]
+    remedy: str = ""  # what would make the task reachable
     detail: str = ""  # why not, in one sentence with figures
     start: float = np.nan  # when it begins [s]
     remedies: tuple[Remedy, ...] = ()  # the remedies that a program can apply
@@ -593,49 +592,42 @@ class Evaluation:
     def _task(self, k: int) -> TaskReport:
         task = self.mission.tasks[k]
         before, tried, earlier = self.attempts[k]
-        if tried.reason == "none" and k not in self.done:
-            return self._left_out(k, tried, earlier)
+        quantile = self.walk.quantile
         if tried.reason == "none":
-            used = _between(before, tried.after)
-            return TaskReport(
-                task.name, "reachable", "none", True, used.mean, used.upper(self.walk.quantile),
-                tried.after.expected.soc, 0.0, "", "", tried.after.time - task.dwell,
-                arrival=self._arrival(k), departure=tried.after.time,
-                soc_lower=tried.after.worst.soc, start_upper=tried.begin,
+            used, after = tried.after.total.since(before.total), tried.after
+            told = TaskReport(
+                task.name, "reachable", "none", True, used.mean, used.upper(quantile),
+                after.expected.soc,
+            )  # fmt: skip
+            if k in self.done:
+                return replace(
+                    told, start=after.time - task.dwell, arrival=self._arrival(k),
+                    departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
+                )  # fmt: skip
+            # it could be done, but a later one could then not be
+            later = [self.mission.tasks[d].name for d in self.done if d not in earlier]
+            names = ", ".join(repr(name) for name in later) or "the rest of the route"
+            remedies, remedy = self._remedy(k, "blocked_by_earlier", tried)
+            detail = f"left out, since with it the battery would not last for {names}"
+            return replace(
+                told, verdict="unreachable", reason="blocked_by_earlier", remedy=remedy,
+                detail=detail, remedies=remedies,
             )  # fmt: skip
         alone = tried if not self.done else attempt(self.walk, self.walk.start, k)
         blocked = alone.reason == "none"
         # What a task leaves another one may have to bring; alone it cannot be judged.
-        told = tried if blocked or alone.reason == "payload" else alone
-        reason: Reason = "blocked_by_earlier" if blocked else _REASONS[told.reason]
-        lacking = told.reason == "battery"
-        used = _between(before if blocked else self.walk.start, told.after)
-        remedies, remedy = self._remedy(k, reason, told)
+        failed = tried if blocked or alone.reason == "payload" else alone
+        reason: Reason = "blocked_by_earlier" if blocked else _REASONS[failed.reason]
+        lacking = failed.reason == "battery"
+        used = failed.after.total.since((before if blocked else self.walk.start).total)
+        remedies, remedy = self._remedy(k, reason, failed)
         return TaskReport(
-            name=task.name,
-            verdict="unreachable",
-            reason=reason,
-            reachable_alone=blocked,
+            task.name, "unreachable", reason, blocked,
             energy=used.mean if lacking else np.nan,
-            energy_upper=used.upper(self.walk.quantile) if lacking else np.nan,
-            soc_after=told.after.expected.soc if lacking else np.nan,
-            shortfall=self.walk.shortfall(told.safe) if lacking else 0.0,
-            remedy=remedy,
-            detail=told.detail,
-            remedies=remedies,
-        )
-
-    def _left_out(self, k: int, tried: Attempt, earlier: tuple[int, ...]) -> TaskReport:
-        """Report a task that could be done, but for which a later one could then not be."""
-        task = self.mission.tasks[k]
-        used = _between(self.attempts[k].before, tried.after)
-        later = [self.mission.tasks[d].name for d in self.done if d not in earlier]
-        names = ", ".join(repr(name) for name in later) or "the rest of the route"
-        remedies, remedy = self._remedy(k, "blocked_by_earlier", tried)
-        return TaskReport(
-            task.name, "unreachable", "blocked_by_earlier", True, used.mean,
-            used.upper(self.walk.quantile), tried.after.expected.soc, 0.0, remedy,
-            f"left out, since with it the battery would not last for {names}", remedies=remedies,
+            energy_upper=used.upper(quantile) if lacking else np.nan,
+            soc_after=failed.after.expected.soc if lacking else np.nan,
+            shortfall=self.walk.shortfall(failed.safe) if lacking else 0.0,
+            remedy=remedy, detail=failed.detail, remedies=remedies,
         )  # fmt: skip
 
     def _remedy(self, k: int, reason: Reason, told: Attempt) -> tuple[tuple[Remedy, ...], str]:
@@ -791,15 +783,6 @@ _REASONS: dict[str, Reason] = {
 }
 
 
-def _between(before: State, after: State) -> Estimate:
-    """Return the energy from one condition to a later one."""
-    return Estimate(
-        after.total.mean - before.total.mean,
-        after.total.sensitivity - before.total.sensitivity,
-        after.total.noise - before.total.noise,
-    )
-
-
 # -- many missions -------------------------------------------------------------------------------
 
 
@@ -818,36 +801,7 @@ def evaluate_many(
     """Evaluate many missions over an executor; yield each result when it is ready.
 
     Of missions that share their map, costs and planner one is evaluated first, and the routes that
-    it needed are handed to the others. A mission that fails is told with its error, and the others
-    go on.
-
-    Parameters
-    ----------
-    missions : iterable of Mission
-        The missions; variants of one, made by ``dataclasses.replace``, share their routes.
-    executor : concurrent.futures.Executor
-        Where they are evaluated.
-    routes : Routes, optional
-        Routes planned before; those that are planned first are added.
-
-    Yields
-    ------
-    Evaluated
-        ``index``, ``report`` and ``error`` of each mission.
-
-    Examples
-    --------
-    >>> from concurrent.futures import ThreadPoolExecutor
-    >>> from dataclasses import replace
-    >>> import energyplan as ep
-    >>> from energyplan.io.files import bundled
-    >>> from energyplan.mission import evaluate_many
-    >>> mission = ep.read_mission(bundled("mission_warehouse.yaml"))
-    >>> variants = [replace(mission, planning_effort=250, soc=soc) for soc in (0.6, 0.9)]
-    >>> with ThreadPoolExecutor(2) as pool:
-    ...     found = {one.index: one.report for one in evaluate_many(variants, pool)}
-    >>> found[0].soc_end < found[1].soc_end
-    True
+    it needed are handed to the others. A mission that fails is told with its error.
     """
     known = Routes() if routes is None else routes
     first: dict[int, tuple[bytes, Mission]] = {}

@@ -39,11 +39,11 @@ EXACT = 15
 """Largest number of tasks whose free order is proven."""
 
 _MOST_LABELS = 2**22
-_WIDTHS = (1, 8, _MOST_LABELS)
-"""Labels of a stage and place that each search keeps."""
-
 _NARROW = (1, 8)
-"""The same beyond `EXACT` tasks."""
+"""Labels of a stage and place that each search keeps, beyond `EXACT` tasks."""
+
+_WIDTHS = (*_NARROW, _MOST_LABELS)
+"""The same up to `EXACT` tasks, where the last search keeps all."""
 
 _STAGES = 2**19
 """Most stages times tasks squared, beyond `EXACT` tasks."""
@@ -160,12 +160,12 @@ class OrderProblem:
 class Order:
     """An order: nodes in the sequence of their visits, start and end left out."""
 
-    stops: tuple[int, ...]  # nodes
-    prize: float  # sum of the prizes of the tasks among them
-    energy: float  # energy of the whole tour [J]
-    proven: bool  # whether no better order exists
+    stops: tuple[int, ...] = ()  # nodes
     hurried: tuple[bool, ...] = ()  # whether the way to each stop is driven as quickly as may be
+    energy: float = np.inf  # energy of the whole tour [J]
+    proven: bool = False  # whether no better order exists on the routes known
     bound: float = np.nan  # energy that no order of this worth undercuts [J]
+    gap: float = np.nan  # by which fraction of its energy a better order may exist at most
 
 
 def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
@@ -175,8 +175,7 @@ def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
         return _searched(problem, widths, 1 if problem.given else n)
     reach = max(int(np.log2(_STAGES / n**2)), 1) + 1
     (sequence,), left = shared([problem], np.asarray(problem.worth, float))
-    best = Order((), 0.0, np.inf, False)
-    worth = -1.0
+    best, worth = Order(), -1.0
     while True:
         turn = _with_left(problem, sequence, left)
         found = _searched(problem.in_turn(turn), _NARROW, reach)
@@ -195,7 +194,6 @@ def shared(
     problems: Sequence[OrderProblem],
     worth: FloatArray,
     own: Sequence[Sequence[int]] | None = None,
-    seed: int = 0,
 ) -> tuple[list[list[int]], list[int]]:
     """Give tasks to robots by insertion; return each one's in their sequence, and what is left.
 
@@ -203,7 +201,7 @@ def shared(
     """
     n = len(worth)
     own = [range(n)] * len(problems) if own is None else own
-    chances = np.random.default_rng(seed).random((_SHARES, 3 + n))
+    chances = np.random.default_rng(0).random((_SHARES, 3 + n))
     stops, counts = share(_tours(problems, worth, own), chances)
     given = [list(map(int, row[:count])) for row, count in zip(stops, counts, strict=True)]
     return given, sorted(set(range(n)) - {task for tasks in given for task in tasks})
@@ -290,10 +288,9 @@ def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order
             beyond = best.worth + _LEAST
             more = _NO_REST if all_of_it else completions(table, beyond)
             known = best._replace(same=completions(table, best.worth), more=more, beyond=beyond)
-    prize = sum(float(problem.prize[s - 1]) for s in stops if s <= problem.tasks)
     energy = best.energy if best.worth >= 0 else 0.0
     nodes, ways = tuple(map(int, stops)), tuple(map(bool, hurried))
-    return Order(nodes, prize, energy, proven, ways, bound)
+    return Order(nodes, ways, energy, proven, bound)
 
 
 def _sets(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -441,22 +438,12 @@ def _most_left(problem: OrderProblem, ways: FloatArray | None, size: int) -> Flo
 # -- from the simulation to the search, and back -----------------------------------------------
 
 
-@dataclass(frozen=True)
-class Stops:
-    """Where to go."""
-
-    stops: tuple[int, ...] = ()  # nodes in the order of their visits
-    hurried: tuple[bool, ...] = ()  # whether the way to each is driven as quickly as may be
-    proven: bool = False  # whether no better order exists on the routes known
-    gap: float = np.nan  # by which fraction of its energy a better order may exist at most
-
-
 def best_stops(
     walk: Walk,
     state: State | None = None,
     tasks: Sequence[int] | None = None,
     progress: Callable[[str], None] | None = None,
-) -> Stops:
+) -> Order:
     """Find which of some tasks to do in which order from a state on, and where to charge."""
     state = walk.start if state is None else state
     tasks = range(len(walk.mission.tasks)) if tasks is None else tasks
@@ -464,7 +451,7 @@ def best_stops(
         stops = tuple(task + 1 for task in tasks)
         straight = (False,) * len(stops)
         if walk.arrives(walk.follow(state, stops, straight)):
-            return Stops(stops, straight, True, 0.0)
+            return Order(stops, straight, proven=True, gap=0.0)
     asked = _Search(walk, state, tuple(tasks), progress)
     if not asked.exact:
         return asked.at_bounds().told()
@@ -490,9 +477,9 @@ class _Trial:
     end: State | None  # None if the battery does not last, or a window is missed
     true: bool  # whether the search took energies and times of each leg at its payload
 
-    def told(self, gap: float = np.nan) -> Stops:
+    def told(self, gap: float = np.nan) -> Order:
         """Return the answer."""
-        return Stops(self.order.stops, self.order.hurried, bool(gap <= _SAME), gap)
+        return replace(self.order, proven=bool(gap <= _SAME), gap=gap)
 
 
 class _Search:
@@ -751,7 +738,7 @@ class Matrix:
 
         The answer is proven where that point is reached with an exact order. Its stops are nodes.
         """
-        order, missing = Order((), 0.0, 0.0, False), []
+        order, missing = Order(), []
         for turn in range(_ROUNDS if self.exact else _FEW_ROUNDS):
             order = solve(self.problem())
             missing = self.missing(order)

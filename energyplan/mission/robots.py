@@ -291,7 +291,7 @@ class _Sharing:
             missing = 0
             for matrix, mine, tasks in zip(matrices, able, given, strict=True):
                 stops = tuple(1 + mine.index(task) for task in tasks)
-                wanted = matrix.missing(Order(stops, 0.0, 0.0, False, (False,) * len(stops)))
+                wanted = matrix.missing(Order(stops, (False,) * len(stops)))
                 missing += len(wanted)
                 matrix.plan(wanted)
             if self.progress is not None:

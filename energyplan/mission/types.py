@@ -534,11 +534,13 @@ class Mission(ReadOnly, html.Readable):
             seen.add(name)
 
     def _check_numbers(self) -> None:
-        fraction = "give a fraction"
-        require(0 <= self.soc <= 1, f"soc is {self.soc}; {fraction} in [0, 1]", "soc")
-        require(
-            0 <= self.reserve < 1, f"reserve is {self.reserve}; {fraction} in [0, 1)", "reserve"
-        )
+        for key, low, high, end in (("soc", 0, 1, "]"), ("reserve", 0, 1, ")"),
+                                    ("confidence", 0.5, 1, ")")):  # fmt: skip
+            value = getattr(self, key)
+            require(
+                low <= value < high or (value == high and end == "]"),
+                f"{key} is {value}; give a fraction in [{low}, {high}{end}", key,
+            )  # fmt: skip
         require(
             self.reserve < self.soc,
             f"the reserve {self.reserve:g} is not below the state of charge {self.soc:g}; charge "
@@ -550,11 +552,6 @@ class Mission(ReadOnly, html.Readable):
             f"the reserve {self.reserve:g} is below {self.battery.cutoff_soc:g}, at which the "
             "battery is cut off",
             "reserve",
-        )
-        require(
-            0.5 <= self.confidence < 1,
-            f"confidence is {self.confidence}; {fraction} in [0.5, 1)",
-            "confidence",
         )
         for k, charger in enumerate(self.chargers):
             require(
@@ -571,17 +568,10 @@ class Mission(ReadOnly, html.Readable):
             if key == "speed" and value == "cheapest":
                 continue
             require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
-        require(
-            self.objective in ("energy", "length"),
-            f"objective is {self.objective!r}: energy or length",
-            "objective",
-        )
-        require(self.order in ("given", "free"), f"order is {self.order!r}: given or free", "order")
-        require(
-            self.return_to in ("start", "charger", "any"),
-            f"return_to is {self.return_to!r}; choose start, charger or any",
-            "return_to",
-        )
+        for key, kinds in (("objective", ("energy", "length")), ("order", ("given", "free")),
+                           ("return_to", ("start", "charger", "any"))):  # fmt: skip
+            value = getattr(self, key)
+            require(value in kinds, f"{key} is {value!r}; choose {', '.join(kinds)}", key)
         require(
             self.return_to != "charger" or self.chargers,
             "the mission must end at a charger but has none; list one, or return to the start",

@@ -258,25 +258,6 @@ def test_nine_tasks_equal_the_best_of_all_orders():
     assert order.energy == pytest.approx(best)
 
 
-def test_a_charger_is_visited_only_where_it_pays():
-    energy = np.array(
-        [[0, 4, 9, 1], [4, 0, 9, 9], [9, 9, 0, 9], [1, 9, 9, 0]], float
-    )  # start, two tasks, charger
-    common = {
-        "energy": lambda load: energy, "finish": lambda load: energy[:, 0], "time": energy,
-        "finish_time": energy[:, 0], "service": np.zeros(2), "service_time": np.zeros(2),
-        "payload": 0.0, "payload_change": np.zeros(2), "prize": np.ones(2),
-        "required": np.zeros(2, bool), "window": np.tile([0.0, np.inf], (2, 1)),
-        "capacity": np.array([20.0]), "charge_power": np.array([1.0]),
-    }  # fmt: skip
-    enough = solve(OrderProblem(**common, budget=22.0))
-    assert enough.stops in ((1, 2), (2, 1))
-    low = solve(OrderProblem(**common, budget=9.0))
-    # Charge (1), second task (9), back to charge (9), first task (9), home (4).
-    assert low.stops == (3, 2, 3, 1)
-    assert low.energy == 1 + 9 + 9 + 9 + 4
-
-
 @pytest.mark.parametrize("near", [2, 3])
 def test_a_far_task_is_reached_from_charger_to_charger(near):
     """There and back over both chargers in a row, whichever of them is listed first."""
@@ -291,19 +272,6 @@ def test_a_far_task_is_reached_from_charger_to_charger(near):
     found = solve(p)
     assert found.stops == (near, far, 1, far, near)
     assert found.energy == 16.0
-
-
-def test_required_tasks_come_before_any_prize():
-    energy = np.full((3, 3), 5.0)
-    np.fill_diagonal(energy, 0.0)
-    p = OrderProblem(
-        energy=lambda load: energy, finish=lambda load: energy[:, 0], time=energy,
-        finish_time=energy[:, 0], service=np.zeros(2), service_time=np.zeros(2), payload=0.0,
-        payload_change=np.zeros(2), prize=np.array([1.0, 1e6]), required=np.array([True, False]),
-        window=np.tile([0.0, np.inf], (2, 1)), budget=10.0, capacity=np.zeros(0),
-        charge_power=np.zeros(0),
-    )  # fmt: skip
-    assert solve(p).stops == (1,)
 
 
 @pytest.mark.parametrize("seed", range(3))
