@@ -583,16 +583,14 @@ class _Watch:
         tolerance = ROUNDING * max(bound.limit, 1.0)
         if top <= bound.limit + tolerance:
             return
-        for start, end, peak, _ in zip(*intervals(t, value, bound.limit, tolerance), strict=True):
-            found = Violation(*bound[:2], float(start), float(end), float(peak), bound.limit)
+        for start, end, peak in np.transpose(intervals(t, value, bound.limit, tolerance)).tolist():
             last = self._latest.get(bound)
-            if last is not None and self.violations[last].end == found.start:
+            if last is not None and self.violations[last].end == start:
                 old = self.violations[last]
-                top = max(old.peak, found.peak)
-                self.violations[last] = replace(old, end=found.end, peak=top)
+                self.violations[last] = replace(old, end=end, peak=max(old.peak, peak))
             else:
                 self._latest[bound] = len(self.violations)
-                self.violations.append(found)
+                self.violations.append(Violation(*bound[:2], start, end, peak, bound.limit))
 
 
 def _use(value: float, limit: float) -> float:

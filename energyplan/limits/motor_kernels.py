@@ -136,25 +136,25 @@ def piece_nodes(
 @njit
 def intervals(
     t: Column, value: Column, limit: float, tolerance: float
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Start, end, peak and time of the peak of each interval where `value` exceeds `limit`.
+) -> tuple[Floats, Floats, Floats]:
+    """Start, end and peak of each interval where `value` exceeds `limit`.
 
     The value runs straight between samples; `t` may hold a time twice, where it jumps. An
     interval needs a sample above ``limit + tolerance``.
     """
     size = len(t) // 2 + 1
-    start, stop, peak, when = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    start, stop, peak = np.empty(size), np.empty(size), np.empty(size)
     count, inside = 0, False
     for k in range(len(t)):
         above = value[k] > limit + tolerance
         if above and not inside:
-            start[count], peak[count], when[count] = t[k], value[k], t[k]
+            start[count], peak[count] = t[k], value[k]
             if k > 0:
                 part = (limit - value[k - 1]) / (value[k] - value[k - 1])
                 start[count] = t[k - 1] + max(part, 0.0) * (t[k] - t[k - 1])
-        elif above and value[k] > peak[count]:
-            peak[count], when[count] = value[k], t[k]
-        elif inside and not above:
+        elif above:
+            peak[count] = max(peak[count], value[k])
+        elif inside:
             part = (value[k - 1] - limit) / (value[k - 1] - value[k])
             stop[count] = t[k - 1] + min(part, 1.0) * (t[k] - t[k - 1])
             count += 1
@@ -162,16 +162,7 @@ def intervals(
     if inside:
         stop[count] = t[len(t) - 1]
         count += 1
-    return start[:count], stop[:count], peak[:count], when[:count]
-
-
-@njit
-def energy_drawn(t: Column, power: Column) -> Floats:
-    """Energy drawn up to each sample, where `power` runs straight between samples."""
-    energy = np.zeros(len(t))
-    for k in range(1, len(t)):
-        energy[k] = energy[k - 1] + 0.5 * (power[k] + power[k - 1]) * (t[k] - t[k - 1])
-    return energy
+    return start[:count], stop[:count], peak[:count]
 
 
 @njit
@@ -203,7 +194,9 @@ def shortest_window(t: Column, power: Column, budget: float) -> float:
     whose forces do not change draws the same energy in 1/s of the time: a window of fixed length
     holds the budget first at the speed scale shortest / window.
     """
-    energy = energy_drawn(t, power)
+    energy = np.zeros(len(t))
+    for k in range(1, len(t)):
+        energy[k] = energy[k - 1] + 0.5 * (power[k] + power[k - 1]) * (t[k] - t[k - 1])
     shortest = np.inf
     j = 0
     for k in range(len(t)):

@@ -288,7 +288,7 @@ class Work(NamedTuple):
 
     run: Callable[[Budget], Any]  # does it within a budget, and touches nothing that others touch
     units: float  # units of work that it may spend at most
-    take: Callable[[Any], None]  # takes what it returns, when all is done
+    take: Callable[[Any], object]  # takes what it returns, when all is done
 
 
 def do_together(budget: Budget, works: Sequence[Work]) -> None:

@@ -13,26 +13,16 @@ from energyplan.planning.search.tight_ends import surely_has_room
 from energyplan.planning.space.compiled import compiled
 from energyplan.planning.space.cost_to_go import regions_for
 
-PLANNING = (
-    "energyplan.planning.",
-    "energyplan.terrain.",
-    "energyplan.cost.",
-    "energyplan.steering.kernels.",
-    "energyplan.limits.",
-)
+PLANNING = tuple(f"energyplan.{of}." for of in ("planning", "terrain", "cost", "steering.kernels",
+                                                "limits"))  # fmt: skip
 """What the names of the kernels begin with that planning and driving a plan may call."""
 
 EXACT = ("energyplan.steering.polygon",)
-"""Where the kernels are for costs that are not static."""
-
 SURFACES = ("energyplan.planning.bound.surfaces", "energyplan.terrain.surfaces")
-"""Where the kernels are that only surfaces need."""
-
 TIGHT = ("energyplan.planning.search.tight_ends",)
-"""Where the kernels are that only ends without room need."""
-
 CLOSED = ("energyplan.planning.space.closure",)
-"""Where the kernels are that only ends need that nothing seems to join."""
+"""Where the kernels are that are needed for costs that are not static, for surfaces, for ends
+without room, and for ends that nothing seems to join."""
 
 
 def kernels(

@@ -857,6 +857,3 @@ def test_no_plan_of_a_random_model_beats_the_bound_among_obstacles(seed):
             continue
         bound = lower_bound(CompiledProblem(problem), 1.5 * found.cost, np.inf).value
         assert bound <= found.cost * (1 + 1e-9)
-
-
-# -- what is kept of the lines between corners -----------------------------------------------------

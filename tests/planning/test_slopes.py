@@ -480,21 +480,6 @@ def test_the_command_line_names_what_is_wrong_with_heights(folder, capsys, monke
     assert "line 2: nrows needs a number" in err
 
 
-MISSION = """\
-model: quadriga:empty:concrete
-map: yard.yaml
-heights: yard.asc
-battery: {preset: quadriga}
-confidence: 0.5
-start: [2, 6, 0]
-tasks:
-  - {name: top, pose: [13, 6, 0]}
-"""
-
-
-# -- constants -------------------------------------------------------------------------------------
-
-
 def test_bounds_of_a_mission_hold_on_slopes():
     from energyplan.mission.legs import Legs
 

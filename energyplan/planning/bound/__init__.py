@@ -123,7 +123,8 @@ def _among_obstacles(
     turn = abs(remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi))
     # ways of that length cost more than the path that is known
     longest = (cost - kernel.least_radian * turn) / kernel.least_metre
-    found = _fine_enough(grid, radius, ends, longest)
+    coarsest = sights(grid, radius, DETAILS[-1])
+    found = sights(grid, radius, DETAILS[_finest(coarsest.outline, ends, longest)])
     body, margin = kernel.body, MARGIN * grid.resolution
     true_body = Body(
         body.x_min + margin, body.y_min + margin, body.x_max - margin, body.y_max - margin
@@ -159,27 +160,16 @@ def _among_obstacles(
     return Bound(value, final)
 
 
-def _fine_enough(grid: OccupancyGrid, radius: float, ends: Ends, longest: float) -> Sights:
-    """Return the finest outline that has few corners near ways of that length."""
-    coarsest = sights(grid, radius, DETAILS[-1])
-    return sights(grid, radius, DETAILS[_finest(coarsest.outline, ends, longest)])
-
-
 def _finest(coarsest: Outline, ends: Ends, longest: float) -> int:
     """Return which detail is the finest that has few corners near ways of that length."""
-    near = _near(coarsest, ends, longest)
+    x, y = coarsest.point.T
+    way = np.hypot(x - ends.start_x, y - ends.start_y) + np.hypot(x - ends.goal_x, y - ends.goal_y)
+    near = int(np.count_nonzero(way < longest))
     for k, detail in enumerate(DETAILS[:-1]):
         # from the coarsest to this one corners grow in number as the tolerance falls, or slower
         if (DETAILS[-1].slack / detail.slack) ** 0.6 * near <= SETTINGS.corners:
             return k
     return len(DETAILS) - 1
-
-
-def _near(outline: Outline, ends: Ends, longest: float) -> int:
-    """Return how many corners could lie on a way of that length."""
-    x, y = outline.point.T
-    way = np.hypot(x - ends.start_x, y - ends.start_y) + np.hypot(x - ends.goal_x, y - ends.goal_y)
-    return int(np.count_nonzero(way < longest))
 
 
 class Bounding:

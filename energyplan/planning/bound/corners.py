@@ -215,10 +215,46 @@ def _more_lines(lines: Lines) -> Lines:
 
 
 @njit
-def _unused(count: int) -> ShortInts:
+def _measure_gates(
+    space: Space, body: Body, outline: Outline, goal_yaw: float, lines: Lines, line: int,
+    ux: float, uy: float, x: float, y: float, behind: int, about: int,
+) -> None:  # fmt: skip
+    """Measure the gates at both ends of a line from (ux, uy), where no start or goal is there."""
+    ix = x - ux
+    iy = y - uy
+    length = hypot(ix, iy)
+    for which in range(2):
+        lines.gates[which, line] = FREE
+        on = behind if which == 0 else about
+        if on == 0:
+            continue
+        found = gate(
+            space, body, outline, goal_yaw,
+            ux if which == 0 else x, uy if which == 0 else y,
+            on * iy / length, -on * ix / length, lines.closed[2 * line + which],
+        )  # fmt: skip
+        lines.width[line, which] = found.width
+        if found.barred:
+            lines.gates[which, line] = BARRED
+
+
+@njit
+def _lower(before: Floats, cost: Floats, to_goal: Floats) -> float:
+    """Lower the costs before a line; return the least cost to the goal of those that fell."""
+    better = inf
+    for j in range(HEADINGS):
+        if cost[j] < before[j] - 1e-9:
+            before[j] = cost[j]
+            better = min(better, cost[j] + to_goal[j])
+    return better
+
+
+@njit
+def _unused(count: int, used: ShortInts) -> ShortInts:
+    """Return numbers of lines, -1 where none is: first those in use."""
     out = np.empty(count, np.int32)
     for k in range(count):
-        out[k] = -1
+        out[k] = used[k] if k < len(used) else -1
     return out
 
 
@@ -264,9 +300,10 @@ def least_over_corners(
         limit = min(limit, rates.direct)
     links = ways.links
     lines = _no_lines(256)
-    of_link = _unused(len(links.seen))
-    of_start = _unused(n)
-    of_goal = _unused(n)
+    none = np.empty(0, np.int32)
+    of_link = _unused(len(links.seen), none)
+    of_start = _unused(n, none)
+    of_goal = _unused(n, none)
     heap_f = np.empty(1 << 12)
     heap_node = np.empty(1 << 12, np.int32)
     count = 0
@@ -291,10 +328,7 @@ def least_over_corners(
                     paid[at] = True
                     steps += links.steps[at]
                 if len(of_link) < len(links.seen):
-                    longer = _unused(len(links.seen))
-                    for k in range(len(of_link)):
-                        longer[k] = of_link[k]
-                    of_link = longer
+                    of_link = _unused(len(links.seen), of_link)
                 begin = int(links.first[at])
                 many = links.number[at] + 1
         # at the goal there is nothing to look at
@@ -339,13 +373,8 @@ def least_over_corners(
                     of_link[begin + i] = line
                 lines.tail[line] = at
                 lines.head[line] = v
-            better = inf
-            for j in range(HEADINGS):
-                if cost[j] < lines.before[line, j] - 1e-9:
-                    lines.before[line, j] = cost[j]
-                    better = min(better, cost[j] + to_goal[j])
             steps += 300.0
-            f = better + rates.metre * rest
+            f = _lower(lines.before[line], cost, to_goal) + rates.metre * rest
             if f < limit:
                 heap_f, heap_node = with_room(heap_f, heap_node, size)
                 lines.waiting[line] = True
@@ -378,24 +407,9 @@ def least_over_corners(
         steps += 15000.0
         if lines.gates[0, line] == FRESH:
             steps += 30000.0
-            lines.gates[0, line] = FREE
-            lines.gates[1, line] = FREE
-            if u != start:
-                found = gate(
-                    space, body, outline, rates.goal,
-                    ux, uy, behind * iy / length, -behind * ix / length, lines.closed[2 * line],
-                )  # fmt: skip
-                lines.width[line, 0] = found.width
-                if found.barred:
-                    lines.gates[0, line] = BARRED
-            if at != goal:
-                found = gate(
-                    space, body, outline, rates.goal,
-                    x, y, about * iy / length, -about * ix / length, lines.closed[2 * line + 1],
-                )  # fmt: skip
-                lines.width[line, 1] = found.width
-                if found.barred:
-                    lines.gates[1, line] = BARRED
+            _measure_gates(
+                space, body, outline, rates.goal, lines, line, ux, uy, x, y, behind, about
+            )
         if lines.gates[0, line] == BARRED:
             pass_gate(cost, lines.closed[2 * line], turn)
         past = along_line(

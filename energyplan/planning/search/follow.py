@@ -282,14 +282,6 @@ def follow(
     return Followed(at, written, tried)
 
 
-class Joined(NamedTuple):
-    """How far motions along poses lead."""
-
-    last: int  # the furthest pose that is reached
-    motions: int  # number of motions to it
-    tried: int  # pairs of poses that were tried
-
-
 class Tracked(NamedTuple):
     """How far motions along the way to go lead."""
 
@@ -538,7 +530,7 @@ def _free_in(setting: KernelProblem, along: float, up: float, yaw: float, spacin
 @njit
 def join_poses(
     setting: KernelProblem, poses: FloatTable, limit: int, ds: Floats, dtheta: Floats
-) -> Joined:
+) -> Followed:
     """Write the cheapest motions from the first pose to the furthest one that is reached."""
     count = len(poses)
     part_ds = np.empty(MAX_SEGMENTS)
@@ -588,4 +580,4 @@ def join_poses(
             ds[written + s] = part_ds[s]
             dtheta[written + s] = part_dtheta[s]
         written += m
-    return Joined(last, written, tried)
+    return Followed(last, written, tried)

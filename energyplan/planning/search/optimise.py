@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import Flags, Floats, FloatTable, Words, njit
-from energyplan.path import FloatArray, Path, Pose
-from energyplan.planning.budget import UNITS, Budget, Work, do_together
+from energyplan.path import Path, Pose
+from energyplan.planning.budget import UNITS, Budget, Work, do_together, side_by_side
 from energyplan.planning.space.compiled import CompiledProblem, Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
@@ -503,11 +503,6 @@ class Refiner:
         return float(self.chain.cost[: self.count - 1].sum())
 
     @property
-    def poses(self) -> FloatArray:
-        """The poses as they are, shape (n, 3)."""
-        return self.chain.poses[: self.count].copy()
-
-    @property
     def segments(self) -> Segments:
         """The motions as they are."""
         room = self.count * MAX_SEGMENTS
@@ -637,11 +632,9 @@ class Portfolio:
     def turns(self, enough: float) -> list[Work]:
         """Return what refines, a little, every path entered since, and the best of those kept."""
 
-        def shorten(entrant: Refiner, own: Budget) -> None:
-            entrant.shortcut(own)
-            entrant.polish(own, enough=enough, most=TURN)
-
-        def polish(entrant: Refiner, own: Budget) -> None:
+        def turn(entrant: Refiner, first: bool, own: Budget) -> None:
+            if first:
+                entrant.shortcut(own)
             entrant.polish(own, enough=enough, most=TURN)
 
         fresh, self._fresh = self._fresh, []
@@ -649,8 +642,8 @@ class Portfolio:
         self._grown = bool(fresh)
         self._kept = self._kept + fresh
         return [
-            *(Work(partial(shorten, one), SETTINGS.first, self._settle) for one in fresh),
-            *(Work(partial(polish, one), SETTINGS.turn, self._settle) for one in leading),
+            *(Work(partial(turn, one, True), SETTINGS.first, self._settle) for one in fresh),
+            *(Work(partial(turn, one, False), SETTINGS.turn, self._settle) for one in leading),
         ]
 
     def _settle(self, _: None) -> None:
@@ -695,9 +688,6 @@ class Portfolio:
                 entrant.again(own)
             entrant.polish(own, enough=enough)
 
-        refining = [
-            Work(partial(run, entrant), budget.left, lambda _: None) for entrant in entrants
-        ]
-        do_together(budget, refining)
+        side_by_side(budget, [partial(run, entrant) for entrant in entrants], budget.left)
         for entrant in entrants:
             self._offer(entrant)

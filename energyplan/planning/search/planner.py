@@ -105,10 +105,6 @@ class Paths:
         self.found.append(motions)
         self.portfolio.enter(motions)
 
-    def offer_path(self, path: Path) -> None:
-        """Take a path that somebody else made, and that can be driven from start to goal."""
-        self.enter(self.query.of_centre(path.ds, path.dtheta))
-
     def first_plan(self, finest: float = 1.0) -> None:
         """Find a first path; lattices twice as fine join one by one while none is found."""
         plain = Ends(self.query)
@@ -126,8 +122,13 @@ class Paths:
         setting = self.ends.between(self.setting)
         tested = self.to_go.places is places_for(setting)
         closed = None if tested else self._closed(setting)
-        direct = self._enter_direct()
-        if self._enter_way() or direct or self._enter_routes() or self._enter_slots():
+        # the exact motion from end to end is straighter than any route
+        motions, cost = joined(setting, setting.start, setting.goal)
+        direct = self._enter_all([motions] if cost < np.inf else [])
+        if self._enter_way() or direct:
+            return
+        routes = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage))
+        if self._enter_all(routes) or self._enter_slots():
             return
         # between ends without room there may be a way where no pose beside them is free
         if closed is not None and (self.ends.moved or self.query.ends_have_margin):
@@ -171,18 +172,12 @@ class Paths:
         if way is not None:
             self.enter(self.ends.whole(way))
 
-    def _enter_all(self, ways: Iterable[Segments]) -> None:
-        """Enter ways between the ends."""
+    def _enter_all(self, ways: Iterable[Segments]) -> bool:
+        """Enter ways between the ends; tell whether there are any."""
+        before = len(self.found)
         for way in ways:
             self._enter(way)
-
-    def _enter_direct(self) -> bool:
-        """Enter the exact motion from end to end, straighter than any route, if it is free."""
-        setting = self.ends.between(self.setting)
-        motions, cost = joined(setting, setting.start, setting.goal)
-        free = cost < np.inf
-        self._enter(motions if free else None)
-        return free
+        return len(self.found) > before
 
     def _enter_way(self) -> bool:
         """Enter the path along the shortest route, if it can be followed; tell whether it can."""
@@ -190,13 +185,6 @@ class Paths:
         self._furthest.append((tracked.x, tracked.y))
         self._enter(tracked.motions)
         return tracked.motions is not None
-
-    def _enter_routes(self) -> bool:
-        """Enter the paths along other routes; tell whether one can be followed."""
-        setting = self.ends.between(self.setting)
-        ways = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage))
-        self._enter_all(ways)
-        return bool(ways)
 
     def _enter_slots(self) -> bool:
         """Enter a way through slots that no pose tested shows; tell whether one is found."""
@@ -333,14 +321,15 @@ def plan(
     base = query.leading
     budget.beside(lambda: regions_for(base.setting))
     known = query.drivable(initial)
-    # a path between tight ends may prove not to be free: then planning is done anew
+    # what stops may save is kept, and what planning anew takes if tight ends prove not to be free
     whole, stops = budget, stops_count(base.problem)
-    budget = _without_stops(base, whole)
-    work = Paths(base, _searching(base, budget), gap, seed)
+    budget = whole.part(1.0 - SHARES.aside) if stops else whole
+    searching = budget if base.ends_have_margin else budget.part(SHARES.stage)
+    work = Paths(base, searching, gap, seed)
     if bound is not None and base is query:
         work.bounding.know(bound - query.potential(problem.goal))
     for path in known:
-        work.offer_path(path)
+        work.enter(base.of_centre(path.ds, path.dtheta))
     work.first_plan(finest)
     first = budget.elapsed
 
@@ -403,16 +392,6 @@ def plan(
             query, path, found, work.portfolio.others, work.to_go, whole, [*shortest, *known]
         )
     return Candidate(path, query.potential(problem.goal) + work.bound, first)
-
-
-def _without_stops(base: CompiledProblem, budget: Budget) -> Budget:
-    """Return a budget without what is kept for stops, where they count."""
-    return budget.part(1.0 - SHARES.aside) if stops_count(base.problem) else budget
-
-
-def _searching(base: CompiledProblem, budget: Budget) -> Budget:
-    """Return a budget without what is kept for planning anew between tight ends."""
-    return budget if base.ends_have_margin else budget.part(SHARES.stage)
 
 
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:

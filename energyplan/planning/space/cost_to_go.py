@@ -271,7 +271,6 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
         level = np.empty(1)
         level[0] = 0.0
         return level
-    places.columns + 2 * RIM
     out = np.empty(len(places.masks))
     for place in range(len(out)):
         x, y = middle_of(places, space, place)
