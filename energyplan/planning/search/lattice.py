@@ -205,23 +205,22 @@ def grow(
             float(space.clearance[int(at.row), int(at.column)]) * space.resolution - setting.reach
         )
         for motion in range(MOTIONS):
-            ds = 0.0
+            # ahead and back, pivots, spins, and across open ground in one stride
+            sign = 1.0 if motion % 2 == 0 else -1.0
+            ds = sign * lattice.step
             step = 0
-            if motion < 2:
-                ds = lattice.step if motion == 0 else -lattice.step
-            elif motion < 6:
-                step = 1 if motion < 4 else -1
-                ds = max(half, setting.least_radius) * lattice.turn
-                ds *= 1.0 if motion % 2 == 0 else -1.0
-            elif motion < 8:
-                if setting.least_radius > 0.0:
-                    continue
-                step = 1 if motion == 6 else -1
-            else:
-                # across open ground in one stride
+            if motion >= 8:
                 if room < 2.0 * lattice.step:
                     continue
-                ds = room if motion == 8 else -room
+                ds = sign * room
+            elif motion >= 6:
+                if setting.least_radius > 0.0:
+                    continue
+                ds = 0.0
+                step = 1 if motion == 6 else -1
+            elif motion >= 2:
+                ds = sign * max(half, setting.least_radius) * lattice.turn
+                step = 1 if motion < 4 else -1
             dtheta = step * lattice.turn
             heading = (index + step) % lattice.headings
             there = arc_end(here, ds, dtheta)

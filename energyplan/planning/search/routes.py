@@ -115,8 +115,6 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
     """
     places = to_go.places
     space = setting.space
-    across = places.columns + 2 * RIM
-    rows = len(places.masks) // across
     spacing = places.spacing
     turn = 2.0 * pi / FACINGS
     per_metre = setting.least_metre
@@ -130,7 +128,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
     aside = headings_aside()
     factors = to_and_fro()
     bits = _headings_of_facings()
-    beside = halfway(across)
+    beside = halfway(places.columns + 2 * RIM)
     along = _steps_along()
     room = 4 * most + 2 * SETTINGS.spare
     node_of = np.empty(room, np.int32)
@@ -183,8 +181,6 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
         b = int(facing[state])
         place = int(places.home[node])
         arc = places.arcs[node]
-        row = place // across
-        column = place % across
         if not even:
             x, y = middle_of(places, space, place)
             here = Pose(x, y, space.yaw + b * turn)
@@ -215,24 +211,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
                 if along[b, k] == 0:
                     continue
                 ahead = along[b, k] > 0
-                step = int(STEP_ROWS[k]) * across + int(STEP_COLUMNS[k])
-                if stride == 4:
-                    # nothing is in the way within the room there is
-                    there += stride * step
-                    r = row + stride * int(STEP_ROWS[k])
-                    c = column + stride * int(STEP_COLUMNS[k])
-                    if r < 0 or r >= rows or c < 0 or c >= across:
-                        continue
-                    common &= places.masks[there]
-                for _ in range(stride if stride < 4 else 0):
-                    if common == 0:
-                        break
-                    if k >= 8:
-                        common &= (
-                            places.masks[there + beside[k, 0]] | places.masks[there + beside[k, 1]]
-                        )
-                    there += step
-                    common &= places.masks[there]
+                there, common = _stepped(places, beside, place, arc, k, stride)
                 if common & bits[b] == 0:
                     continue
                 m = 0
@@ -277,6 +256,39 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
     if best < 0:
         return Route(none, inf, looked)
     return Route(_chain_of(to_go, node_of, parent, best), least, looked)
+
+
+class Step(NamedTuple):
+    """Where a step leads."""
+
+    place: int
+    headings: np.uint64  # headings that are free all along it
+
+
+@njit
+def _stepped(
+    places: Places, beside: IntTable, place: int, arc: np.uint64, k: int, stride: int
+) -> Step:
+    """Take a step of so many places in a direction, with some headings."""
+    across = places.columns + 2 * RIM
+    step = int(STEP_ROWS[k]) * across + int(STEP_COLUMNS[k])
+    there = place
+    if stride == 4:
+        # nothing is in the way within the room there is
+        row = place // across + stride * int(STEP_ROWS[k])
+        column = place % across + stride * int(STEP_COLUMNS[k])
+        if row < 0 or row >= len(places.masks) // across or column < 0 or column >= across:
+            return Step(place, np.uint64(0))
+        there += stride * step
+        return Step(there, arc & places.masks[there])
+    for _ in range(stride):
+        if arc == 0:
+            break
+        if k >= 8:
+            arc &= places.masks[there + beside[k, 0]] | places.masks[there + beside[k, 1]]
+        there += step
+        arc &= places.masks[there]
+    return Step(there, arc)
 
 
 @njit

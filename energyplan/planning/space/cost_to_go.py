@@ -279,12 +279,24 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
 
 
 @njit
+def _node_ahead(node: int, far: int, distance: Singles, parent: ShortInts) -> int:
+    """Return the node on the way to which a node's direction points; `far` is that of the next."""
+    d = float(distance[node])
+    if far < 0:  # lowered meanwhile
+        far = int(parent[node])
+    if d - distance[far] > 1.25 * SETTINGS.ahead:
+        far = node
+        while parent[far] >= 0 and d - distance[far] < 0.8 * SETTINGS.ahead:
+            far = int(parent[far])
+    return far
+
+
+@njit
 def fill_cost_to_go(
     places: Places,
     goals: ShortInts,
     region: ShortInts,
     near: Flags,
-    ahead: float,
     surface: Bytes,
     price_ratio: FloatTable,
     height: Floats,
@@ -360,15 +372,9 @@ def fill_cost_to_go(
         row = place // across
         column = place % across
         if target[node] < 0:
-            far = target[parent[node]]
-            if far < 0:  # lowered meanwhile
-                far = parent[node]
-            if d - distance[far] > 1.25 * ahead:
-                far = node
-                while parent[far] >= 0 and d - distance[far] < 0.8 * ahead:
-                    far = parent[far]
-            target[node] = far
-            goal = int(places.home[far])
+            far = int(target[parent[node]])
+            target[node] = _node_ahead(node, far, distance, parent)
+            goal = int(places.home[target[node]])
             direction[node] = atan2(goal // across - row, goal % across - column)
         arc = places.arcs[node]
         here = int(surface[place]) if varied else 0
@@ -793,7 +799,6 @@ def _guide(
         np.array([goal] if goal >= 0 else [], np.int32),
         regions.of_node,
         near,
-        SETTINGS.ahead,
         surface,
         price_ratio,
         height,
