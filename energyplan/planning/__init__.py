@@ -174,8 +174,8 @@ def plan(
     (1808, True)
     """
     from energyplan.planning.bound import lower_bound
-    from energyplan.planning.ends import between_clear_ends, checked_ends
     from energyplan.planning.ready import compile_planning, prepare
+    from energyplan.planning.search.tight_ends import between_clear_ends, checked_ends
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name

@@ -33,10 +33,10 @@ from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import SHARES, Budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
 from energyplan.planning.driven import Plan
-from energyplan.planning.ends import between_clear_ends, checked_ends
 from energyplan.planning.problem import KEPT, PlanningProblem
 from energyplan.planning.ready import compile_planning
 from energyplan.planning.search import planner as lattice
+from energyplan.planning.search.tight_ends import between_clear_ends, checked_ends
 from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.terrain import OccupancyGrid
 
