@@ -9,14 +9,14 @@ from scipy.sparse import diags_array, vstack
 from shapely import box
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
-from energyplan.limits.feasibility import check
+from energyplan.limits.feasibility import check, feasible_region
 from energyplan.limits.speed import profile
 from energyplan.motion import Motion
 from energyplan.path import Path, Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import term, with_weight
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
-from energyplan.vehicle import MotorLimits, TreadICR
+from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR
 
 PAPER = PowerModel.preset("quadriga:empty:concrete")
 INERTIA = PAPER.with_term(term("linear_inertia"), 83.0).with_term(term("angular_inertia"), 7.5)
@@ -406,3 +406,23 @@ def test_without_an_acceleration_limit_the_profile_is_length_over_speed():
     assert profile(path, PAPER, vehicle=vehicle).duration == pytest.approx(
         length.sum() / 0.8, rel=1e-5
     )
+
+
+def test_a_steady_speed_is_held_back_by_no_inertia():
+    curvature, speed = np.linspace(0.0, 2.0, 5), np.linspace(0.0, 1.5, 16)
+    still, heavy = (feasible_region(model, curvature, speed) for model in (PAPER, INERTIA))
+    assert 0 < still.sustained.sum() < still.sustained.size
+    assert np.array_equal(still.sustained, heavy.sustained)
+    np.testing.assert_allclose(still.use, heavy.use)
+    np.testing.assert_allclose(still.max_speed, heavy.max_speed)
+
+
+def test_energy_up_a_slope_is_that_of_the_longer_way_and_the_climb():
+    """Resistance acts along the ground, which is longer than the plan, and gravity up it."""
+    model = PAPER.with_term(term("grade"), 50.0)
+    rise = 0.3
+    ground = HeightMap(rise * np.arange(12.0) * np.ones((4, 1)), 1.0)
+    trajectory = profile(Path(Pose(2.0, 2.0, 0.0), [6.0], [0.0]), model, heights=ground)
+    found = check(trajectory, model, heights=ground).energy
+    resistance = 2.0 * model.coefficient("traction_resistance") * 6.0 * np.hypot(1.0, rise)
+    assert found == pytest.approx(resistance + 50.0 * GRAVITY * rise * 6.0, rel=1e-3)

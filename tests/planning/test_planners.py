@@ -9,7 +9,6 @@ from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
     InvalidInputError,
-    NoPathError,
     UnknownNameError,
 )
 from energyplan.path import Pose
@@ -25,12 +24,6 @@ COST = EnergyCost(MODEL)
 def problem(**changes):
     given = {"map": walled(True), "cost": COST, "start": (2, 2, 0), "goal": (8, 2, 0)}
     return PlanningProblem(**{**given, **changes})
-
-
-def test_keep_out_area_closes_the_door():
-    closed = SurfaceMap([], keep_out=[shapely.box(4.5, 5.5, 5.5, 8.0)])
-    with pytest.raises(NoPathError):
-        plan(problem(surfaces=closed), effort=250_000)
 
 
 @pytest.mark.parametrize(
