@@ -282,6 +282,9 @@ def _faults(drive: Drive, relations: Mapping[str, _Relation], sure: bool = False
         f"{name} falls while v_right exceeds v_left (correlation {one.alike:.2f})"
         for name, one in relations.items() if one.sign < 0 or (sure and one.sign == 0)
     ]  # fmt: skip
+    turns = (np.mean(np.abs(rate) > _TURNS) > _SHARE for rate in drive.rates.values())
+    if sure and not relations and any(turns):
+        found.append("the treads do not turn the robot")
     if mirrored_side(drive):
         found.append("the robot turns with the sum of the tread speeds, not with their difference")
     if {"x", "y", "yaw"} <= set(drive.channels):

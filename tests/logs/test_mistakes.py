@@ -399,3 +399,11 @@ def test_a_current_in_steps_on_a_steady_drive_does_not_hang() -> None:
     )  # fmt: skip
     seen = {**log.channels, "current": np.round(log.channel("current"), 2)}
     assert not any("hangs" in text for text in ep.DriveLog.from_columns(seen).warnings)
+
+
+def test_on_the_spot_a_flipped_gyroscope_is_no_mirrored_motor() -> None:
+    """With one side turned round, nothing would contradict the gyroscope: nothing would turn."""
+    log = simulate.drive(MODEL, "spin", power_noise=3.0, speed_noise=0.004, seed=1)
+    flipped = {**log.channels, "yaw_rate": -log.channel("yaw_rate")}
+    with pytest.raises(DriveLogError, match=r"-1\.00\): the gyroscope's axis is flipped; map yaw_"):
+        ep.DriveLog.from_columns(flipped)
