@@ -12,11 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from energyplan.diagnosis import result as _advice
 from energyplan.diagnosis.averaging import averaged, note_of
 from energyplan.diagnosis.candidates import Part, change_time
 from energyplan.diagnosis.judge import (
-    FinalFit,
     MassCentre,
     Prediction,
     Tested,
@@ -26,7 +24,6 @@ from energyplan.diagnosis.judge import (
     find_mass_centre,
     holds,
     interval,
-    least_known,
     predict,
     score,
     size_error,
@@ -45,13 +42,16 @@ from energyplan.diagnosis.result import (
     FoundEffect,
     Unexplained,
     Verdict,
+    advice_of_model,
+    advice_of_predictions,
+    few_drives,
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, Search, SearchResult
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
-from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words, usual_effects
-from energyplan.fit.drive import Drive, Late, check_long_enough, prepared
-from energyplan.fit.estimate import PAPER, Problem, with_breakaway
+from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words
+from energyplan.fit.drive import Drive, Late, check_long_enough
+from energyplan.fit.estimate import PAPER, JointFit, problem_of
 from energyplan.fit.identification import name_of
 from energyplan.kinds import checked
 from energyplan.logs import DriveLog
@@ -213,7 +213,7 @@ class _Case:
         self.notes: list[str] = []
         self.limits: list[str] = []  # of what these drives can tell: said before anything else
         train, holdout = (self._in_step(logs) for logs in self.logs)
-        self.problem = self._problem(train, vehicle)
+        self.problem = problem_of(train, vehicle, self.entries)
         self.paper, self.identified = self._identified(train, vehicle)
         self.before = [
             predict(self.paper, (), Drive.of(log, self.paper.vehicle)) for log in holdout
@@ -224,17 +224,10 @@ class _Case:
             vehicle = vehicle.with_mass(vehicle.mass, cog).with_icr(
                 fit_icr(train, vehicle.icr, asymmetric=True).icr
             )
-            self.problem = self._problem(train, vehicle)
+            self.problem = problem_of(train, vehicle, self.entries)
         breakaway = self.problem.drives[0].breakaway
         self.held = [replace(Drive.of(log, vehicle), breakaway=breakaway) for log in holdout]
         self.starts = [float(log.t[0]) for log in holdout]
-
-    def _problem(self, train: Sequence[DriveLog], vehicle: Vehicle) -> Problem:
-        usual = [
-            term for effect in usual_effects(self.entries) if not effect.grid
-            for term in effect.terms
-        ]  # fmt: skip
-        return with_breakaway(Problem(prepared(train, vehicle), vehicle), usual)
 
     def _in_step(self, logs: Sequence[DriveLog]) -> list[DriveLog]:
         """Move an accelerometer's channel to the wheels' clock, as far as the gyroscope tells."""
@@ -291,18 +284,15 @@ class _Case:
                 smooth=lambda part: empirical and self._carry(part),
             )  # fmt: skip
 
-        outcome, mimics, vague = test(parts), list[str](), list[Part]()
+        outcome = test(parts)
         if choose and outcome.doubtful:
-            parts, mimics = without_mimics(best.problem, parts)
-            outcome = test(parts) if mimics else outcome
+            parts = without_mimics(best.problem, parts)
+            outcome = outcome if parts == searched.best.parts else test(parts)
         maps = [part for part in outcome.effects if choose and part.effect.acts == "place"]
         if outcome.quality.adequate:  # else what fits the ways of these drives may fit no others
             maps = []
         if maps:
             outcome = test([part for part in outcome.effects if part not in maps])
-        while choose and (least := least_known(outcome.fitted.model, outcome.effects)) is not None:
-            vague.append(least)
-            outcome = test([part for part in outcome.effects if part is not least])
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality = outcome.fitted, outcome.quality
         weighed = (
@@ -338,20 +328,22 @@ class _Case:
             *self.limits,
             *open_in_words(told.model, told.assumed),
             *ends_in_words(told.model),
-            *_advice.residual_advice(left, names, mimics),
-            *_advice.map_advice([part.effect.name for part in maps]),
-            *_advice.vague_advice([part.effect for part in vague]),
-            *_advice.adequacy_advice(quality, bool(left)),
-            *_advice.drive_advice(outcome.dependences, SIGNIFICANCE),
-            *_advice.rival_advice(found, {entry.name: entry for entry in self.entries}),
-            *_advice.mass_advice(fitted.model, used),
-            *_advice.log_advice(used),
-            *_advice.worse_advice(names, *errors, known),
-            *([] if held else _advice.unheld_advice(names, quality, known)),
-            *_advice.change_advice(undated),
-            *_advice.untested_advice(searched.untested, names),
+            *advice_of_model(
+                found,
+                {entry.name: entry for entry in self.entries},
+                used,
+                [part.effect.name for part in maps],
+                fitted.model,
+                quality,
+                left,
+                outcome.dependences,
+                SIGNIFICANCE,
+            ),
+            *advice_of_predictions(
+                names, *errors, known, quality, held, undated, searched.untested
+            ),
             *(() if average is None else [note_of(average, names)]),
-            *_advice.few_advice(len(self.logs[0])),
+            *few_drives(len(self.logs[0])),
             *self.notes,
         ]
         verdict: Verdict = "no_effect"
@@ -423,7 +415,7 @@ class _Case:
     def _found(
         self,
         parts: Sequence[Part],
-        fitted: FinalFit,
+        fitted: JointFit,
         searched: SearchResult,
         after: Sequence[Prediction],
     ) -> tuple[FoundEffect, ...]:

@@ -23,10 +23,19 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
 from energyplan.diagnosis.candidates import Part
-from energyplan.diagnosis.judge import FinalFit
 from energyplan.diagnosis.result import Average
-from energyplan.fit.estimate import FLOOR, PAPER, Problem, RunSpread, left_out, weighted
+from energyplan.fit.estimate import (
+    FLOOR,
+    PAPER,
+    JointFit,
+    Problem,
+    RunSpread,
+    by_name,
+    left_out,
+    weighted,
+)
 from energyplan.fit.regressors import Design
+from energyplan.fit.solvers import Bounds, lad
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
@@ -35,9 +44,6 @@ from energyplan.power.effect_terms import WHEEL_FIGHT
 FEWEST_RUNS = 4
 """Runs from which on leaving one out alone tells how runs to come are predicted."""
 
-_ROUNDS = 40
-_AGAIN = 12  # rounds of a fit that begins at that to all runs
-_CORE = 0.005  # relative error below which squares count, so that the fit is smooth
 _LEAST = 0.1  # of the usual power, that a run counts as drawing at least
 _PART = 1.0  # of the usual power, that a kind of motion counts as: it is but a part of a run
 _NEGLIGIBLE = 0.02  # weight that is not worth a further term
@@ -57,7 +63,7 @@ _DRAWS = 400  # of the Bayesian bootstrap
 class Averaged:
     """A model for runs to come."""
 
-    fitted: FinalFit  # the average
+    fitted: JointFit  # the average
     average: Average | None  # weights, and why
 
 
@@ -112,7 +118,7 @@ class _Member:
 class _Explanation:
     """The explanation, and how it is fitted again without some of the blocks."""
 
-    fitted: FinalFit
+    fitted: JointFit
     names: tuple[str, ...]
     handicap: float
     whole: Design  # as it predicts runs to come
@@ -122,16 +128,15 @@ class _Explanation:
 
     @classmethod
     def of(
-        cls, problem: Problem, plain: Problem, fitted: FinalFit, parts: Sequence[Part],
+        cls, problem: Problem, plain: Problem, fitted: JointFit, parts: Sequence[Part],
         handicap: float,
     ) -> _Explanation:  # fmt: skip
         """Prepare an explanation."""
         # What contacts hold on straights was found beside the fit, and stays as it is.
-        own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.terms])
-        start = dict(zip([t.name for t in fitted.terms], fitted.model.coefficients.tolist(),
-                         strict=True))  # fmt: skip
-        whole = plain.design(fitted.terms, None, start, rounds=1)
-        design = problem.design(list(compress(fitted.terms, own)), None, start, rounds=1)
+        own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.model.terms])
+        start = by_name(fitted.model.terms, fitted.model.coefficients)
+        whole = plain.design(fitted.model.terms, None, start, rounds=1)
+        design = problem.design(list(compress(fitted.model.terms, own)), None, start, rounds=1)
         errors = problem.reference(design)
         nothing = bool(errors[_SLOW] <= _NOTHING * problem.floor[_SLOW])
         names = tuple(part.effect.name for part in parts)
@@ -140,7 +145,7 @@ class _Explanation:
     @property
     def lossy(self) -> bool:
         """Whether coefficients multiply each other."""
-        return any(term.kind == "loss" for term in self.fitted.terms)
+        return any(term.kind == "loss" for term in self.fitted.model.terms)
 
     def member(self, windows: _Windows, fold: NDArray[np.intp]) -> _Member:
         """Fit it without each fold."""
@@ -165,7 +170,7 @@ class _Table:
     windows: _Windows
     terms: tuple[Term, ...]
     design: Design
-    fitted: FinalFit
+    fitted: JointFit
     given: dict[str, float]  # terms that every member has, and their coefficients
     ratio: FloatArray | None  # of the two terms, where drives leave both open
 
@@ -176,7 +181,7 @@ class _Table:
     ) -> _Table:  # fmt: skip
         """Average the columns of drives over windows."""
         fitted = explanation.fitted
-        values = {term.name: fitted.model.coefficient(term.name) for term in fitted.terms}
+        values = by_name(fitted.model.terms, fitted.model.coefficients)
         usual = () if common else tuple(
             term for part in parts for term in part.terms
             if part.effect.usual and not part.effect.grid and not part.effect.channels
@@ -199,38 +204,40 @@ class _Table:
         at = [self.terms.index(term) for term in terms]
         short, long = (table[:, [*at, -1]] for table in (self.design.rows[0], self.design.rows[-1]))
         fixed = np.array([self.given.get(term.name, np.nan) for term in terms])
-        values = self._fit(short, fixed, terms, None)
+        values = self._fit(short, fixed, terms)
         block = self.design.blocks[0]
         last = np.searchsorted(self.windows.block, np.arange(int(block.max()) + 1), "right") - 1
         of_row = fold[np.maximum(last, 0)][block]
         count = int(fold.max()) + 1
-        refits = np.array(
-            [self._fit(short[of_row != k], fixed, terms, values) for k in range(count)]
-        )
+        refits = np.array([self._fit(short[of_row != k], fixed, terms) for k in range(count)])
         errors = self.windows.misses(fold, long[:, :-1], long[:, -1], refits)
         moved = refits - values
         covariance = (count - 1) / count * moved.T @ moved
         if self.fitted.model.covariance is not None:  # what no drive tells, leaving one out doesn't
-            names = [term.name for term in self.fitted.terms]
+            names = [term.name for term in self.fitted.model.terms]
             open_ = [k for k, term in enumerate(terms) if term.name in self.fitted.assumed]
             theirs = [names.index(terms[k].name) for k in open_]
             covariance[np.ix_(open_, open_)] += self.fitted.model.covariance[np.ix_(theirs, theirs)]
         names = [term.name for term in extension]
         return _Member(tuple(names), terms, values, covariance, errors, float(len(extension)))
 
-    def _fit(
-        self, table: FloatArray, fixed: FloatArray, terms: Sequence[Term], start: FloatArray | None
-    ) -> FloatArray:
-        ends = np.array([term.bounds for term in terms])
+    def _fit(self, table: FloatArray, fixed: FloatArray, terms: Sequence[Term]) -> FloatArray:
+        """Fit the terms that are not fixed by least absolute errors, within their ends."""
+        values, free = np.array(fixed), np.isnan(fixed)
+        if not free.any():
+            return values
+        X, ends = table[:, :-1], np.array([term.bounds for term in terms])
+        y = table[:, -1] - X[:, ~free] @ values[~free]
         if self.ratio is None:
-            return least_absolute(table, fixed, ends, start)
+            values[free] = lad(X[:, free], y, Bounds(*ends[free].T))
+            return values
         first = len(PAPER)
-        joined = np.column_stack([table[:, :first] @ self.ratio, table[:, first:]])
-        share = None if start is None else np.append(start[0] / self.ratio[0], start[first:])
-        found = least_absolute(
-            joined, fixed[first - 1 :], np.vstack([[0.0, np.inf], ends[first:]]), share
-        )
-        return np.append(found[0] * self.ratio, found[1:])
+        free[:first] = False
+        joined = np.column_stack([X[:, :first] @ self.ratio, X[:, free]])
+        ends = np.vstack([[0.0, np.inf], ends[free]])
+        found = lad(joined, y, Bounds(*ends.T))
+        values[:first], values[free] = found[0] * self.ratio, found[1:]
+        return values
 
     def extensions(self, fold: NDArray[np.intp]) -> list[_Member]:
         """Fit all sets of one or two further terms that resist whatever the robot does."""
@@ -253,37 +260,6 @@ class _Table:
         return bool(np.all(PowerModel(vehicle, one.terms, one.values).power(motion) >= 0.0))
 
 
-def least_absolute(
-    table: FloatArray, fixed: FloatArray, ends: FloatArray, start: FloatArray | None = None
-) -> FloatArray:
-    """Fit by least absolute errors, within ends (iteratively reweighted least squares)."""
-    values = np.array(fixed)
-    while True:
-        free = np.isnan(values)
-        found = np.where(free, 0.0, values)
-        if not free.any():
-            return found
-        X, y = table[:, :-1][:, free], table[:, -1] - table[:, :-1] @ found
-        level = float(np.mean(np.abs(y))) or 1.0
-        size = np.sqrt(np.mean(X**2, axis=0))
-        scale = np.divide(level, size, out=np.zeros_like(size), where=size > 0)
-        Z, here = X * scale, np.zeros(X.shape[1])
-        pull = np.ones(len(y))
-        if start is not None:
-            pull = 1.0 / np.maximum(np.abs(y - X @ start[free]) / level, _CORE)
-        for _ in range(_ROUNDS if start is None else _AGAIN):
-            share = pull / len(y)
-            normal = Z.T @ (Z * share[:, None]) + 1e-8 * level**2 * np.eye(Z.shape[1])
-            here = np.linalg.solve(normal, Z.T @ (share * y))
-            pull = 1.0 / np.maximum(np.abs(y - Z @ here) / level, _CORE)
-        found[free] = here * scale
-        within = np.clip(found, *ends.T)
-        beyond = free & (np.abs(within - found) > 0.0)
-        if not beyond.any():
-            return found
-        values[beyond] = within[beyond]
-
-
 def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArray:
     """Return the weights of models: pseudo Bayesian model averaging, bootstrapped."""
     errors = np.abs([one.errors[telling] for one in members])
@@ -299,7 +275,7 @@ def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArr
 
 def averaged(
     problem: Problem,
-    fitted: FinalFit,
+    fitted: JointFit,
     parts: Sequence[Part] = (),
     tried: int = 1,
     common: Sequence[Term] = (),
@@ -324,8 +300,6 @@ def averaged(
     if few and picked:
         halves = np.arange(len(windows.run)) * 2 // len(windows.run)
         folds["kind of motion"] = _motions(plain, table.member((), halves).values)
-        if any(part.effect.acts == "place" for part in parts):
-            folds["part of the ground"] = _places(plain)
     compared = []
     for what, fold in folds.items():
         members = [table.member((), fold), *table.extensions(fold)]
@@ -347,7 +321,7 @@ def averaged(
     if 1.0 - own < _NEGLIGIBLE:
         return None if missed is None else Averaged(replace(fitted, run_error=missed), None)
     model = _mixed(fitted, members, weights)
-    about = {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
+    about = by_name(model.terms, model.coefficients)
     between = RunSpread.of(
         plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
     )
@@ -372,7 +346,7 @@ def _telling(problem: Problem) -> NDArray[np.bool_]:
     return np.asarray(energy > _LEAST * energy.sum() / seconds.sum() * seconds)
 
 
-def _mixed(fitted: FinalFit, members: Sequence[_Member], weights: FloatArray) -> PowerModel:
+def _mixed(fitted: JointFit, members: Sequence[_Member], weights: FloatArray) -> PowerModel:
     """Average coefficients; their covariance includes by how much the models differ."""
     kept = [k for k, weight in enumerate(weights) if weight > 0.0]
     every = {term.name: term for k in kept for term in members[k].terms}
@@ -408,20 +382,6 @@ def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
         ]
     )  # fmt: skip
     return _grouped(points)
-
-
-def _places(problem: Problem) -> NDArray[np.intp]:
-    """Group the longest windows by where the robot was."""
-    return _grouped(
-        np.concatenate(
-            [
-                drive.windows[-1].mean(
-                    np.column_stack([drive.motion.channels[name] for name in ("x", "y")])
-                )
-                for drive in problem.drives
-            ]
-        )
-    )
 
 
 def _grouped(points: FloatArray) -> NDArray[np.intp]:

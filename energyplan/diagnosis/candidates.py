@@ -118,11 +118,8 @@ def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) ->
             splits[k], afters[k] = best[1], best[2]
         if settled == splits:
             break
-    return Problem(
-        [_marked(drive, *split) for drive, split in zip(problem.drives, splits, strict=True)],
-        problem.vehicle,
-        problem.memory,
-    )
+    pairs = zip(problem.drives, splits, strict=True)
+    return problem.on([_marked(drive, *split) for drive, split in pairs])
 
 
 def _marked(drive: Drive, window: int, rising: bool) -> Drive:
@@ -363,7 +360,7 @@ def with_changes(problem: Problem, marked: Problem) -> Problem:
         drive.with_channels(changed=other.motion.channels["changed"])
         for drive, other in zip(problem.drives, marked.drives, strict=True)
     ]
-    return Problem(drives, problem.vehicle, problem.memory)
+    return problem.on(drives)
 
 
 Key = tuple[str, tuple[tuple[str, float], ...]]

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 from scipy.stats import f as fisher
 from scipy.stats import norm
@@ -27,20 +28,29 @@ from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, SearchResult
 from energyplan.errors import VehicleError
 from energyplan.fit.doubts import Adequacy, adequacy, left_over, shown_of_contacts, statistics
 from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late
-from energyplan.fit.estimate import PAPER, Fit, Problem, RunSpread, difference, fit, joint_fit
+from energyplan.fit.estimate import (
+    Fit,
+    JointFit,
+    Problem,
+    RunSpread,
+    by_name,
+    difference,
+    fit,
+    joint_fit,
+)
 from energyplan.fit.regressors import (
+    Held,
     equations_of,
     held_forces,
     is_lossy,
     losses_of,
-    lost_power,
     power_of,
     preload,
     slip_limit,
     straights,
 )
 from energyplan.path import FloatArray
-from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual, Sides, Term
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
 from energyplan.power.effect_terms import WHEEL_FIGHT
 from energyplan.power.effects import Effect, empirical_term
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
@@ -94,12 +104,16 @@ def score(predictions: Sequence[Prediction]) -> Residual:
     return statistics([one.drive for one in predictions], [one.power for one in predictions])
 
 
+def blocks_of(t: FloatArray) -> NDArray[np.intp]:
+    """Return the block of driving that each time belongs to."""
+    return np.minimum((t / BLOCK).astype(np.intp), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
+
+
 def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:
     """Return 95 % intervals of the statistics by resampling blocks of driving."""
     rows = []
     for one in predictions:
-        t = one.drive.t
-        block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
+        block = blocks_of(one.drive.t)
         r = one.drive.power - one.power
         dt = one.drive.weights
         values = np.column_stack(
@@ -273,38 +287,19 @@ def _turning(drives: Sequence[Drive]) -> tuple[FloatArray, FloatArray]:
 _STEP = 0.02  # relative step of a parameter's derivative
 _MOMENT = 0.02  # step of a time offset [s]
 
-_UNSURE = 0.5  # standard error over size from which zero is within two errors
-
 _LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
 """Standard deviation of a delay anywhere among those looked for [s]: none is known less."""
 
 
-@dataclass(frozen=True)
-class FinalFit:
-    """A fitted model."""
-
-    model: PowerModel  # the model with its covariance
-    errors: Mapping[str, float]
-    run_spread: float | None = None  # relative standard deviation of the power between runs
-    run_error: float | None = None
-    assumed: tuple[str, ...] = ()  # terms of which the drives tell less than is known of any robot
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """Terms of the model."""
-        return self.model.terms
-
-
-def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
+def final_fit(problem: Problem, parts: Sequence[Part]) -> JointFit:
     """Fit the paper's terms and those of the parts together."""
-    terms = [*PAPER, *(term for part in parts for term in part.terms)]
     moved: dict[str, list[FloatArray]] = {}
 
     def further(values: Mapping[str, float]) -> Sequence[Sequence[FloatArray]]:
         moved.update(_derivatives(problem, parts, values))
         return list(moved.values())
 
-    found = joint_fit(problem, terms, further)
+    found = joint_fit(problem, terms_of(parts), further)
     names = [*moved]
     variances = dict(zip(names, np.diag(found.further).tolist(), strict=True))
     late = [k for k, name in enumerate(names) if name in Late._fields]
@@ -315,7 +310,7 @@ def final_fit(problem: Problem, parts: Sequence[Part]) -> FinalFit:
     errors = {name: float(np.sqrt(max(value, 0.0))) for name, value in variances.items()}
     for name in errors.keys() & {"delay", "late"}:
         errors[name] = min(errors[name], _LOOKED_FOR)
-    return FinalFit(found.model, errors, found.run_spread, assumed=found.assumed)
+    return replace(found, errors=errors)
 
 
 def _between_samples(problem: Problem, rise: Sequence[FloatArray]) -> float:
@@ -335,7 +330,7 @@ def _derivatives(
     found = {}
     for part in parts:
         if part.effect.delays:
-            terms = [*PAPER, *(term for other in parts for term in other.terms)]
+            terms = terms_of(parts)
             whole = PowerModel(
                 problem.vehicle, tuple(terms), np.array([values[term.name] for term in terms])
             )
@@ -382,18 +377,6 @@ def size_error(effect: Effect, model: PowerModel) -> float:
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
 
 
-def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
-    """Return the effect whose size is known least, where zero is within two standard errors."""
-    sized = [part for part in parts if part.terms]
-    ratios = [
-        size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
-        for part in sized
-    ]
-    if not ratios or max(ratios) <= _UNSURE:
-        return None
-    return sized[int(np.argmax(ratios))]
-
-
 # -- what it costs that the sides push against each other on straights -----------------------------
 
 _WORTH = 0.01  # share of the energy that is worth naming
@@ -423,16 +406,15 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     """Find what the moment between the sides costs while contacts hold."""
     if not all(is_lossy(drive, model.terms) for drive in problem.drives):
         return None
-    cases = [_Case.of(drive, problem, model) for drive in problem.drives]
-    spent = np.concatenate([case.by_block(case.cost(case.moment)) for case in cases])
+    cases = [_Case.of(drive, problem.vehicle, model) for drive in problem.drives]
+    spent = np.concatenate([case.cost(case.moment) for case in cases])
     total = float(spent.sum())
     energy = sum(float(drive.weights @ drive.power) for drive in problem.drives)
     if not total > _WORTH * abs(energy):
         return None
 
     def steady(size: float) -> FloatArray:
-        parts = [case.by_block(case.cost(size * case.unit)) for case in cases]
-        return np.concatenate(parts)
+        return np.concatenate([case.cost(size * case.unit) for case in cases])
 
     most = max(slip_limit(model.terms, model.coefficients), 1e-6)
     size = most
@@ -462,18 +444,16 @@ def _with_fight(model: PowerModel, size: float, deviation: float) -> PowerModel:
 
 @dataclass(frozen=True)
 class _Case:
-    """A drive, its losses, and the moment between its sides."""
+    """A drive, where its contacts hold, and the moment between its sides."""
 
     drive: Drive
-    model: PowerModel
-    forces: Sides
+    held: Held
     moment: FloatArray
     unit: FloatArray
 
     @classmethod
-    def of(cls, drive: Drive, problem: Problem, model: PowerModel) -> _Case:
-        vehicle, terms, values = problem.vehicle, model.terms, model.coefficients
-        model = replace(model, vehicle=vehicle)
+    def of(cls, drive: Drive, vehicle: Vehicle, model: PowerModel) -> _Case:
+        terms, values = model.terms, model.coefficients
         losses = losses_of(drive, vehicle, terms, values)
         forces = held_forces(drive, vehicle, terms, values)
         limit = vehicle.slip_moment * slip_limit(terms, values)
@@ -483,7 +463,8 @@ class _Case:
             moment = np.where(found.alone, 0.0, found.moment)
             unit = vehicle.slip_moment * np.sign(moment)
         else:
-            power = equations_of(model, replace(drive, fitted=False))[:, 0]
+            known = replace(model, vehicle=vehicle)
+            power = equations_of(known, replace(drive, fitted=False))[:, 0]
             told = straights(drive, vehicle, losses, forces, limit, power)
             moment = np.zeros(len(drive.t))
             driven = drive.holds & (drive.held.v_left != 0.0)
@@ -491,27 +472,17 @@ class _Case:
                 moment = np.where(driven, told.forces.right * drive.motion.icr.slip_track, 0.0)
             # A steady moment that costs as much is one on all straights.
             unit = vehicle.slip_moment * driven
-        return cls(drive, model, forces, moment, unit)
+        return cls(drive, Held.of(drive, vehicle, losses, forces), moment, unit)
 
     def cost(self, moment: FloatArray) -> FloatArray:
-        """Power that losses take because of a moment between the sides [W]."""
-        vehicle, track = self.model.vehicle, self.drive.motion.icr.slip_track
-        losses = losses_of(self.drive, vehicle, self.model.terms, self.model.coefficients)
-        push = Sides(-moment / track, moment / track)
-        with_it, without = (
-            lost_power(losses, self.drive.held, vehicle, forces).total
-            for forces in (self.forces + push, self.forces)
-        )
-        return np.asarray(with_it - without)
-
-    def by_block(self, power: FloatArray) -> FloatArray:
-        """Energy of each block [J]."""
-        t = self.drive.t
-        block = np.minimum((t / BLOCK).astype(int), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
-        return np.asarray(np.bincount(block, self.drive.weights * power), float)
+        """Energy of each block that losses take because of a moment between the sides [J]."""
+        power = np.zeros(len(self.drive.t))
+        power[self.drive.holds] = self.held.cost(moment[self.drive.holds])
+        return np.asarray(np.bincount(blocks_of(self.drive.t), self.drive.weights * power), float)
 
 
 # -- a set of effects as a model, and what that leaves of the training drives ----------------------
+
 
 _MOSTLY = 0.3
 """Share of the error from which on a channel is asked whether it makes effects unnecessary."""
@@ -523,15 +494,15 @@ def smooth_part(found: Dependence) -> Part:
     return Part(Effect.of(term, planner="where it knows the channel"))
 
 
-def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], list[str]]:
+def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[Part, ...]:
     """Take out effects that a smooth term of one channel makes unnecessary."""
     usual = [part for part in parts if part.effect.usual or not part.terms]
     if not any(part.terms and not part.effect.usual for part in parts):
-        return parts, []
+        return parts
     shapes = dependences(problem, terms_of(usual))
     best = next((one for one in shapes if one.knots), None)
     if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
-        return parts, []
+        return parts
     smooth = smooth_part(best)
     others = [part for part in parts if part not in usual]
     errors = problem.reference(problem.design(terms_of(parts)))
@@ -543,15 +514,14 @@ def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[tuple[Par
     model = final_fit(problem, parts).model
     adequate = adequacy(problem.drives, left_over(model, problem.drives)).adequate
     if gap <= (max(error, WORTHWHILE * len(errors)) if adequate else -error):
-        return parts, []
-    kept, gone = list(parts), list[str]()
+        return parts
+    kept = list(parts)
     for part in [*others, *(part for part in usual if part.terms)]:
         rest = [other for other in kept if other is not part]
         gap, error = difference(loss([*rest, smooth]).losses, loss([*kept, smooth]).losses)
         if gap <= max(error, WORTHWHILE * len(errors)):
             kept = rest
-            gone.append(part.effect.name)
-    return tuple(kept), gone
+    return tuple(kept)
 
 
 _TELLING = 0.1
@@ -564,7 +534,7 @@ class Tested:
 
     effects: tuple[Part, ...]  # the effects
     added: Part | None  # A smooth term that the model has beside them
-    fitted: FinalFit  # the model
+    fitted: JointFit  # the model
     fight: WheelFight | None
     quality: Adequacy  # what the model leaves, against noise
     dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
@@ -653,12 +623,12 @@ def explains(quality: Adequacy, before: float, after: float) -> bool:
 
 
 def energies(
-    problem: Problem, fitted: FinalFit, predictions: Sequence[Prediction]
+    problem: Problem, fitted: JointFit, predictions: Sequence[Prediction]
 ) -> tuple[EnergyPrediction, ...]:
     """Predict the energy of drives that took no part, with intervals."""
     model = fitted.model
     plain = problem.as_predicted
-    design = plain.design(fitted.terms, None, model_values(model))
+    design = plain.design(fitted.model.terms, None, by_name(model.terms, model.coefficients))
     values = np.array(model.coefficients)
     spread = RunSpread.of(design, values)
     table, owner = design.longest
@@ -693,17 +663,12 @@ def energies(
     return tuple(found)
 
 
-def model_values(model: PowerModel) -> dict[str, float]:
-    """Coefficients by name."""
-    return {t.name: float(v) for t, v in zip(model.terms, model.coefficients, strict=True)}
-
-
-def plain_columns(problem: Problem, fitted: FinalFit, drive: Drive) -> FloatArray:
+def plain_columns(problem: Problem, fitted: JointFit, drive: Drive) -> FloatArray:
     """Return the derivatives of a drive's power by the coefficients, shape (n, k)."""
-    if any(t.name in ("slip_change", "traction_change") for t in fitted.terms):
+    if any(t.name in ("slip_change", "traction_change") for t in fitted.model.terms):
         drive = drive.with_channels(
             changed=drive.motion.channels.get("changed", np.ones(len(drive.t)))
         )
     one = Problem([replace(drive, between=None)], problem.vehicle)
-    about = one.tables(fitted.terms, np.array(fitted.model.coefficients))
+    about = one.tables(fitted.model.terms, np.array(fitted.model.coefficients))
     return about.columns[0][:, 0]

@@ -37,7 +37,7 @@ from energyplan.fit.drive import (
     least_late,
     speed_noise,
 )
-from energyplan.fit.estimate import FLOOR, PAPER, ROUNDS, Fit, Problem, fit
+from energyplan.fit.estimate import FLOOR, PAPER, ROUNDS, Fit, Problem, by_name, fit
 from energyplan.fit.regressors import Design, held_loss
 from energyplan.fit.solvers import innovation_share
 from energyplan.path import FloatArray
@@ -81,7 +81,7 @@ def most_held(problem: Problem, terms: Sequence[Term], values: FloatArray) -> fl
 
 def drags(terms: Sequence[Term], values: FloatArray) -> bool:
     """Tell whether friction and resistance still drag after a change, as plans take them then."""
-    now = {term.name: float(value) for term, value in zip(terms, values, strict=True)}
+    now = by_name(terms, values)
     return all(
         now.get(usual.name, 0.0) + now[change.name] >= 0.0
         for usual, change in ((SLIP, SLIP_CHANGE), (TRACTION, TRACTION_CHANGE))
@@ -114,7 +114,7 @@ class Rest:
 
     def agrees(self, problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
         """Tell whether coefficients are possible, and what the robot draws at rest too."""
-        terms = [*PAPER, *(term for part in parts for term in part.terms)]
+        terms = terms_of(parts)
         slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
         for term, value, wide in zip(terms, found.values, slack, strict=True):
             low, high = term.bounds
@@ -285,8 +285,7 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     trial, case = made(start)
     ground = Ground(case.drives, case.vehicle) if part.effect.acts == "place" else None
     terms = terms_of(trial)
-    found_there = fit(case.design(terms, errors), errors).values.tolist()
-    known = dict(zip((term.name for term in terms), found_there, strict=True))
+    known = by_name(terms, fit(case.design(terms, errors), errors).values)
     if ground is not None:
         start = ground.from_middle(start)
 
@@ -469,7 +468,7 @@ class Search:
                 place = min(place, len(parts) - usual)
                 parts.insert(place, late)
                 gains.insert(place, gain)
-            problem = one.problem.starting_from(self._coefficients(one))
+            problem = one.problem.starting_from(by_name(terms_of(one.parts), one.fit.values))
             explanations.append(EffectSet(tuple(parts), float(probability), problem, tuple(gains)))
         # Variants of the same effects are one explanation: that of the best of them.
         joined: dict[frozenset[str], EffectSet] = {}
@@ -506,7 +505,7 @@ class Search:
             return mark_changes(whole, terms_of(others), _errors(whole, others))
         pairs = zip(whole.drives, few.drives, strict=True)
         drives = [drive.changed_as(means) for drive, means in pairs]
-        return Problem(drives, whole.vehicle, whole.memory)
+        return whole.on(drives)
 
     def take_all(self) -> SearchResult:
         """Take every effect whether it helps or not, in the order given."""
@@ -668,11 +667,6 @@ class Search:
         shares = innovations(design, residuals(design, found.values))
         odds = problem.odds(terms, found.values)
         return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
-
-    def _coefficients(self, one: Evaluated) -> dict[str, float]:
-        """Return the coefficients of an evaluated set, by name of their term."""
-        pairs = zip(terms_of(one.parts), one.fit.values.tolist(), strict=True)
-        return {term.name: value for term, value in pairs}
 
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
         """Return what a part is worth in a set, against the set without it."""

@@ -14,7 +14,7 @@ from scipy.stats import f as fisher
 from energyplan.errors import MissingChannelError, NotIdentifiableError
 from energyplan.fit.drive import SCALES, Drive, speed_noise
 from energyplan.fit.regressors import Linear, equations_of, is_lossy, linearise_drive, power_of
-from energyplan.fit.solvers import autocorrelation, column_scale, correlation_time
+from energyplan.fit.solvers import autocorrelation, correlation_time, least_squares
 from energyplan.html import number, unit
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -452,15 +452,11 @@ def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) ->
     about = np.append(model.coefficients, np.zeros(len(terms)))
     tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
     left = left_over(model, drives)
-    X, y = np.concatenate(tables), np.concatenate(left)
-    scale = column_scale(X)
-    inverse = np.linalg.pinv((X.T @ X) / np.outer(scale, scale), 1e-10, hermitian=True)
-    step = inverse @ (X.T @ y / scale) / scale
-    rest = y - X @ step
-    repeats = autocorrelation(rest, pieces_of(drives)).repeats
-    variance = float(rest @ rest) / len(y) * repeats * np.diag(inverse) / scale**2
+    step, covariance, _ = least_squares(
+        np.concatenate(tables), np.concatenate(left), pieces_of(drives)
+    )
     residuals = [r - table @ step for r, table in zip(left, tables, strict=True)]
-    return Beside(residuals, step[:own], np.sqrt(variance[:own]))
+    return Beside(residuals, step[:own], np.sqrt(np.diag(covariance)[:own]))
 
 
 def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequacy:
@@ -493,50 +489,20 @@ def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequa
         noise = max(noise, spread)
     noise = max(noise, _FLOOR * size)
     repeats = max(repeats, *(drive.hold.rows if drive.hold else 1.0 for drive in drives), 1.0)
-    slow = [
-        _means(drives, residuals, k, _Noise(noise, repeats, told), _FLOOR * size)
-        for k in range(len(SCALES))
-    ]
-    most = max(slow, key=lambda one: one.residual / one.limit)
+    slow = []
+    for k in range(len(SCALES)):
+        windows = [drive.windows[k] for drive in drives]
+        means = np.concatenate([w.mean(r) for w, r in zip(windows, residuals, strict=True)])
+        number = float(np.median(np.concatenate([w.counts for w in windows])))
+        own = noise * float(np.sqrt(min(repeats / number, 1.0)))
+        independent = min(float(len(means)), len(every) / repeats)
+        by_chance = float(fisher.isf(_CHANCE / len(SCALES), independent, told))
+        limit = float(np.hypot(own * np.sqrt(by_chance), _FLOOR * size))
+        shown = float(np.sqrt(np.mean(means**2)))
+        slow.append((shown / limit, own, shown, windows[0].length))
+    beyond, slow_noise, slow_residual, time = max(slow, key=lambda one: one[0])
+    missing = tuple(max(shown**2 - own**2, 0.0) for _, own, shown, _ in slow)
     return Adequacy(
-        noise, float(np.sqrt(np.mean(every**2))), most.noise, most.residual,
-        bool(most.residual > most.limit), most.time,
-        tuple(max(one.residual**2 - one.noise**2, 0.0) for one in slow),
+        noise, float(np.sqrt(np.mean(every**2))), slow_noise, slow_residual, beyond > 1.0, time,
+        missing,
     )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """Noise of a sample [W], how many samples repeat each other, and how many told it."""
-
-    deviation: float
-    repeats: float
-    told: float
-
-
-@dataclass(frozen=True)
-class _Means:
-    """Scatter of means of a residual: what noise makes, what there is, what noise may make [W]."""
-
-    time: float
-    noise: float
-    residual: float
-    limit: float
-
-
-def _means(
-    drives: Sequence[Drive],
-    residuals: Sequence[FloatArray],
-    scale: int,
-    noise: _Noise,
-    nothing: float,
-) -> _Means:
-    """Compare means of a residual over one time with those of noise."""
-    windows = [drive.windows[scale] for drive in drives]
-    means = np.concatenate([w.mean(r) for w, r in zip(windows, residuals, strict=True)])
-    number = float(np.median(np.concatenate([w.counts for w in windows])))
-    own = noise.deviation * float(np.sqrt(min(noise.repeats / number, 1.0)))
-    independent = min(float(len(means)), sum(map(len, residuals)) / noise.repeats)
-    by_chance = float(fisher.isf(_CHANCE / len(SCALES), independent, noise.told))
-    limit = float(np.sqrt(own**2 * by_chance + nothing**2))
-    return _Means(windows[0].length, own, float(np.sqrt(np.mean(means**2))), limit)

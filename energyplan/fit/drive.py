@@ -594,13 +594,6 @@ class Drive:
         """Tell where contacts hold, so that the moment of friction is anything up to its limit."""
         return np.asarray(np.abs(self.motion.omega) <= max(self.breakaway, self.drift))
 
-    @cached_property
-    def holding(self) -> Motion:
-        """The motion of samples at which contacts hold."""
-        held, at = self.held, self.holds
-        channels = {name: values[at] for name, values in held.channels.items()}
-        return Motion(held.v_left[at], held.v_right[at], held.icr, channels)
-
     @property
     def equations(self) -> int:
         """Number of equations: two where the power of both sides is used."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -14,11 +14,13 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from energyplan.fit.doubts import with_usual
-from energyplan.fit.drive import SCALES, Drive, Late, Steps, columns_of, parted
+from energyplan.fit.drive import SCALES, Drive, Late, Steps, columns_of, parted, prepared
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
+from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
 from energyplan.power.effect_terms import COPPER_LOSS
+from energyplan.power.effects import Effect
 from energyplan.vehicle import Vehicle
 
 # -- fits of a sum of terms to drives, with cross-validation and jackknife -------------------------
@@ -173,6 +175,12 @@ class RunSpread:
 
 PAPER = (SLIP, TRACTION)
 
+
+def by_name(terms: Sequence[Term], values: FloatArray) -> dict[str, float]:
+    """Return coefficients by the name of their term."""
+    return dict(zip((term.name for term in terms), values.tolist(), strict=True))
+
+
 FINE = 0.1
 """Part of the floor that likelihoods count as nothing."""
 
@@ -204,29 +212,19 @@ class Tables:
 class _Tried:
     """Coefficients that were tried: the design about them, and what it says of them."""
 
-    drag: NDArray[np.bool_]
-    loss: NDArray[np.bool_]
     values: FloatArray
     design: Design
     gram: FloatArray
-    misfit: float
-    least: FloatArray
-    hoped: float
+    misfit: float  # negative logarithm of their likelihood
+    promised: float  # by how much a full step is to lower it
+    least: FloatArray  # coefficients of least squares there
+    paid: NDArray[np.bool_]  # which a step leaves a tenth of, at least: the paper's, and losses
+    loss: NDArray[np.bool_]
 
     def step(self, to: FloatArray) -> FloatArray:
-        """Return coefficients to try next: the paper's, and losses, lose nine tenths at most."""
+        """Return coefficients to try next."""
         kept = _KEPT * self.values
-        return np.where((self.drag | self.loss) & (kept > 0.0), np.maximum(to, kept), to)
-
-    @property
-    def promised(self) -> float:
-        """By how much a full step is to lower the misfit."""
-        return self.misfit - self.hoped
-
-    @property
-    def on(self) -> FloatArray:
-        """Coefficients that a full step leads to."""
-        return self.step(self.least)
+        return np.where(self.paid & (kept > 0.0), np.maximum(to, kept), to)
 
     @property
     def rest(self) -> FloatArray:
@@ -261,25 +259,28 @@ class Problem:
             allowed = _SLIP_LAW**2 * float(np.mean(np.concatenate(gaps) ** 2))
             self.floor = np.append(self.floor, np.full(len(SCALES), allowed))
 
+    def on(self, drives: Sequence[Drive]) -> Problem:
+        """Return the problem on other drives."""
+        return Problem(drives, self.vehicle, self.memory)
+
     def without_transitions(self) -> Problem:
         """Return the drives, each throughout in the state that it was in for longer."""
         drives = []
         for drive in self.drives:
             state = round(float(np.mean(drive.motion.channels["changed"])))
             drives.append(drive.with_channels(changed=np.full(len(drive.t), float(state))))
-        return Problem(drives, self.vehicle, self.memory)
+        return self.on(drives)
 
     def thinned(self, samples: int) -> Problem:
         """Return the drives with so many samples in a shortest window, where they have more."""
         period = max(drive.clock.period for drive in self.drives)
         step = int(SCALES[0] / (samples * period))
         few = [drive.thinned(step) for drive in self.drives] if step > 1 else self.drives
-        return Problem(few, self.vehicle, self.memory)
+        return self.on(few)
 
     def averaged(self, period: float) -> Problem:
         """Return means of the drives over a period [s], where they have more samples."""
-        drives = [drive.averaged(period) for drive in self.drives]
-        return Problem(drives, self.vehicle, self.memory)
+        return self.on([drive.averaged(period) for drive in self.drives])
 
     def excerpt(self, samples: int, drives: int) -> Problem:
         """Return some drives, evenly chosen, and pieces of them where they have more samples."""
@@ -293,7 +294,7 @@ class Problem:
             some = [drive.pieces(share, turn) for drive, turn in zip(some, turns, strict=True)]
         elif len(some) == len(self.drives):
             return self
-        return Problem(some, self.vehicle, self.memory)
+        return self.on(some)
 
     def starting_from(self, known: Mapping[str, float]) -> Problem:
         """Return the drives, for fits that begin with these coefficients, by name of their term."""
@@ -304,19 +305,16 @@ class Problem:
         """The drives with the power of both sides together alone."""
         if self.drives[0].equations == 1:
             return self
-        drives = [replace(drive, between=None) for drive in self.drives]
-        return Problem(drives, self.vehicle, self.memory)
+        return self.on([replace(drive, between=None) for drive in self.drives])
 
     @property
     def as_predicted(self) -> Problem:
         """The totals of the drives as those to come are predicted: nothing known of contacts."""
-        drives = [replace(drive, between=None, fitted=False) for drive in self.drives]
-        return Problem(drives, self.vehicle, self.memory)
+        return self.on([replace(drive, between=None, fitted=False) for drive in self.drives])
 
     def delayed(self, late: Late) -> Problem:
         """Return the drives with their power taken to be logged late."""
-        drives = [replace(drive, late=late) for drive in self.drives]
-        return Problem(drives, self.vehicle, self.memory)
+        return self.on([replace(drive, late=late) for drive in self.drives])
 
     def likelihood(self, errors: FloatArray, windows: FloatArray) -> FloatArray:
         """Return the logarithm of the likelihood of terms from their cross-validated errors."""
@@ -366,7 +364,7 @@ class Problem:
             for one in starts
         ]
         best = min(begun, key=lambda one: one.misfit)
-        values, gain, instead = best.on, np.inf, _instead(best.promised)
+        values, gain, instead = best.step(best.least), np.inf, _instead(best.promised)
         for _ in range(rounds - 1):
             if min(gain, best.promised) < _SETTLED and best.promised < _PROMISED:
                 break
@@ -375,11 +373,12 @@ class Problem:
             here = self._tried(terms, values, errors)
             if here.misfit < best.misfit:
                 gain = best.misfit - here.misfit
-                best, values, instead = here, here.on, _instead(here.promised)
+                best, values, instead = here, here.step(here.least), _instead(here.promised)
             else:
                 part = next(instead, 0.0)
-                values = here.rest if part is None else best.values + part * (best.on - best.values)
-        self.memory |= {t.name: float(v) for t, v in zip(terms, best.values, strict=True)}
+                onto = best.step(best.least) - best.values
+                values = here.rest if part is None else best.values + part * onto
+        self.memory |= by_name(terms, best.values)
         return replace(best.design, ended=best.values) if rounds > 1 else best.design
 
     def _tried(
@@ -391,21 +390,15 @@ class Problem:
         scale = np.ones(len(design.rows)) if errors is None else errors
         gram = weighted(design, scale).sum(axis=0)
         least = solve(gram)
-        misfit, hoped = (
-            self._misfit(design, gram, scale, each) + about.odds for each in (values, least)
-        )
-        drag = np.array([term in PAPER for term in terms])
+        nothing = float(np.sum(FINE * self.floor[: len(scale)] / scale)) + 1e-300
+        left = np.maximum(squared_errors(gram, np.stack([values, least])), 0.0) + nothing
+        misfit, hoped = 0.5 * float(evidence_of(design.evidence).sum()) * np.log(left)
         loss = np.array([term.kind == "loss" for term in terms])
-        return _Tried(drag, loss, values, design, gram, misfit, least, hoped)
-
-    def _misfit(
-        self, design: Design, gram: FloatArray, scale: FloatArray, values: FloatArray
-    ) -> float:
-        """Return the negative logarithm of the likelihood of coefficients."""
-        signed = np.append(values, -1.0)
-        nothing = float(np.sum(FINE * self.floor[: len(scale)] / scale))
-        loss = max(float(signed @ gram @ signed), 0.0) + nothing + 1e-300
-        return 0.5 * float(evidence_of(design.evidence).sum()) * float(np.log(loss))
+        paid = loss | np.array([term in PAPER for term in terms])
+        return _Tried(
+            values, design, gram, float(misfit) + about.odds, float(misfit - hoped), least, paid,
+            loss,
+        )  # fmt: skip
 
     def _starts(
         self, terms: Sequence[Term], errors: FloatArray | None
@@ -425,7 +418,7 @@ class Problem:
             design = self.design(linear, errors, {})
             scale = np.ones(len(design.rows)) if errors is None else errors
             values = solve(weighted(design, scale).sum(axis=0))
-            found = {term.name: float(v) for term, v in zip(linear, values, strict=True)}
+            found = by_name(linear, values)
             possible = [
                 term for term in linear
                 if term in PAPER or term.bounds[0] <= found[term.name] <= term.bounds[1]
@@ -467,6 +460,13 @@ _PERIOD, _SAMPLES, _DRIVES = 0.1, 20_000, 10  # of means, and of what is enough 
 _LEFT = 0.1  # share of the samples that must slide
 
 
+def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
+    """Return drives as they are fitted: each side an equation, where it slides."""
+    usual = (one for one in effects if one.usual and not one.channels and not one.grid)
+    terms = [term for effect in usual for term in effect.terms]
+    return with_breakaway(Problem(prepared(logs, vehicle), vehicle), terms)
+
+
 def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     """Return the drives with the yaw rate up to which their contacts hold."""
     vehicle = problem.vehicle
@@ -501,12 +501,9 @@ def _of_totals(problem: Problem, usual: Sequence[Term]) -> Problem:
     """Return the totals of drives, with contacts that hold where steering drifts, or do not."""
     drives = problem.of_totals.drives
     free, held = (
-        Problem(
-            [replace(one, breakaway=breakaway, drift=0.0, fields={}) for one in drives],
-            problem.vehicle, problem.memory,
-        )
+        problem.on([replace(one, breakaway=breakaway, drift=0.0, fields={}) for one in drives])
         for breakaway in (0.0, drives[0].drift)
-    )  # fmt: skip
+    )
     drifting = (
         one.holds & (one.motion.omega != 0.0) & (one.motion.v != 0.0) for one in held.drives
     )
@@ -531,7 +528,7 @@ def _likelihood(problem: Problem, terms: Sequence[Term]) -> float:
 def _holding(problem: Problem, breakaway: float) -> Problem:
     """Return the drives with a breakaway; with the total alone where they hardly slide then."""
     drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
-    held = Problem(drives, problem.vehicle, problem.memory)
+    held = problem.on(drives)
     share = np.mean(np.concatenate([drive.slides for drive in held.drives]))
     return held if share > _LEFT else held.of_totals
 
@@ -586,7 +583,7 @@ def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bo
 def _signs_lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
     """Tell whether the drives fit better with the signs given back that their model asks for."""
     wide = [*terms, HOTEL]
-    found = dict(zip([term.name for term in terms], values.tolist(), strict=True))
+    found = by_name(terms, values)
     little = {TRACTION.name: _LITTLE * found[TRACTION.name]}
     errors = problem.reference(problem.design(terms))
     plain, back = [], []
@@ -669,20 +666,27 @@ def reading_covariance(
     width = design.rows[0].shape[1] - 1
     found = np.zeros((width, width))
     moved = moved_by(problem.drives, design, errors)
-    powers = [_powers(drive.power, drive.between) for drive in problem.drives]
-    expected = [_expected(drive, problem.vehicle, terms, values) for drive in problem.drives]
+    expected = [
+        linearise_drive(drive, problem.vehicle, terms, values, ()).power.T
+        for drive in problem.drives
+    ]
     for side in range(problem.drives[0].equations):
-        steps = Steps.of(
-            np.concatenate([one[side] for one in powers]),
-            np.concatenate([one[side] for one in expected]),
-        )
+        shown, due, by_watt = [], [], []  # by a sensor of power, and what its watt more does
+        for drive, power, by in zip(problem.drives, expected, moved, strict=True):
+            if drive.between is None:
+                own, known, does = drive.power, power[0], by[:, 0]
+            else:
+                own, known = (parted(*both)[side] for both in ((drive.power, drive.between), power))
+                does = by[:, 0] + (-1.0, 1.0)[side] * drive.slides[:, None] * by[:, 1]
+            shown.append(own)
+            due.append(known)
+            by_watt.append(does)
+        steps = Steps.of(np.concatenate(shown), np.concatenate(due))
         if steps.error > 0.0:
+            pairs = zip(shown, by_watt, strict=True)
             found += _covariance_of(
-                [
-                    (steps.states(one[side])[:, None], steps.error * _by_side(drive, by, side))
-                    for drive, one, by in zip(problem.drives, powers, moved, strict=True)
-                ]
-            )  # fmt: skip
+                [(steps.states(p)[:, None], steps.error * by) for p, by in pairs]
+            )
     sources = []
     for drive, by in zip(problem.drives, moved, strict=True):
         if drive.steps.error <= 0.0:
@@ -700,26 +704,6 @@ def reading_covariance(
             (np.column_stack(states), np.einsum("te,tek->tk", rise * share[at, None], by))
         )
     return found + _covariance_of(sources) if sources else found
-
-
-def _powers(total: FloatArray, between: FloatArray | None) -> tuple[FloatArray, ...]:
-    """Return what each sensor of power reads: the total, or the left side and the right one."""
-    return (total,) if between is None else parted(total, between)
-
-
-def _expected(
-    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
-) -> tuple[FloatArray, ...]:
-    """Return what each sensor of power should read."""
-    power = linearise_drive(drive, vehicle, terms, values, ()).power
-    return _powers(power[:, 0], None if drive.between is None else power[:, 1])
-
-
-def _by_side(drive: Drive, moved: FloatArray, side: int) -> FloatArray:
-    """Return what a watt more that one sensor of power reads does to the coefficients."""
-    if drive.between is None:
-        return moved[:, 0]
-    return np.asarray(moved[:, 0] + (-1.0, 1.0)[side] * drive.slides[:, None] * moved[:, 1])
 
 
 def _rise_with_speed(
@@ -750,9 +734,11 @@ class JointFit:
     """A sum of terms fitted to drives."""
 
     model: PowerModel  # the model with its covariance
-    further: FloatArray  # covariance of further parameters, at whose values the terms were fitted
     run_spread: float | None  # relative standard deviation of the power between runs
     assumed: tuple[str, ...]  # terms of which drives tell less than is known of any robot
+    further: FloatArray  # covariance of further parameters, at whose values the terms were fitted
+    errors: Mapping[str, float] = field(default_factory=dict)  # of parameters that were searched
+    run_error: float | None = None  # relative, of the energy of runs that were left out
 
 
 def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
@@ -767,8 +753,7 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
     )  # fmt: skip
     values, _, assumed = usual(found.values, covariance)  # what was searched does not move with it
     values = _within(problem, terms, errors, values, assumed)
-    names = [term.name for term in terms]
-    moved = further(dict(zip(names, values.tolist(), strict=True))) if further else ()
+    moved = further(by_name(terms, values)) if further else ()
     if moved:
         columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
         design = design.joined(window_means(problem.drives, columns))
@@ -784,7 +769,7 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
     if assumed:
         covariance = usual(values, covariance)[1]
     model = PowerModel(problem.vehicle, tuple(terms), values, 0.5 * (covariance + covariance.T))
-    return JointFit(model, rest, None if spread is None else spread.deviation, assumed)
+    return JointFit(model, None if spread is None else spread.deviation, assumed, rest)
 
 
 def _within(

@@ -22,7 +22,6 @@ from energyplan.fit.doubts import (
     beside,
     check_identifiable,
     ends_in_words,
-    is_linear,
     linearise,
     open_in_words,
     pieces_of,
@@ -31,10 +30,10 @@ from energyplan.fit.doubts import (
     usual_effects,
     usual_terms,
 )
-from energyplan.fit.drive import Drive, check_long_enough, prepared
-from energyplan.fit.estimate import Problem, joint_fit, with_breakaway
+from energyplan.fit.drive import Drive, check_long_enough
+from energyplan.fit.estimate import joint_fit, problem_of
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
-from energyplan.fit.regressors import linearise_drive, power_of
+from energyplan.fit.regressors import is_lossy, linearise_drive, power_of
 from energyplan.fit.solvers import (
     HUBER_TUNING,
     Bounds,
@@ -42,6 +41,7 @@ from energyplan.fit.solvers import (
     column_scale,
     huber,
     lad,
+    least_squares,
     local_scale,
     normal_scores,
     robust_scale,
@@ -97,9 +97,7 @@ class PowerRegression:
         self._drives = [replace(drive, between=None) for drive in drives]
         self._measured = np.concatenate([drive.power for drive in drives])
         self.pieces = pieces_of(drives)
-        self._linear = is_linear(model) and not (
-            any(drive.battery for drive in drives) and not is_linear(model.battery_side())
-        )
+        self._linear = not any(is_lossy(drive, model.terms) for drive in drives)
 
     def powers(self, model: PowerModel) -> list[FloatArray]:
         """Return the predicted power of each drive [W]."""
@@ -125,7 +123,9 @@ class PowerRegression:
             raise UnknownNameError("method", str(method), ("lad", "simplex", "huber"))
         if method == "simplex":
             rough = self._iterate(weighted_least_squares, lambda _: _squares, bounds)
-            found = self._simplex(rough, bounds)
+            found = simplex(
+                lambda c: _absolute(self.residual(self._start.with_coefficients(c))), rough, bounds
+            )
         elif method == "lad":
             found = self._iterate(lad, lambda _: _absolute, bounds)
         else:
@@ -139,17 +139,6 @@ class PowerRegression:
         for bound in (bounds.lower, bounds.upper):
             c = np.where(np.abs(c - bound) * column_scale(design) < watt, bound, c)
         return c
-
-    def _simplex(self, start: FloatArray, bounds: Bounds) -> FloatArray:
-        target, design = self._linearise(self._start)
-
-        def linear(c: FloatArray) -> float:
-            return float(np.abs(target - design @ c).sum())
-
-        def general(c: FloatArray) -> float:
-            return _absolute(self.residual(self._start.with_coefficients(c)))
-
-        return simplex(linear if self._linear else general, start, bounds)
 
     def _iterate(
         self,
@@ -225,9 +214,7 @@ class PowerRegression:
             turned = [drive.with_icr(moved) for drive in self._drives]
             ahead = np.concatenate([drive.seen(power_of(other, drive)) for drive in turned])
             shifts.append((ahead - power) / step)
-        free = Bounds(np.full(len(model.terms), -np.inf), np.full(len(model.terms), np.inf))
-        change = [weighted_least_squares(design, -shift, free) for shift in shifts]
-        sensitivity = np.column_stack(change)
+        sensitivity = -np.linalg.lstsq(design, np.column_stack(shifts))[0]
         return np.asarray(sensitivity @ estimate.covariance @ sensitivity.T)
 
 
@@ -438,15 +425,10 @@ def _side(drives: Sequence[DriveLog], side: str, constant: float | None) -> Inte
     mean = float(v.mean())
     X = np.stack([np.ones(len(v)), v - mean], axis=1)
     spread = float(np.ptp(v)) > _BIN
-    X = X if spread else X[:, :1]
-    inverse = np.linalg.inv(X.T @ X)
-    found = inverse @ X.T @ force
-    residual = force - X @ found
     ends = np.cumsum([0, *map(len, speeds)])
     pieces = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-    repeats = autocorrelation(residual, pieces).repeats
-    variance = float(residual @ residual) / max(len(v) - X.shape[1], 1) * repeats
-    errors = np.sqrt(variance * np.diag(inverse))
+    found, covariance, repeats = least_squares(X if spread else X[:, :1], force, pieces)
+    errors = np.sqrt(np.diag(covariance))
     return InternalFriction(
         side, float(found[0]), float(errors[0]), mean,
         float(found[1]) if spread else 0.0, float(errors[1]) if spread else np.inf,
@@ -721,7 +703,9 @@ def identify(
         doubts = check_identifiable(first, _stacked(first, clean, ready), turning)
     problem = PowerRegression(ready, model)
     if method == "windows":
-        joint = joint_fit(_both_sides(drives, vehicle, terms), terms)
+        check_long_enough(drives)
+        known = [one for one in usual_effects() if all(term in terms for term in one.terms)]
+        joint = joint_fit(problem_of(drives, vehicle, known), terms)
         model = replace(joint.model, name=name)
         warnings += open_in_words(model, joint.assumed)
     else:
@@ -759,16 +743,6 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
 # -- parts --------------------------------------------------------------------------------------
 
 
-def _both_sides(drives: Sequence[DriveLog], vehicle: Vehicle, terms: Sequence[Term]) -> Problem:
-    """Return drives as diagnosis fits them: each side an equation, where it slides."""
-    check_long_enough(drives)
-    usual = [
-        term for effect in usual_effects() if not effect.grid
-        for term in effect.terms if term in terms
-    ]  # fmt: skip
-    return with_breakaway(Problem(prepared(drives, vehicle), vehicle), usual)
-
-
 def _missing(
     left: Adequacy, model: PowerModel, usual: Beside, left_out: Foretold | None
 ) -> list[str]:
@@ -794,9 +768,9 @@ def _draw_at_rest(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> list
     )
     if len(residual) < _LEAST_INDEPENDENT:
         return []
-    mean, error = float(residual.mean()), float(residual.std())
-    repeats = autocorrelation(residual, [slice(0, len(residual))]).repeats
-    if abs(mean) < 5 * max(error * np.sqrt(repeats / len(residual)), 0.1):
+    ones, whole = np.ones((len(residual), 1)), [slice(0, len(residual))]
+    (mean,), variance, _ = least_squares(ones, residual, whole)
+    if abs(mean) < 5 * max(float(np.sqrt(variance[0, 0])), 0.1):
         return []
     return [
         f"at rest the robot draws {mean:.1f} W that no term explains: a constant load, or a "

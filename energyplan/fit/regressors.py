@@ -50,6 +50,45 @@ def lost_power(
 
 
 @dataclass(frozen=True)
+class Held:
+    """Samples at which contacts hold: their motion, forces, and what losses take without more."""
+
+    vehicle: Vehicle
+    losses: Sequence[tuple[Term, float]]
+    motion: Motion
+    forces: Sides
+    without: FloatArray
+
+    @classmethod
+    def of(
+        cls, drive: Drive, vehicle: Vehicle, losses: Sequence[tuple[Term, float]], forces: Sides,
+        some: slice | NDArray[np.intp] = slice(None),
+    ) -> Held:  # fmt: skip
+        """Take some of the samples of a drive at which contacts hold."""
+        held, at = drive.held, np.flatnonzero(drive.holds)[some]
+        channels = {name: values[at] for name, values in held.channels.items()}
+        motion = Motion(held.v_left[at], held.v_right[at], held.icr, channels)
+        own = Sides(forces.left[at], forces.right[at])
+        return cls(vehicle, losses, motion, own, lost_power(losses, motion, vehicle, own).total)
+
+    def _lost(self, moment: FloatArray) -> tuple[Sides, Sides]:
+        """Tread forces with a moment between the sides, and what losses take of them."""
+        push = moment / self.motion.icr.slip_track
+        acting = Sides(self.forces.left - push, self.forces.right + push)
+        return acting, lost_power(self.losses, self.motion, self.vehicle, acting)
+
+    def cost(self, moment: FloatArray) -> FloatArray:
+        """Power that losses take because of a moment between the sides [W]."""
+        return np.asarray(self._lost(moment)[1].total - self.without)
+
+    def powers(self, moment: FloatArray) -> Sides:
+        """Power of each side with a moment between them [W]."""
+        acting, lost = self._lost(moment)
+        through = Sides(acting.left * self.motion.v_left, acting.right * self.motion.v_right)
+        return through + lost
+
+
+@dataclass(frozen=True)
 class Preload:
     """The moment by which the sides push against each other while contacts hold."""
 
@@ -92,33 +131,24 @@ def preload(
     limit: float,
 ) -> Preload:
     """Find the moment between the sides from the measured difference of their powers."""
-    at, motion = drive.holds, drive.holding
-    own = Sides(forces.left[at], forces.right[at])
-    sign = np.sign(motion.v_left + motion.v_right)
+    at, held = drive.holds, Held.of(drive, vehicle, losses, forces)
+    sign = np.sign(held.motion.v_left + held.motion.v_right)
     track = drive.motion.icr.slip_track
     wanted = drive.in_time(between)[at]
 
-    def powers(moment: FloatArray) -> Sides:
-        push = moment / track
-        acting = Sides(own.left - push, own.right + push)
-        through = Sides(acting.left * motion.v_left, acting.right * motion.v_right)
-        return through + lost_power(losses, motion, vehicle, acting)
+    def too_large(moment: FloatArray) -> NDArray[np.bool_]:
+        both = held.powers(moment)
+        return np.asarray(sign * (both.right - both.left - wanted) > 0.0)
 
     if losses:
-
-        def too_large(moment: FloatArray) -> NDArray[np.bool_]:
-            both = powers(moment)
-            return np.asarray(sign * (both.right - both.left - wanted) > 0.0)
-
         found = _bisected(too_large, np.full(len(wanted), -limit), np.full(len(wanted), limit))
     else:
-        speed = motion.v_left + motion.v_right
-        still = powers(np.zeros(len(wanted)))
+        speed, still = held.motion.v_left + held.motion.v_right, held.powers(np.zeros(len(wanted)))
         free = track * (wanted - still.right + still.left)
         found = np.divide(free, speed, out=np.zeros(len(free)), where=speed != 0.0)
         found = np.clip(found, -limit, limit)
     step = max(1e-3 * limit, 1e-9)
-    ahead, behind = powers(found + step), powers(found - step)
+    ahead, behind = held.powers(found + step), held.powers(found - step)
     rise = sign * ((ahead.right - ahead.left) - (behind.right - behind.left)) / (2 * step)
     clear = rise * limit > _TOLD * drive.between_noise
     inside = clear & (np.abs(found) < (1.0 - 2.0**-_INSIDE) * limit)
@@ -133,8 +163,7 @@ def preload(
     driving = at & ((drive.held.v_left != 0.0) | (drive.held.v_right != 0.0)) & (sure > 0.0)
     sure = np.where(driving, sure, 1.0)
     smooth = np.where(driving, _smoothed(weight * moment, width, alone) / sure, 0.0)
-    ahead, behind = powers(smooth[at] + step), powers(smooth[at] - step)
-    cost[at] = (ahead.total - behind.total) / (2 * step)
+    cost[at] = (held.cost(smooth[at] + step) - held.cost(smooth[at] - step)) / (2 * step)
     cost = np.where(driving, cost, 0.0)
     forces = Sides(-smooth / track, smooth / track)
     return Preload(smooth, forces, told, cost, ends, sure, width, alone)
@@ -219,7 +248,7 @@ def straights(
     limit *= _STATIC
     label, shown = _stretches(drive), _shown(drive)
     count = int(label[-1]) + 1
-    held = _Held.of(drive, vehicle, losses, forces, slice(None))
+    held = Held.of(drive, vehicle, losses, forces)
     ends = [held.cost(np.full(len(at), sign * limit)) for sign in (-1.0, 1.0)]
     means = [np.bincount(label, end, count) for end in ends]
     sign = np.where(means[1] >= means[0], 1.0, -1.0)
@@ -241,7 +270,7 @@ def straights(
     some = np.flatnonzero(free[label])
     mine, pull = label[some], most[some]
     wanted = taken * np.bincount(mine, pull**2, count)
-    few = _Held.of(drive, vehicle, losses, forces, some)
+    few = Held.of(drive, vehicle, losses, forces, some)
 
     def too_large(held: FloatArray) -> NDArray[np.bool_]:
         return ~(np.bincount(mine, pull * few.cost((sign * held)[mine]), count) < wanted)
@@ -290,40 +319,6 @@ def _shown(drive: Drive) -> NDArray[np.intp]:
         drive.fields[key] = _stretches(drive)[np.maximum(seen, 0)]
     found: NDArray[np.intp] = drive.fields[key]
     return found
-
-
-@dataclass(frozen=True)
-class _Held:
-    """Samples at which contacts hold: their motion, forces, and what losses take without more."""
-
-    vehicle: Vehicle
-    losses: Sequence[tuple[Term, float]]
-    motion: Motion
-    forces: Sides
-    without: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        drive: Drive,
-        vehicle: Vehicle,
-        losses: Sequence[tuple[Term, float]],
-        forces: Sides,
-        some: slice | NDArray[np.intp],
-    ) -> _Held:
-        """Take some of the samples of a drive at which contacts hold."""
-        motion, own = drive.holding, Sides(forces.left[drive.holds], forces.right[drive.holds])
-        channels = {name: values[some] for name, values in motion.channels.items()}
-        motion = Motion(motion.v_left[some], motion.v_right[some], motion.icr, channels)
-        own = Sides(own.left[some], own.right[some])
-        return cls(vehicle, losses, motion, own, lost_power(losses, motion, vehicle, own).total)
-
-    def cost(self, moment: FloatArray) -> FloatArray:
-        """Power that losses take because of a moment between the sides [W]."""
-        push = moment / self.motion.icr.slip_track
-        acting = Sides(self.forces.left - push, self.forces.right + push)
-        lost = lost_power(self.losses, self.motion, self.vehicle, acting).total
-        return np.asarray(lost - self.without)
 
 
 def _error(drive: Drive, beyond: FloatArray, samples: FloatArray) -> FloatArray:

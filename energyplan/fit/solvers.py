@@ -366,6 +366,19 @@ def sandwich(bread: FloatArray, meat: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
+def least_squares(
+    X: FloatArray, y: FloatArray, pieces: Sequence[slice]
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return least-squares coefficients, their covariance, and how many samples repeat another."""
+    scale = column_scale(X)
+    inverse = np.linalg.pinv((X.T @ X) / np.outer(scale, scale), 1e-10, hermitian=True)
+    values = inverse @ (X.T @ y / scale) / scale
+    rest = y - X @ values
+    repeats = autocorrelation(rest, pieces).repeats
+    variance = float(rest @ rest) / max(len(y) - X.shape[1], 1) * repeats
+    return values, variance * inverse / np.outer(scale, scale), repeats
+
+
 def correlation_time(residual: FloatArray, period: float, pieces: Sequence[slice]) -> float:
     """Integral time scale of a series: the area under its autocorrelation at positive lags [s]."""
     return 0.5 * period * autocorrelation(residual, pieces).repeats

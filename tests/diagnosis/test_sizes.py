@@ -10,7 +10,6 @@ from scipy.ndimage import maximum_filter1d
 from energyplan import DriveLog, PowerModel, Vehicle, diagnose, simulate
 from energyplan.diagnosis.judge import _Case
 from energyplan.fit.drive import prepared
-from energyplan.fit.estimate import Problem
 from energyplan.power import HOTEL
 from energyplan.power.effect_terms import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.power.effects import COPPER_LOSS, catalogue
@@ -42,7 +41,7 @@ def test_what_the_beginning_of_a_turn_costs_is_no_fight_of_the_sides() -> None:
     log = simulate.identification_drive(truth, seed=1)
     (drive,) = prepared([log], ROBOT.vehicle)
     drive = replace(drive, drift=0.01, fields={})
-    case = _Case.of(drive, Problem([drive], ROBOT.vehicle), truth)
+    case = _Case.of(drive, ROBOT.vehicle, truth)
     beside = drive.holds & (maximum_filter1d((~drive.holds).astype(float), 3) > 0.0)
     assert np.count_nonzero(beside & (drive.motion.omega != 0.0)) > 5
     assert not case.moment[beside].any()

@@ -7,11 +7,9 @@ import pytest
 
 from energyplan.fit.solvers import (
     autocorrelation,
-    correlation_time,
     innovation_share,
     local_scale,
     sandwich,
-    sum_covariance,
 )
 
 
@@ -45,25 +43,6 @@ def test_what_a_fit_took_of_slow_noise_is_added_where_it_matters() -> None:
         line = np.linspace(-1.0, 1.0, count)[:, None]
         plain, found = autocorrelation(series, pieces), autocorrelation(series, pieces, line)
         assert np.array_equal(found.rho, plain.rho) != matters
-
-
-def test_the_time_scale_of_an_autoregression_is_the_area_under_its_correlation() -> None:
-    """``sum a^k`` over all lags, of both signs, is ``(1 + a) / (1 - a)`` samples."""
-    found = correlation_time(autoregression(0.8, 20_000), 0.1, [slice(0, 20_000)])
-    assert found == pytest.approx(0.5 * 0.1 * 1.8 / 0.2, rel=0.15)
-
-
-def test_a_sum_of_correlated_noise_varies_as_all_pairs_within_pieces_say() -> None:
-    rng = np.random.default_rng(4)
-    X, scale, rho = rng.normal(size=(30, 2)), rng.uniform(0.5, 2.0, 30), np.array([1.0, 0.6, 0.2])
-    whole = np.zeros((30, 30))
-    for piece in (range(12), range(12, 30)):
-        for i in piece:
-            for j in piece:
-                if abs(i - j) < 3:
-                    whole[i, j] = scale[i] * scale[j] * rho[abs(i - j)]
-    found = sum_covariance(X, scale, rho, [slice(0, 12), slice(12, 30)])
-    assert found == pytest.approx(X.T @ whole @ X)
 
 
 def test_the_scale_around_a_sample_follows_steps_of_the_noise() -> None:
