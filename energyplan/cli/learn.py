@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer import Argument, Option
 
+from energyplan.cli import options as opt
 from energyplan.cli.answers import (
     answer,
     give_up_stdout,
@@ -28,18 +29,7 @@ from energyplan.cli.answers import (
     write_report,
 )
 from energyplan.cli.app import app
-from energyplan.cli.options import (
-    YAML,
-    Columns,
-    Json,
-    Logs,
-    OutModel,
-    Report,
-    Robot,
-    Strict,
-    number,
-    writes,
-)
+from energyplan.cli.options import Robot, number, writes
 from energyplan.errors import InvalidInputError, NotIdentifiableError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -66,8 +56,8 @@ def start(
     out: Annotated[
         Path | None,
         Option(
-            callback=writes(*YAML),
-            help="Write the project to this YAML file. Without it: list what the log holds.",
+            callback=writes(*opt.YAML),
+            help="Write the project to this opt.YAML file. Without it: list what the log holds.",
         ),
     ] = None,
     wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
@@ -86,12 +76,12 @@ def start(
         str | None,
         Option(metavar="VEHICLE", help="Start from this vehicle; other options override it."),
     ] = None,
-    columns: Columns = None,
+    columns: opt.Columns = None,
     accept: Annotated[
         bool, Option("--accept", help="Accept a log with a check that is WRONG.")
     ] = False,
-    json: Json = False,
-    strict: Strict = False,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Write a project from a drive log.
 
@@ -144,7 +134,7 @@ def _ask(question: str) -> float | None:
     epilog="Example: energyplan identify spiral.csv --vehicle quadriga:full --out model.yaml"
 )
 def identify(
-    logs: Logs,
+    logs: opt.Logs,
     robot: Robot,
     method: Annotated[
         Literal["lad", "simplex", "huber", "windows"],
@@ -182,8 +172,8 @@ def identify(
     ] = False,
     angle: Annotated[str | None, Option(help="With --spin: angle turned, as 3600deg.")] = None,
     angle_error: Annotated[str, Option(help="With --angle: its standard error.")] = "0deg",
-    out: OutModel = None,
-    json: Json = False,
+    out: opt.OutModel = None,
+    json: opt.Json = False,
 ) -> None:
     """Find a robot's power parameters from drive logs.
 
@@ -299,7 +289,7 @@ def _terms(terms: str | None, without: str | None) -> list[Term]:
     "--out extended.yaml --report diagnosis.html"
 )
 def diagnose(
-    logs: Logs,
+    logs: opt.Logs,
     robot: Robot,
     holdout: Annotated[
         list[Path] | None,
@@ -309,10 +299,10 @@ def diagnose(
             "under 40 s some as a whole.",
         ),
     ] = None,
-    out: OutModel = None,
-    report: Report = None,
-    json: Json = False,
-    strict: Strict = False,
+    out: opt.OutModel = None,
+    report: opt.Report = None,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Find out why the model and the logs differ.
 
@@ -367,7 +357,7 @@ def watch(
     model: Annotated[str | None, Option(metavar="MODEL", help="Model to begin with.")] = None,
     vehicle: Annotated[str | None, Option(metavar="VEHICLE", help="In place of a model.")] = None,
     mission: Annotated[Path | None, Option(help="YAML file of the robot's mission.")] = None,
-    columns: Columns = None,
+    columns: opt.Columns = None,
     once: Annotated[bool, Option("--once", help="Stop at the end of the file.")] = False,
     every: Annotated[float, Option(help="Time between two reports [s].")] = 10.0,
     former: Annotated[
@@ -378,8 +368,8 @@ def watch(
             "of its own, as much of it as former runs kept.",
         ),
     ] = None,
-    out: OutModel = None,
-    json: Json = False,
+    out: opt.OutModel = None,
+    json: opt.Json = False,
 ) -> None:
     """Follow a drive while it happens.
 
@@ -403,7 +393,7 @@ def watch(
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
     settings = Settings(every)
     wanted = read_mission(mission) if mission else None
-    mapping = read_columns(columns) if columns and columns.endswith(YAML) else columns
+    mapping = read_columns(columns) if columns and columns.endswith(opt.YAML) else columns
     source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
     learned: Any = None
     known = read_drives(former, str(model), columns) if former else []
@@ -451,13 +441,10 @@ def _until_interrupted(
         source = iter(lines)
         while not stopped:
             waiting = True
-            try:
+            with suppress(KeyboardInterrupt):
                 line = next(source, None)
-            except KeyboardInterrupt:
-                return
-            finally:
-                waiting = False
-            if line is None:
+            waiting = False
+            if stopped or line is None:
                 return
             yield line
 

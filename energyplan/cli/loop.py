@@ -9,23 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from energyplan.cli import options as opt
 from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
-from energyplan.cli.options import (
-    TABLES,
-    Drive,
-    Json,
-    MapFile,
-    MaybeSite,
-    ModelName,
-    OutModel,
-    PoseText,
-    Report,
-    Site,
-    Strict,
-    Work,
-    writes,
-)
+from energyplan.cli.options import Drive, Site, writes
 from energyplan.cli.routes import priced_ground, problem_of
 from energyplan.errors import InvalidInputError
 
@@ -73,11 +60,11 @@ class Truth:
 )
 def drive(
     trajectory: Annotated[Path, Argument(help="CSV with columns t,x,y,yaw,v,omega.")],
-    model: ModelName,
+    model: opt.ModelName,
     robot: Truth,
-    map_file: MaybeSite = None,
+    map_file: opt.MaybeSite = None,
     out: Annotated[
-        Path | None, Option(callback=writes(*TABLES), help="Write the drive log to this file.")
+        Path | None, Option(callback=writes(*opt.TABLES), help="Write the drive log to this file.")
     ] = None,
     sensors: Annotated[
         str,
@@ -88,8 +75,8 @@ def drive(
             "seed of the noise.",
         ),
     ] = "",
-    json: Json = False,
-    strict: Strict = False,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Drive a trajectory in a physics engine.
 
@@ -128,12 +115,12 @@ def drive(
     "--report loop.html"
 )
 def close_the_loop(
-    map_file: MapFile,
-    model: ModelName,
-    start: PoseText,
-    goal: PoseText,
+    map_file: opt.MapFile,
+    model: opt.ModelName,
+    start: opt.PoseText,
+    goal: opt.PoseText,
     robot: Truth,
-    effort: Work = None,
+    effort: opt.Work = None,
     logs: Annotated[
         Path | None,
         Option(help="Folder of a real robot's logs, one a round in the order of their names."),
@@ -141,10 +128,10 @@ def close_the_loop(
     rounds: Annotated[int, Option(help="Largest number of rounds.")] = 3,
     error: Annotated[float, Option(help="Error of the prediction at which to stop.")] = 0.01,
     survey: Annotated[float, Option(help="Longest test drive in between [s]; 0: none.")] = 60.0,
-    out: OutModel = None,
-    report: Report = None,
-    json: Json = False,
-    strict: Strict = False,
+    out: opt.OutModel = None,
+    report: opt.Report = None,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Plan, drive, diagnose, and plan again.
 
@@ -169,10 +156,10 @@ def close_the_loop(
             raise InvalidInputError("--logs are of a real robot; leave out --effect and --hidden")
         if not logs.is_dir():
             raise InvalidInputError(f"{str(logs)!r} is no folder; give one that holds the logs")
-        files = sorted(file for file in logs.iterdir() if file.suffix in TABLES)
+        files = sorted(file for file in logs.iterdir() if file.suffix in opt.TABLES)
         if not files:
             raise InvalidInputError(
-                f"{str(logs)!r} holds no log that ends with {', '.join(TABLES)}"
+                f"{str(logs)!r} holds no log that ends with {', '.join(opt.TABLES)}"
             )
         source = read_drives(files, problem.cost.vehicle.name)
     else:
@@ -198,7 +185,7 @@ def close_the_loop(
     epilog="Example: energyplan design --model quadriga:full:concrete --duration 40 --out next.csv"
 )
 def design(
-    model: ModelName,
+    model: opt.ModelName,
     diagnosis: Annotated[Path | None, Option(help="What diagnose --json printed.")] = None,
     map_file: Annotated[
         Path | None, Option("--map", help="Default: an empty square of 6 m.")
@@ -211,9 +198,11 @@ def design(
     screen: Annotated[bool, Option("--screen", help="Look for every effect.")] = False,
     out: Annotated[
         Path | None,
-        Option("--out", callback=writes(*TABLES), help="Write the trajectory to this CSV file."),
+        Option(
+            "--out", callback=writes(*opt.TABLES), help="Write the trajectory to this CSV file."
+        ),
     ] = None,
-    json: Json = False,
+    json: opt.Json = False,
 ) -> None:
     """Design the next test drive.
 

@@ -7,19 +7,10 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from energyplan.cli import options as opt
 from energyplan.cli.answers import answer, progress, warn
 from energyplan.cli.app import App, app
-from energyplan.cli.options import (
-    GEOJSON,
-    YAML,
-    AtBattery,
-    Drive,
-    Json,
-    MapFile,
-    ModelName,
-    Site,
-    writes,
-)
+from energyplan.cli.options import Drive, Site, writes
 from energyplan.cli.routes import level_model, problem_of
 from energyplan.errors import InvalidInputError
 
@@ -33,20 +24,20 @@ app.add_typer(export, name="export")
 )
 def graph(
     file: Annotated[Path, Argument(help="A route graph of Nav2's route server (GeoJSON).")],
-    map_file: MapFile,
-    model: ModelName,
-    at_battery: AtBattery = False,
+    map_file: opt.MapFile,
+    model: opt.ModelName,
+    at_battery: opt.AtBattery = False,
     effort: Annotated[
         int | None, Option(min=1, help="Work for each edge; 50000 is about 1 s.")
     ] = None,
     out: Annotated[
         Path | None,
         Option(
-            callback=writes(*GEOJSON),
+            callback=writes(*opt.GEOJSON),
             help="Write the graph with the energies as costs, less the closed edges, to this file.",
         ),
     ] = None,
-    json: Json = False,
+    json: opt.Json = False,
 ) -> None:
     """Plan the edges of a route graph among obstacles.
 
@@ -79,18 +70,18 @@ def graph(
     "--out lattice.json --penalties planner.yaml",
 )
 def lattice(
-    model: ModelName,
+    model: opt.ModelName,
     out: Annotated[Path, Option(callback=writes(".json"), help="Write the primitives there.")],
     resolution: Annotated[float, Option(help="Size of a cell of the costmap [m].")] = 0.05,
     parameters: Annotated[
         Path | None,
         Option(
             "--penalties",
-            callback=writes(*YAML),
+            callback=writes(*opt.YAML),
             help="Write the planner's parameters to this file.",
         ),
     ] = None,
-    json: Json = False,
+    json: opt.Json = False,
 ) -> None:
     """Write primitives and penalties for Nav2's SmacPlannerLattice.
 
@@ -122,11 +113,11 @@ def lattice(
     epilog="Example: energyplan export table --model quadriga:empty:concrete --out cost.csv"
 )
 def table(
-    model: ModelName,
+    model: opt.ModelName,
     out: Annotated[Path, Option("--out", callback=writes(".csv"), help="Write the table there.")],
     speeds: Annotated[str | None, Option(help="Tread speeds [m/s], such as 0.2,0.5,1.")] = None,
-    at_battery: AtBattery = False,
-    json: Json = False,
+    at_battery: opt.AtBattery = False,
+    json: opt.Json = False,
 ) -> None:
     """Write the energy of motions as a table.
 
@@ -184,7 +175,7 @@ def serve(
 
 @app.command(epilog="Example: energyplan warmup --json")
 def warmup(
-    json: Json = False,
+    json: opt.Json = False,
 ) -> None:
     """Compile all kernels ahead.
 
@@ -214,7 +205,7 @@ def warmup(
 @app.command(epilog="Example: energyplan demo --out demo")
 def demo(
     out: Annotated[Path, Option(callback=writes(), help="Folder for the files.")] = Path("demo"),
-    json: Json = False,
+    json: opt.Json = False,
 ) -> None:
     """Run the whole chain on bundled input.
 

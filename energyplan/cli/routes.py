@@ -12,28 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 from typer import Argument, Option
 
+from energyplan.cli import options as opt
 from energyplan.cli.answers import NO, answer, progress, verdict, warn, write_report
 from energyplan.cli.app import app
-from energyplan.cli.options import (
-    GEOJSON,
-    RECORDING,
-    TABLES,
-    AtBattery,
-    Drive,
-    Effort,
-    Json,
-    MapFile,
-    MaybeSite,
-    ModelName,
-    Plot,
-    PoseText,
-    Report,
-    Site,
-    Strict,
-    Work,
-    number,
-    writes,
-)
+from energyplan.cli.options import Drive, Effort, Site, number, writes
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
@@ -64,7 +46,7 @@ OutPath = Annotated[
     Path | None,
     Option(
         "--out",
-        callback=writes(*TABLES, RECORDING),
+        callback=writes(*opt.TABLES, opt.RECORDING),
         help="Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
     ),
 ]
@@ -72,7 +54,7 @@ OutTrajectory = Annotated[
     Path | None,
     Option(
         "--trajectory",
-        callback=writes(*TABLES),
+        callback=writes(*opt.TABLES),
         help="Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' limits.",
     ),
 ]
@@ -200,7 +182,7 @@ def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
 
 def _writable(out: Path | None) -> None:
     """Refuse a recording that could not be written, before any work."""
-    if out and out.suffix == RECORDING:
+    if out and out.suffix == opt.RECORDING:
         from energyplan.ros.messages import need_rosbags
 
         need_rosbags()
@@ -222,7 +204,7 @@ def _write(
     from energyplan.output import plots
     from energyplan.output.plots import image
 
-    if out and out.suffix == RECORDING:
+    if out and out.suffix == opt.RECORDING:
         from energyplan.ros.messages import write_recording
 
         topics = {f"/{name.replace(' ', '_')}": made.path for name, made in plans.items()}
@@ -245,7 +227,7 @@ def _write(
 def plan(
     site: Site,
     drive: Drive,
-    start: PoseText,
+    start: opt.PoseText,
     effort: Effort,
     goal: Annotated[
         str | None,
@@ -271,9 +253,9 @@ def plan(
     objective: Objective = "energy",
     out: OutPath = None,
     trajectory: OutTrajectory = None,
-    plot: Plot = None,
-    json: Json = False,
-    strict: Strict = False,
+    plot: opt.Plot = None,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Plan the route of least energy.
 
@@ -321,18 +303,18 @@ def plan(
 def compare(
     site: Site,
     drive: Drive,
-    start: PoseText,
-    goal: PoseText,
+    start: opt.PoseText,
+    goal: opt.PoseText,
     effort: Effort,
     turning: Turning = "any",
     planner: Planner = "lattice",
     objective: Objective = "energy",
     out: OutPath = None,
     trajectory: OutTrajectory = None,
-    plot: Plot = None,
-    report: Report = None,
-    json: Json = False,
-    strict: Strict = False,
+    plot: opt.Plot = None,
+    report: opt.Report = None,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Compare the cheapest route with the shortest.
 
@@ -369,10 +351,10 @@ def check(
         Argument(help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."),
     ],
     drive: Drive,
-    map_file: MaybeSite = None,
+    map_file: opt.MaybeSite = None,
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
-    json: Json = False,
-    strict: Strict = False,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Check whether the motors can drive a trajectory.
 
@@ -413,9 +395,9 @@ def check(
     "--start 2,2,0 --energy 5000 --return --confidence 0.95 --spread 0.05",
 )
 def reach(
-    map_file: MapFile,
-    model: ModelName,
-    start: PoseText,
+    map_file: opt.MapFile,
+    model: opt.ModelName,
+    start: opt.PoseText,
     energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None,
     battery: Annotated[
         str | None,
@@ -428,7 +410,7 @@ def reach(
         str | None, Option(help="State of charge at the start, as 80%. Default: full.")
     ] = None,
     reserve: Annotated[str, Option(help="What of it to keep, as 20%.")] = "0",
-    at_battery: AtBattery = False,
+    at_battery: opt.AtBattery = False,
     confidence: Annotated[
         float | None,
         Option(help="Probability that a place shown as reachable really is, such as 0.95."),
@@ -443,10 +425,10 @@ def reach(
     ] = None,
     contours: Annotated[
         Path | None,
-        Option(callback=writes(*GEOJSON), help="Write the areas within reach to this GeoJSON."),
+        Option(callback=writes(*opt.GEOJSON), help="Write the areas within reach to this GeoJSON."),
     ] = None,
-    plot: Plot = None,
-    json: Json = False,
+    plot: opt.Plot = None,
+    json: opt.Json = False,
 ) -> None:
     """Find how far a given energy takes the robot.
 
@@ -502,7 +484,7 @@ def mission(
     file: Annotated[
         Path, Argument(metavar="MISSION.yaml", help="Its keys are listed in docs/missions.")
     ],
-    effort: Work = None,
+    effort: opt.Work = None,
     fail: Annotated[
         str | None,
         Option(
@@ -510,7 +492,7 @@ def mission(
             help="Suppose that this robot of several fails at this time [s]: who takes over?",
         ),
     ] = None,
-    report: Report = None,
+    report: opt.Report = None,
     trajectories: Annotated[
         Path | None,
         Option(
@@ -518,8 +500,8 @@ def mission(
             help="Write each drive to this folder (t,x,y,yaw,v,omega), and into --json.",
         ),
     ] = None,
-    json: Json = False,
-    strict: Strict = False,
+    json: opt.Json = False,
+    strict: opt.Strict = False,
 ) -> None:
     """Find out whether the battery lasts for a mission.
 

@@ -49,37 +49,34 @@ def plain(value: Any) -> Any:
     return value
 
 
+def picked(value: Any, names: str) -> Document:
+    """Return some attributes of a result."""
+    return {name: plain(getattr(value, name)) for name in names.split()}
+
+
 def residual(found: Residual) -> Document:
     """Return the errors of a prediction [W], and of its energy [fraction]."""
-    keys = ("rmse", "mae", "bias", "energy_error")
-    return {key: plain(getattr(found, key)) for key in keys}
+    return picked(found, "rmse mae bias energy_error")
 
 
 def terms(model: PowerModel) -> list[Document]:
     """Return the terms of a model with their coefficients and standard errors."""
     return [
-        {
-            "name": term.name,
-            "symbol": term.symbol,
-            "value": plain(float(value)),
-            "unit": term.unit,
-            "std_error": plain(model.std_error(term.name)),
-        }
+        {"name": term.name, "symbol": term.symbol, "value": plain(float(value)),
+         "unit": term.unit, "std_error": plain(model.std_error(term.name))}
         for term, value in zip(model.terms, model.coefficients, strict=True)
-    ]
+    ]  # fmt: skip
 
 
 def identification(found: Identification) -> Document:
     """Return what ``energyplan identify --json`` prints."""
-    icr = {key: getattr(found.icr, key) for key in ("left", "right", "longitudinal")}
+    spread = plain(found.icr_std_error)
     return {
         "terms": terms(found.model),
-        "icr": {**icr, "std_error": plain(found.icr_std_error)},
+        "icr": {**picked(found.icr, "left right longitudinal"), "std_error": spread},
         "residual": residual(found.residual),
         "adequacy": adequacy(found.adequacy),
-        "foretold": None if found.foretold is None else plain(found.foretold),
-        "set_aside": plain(found.set_aside),
-        "warnings": list(found.warnings),
+        **picked(found, "foretold set_aside warnings"),
     }
 
 
@@ -90,18 +87,14 @@ def adequacy(left: Adequacy) -> Document:
 
 def icr(found: ICREstimate) -> Document:
     """Return what ``energyplan identify --spin --json`` prints."""
-    values = {key: getattr(found.icr, key) for key in ("left", "right", "longitudinal")}
-    return {
-        "icr": {**values, "std_error": plain(found.std_error)},
-        "turning": plain(found.turning),
-        "source": found.source,
-    }
+    values = picked(found.icr, "left right longitudinal")
+    spread = plain(found.std_error)
+    return {"icr": {**values, "std_error": spread}, **picked(found, "turning source")}
 
 
 def start(made: Start) -> Document:
     """Return what ``energyplan start --json`` prints."""
     project = made.project
-    keys = ("what", "value", "expected", "ok", "remedy")
     return {
         "columns": {channel: one.written for channel, one in project.columns.items()},
         "units": {
@@ -111,7 +104,7 @@ def start(made: Start) -> Document:
         "topics": None if project.topics is None else project.topics.model_dump(),
         "vehicle": plain(plain_vehicle(project.vehicle)),
         "defaults": plain(project.defaults),
-        "checks": [{key: plain(getattr(check, key)) for key in keys} for check in made.checks],
+        "checks": [picked(check, "what value expected ok remedy") for check in made.checks],
         "notes": list(made.notes),
     }
 
@@ -119,59 +112,38 @@ def start(made: Start) -> Document:
 def diagnosis(told: Diagnosis) -> Document:
     """Return what ``energyplan diagnose --json`` prints."""
     return {
-        "verdict": told.verdict,
-        "effects": [plain(effect) for effect in told.effects],
-        "explanations": [
-            {"effects": list(one.effects), "probability": plain(one.probability)}
-            for one in told.explanations
-        ],
+        **picked(
+            told, "verdict effects training choosing judging predictions average set_aside "
+            "unexplained advice",
+        ),
+        "explanations": [picked(one, "effects probability") for one in told.explanations],
         "before": residual(told.before),
         "after": residual(told.after),
         "after_undated": None if told.after_undated is None else residual(told.after_undated),
-        "training": list(told.training),
-        "choosing": list(told.choosing),
-        "judging": list(told.judging),
         "adequacy": adequacy(told.adequacy),
-        "predictions": [plain(one) for one in told.predictions],
-        "average": None if told.average is None else plain(told.average),
-        "set_aside": plain(told.set_aside),
-        "unexplained": [plain(found) for found in told.unexplained],
-        "advice": list(told.advice),
         "terms": terms(told.model),
-    }
+    }  # fmt: skip
 
 
 def driven_path(told: DrivenPath | None) -> Document:
     """Return what driving a plan takes; null where the motors cannot."""
-    if told is None:
-        return dict.fromkeys(("energy_driven", "duration", "speed", "breakdown_driven"))
-    return {
-        "energy_driven": plain(told.energy),
-        "duration": plain(told.duration),
-        "speed": plain(told.speed),
-        "breakdown_driven": plain(told.breakdown),
-    }
+    keys = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
+            "breakdown_driven": "breakdown"}  # fmt: skip
+    return {key: plain(getattr(told, name, None)) for key, name in keys.items()}
 
 
 def plan(made: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints."""
     keys = (
-        "energy", "length", "turning", "lower_bound", "gap", "planning_time", "planner",
-        "potential", "effort", "cost", "soft_cost",
-    )  # fmt: skip
-    document = {key: plain(getattr(made, key)) for key in keys}
-    told = {"breakdown": plain(made.breakdown), "notes": list(made.notes)}
-    return {**document, **told, "path": plain(made.path.poses())}
+        "energy length turning lower_bound gap planning_time planner potential effort cost "
+        "soft_cost breakdown notes"
+    )
+    return {**picked(made, keys), "path": plain(made.path.poses())}
 
 
 def no_path(error: NoPathError) -> Document:
     """Return what ``energyplan plan --json`` prints where there is no path."""
-    return {
-        "path": None,
-        "reason": str(error),
-        "certainty": error.certainty,
-        "resolution": plain(error.resolution),
-    }
+    return {"path": None, "reason": str(error), **picked(error, "certainty resolution")}
 
 
 def comparison(made: Comparison) -> Document:
@@ -188,61 +160,47 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> Document:
     """Return what ``energyplan range --json`` prints."""
     return {
         "area": plain(found.reachable(float(np.finfo(float).max))),
-        "complete_to": plain(found.complete_to),
-        "confidence": plain(found.confidence),
+        **picked(found, "complete_to confidence"),
         "contours": [{"energy": plain(a.energy), "area": plain(a.area.area)} for a in areas],
     }
 
 
 def feasibility(report: FeasibilityReport) -> Document:
     """Return what ``energyplan check --json`` prints."""
-    keys = ("kind", "side", "start", "end", "peak", "limit")
+    keys = "kind side start end peak limit"
     return {
-        "feasible": report.feasible,
-        "violations": [
-            {key: plain(getattr(violation, key)) for key in keys} for violation in report.violations
-        ],
-        "max_speed_scale": plain(report.max_speed_scale),
-        "energy": plain(report.energy),
-        "reason": report.reason,
+        **picked(report, "feasible max_speed_scale energy reason"),
+        "violations": [picked(violation, keys) for violation in report.violations],
     }
 
 
 def mission(report: MissionReport, trajectories: bool = False) -> Document:
     """Return what ``energyplan mission --json`` prints; with the legs' trajectories if asked."""
     keys = (
-        "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
-"shortfall", "remedy", "remedies", "arrival", "departure", "soc_lower", "start", "start_upper",
-    )  # fmt: skip
+        "name verdict reason reachable_alone energy energy_upper soc_after shortfall remedy "
+        "remedies arrival departure soc_lower start start_upper"
+    )
     whole = (
-        "headline", "order", "route", "energy", "energy_upper", "soc_end", "soc_end_lower", "end",
-        "duration", "feasible", "chargers", "timetable",
-        "proven", "gap", "warnings",
-    )  # fmt: skip
+        "headline order route energy energy_upper soc_end soc_end_lower end duration feasible "
+        "chargers timetable proven gap warnings"
+    )
     return {
         "tasks": [
-            {**{key: plain(getattr(task, key)) for key in keys}, "pose": plain(asked.pose)}
+            {**picked(task, keys), "pose": plain(asked.pose)}
             for task, asked in zip(report.tasks, report.mission.tasks, strict=True)
         ],
-        **{key: plain(getattr(report, key)) for key in whole},
-        "uncertainty": [
-            {key: plain(getattr(doubt, key)) for key in ("source", "energy", "saving")}
-            for doubt in report.uncertainty
-        ],
+        **picked(report, whole),
+        "uncertainty": [picked(doubt, "source energy saving") for doubt in report.uncertainty],
         "legs": [_leg(leg, trajectories) for leg in report.legs],
     }
 
 
 def fleet(report: FleetReport) -> Document:
     """Return what ``energyplan mission --json`` prints of several robots."""
-    keys = (
-        "name", "tasks", "route", "energy", "energy_upper", "soc_end", "soc_end_lower", "duration",
-        "waiting",
-    )  # fmt: skip
-    whole = ("left_out", "energy", "energy_upper", "proven", "gap", "feasible")
+    keys = "name tasks route energy energy_upper soc_end soc_end_lower duration waiting"
     return {
-        "robots": [{key: plain(getattr(one, key)) for key in keys} for one in report.robots],
-        **{key: plain(getattr(report, key)) for key in whole},
+        "robots": [picked(one, keys) for one in report.robots],
+        **picked(report, "left_out energy energy_upper proven gap feasible"),
     }
 
 
@@ -265,25 +223,19 @@ def event(told: Event) -> Document:
 def _leg(leg: LegReport, trajectory: bool) -> Document:
     """Return a leg, with its trajectory as columns over its time if asked."""
     drive = leg.trajectory
-    columns = {
-        "t": drive.t, "x": drive.x, "y": drive.y, "yaw": drive.yaw, "v": drive.v,
-        "omega": drive.omega, "soc": leg.soc, "soc_lower": leg.soc_lower,
-    }  # fmt: skip
-    told = {key: plain(getattr(leg, key)) for key in ("start", "goal", "departure", "energy")}
-    told["duration"] = plain(drive.duration)
+    told = {**picked(leg, "start goal departure energy"), "duration": plain(drive.duration)}
     if trajectory:
+        columns = {name: getattr(drive, name) for name in ("t", "x", "y", "yaw", "v", "omega")}
+        columns |= {"soc": leg.soc, "soc_lower": leg.soc_lower}
         told["trajectory"] = {k: np.round(values, 6).tolist() for k, values in columns.items()}
     return told
 
 
 def driven(made: Driven, secret: bool = False) -> Document:
     """Return what ``energyplan drive --json`` prints; what was taken not by term if `secret`."""
-    keys = (
-        "energy_told", "energy_taken", "error", "arrived", "tracking_error", "heading_error",
-        "final_error",
-    )  # fmt: skip
+    keys = "energy_told energy_taken error arrived tracking_error heading_error final_error"
     return {
-        **{key: plain(getattr(made, key)) for key in keys},
+        **picked(made, keys),
         "duration": plain(made.trajectory.duration),
         "terms": [
             {"name": name, "told": told} | ({} if secret else {"taken": taken})
@@ -295,13 +247,10 @@ def driven(made: Driven, secret: bool = False) -> Document:
 
 def loop(made: Loop) -> Document:
     """Return what ``energyplan close-the-loop --json`` prints."""
-    keys = (
-        "energy_told", "energy_interval", "energy_taken", "error", "overhead", "effects", "length",
-        "note",
-    )  # fmt: skip
+    keys = "energy_told energy_interval energy_taken error overhead effects length note"
     return {
         "rounds": [
-            {key: plain(getattr(now, key)) for key in keys}
+            picked(now, keys)
             | {
                 "arrived": plain(now.driven.arrived) if now.driven else None,
                 "survey": plain(now.survey.trajectory.duration) if now.survey else None,
@@ -316,15 +265,11 @@ def loop(made: Loop) -> Document:
 def design(made: Design) -> Document:
     """Return what ``energyplan design --json`` prints."""
     return {
-        "separates": [
-            {"true": pair.true, "other": pair.other, "log_odds": plain(pair.log_odds)}
-            for pair in made.separates
-        ],
+        "separates": [picked(pair, "true other log_odds") for pair in made.separates],
         "probabilities_expected": [
             {"explanation": label, "if_true": plain(value)}
             for label, value in made.probabilities_expected
         ],
-        "manoeuvres": list(made.manoeuvres),
         "duration": plain(made.trajectory.duration),
-        "sentence": made.sentence,
+        **picked(made, "manoeuvres sentence"),
     }

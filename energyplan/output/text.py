@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from energyplan.html import number
+from energyplan.html import number, unit
 from energyplan.output.documents import terms
 
 if TYPE_CHECKING:
@@ -20,10 +20,6 @@ if TYPE_CHECKING:
     from energyplan.physics.design import Design
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit
 
 
 def hoisted(sides: Sequence[InternalFriction]) -> list[str]:
@@ -103,7 +99,7 @@ def _coefficients(model: PowerModel) -> str:
     return ", ".join(
         f"{row['symbol']} = {number(row['value'])}"
         + ("" if row["std_error"] is None else f" +- {number(row['std_error'], 2)}")
-        + f" {_unit(row['unit'])}".rstrip()
+        + f" {unit(row['unit'])}".rstrip()
         for row in terms(model)
     )
 
@@ -163,7 +159,7 @@ def fleet(told: FleetReport) -> list[str]:
             for stop in robot.route[1:]
         ]
     for task in told.left_out:
-        lines.append(f"{task.name}: nobody does it ({', '.join(task.reasons)})")
+        lines.append(f"{task.name}: not assigned ({', '.join(task.reasons)})")
     return lines
 
 

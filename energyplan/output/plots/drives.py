@@ -33,20 +33,22 @@ def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
 def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
     """Draw measured and predicted power over time."""
     ax.plot(log.t, log.power, color="0.6", lw=0.8, label="measured")
-    for (label, power), (color, dash) in zip(predictions.items(), style.LINES, strict=False):
-        ax.plot(log.t, power, color=color, ls=dash, lw=1.2, label=label)
-    style.label(ax, "time [s]", "power [W]", "Power")
-    style.legend(ax, above=True)
-    return ax
+    return _over_time(ax, log.t, predictions, "power [W]", "Power")
 
 
 def energy_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
     """Draw measured and predicted energy since the start; arguments as in `power_over_time`."""
     ax.plot(log.t, _integral(log.t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
-    for (label, power), (color, dash) in zip(predictions.items(), style.LINES, strict=False):
-        energy = _integral(log.t, np.asarray(power, float)) / 1e3
-        ax.plot(log.t, energy, color=color, ls=dash, lw=1.4, label=label)
-    style.label(ax, "time [s]", "energy [kJ]", "Energy since the start")
+    energies = {k: _integral(log.t, np.asarray(p, float)) / 1e3 for k, p in predictions.items()}
+    return _over_time(ax, log.t, energies, "energy [kJ]", "Energy since the start")
+
+
+def _over_time(
+    ax: Axes, t: FloatArray, predictions: Mapping[str, ArrayLike], what: str, title: str
+) -> Axes:
+    for (label, values), (color, dash) in zip(predictions.items(), style.LINES, strict=False):
+        ax.plot(t, values, color=color, ls=dash, lw=1.3, label=label)
+    style.label(ax, "time [s]", what, title)
     style.legend(ax, above=True)
     return ax
 
