@@ -186,15 +186,8 @@ def _diagnosis(demo: _Demo) -> None:
         "effect, the effect is added, and the error is reported on a drive not fitted to."
     )
     found = ", ".join(words(effect.name) for effect in told.effects) or "no effect"
-    page.paragraph(
-        f"Found: {found}. On the hold-out drive the error of the energy changes from "
-        f"{100 * told.before.energy_error:+.2f} % to {100 * told.after.energy_error:+.2f} %."
-    )
     demo.results.append(("Hidden effects found", found))
-    page.table(
-        ("effect found", "symbol", "size"),
-        [(words(e.name), e.symbol, quantity(e.value, e.std_error, e.unit)) for e in told.effects],
-    )
+    page.summaries(told.tables)
     for name, figure, caption in diagnosis_pictures(told, [unseen]):
         demo.picture(f"diagnosis-{name}.png", figure, caption)
     page.command(
@@ -216,21 +209,11 @@ def _routes(demo: _Demo) -> Comparison:
         grid, cost, Pose(2.0, 2.0, 0.0), Pose(20.0, 12.0, math.pi / 2), surfaces=ground
     )
     made = compare(problem, effort=20_000)
-    page.paragraph(
-        f"The least-energy route saves {100 * made.saving:.0f} % of the energy of the shortest one."
-    )
     demo.results.append(("Energy saved against the shortest route", f"{100 * made.saving:.0f} %"))
     write_path(made.energy_optimal.path, demo.path("routes/least-energy.csv"))
     write_path(made.shortest.path, demo.path("routes/shortest.csv"))
     plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
-    page.table(
-        ("route", "energy [J]", "length [m]", "turning [deg]"),
-        [(label, p.energy, p.length, math.degrees(p.turning)) for label, p in plans.items()],
-    )
-    page.paragraph(
-        f"No route takes less than {made.energy_optimal.lower_bound:.0f} J; the one found is at "
-        f"most {100 * made.energy_optimal.gap:.0f} % above the least possible."
-    )
+    page.summaries(made.tables)
     demo.picture(
         "routes.png",
         plots.routes(
@@ -297,14 +280,7 @@ def _driven(demo: _Demo) -> None:
         "designed drive shows why; the route of the second round takes "
         f"{100 * (1 - last.energy_taken / first.energy_taken):.0f} % less than the first one."
     )
-    page.table(
-        ("round", "predicted [J]", "measured [J]", "error", "length [m]", "found"),
-        [
-            (k, r.energy_told, r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
-             ", ".join(words(effect.name) for effect in r.effects) or "-")
-            for k, r in enumerate(made.rounds, 1)
-        ],
-    )  # fmt: skip
+    page.summaries(made.tables)
     rough = box(-2.0, border["offset"], 11.0, 3.6)
     demo.picture(
         "loop.png",
@@ -323,9 +299,7 @@ def _mission(demo: _Demo, report: MissionReport) -> None:
     summary = f"{done} of {len(report.tasks)} tasks"
     page.paragraph(f"The battery lasts for {summary}.")
     demo.results.append(("The battery lasts for", summary))
-    for table in report.tables:
-        page.heading(table.title)
-        page.table(table.header, list(table.rows))
+    page.summaries(report.tables)
     for name, figure, caption in mission_pictures(report):
         demo.picture(f"mission-{name}.png", figure, caption)
 

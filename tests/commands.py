@@ -1,15 +1,35 @@
 """Commands, run as from a shell."""
 
+import json
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import pytest
 
 from energyplan import cli
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+class Result(NamedTuple):
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """Return its answer, where it had to give one."""
+        assert self.code == 0, self.err
+        return json.loads(self.out)
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> Result:
     """Run a command; return its exit code and what it printed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", ["energyplan", *map(str, arguments)])
         with pytest.raises(SystemExit) as left:
             cli.main()
-    printed = capsys.readouterr()
-    return int(left.value.code or 0), printed.out, printed.err
+    return Result(int(left.value.code or 0), *capsys.readouterr())
+
+
+Run = Callable[..., Result]

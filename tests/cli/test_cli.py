@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run as run_command
+from commands import Result, Run
 from PIL import Image
 
 import energyplan as ep
@@ -22,25 +21,8 @@ from energyplan.io.maps import write_map
 from energyplan.io.tables import write_log, write_trajectory
 from energyplan.reach import most_power
 
-Run = Callable[..., "Result"]
 MODEL = PowerModel.preset("quadriga:full:marble")
 pytestmark = pytest.mark.usefixtures("counted")
-
-
-class Result:
-    """What a command left behind."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-    @property
-    def json(self) -> dict:
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    return lambda *arguments: Result(*run_command(capsys, *arguments))
 
 
 @pytest.fixture(scope="module")
@@ -84,19 +66,6 @@ def assert_refused(result: Result, *words: str) -> None:
     assert "Traceback" not in result.err
     for word in words:
         assert word in result.err
-
-
-def test_identify_prints_what_the_library_finds(run: Run, spiral: Path, tmp_path: Path) -> None:
-    out = tmp_path / "model.yaml"
-    result = run("identify", spiral, "--vehicle", "quadriga:full", "--out", out, "--json")
-    assert result.code == 0
-    found = ep.identify(ep.DriveLog.read(spiral), ep.Vehicle.preset("quadriga:full"))
-    for row in result.json["terms"]:
-        assert row["value"] == pytest.approx(found.model.coefficient(row["name"]))
-        assert row["std_error"] == pytest.approx(found.std_error[row["name"]])
-    again = ep.read_model(out)
-    assert again.coefficients == pytest.approx(found.model.coefficients)
-    assert again.covariance == pytest.approx(found.model.covariance)
 
 
 def test_check_answers_no_and_strict_says_so(run: Run, tmp_path: Path) -> None:

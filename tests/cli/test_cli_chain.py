@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import Run
 from limits.fine_integral import fine_energy
 
-from energyplan import PowerModel, cli, write_model
+from energyplan import PowerModel, write_model
 from energyplan.io.config import write_vehicle
 from energyplan.io.tables import read_trajectory
 from energyplan.power.effects import term
@@ -27,20 +27,12 @@ LAW = PowerModel(
     tuple(term(name) for name in SIZE), np.array(list(SIZE.values())), name="own",
 )  # fmt: skip
 
-Run = Callable[..., dict]
+Ask = Callable[..., dict]
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object, code: int = 0) -> dict:
-        monkeypatch.setattr("sys.argv", ["energyplan", *(str(a) for a in arguments), "--json"])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        printed = capsys.readouterr()
-        assert int(left.value.code or 0) == code, printed.err
-        return json.loads(printed.out) if code == 0 else {"error": printed.err}
-
-    return call
+def ask(run: Run) -> Ask:
+    return lambda *arguments: run(*arguments, "--json").json
 
 
 @pytest.fixture
@@ -62,11 +54,11 @@ def hall(tmp_path: Path) -> list[object]:
 
 
 def test_one_step_from_map_to_trajectory_and_one_energy(
-    run: Run, hall: list[object], tmp_path: Path
+    ask: Ask, hall: list[object], tmp_path: Path
 ) -> None:
     model = tmp_path / "own.yaml"
     for battery in ([], ["--at-battery"]):
-        told = run("plan", *hall, "--speed", 0.7, "--trajectory", tmp_path / "t.csv",
+        told = ask("plan", *hall, "--speed", 0.7, "--trajectory", tmp_path / "t.csv",
                    "--out", tmp_path / "p.csv", *battery)  # fmt: skip
         made = read_trajectory(tmp_path / "t.csv")
         assert told["speed"] == pytest.approx(0.7)
@@ -75,16 +67,16 @@ def test_one_step_from_map_to_trajectory_and_one_energy(
         assert sum(told["breakdown_driven"].values()) == pytest.approx(told["energy_driven"])
         alone = fine_energy(made, LAW.vehicle, SIZE, battery=bool(battery))
         assert told["energy_driven"] == pytest.approx(alone, rel=1e-5)
-        checked = run("check", tmp_path / "t.csv", "--model", model, *battery)
+        checked = ask("check", tmp_path / "t.csv", "--model", model, *battery)
         assert checked["feasible"]
         assert checked["energy"] == pytest.approx(told["energy_driven"], rel=1e-9)
-        timed = run("check", tmp_path / "p.csv", "--model", model, "--speed", 0.7, *battery)
+        timed = ask("check", tmp_path / "p.csv", "--model", model, "--speed", 0.7, *battery)
         assert timed["feasible"]
         assert timed["energy"] == pytest.approx(told["energy_driven"], rel=1e-6)
 
 
 def test_a_mission_leg_takes_what_the_plan_says(
-    run: Run, hall: list[object], tmp_path: Path
+    ask: Ask, hall: list[object], tmp_path: Path
 ) -> None:
     (tmp_path / "mission.yaml").write_text(
         "name: there\nmodel: own.yaml\nmap: hall.yaml\nsoc: 90 %\nspeed: 0.7 m/s\n"
@@ -92,12 +84,12 @@ def test_a_mission_leg_takes_what_the_plan_says(
         "start: [1.5, 2.0, 0]\ntasks:\n- {name: far, pose: [6.5, 2.0, -90deg]}\n"
     )
     legs = tmp_path / "legs"
-    told = run("mission", tmp_path / "mission.yaml", "--trajectories", legs)
+    told = ask("mission", tmp_path / "mission.yaml", "--trajectories", legs)
     total = 0.0
     for leg in sorted(legs.iterdir()):
         made = read_trajectory(leg)
         alone = fine_energy(made, LAW.vehicle, SIZE, battery=True)
-        checked = run("check", leg, "--model", tmp_path / "own.yaml", "--at-battery")
+        checked = ask("check", leg, "--model", tmp_path / "own.yaml", "--at-battery")
         assert checked["feasible"]
         assert checked["energy"] == pytest.approx(alone, rel=1e-5)
         total += alone
@@ -106,46 +98,45 @@ def test_a_mission_leg_takes_what_the_plan_says(
 
 
 def test_the_usual_speed_is_the_default_and_the_cheapest_a_choice(
-    run: Run, hall: list[object], tmp_path: Path
+    ask: Ask, hall: list[object], tmp_path: Path
 ) -> None:
-    fast = run("plan", *hall)
+    fast = ask("plan", *hall)
     assert fast["speed"] == pytest.approx(1.2)
-    cheapest = run("plan", *hall, "--speed", "cheapest")
+    cheapest = ask("plan", *hall, "--speed", "cheapest")
     # what is least is the energy at the speed that it is priced at, without starts and stops
     assert cheapest["energy"] < fast["energy"]
     assert cheapest["speed"] < 1.2
     slow = replace(LAW, vehicle=replace(LAW.vehicle, usual_speed=0.4))
     write_model(slow, tmp_path / "own.yaml")
-    assert run("plan", *hall)["speed"] == pytest.approx(0.4)
+    assert ask("plan", *hall)["speed"] == pytest.approx(0.4)
 
 
 def test_a_range_is_priced_at_the_speed_that_plans_are(
-    run: Run, hall: list[object], tmp_path: Path
+    ask: Ask, hall: list[object], tmp_path: Path
 ) -> None:
     base = [*hall[:4], "--start", "1.5,2,0"]
     plan, farthest = {}, {}
     for speed in (1.2, 0.4):
         slow = replace(LAW, vehicle=replace(LAW.vehicle, usual_speed=speed))
         write_model(slow, tmp_path / "own.yaml")
-        plan[speed] = run("plan", *hall)["energy"]
-        farthest[speed] = run("range", *base)["contours"][-1]["energy"]
+        plan[speed] = ask("plan", *hall)["energy"]
+        farthest[speed] = ask("range", *base)["contours"][-1]["energy"]
     assert farthest[0.4] / farthest[1.2] == pytest.approx(plan[0.4] / plan[1.2], rel=0.02)
 
 
-def test_inputs_that_say_nothing_are_refused(run: Run, hall: list[object], tmp_path: Path) -> None:
-    assert "neither metres per second" in run("plan", *hall, "--speed", "fast", code=2)["error"]
-    run("plan", *hall, "--trajectory", tmp_path / "t.csv")
-    message = run(
-        "check", tmp_path / "t.csv", "--model", tmp_path / "own.yaml", "--speed", 1, code=2
-    )["error"]
-    assert "is a trajectory" in message
+def test_inputs_that_say_nothing_are_refused(
+    ask: Ask, run: Run, hall: list[object], tmp_path: Path
+) -> None:
+    assert "neither metres per second" in run("plan", *hall, "--speed", "fast").err
+    ask("plan", *hall, "--trajectory", tmp_path / "t.csv")
+    told = run("check", tmp_path / "t.csv", "--model", tmp_path / "own.yaml", "--speed", 1)
+    assert told.code == 2 and "is a trajectory" in told.err
     weak = replace(LAW.vehicle, motor=replace(LAW.vehicle.motor, force=50.0))
     write_model(replace(LAW, vehicle=weak), tmp_path / "own.yaml")
-    assert run("plan", *hall)["energy_driven"] is None
-    refused = run("plan", *hall, "--trajectory", tmp_path / "none.csv", code=2)["error"]
-    assert "no speed is feasible" in refused
+    assert ask("plan", *hall)["energy_driven"] is None
+    assert "no speed is feasible" in run("plan", *hall, "--trajectory", tmp_path / "none.csv").err
     assert not (tmp_path / "none.csv").exists()
     write_vehicle(LAW.vehicle, tmp_path / "robot.yaml")
-    report = run("check", tmp_path / "t.csv", "--model", tmp_path / "own.yaml",
+    report = ask("check", tmp_path / "t.csv", "--model", tmp_path / "own.yaml",
                  "--vehicle", tmp_path / "robot.yaml")  # fmt: skip
     assert report["feasible"]

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import Run
 
-from energyplan import PowerModel, cli, simulate
+from energyplan import PowerModel, simulate
 from energyplan.errors import DriveLogError
 from energyplan.io.logs import describe_log
 from energyplan.io.tables import write_log
@@ -119,23 +120,10 @@ def test_a_bag_without_power_says_so(tmp_path: Path) -> None:
     assert told.channels["husky"] == ()
 
 
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr("sys.argv", ["energyplan", *map(str, arguments)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    return int(left.value.code or 0)
-
-
-def test_topic_maps_are_chosen_by_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_topic_maps_are_chosen_by_name(tmp_path: Path, run: Run) -> None:
     """A map finds the joints' topic or not; either way the answer names the map."""
     file = bag(tmp_path, {"/rosout": "std_msgs/msg/String"})
     for topics, words in (("jackal", ("'jackal'", "/rosout")), ("tractor", ("tractor", "warthog"))):
-        code = command(
-            monkeypatch, "identify", file, "--vehicle", "jackal", "--topics", topics
-        )  # fmt: skip
-        assert code == 2
-        error = capsys.readouterr().err
-        for word in words:
-            assert word in error
+        told = run("identify", file, "--vehicle", "jackal", "--topics", topics)
+        assert told.code == 2
+        assert all(word in told.err for word in words)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run
+from commands import Run
 
 import energyplan as ep
 from energyplan import cli, simulate
@@ -51,10 +51,10 @@ def folder(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return site
 
 
-def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+def refused(folder: Path, run: Run, *arguments: object) -> str:
     """Assert that a command refuses in one line and leaves the folder as it was."""
     before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
-    code, out, error = run(capsys, *arguments)
+    code, out, error = run(*arguments)
     assert (code, out) == (2, ""), error
     assert len(error.splitlines()) == 1
     after = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
@@ -69,18 +69,16 @@ PLAN = ("plan", "--map", "office.yaml", "--model", "model.yaml", "--start", "1.2
 @pytest.mark.parametrize("name", ["robot.yaml", "./robot.yaml", "../site/robot.yaml", "soft.yaml",
                                   "hard.yaml", "here/robot.yaml"])  # fmt: skip
 def test_an_output_that_is_an_input_by_any_name_is_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str], name: str
+    folder: Path, run: Run, name: str
 ) -> None:
     (folder / "soft.yaml").symlink_to("robot.yaml")
     os.link("robot.yaml", "hard.yaml")
     (folder / "here").symlink_to(".")
-    error = refused(folder, capsys, "identify", "a.csv", "--vehicle", "robot.yaml", "--out", name)
+    error = refused(folder, run, "identify", "a.csv", "--vehicle", "robot.yaml", "--out", name)
     assert "would be lost" in error
 
 
-def test_every_command_refuses_to_replace_what_it_reads(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_refuses_to_replace_what_it_reads(folder: Path, run: Run) -> None:
     os.link("a.csv", "a.yaml")
     image = next(file for file in folder.glob("office.p*"))
     shutil.copy(image, "floor.png")
@@ -94,23 +92,23 @@ def test_every_command_refuses_to_replace_what_it_reads(
         ("compare", *PLAN[1:], "--plot", "floor.png"),
     ]  # fmt: skip
     for case in cases:
-        assert "lost" in refused(folder, capsys, *case)
+        assert "lost" in refused(folder, run, *case)
 
 
-def test_only_what_is_read_is_guarded(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_what_is_read_is_guarded(folder: Path, run: Run) -> None:
     """An empty text, or one that happens to name a folder, is no input."""
     (folder / "kept.yaml").write_text("kind: project")
     (folder / "own").mkdir()
     for name in ("", "own", "."):
-        code, _, error = run(capsys, "start", "a.csv", "--track", 0.5, "--name", name, "--out",
+        code, _, error = run("start", "a.csv", "--track", 0.5, "--name", name, "--out",
                              "kept.yaml")  # fmt: skip
         assert code == 0, error
 
 
 def test_one_drive_is_cut_into_what_is_learned_from_and_what_is_judged_on(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, run: Run
 ) -> None:
-    code, out, error = run(capsys, "diagnose", "a.csv", "--vehicle", "robot.yaml", "--json")
+    code, out, error = run("diagnose", "a.csv", "--vehicle", "robot.yaml", "--json")
     assert code == 0, error
     told = json.loads(out)
     (learned,), (judged,) = told["training"], told["judging"]
@@ -119,7 +117,7 @@ def test_one_drive_is_cut_into_what_is_learned_from_and_what_is_judged_on(
 
 
 def test_short_drives_are_judged_on_whole_and_what_was_set_aside_counts_once(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, run: Run
 ) -> None:
     """Recordings are often short; one of 12 s among others is no reason to refuse them all."""
     whole = ep.DriveLog.read("a.csv")
@@ -131,7 +129,7 @@ def test_short_drives_are_judged_on_whole_and_what_was_set_aside_counts_once(
         blank = ",".join("" for _ in rows[0].split(","))
         lines = [rows[0], *rows[1 + first : 1 + last], blank]
         (folder / name).write_text("\n".join(lines) + "\n")
-    code, out, error = run(capsys, "diagnose", *parts, "--vehicle", "robot.yaml", "--json")
+    code, out, error = run("diagnose", *parts, "--vehicle", "robot.yaml", "--json")
     assert code == 0, error
     told = json.loads(out)
     assert told["training"] == ["long.csv from 0 to 26.97 s", "one.csv"]
@@ -141,9 +139,9 @@ def test_short_drives_are_judged_on_whole_and_what_was_set_aside_counts_once(
     )
 
 
-def test_two_outputs_are_two_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_outputs_are_two_files(folder: Path, run: Run) -> None:
     (folder / "two.png").symlink_to("route.csv")
-    error = refused(folder, capsys, *PLAN, "--out", "route.csv", "--plot", "two.png")
+    error = refused(folder, run, *PLAN, "--out", "route.csv", "--plot", "two.png")
     assert "twice" in error
 
 
@@ -168,7 +166,7 @@ def test_what_a_mission_names_is_behind_it(folder: Path) -> None:
 )  # fmt: skip
 def test_an_impossible_output_is_refused_before_the_work(
     folder: Path,
-    capsys: pytest.CaptureFixture[str],
+    run: Run,
     monkeypatch: pytest.MonkeyPatch,
     option: str,
     name: str,
@@ -183,17 +181,17 @@ def test_an_impossible_output_is_refused_before_the_work(
     monkeypatch.setattr(
         "os.access", lambda path, mode, **_: mode != os.W_OK or "locked" not in str(path)
     )
-    assert word in refused(folder, capsys, *PLAN, option, name)
+    assert word in refused(folder, run, *PLAN, option, name)
 
 
 def test_a_full_disk_is_told_before_the_work(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(number: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    error = refused(folder, capsys, *PLAN, "--out", "path.csv")
+    error = refused(folder, run, *PLAN, "--out", "path.csv")
     assert "No space left" in error
 
 
@@ -249,32 +247,30 @@ def test_an_encoding_that_lacks_a_letter_prints_the_answer(encoding: str, shown:
 
 @pytest.mark.parametrize(("turns", "told"), [(1.0, False), (2.0, True)])
 def test_an_angle_that_the_yaw_contradicts_is_told(
-    folder: Path, capsys: pytest.CaptureFixture[str], turns: float, told: bool
+    folder: Path, run: Run, turns: float, told: bool
 ) -> None:
     spin = simulate.drive(MODEL, "spin")
     write_log(spin, Path("spin.csv"))
     angle = turns * float(np.abs(np.diff(spin.channel("yaw"))).sum())
     icr = ("identify", "spin.csv", "--vehicle", "robot.yaml", "--spin")
-    code, _, error = run(capsys, *icr, "--angle", f"{angle}")
+    code, _, error = run(*icr, "--angle", f"{angle}")
     assert code == 0
     assert ("which is right?" in error) == told
 
 
 @pytest.mark.parametrize("robot", ["quadriga:empty", "husky_a200"])
-def test_what_belongs_to_another_robot_is_told(
-    folder: Path, capsys: pytest.CaptureFixture[str], robot: str
-) -> None:
+def test_what_belongs_to_another_robot_is_told(folder: Path, run: Run, robot: str) -> None:
     """Another load of the same robot is no other robot."""
     path = ep.Path(ep.Pose(1.2, 2.0, 0.0), ds=[1.0], dtheta=[0.0])
     write_trajectory(ep.speed.profile(path, MODEL), Path("t.csv"))
-    _, _, error = run(capsys, "check", "t.csv", "--model", "model.yaml", "--vehicle", robot)
+    _, _, error = run("check", "t.csv", "--model", "model.yaml", "--vehicle", robot)
     assert ("limits are of another robot, husky" in error) == (robot == "husky_a200")
     (folder / "ground.yaml").write_text(
         f"map: office.yaml\nsurfaces: {bundled('office_surfaces.geojson')}\n"
     )
     ground = ("--map", "ground.yaml")
     ground_model = {"husky_a200": "husky_a200:flooring"}.get(robot, "quadriga:empty:marble")
-    _, _, error = run(capsys, "check", "t.csv", "--model", ground_model, *ground)
+    _, _, error = run("check", "t.csv", "--model", ground_model, *ground)
     assert ("surfaces are of another robot, quad" in error) == (robot == "husky_a200")
 
 
@@ -284,10 +280,10 @@ def test_what_belongs_to_another_robot_is_told(
      ("a.csv", "--holdout=c.csv", "d.csv"), ("a.csv", "--holdout", "c.csv", "--holdout", "d.csv")],
 )  # fmt: skip
 def test_all_that_follows_holdout_is_held_out(
-    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+    folder: Path, run: Run, arguments: tuple[str, ...]
 ) -> None:
     vehicle = ("--vehicle", "robot.yaml", "--json")
-    code, out, error = run(capsys, "diagnose", *vehicle, *arguments)
+    code, out, error = run("diagnose", *vehicle, *arguments)
     assert code == 0, error
     told = json.loads(out)
     assert told["training"] == ["a.csv"]
@@ -353,7 +349,7 @@ serve . --port=99999 | '99999' should be less than
 
 @pytest.mark.parametrize("case", BAD_INPUTS.strip().splitlines())
 def test_bad_input_is_refused_in_one_line_that_tells_the_remedy(
-    folder: Path, capsys: pytest.CaptureFixture[str], case: str
+    folder: Path, run: Run, case: str
 ) -> None:
     (folder / "same.csv").symlink_to("a.csv")
     (folder / "broken.csv").write_text("t,v_left,v_right,power\n0,0,0,1\n1,0,0,1\n0.5,0,0,1\n")
@@ -367,53 +363,51 @@ def test_bad_input_is_refused_in_one_line_that_tells_the_remedy(
     command, said = case.split(" | ")
     site = "--map office.yaml --model model.yaml --start 1.2,2,90deg"
     places = {"plan": f"plan {site}", "site": site, "surfaces": bundled("office_surfaces.geojson")}
-    assert said in refused(folder, capsys, *shlex.split(command.format(**places)))
+    assert said in refused(folder, run, *shlex.split(command.format(**places)))
 
 
-def test_without_a_command_it_says_what_to_do_first(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, error = run(capsys)
+def test_without_a_command_it_says_what_to_do_first(run: Run) -> None:
+    code, out, error = run()
     assert (code, error) == (0, "")
     assert len(out.splitlines()) <= 20
     named = set(re.findall(r"energyplan (\w+)", out))
     assert {"demo", "start", "diagnose", "plan", "mission"} == named
-    code, out, error = run(capsys, "export")
+    code, out, error = run("export")
     assert (code, error) == (0, "")
     assert "lattice" in out
 
 
 def test_a_command_of_the_last_release_names_its_successor(
-    capsys: pytest.CaptureFixture[str],
+    run: Run,
 ) -> None:
     for former, now in (("icr", "identify --spin"), ("fleet", "mission"), ("log", "start")):
-        code, out, error = run(capsys, former, "a.csv", "--vehicle", "quadriga")
+        code, out, error = run(former, "a.csv", "--vehicle", "quadriga")
         assert (code, out) == (2, "")
         assert f"{former} is now {now}" in error
         assert len(error.splitlines()) == 1
 
 
-def test_a_project_is_no_second_vehicle_beside_a_model(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_project_is_no_second_vehicle_beside_a_model(folder: Path, run: Run) -> None:
     start = ("start", "a.csv", "--like", "robot.yaml", "--out", "project.yaml")
-    assert run(capsys, *start)[0] == 0
+    assert run(*start)[0] == 0
     words = ("watch", "a.csv", "--once", "--model", "model.yaml", "--project", "project.yaml")
-    code, out, error = run(capsys, *words)
+    code, out, error = run(*words)
     assert code == 0, error
     assert out
-    assert "--model and --vehicle" in refused(folder, capsys, *words, "--vehicle", "robot.yaml")
+    assert "--model and --vehicle" in refused(folder, run, *words, "--vehicle", "robot.yaml")
 
 
-def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_printed(run: Run) -> None:
     for option in ("--version", "-V"):
-        assert run(capsys, option) == (0, f"energyplan {ep.__version__}\n", "")
+        assert run(option) == (0, f"energyplan {ep.__version__}\n", "")
 
 
 def test_escape_codes_of_a_file_never_reach_the_terminal(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = "\x1b[31mga\x07te\x9b"
     (folder / name).write_text("t,v_left,v_right,power\n0,0,0,1\n")
-    code, out, error = run(capsys, "identify", name, "--vehicle", "robot.yaml")
+    code, out, error = run("identify", name, "--vehicle", "robot.yaml")
     assert (code, out) == (2, "")
     assert r"\u001b[31mga\u0007te\u009b" in error
     assert error.rstrip("\n").isprintable()

@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from commands import run as run_command
+from commands import Run
 
 from energyplan import OccupancyGrid, PowerModel, write_model
 from energyplan.export.graph import read_route_graph
 from energyplan.io.maps import write_map
 from energyplan.power.effects import term
 
-Run = Callable[..., "tuple[int, str, str]"]
 MODEL = "quadriga:empty:concrete"
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    return partial(run_command, capsys)
 
 
 @pytest.fixture

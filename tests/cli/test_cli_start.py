@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from commands import run
+from commands import Run
 from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 
 import energyplan as ep
@@ -112,12 +112,10 @@ def test_the_pose_tells_a_wheel_radius_that_nobody_gave(tmp_path: Path) -> None:
         start(file, Given(track=0.4, wheelbase=0.62, mass=30.0))
 
 
-def test_a_mistake_in_the_measures_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_mistake_in_the_measures_is_told(tmp_path: Path, run: Run) -> None:
     file, out = write_log(drive(), tmp_path / "own.csv"), tmp_path / "p.yaml"
     wrong = ("--track", 40, "--wheelbase", 62, "--mass", 30, "--json")
-    code, text, _ = run(capsys, "start", file, *wrong, "--out", out)
+    code, text, _ = run("start", file, *wrong, "--out", out)
     told = json.loads(text)
     assert code == 3
     assert not out.exists()
@@ -126,14 +124,12 @@ def test_a_mistake_in_the_measures_is_told(
     assert failed
     assert all({"what", "value", "expected", "ok"} <= set(check) for check in told["checks"])
     assert "track and wheelbase are in cm" in failed[0]["remedy"]
-    code, _, _ = run(capsys, "start", file, *wrong, "--out", out, "--accept")
+    code, _, _ = run("start", file, *wrong, "--out", out, "--accept")
     assert code == 0
     assert out.exists()
 
 
-def test_a_wrong_wheel_radius_is_told_by_identify(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_wheel_radius_is_told_by_identify(tmp_path: Path, run: Run) -> None:
     log = drive()
     fast = {name: np.array(values) for name, values in log.channels.items()}
     fast |= {name: fast[name] * 0.1651 / RADIUS for name in ("v_left", "v_right")}
@@ -142,39 +138,35 @@ def test_a_wrong_wheel_radius_is_told_by_identify(
     from energyplan.io.config import write_vehicle
 
     write_vehicle(ROBOT, ep_vehicle)
-    code, text, _ = run(capsys, "identify", file, "--vehicle", ep_vehicle, "--json")
+    code, text, _ = run("identify", file, "--vehicle", ep_vehicle, "--json")
     assert code == 0
     assert any("wheel radius is not" in warning for warning in json.loads(text)["warnings"])
 
 
-def test_a_bag_of_an_unknown_robot_needs_a_radius_from_somewhere(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_of_an_unknown_robot_needs_a_radius_from_somewhere(tmp_path: Path, run: Run) -> None:
     file = bag(tmp_path, drive())
     (tmp_path / "v.yaml").write_text("mass: 30\nwheelbase: 0.62\ntrack: 0.4\nlength: 0.8\n"
                                      "width: 0.5\nname: own\n")  # fmt: skip
-    code, _, error = run(capsys, "identify", file, "--vehicle", tmp_path / "v.yaml")
+    code, _, error = run("identify", file, "--vehicle", tmp_path / "v.yaml")
     assert code == 2
     assert "energyplan start" in error
 
 
 @pytest.mark.parametrize("pose", [True, False])
-def test_the_topics_of_a_bag_are_found(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], pose: bool
-) -> None:
+def test_the_topics_of_a_bag_are_found(tmp_path: Path, run: Run, pose: bool) -> None:
     log = drive()
     file, out = bag(tmp_path, log, pose), tmp_path / "p.yaml"
     radius = () if pose else ("--wheel-radius", RADIUS)
-    code, text, error = run(capsys, "start", file, *MEASURES, *radius, "--out", out, "--json")
+    code, text, error = run("start", file, *MEASURES, *radius, "--out", out, "--json")
     assert code == 0, error
     assert all(check["ok"] for check in json.loads(text)["checks"])
-    code, text, error = run(capsys, "identify", file, "--project", out, "--json")
+    code, text, error = run("identify", file, "--project", out, "--json")
     assert code == 0, error
     terms = {term["name"]: term["value"] for term in json.loads(text)["terms"]}
     assert terms["traction_resistance"] == pytest.approx(22.0, rel=0.05)
     assert terms["slip_friction"] == pytest.approx(0.6, rel=0.05)
     if not pose:
-        code, _, error = run(capsys, "start", file, *MEASURES, "--out", out)
+        code, _, error = run("start", file, *MEASURES, "--out", out)
         assert code == 2
         assert "--wheel-radius" in error
 
@@ -220,12 +212,10 @@ def test_a_preset_that_a_mission_names_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
-def test_hoisted_drives_tell_the_friction_inside(
-    shared_data: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_hoisted_drives_tell_the_friction_inside(shared_data: Path, run: Run) -> None:
     logs = sorted((shared_data / "drive").glob("husky_hoisted_*.csv"))
     command = ("identify", *logs, "--vehicle", "husky_a200", "--hoisted", "--json")
-    code, text, error = run(capsys, *command, "--motor-constant", 21.4)
+    code, text, error = run(*command, "--motor-constant", 21.4)
     assert code == 0, error
     sides = {side["side"]: side for side in json.loads(text)["sides"]}
     # 21.4 N/A times the mean current beyond the dead band: 0.6 to 1.0 A left, 1.2 to 2.1 A right
@@ -234,33 +224,31 @@ def test_hoisted_drives_tell_the_friction_inside(
     assert sides["left"]["slope"] > 3 * sides["left"]["slope_error"]
     assert len(sides["left"]["classes"]) >= 8
     assert not any("yaw" in warning for warning in json.loads(text)["warnings"])
-    code, text, _ = run(capsys, *command)
+    code, text, _ = run(*command)
     assert any("--motor-constant" in warning for warning in json.loads(text)["warnings"])
 
 
-def test_terms_are_chosen_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_terms_are_chosen_and_left_out(tmp_path: Path, run: Run) -> None:
     file = write_log(drive(), tmp_path / "own.csv")
     command = ("identify", file, "--vehicle", "quadriga", "--json")
-    code, text, _ = run(capsys, *command, "--terms", "slip_friction,traction_resistance,hotel_load")
+    code, text, _ = run(*command, "--terms", "slip_friction,traction_resistance,hotel_load")
     assert code == 0
     names = [term["name"] for term in json.loads(text)["terms"]]
     assert names == ["slip_friction", "traction_resistance", "hotel_load"]
-    code, text, _ = run(capsys, *command, "--without", "slip_friction")
+    code, text, _ = run(*command, "--without", "slip_friction")
     assert [term["name"] for term in json.loads(text)["terms"]] == ["traction_resistance"]
-    code, _, error = run(capsys, *command, "--without", "hotel_load")
+    code, _, error = run(*command, "--without", "hotel_load")
     assert code == 2
     assert "slip_friction" in error
 
 
-def test_powers_without_sign_are_told_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_powers_without_sign_are_told_once(tmp_path: Path, run: Run) -> None:
     """The reader doubts them, and identify says what follows from it: one note says both."""
     truth = ep.PowerModel.preset("quadriga:full:concrete")
     made = simulate.identification_drive(truth, rate=10.0, power_noise=5.0, seed=1)
     lost = {name: np.abs(made.channel(name)) for name in ("p_left", "p_right")}
     file = write_log(ep.DriveLog({**made.channels, **lost}), tmp_path / "lost.csv")
-    code, text, _ = run(capsys, "identify", file, "--vehicle", "quadriga:full")
+    code, text, _ = run("identify", file, "--vehicle", "quadriga:full")
     assert code == 0
     assert text.count("never negative") == 1
     assert "these terms are wrong" in text

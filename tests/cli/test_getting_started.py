@@ -5,57 +5,43 @@ Every file comes from a command, but for the log, the map and the mission.
 
 from __future__ import annotations
 
-import json
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import Run
 from own_robot import bag, drive
 
-from energyplan import cli
-
-Run = Callable[..., dict[str, Any]]
+Ask = Callable[..., dict[str, Any]]
 
 pytestmark = pytest.mark.usefixtures("hurried")
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> Ask:
     """Run a command in an empty folder; return its JSON document."""
     monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> dict[str, Any]:
-        monkeypatch.setattr(sys, "argv", ["energyplan", *map(str, arguments), "--json"])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        printed = capsys.readouterr()
-        assert not left.value.code, f"{arguments}: {printed.err}"
-        document = json.loads(printed.out)
-        assert isinstance(document, dict)
-        return document
-
-    return call
+    return lambda *arguments: run(*arguments, "--json").json
 
 
-def chain(run: Run, log: str, measures: tuple[object, ...], poses: tuple[str, str]) -> None:
+def chain(ask: Ask, log: str, measures: tuple[object, ...], poses: tuple[str, str]) -> None:
     """Start, identify, diagnose, plan, check and budget, each with one command."""
     project, route = ("--project", "robot.yaml"), ("--map", "map.yaml", "--model", "extended.yaml")
-    started = run("start", log, *measures, "--out", "robot.yaml")
+    started = ask("start", log, *measures, "--out", "robot.yaml")
     assert all(check["ok"] for check in started["checks"])
     assert len(started["checks"]) >= 6
-    found = run("identify", log, *project, "--out", "model.yaml")
+    found = ask("identify", log, *project, "--out", "model.yaml")
     assert {term["name"] for term in found["terms"]} == {"slip_friction", "traction_resistance"}
     for term in found["terms"]:
         assert 0 < term["std_error"] < 0.2 * term["value"]
-    told = run("diagnose", log, *project, "--out", "extended.yaml")
+    told = ask("diagnose", log, *project, "--out", "extended.yaml")
     assert len(told["training"]) == len(told["judging"]) == 1
     start, goal = poses
-    plan = run("plan", *project, *route, "--start", start, "--goal", goal, "--effort",
+    plan = ask("plan", *project, *route, "--start", start, "--goal", goal, "--effort",
                20_000, "--trajectory", "trajectory.csv")  # fmt: skip
-    checked = run("check", "trajectory.csv", "--model", "extended.yaml", *project)
+    checked = ask("check", "trajectory.csv", "--model", "extended.yaml", *project)
     assert checked["feasible"]
     assert checked["energy"] == pytest.approx(plan["energy_driven"], rel=1e-3)
     # equal where the plan is optimal: the file's digits round the twelfth
@@ -64,27 +50,27 @@ def chain(run: Run, log: str, measures: tuple[object, ...], poses: tuple[str, st
         f"model: extended.yaml\nmap: map.yaml\nbattery: quadriga\nstart: [{start}]\n"
         f"tasks: [{{name: look, pose: [{goal}]}}]\n"
     )
-    mission = run("mission", "mission.yaml", *project, "--effort", 20_000)
+    mission = ask("mission", "mission.yaml", *project, "--effort", 20_000)
     assert [task["name"] for task in mission["tasks"]] == ["look"]
     assert mission["tasks"][0]["reachable_alone"]
 
 
 @pytest.mark.shared
 @pytest.mark.slow
-def test_from_the_log_of_a_warthog(shared_data: Path, tmp_path: Path, run: Run) -> None:
+def test_from_the_log_of_a_warthog(shared_data: Path, tmp_path: Path, ask: Ask) -> None:
     shutil.copy(shared_data / "drive" / "warthog_grass.csv", tmp_path / "drive.csv")
     shutil.copy(shared_data / "maps" / "depot.pgm", tmp_path)
     shutil.copy(shared_data / "maps" / "depot.yaml", tmp_path / "map.yaml")
     measures = ("--track", 1.13, "--wheelbase", 0.91, "--mass", 470)
-    chain(run, "drive.csv", measures, ("4.6,7.7,0", "10.5,7.8,90deg"))
+    chain(ask, "drive.csv", measures, ("4.6,7.7,0", "10.5,7.8,90deg"))
 
 
 @pytest.mark.nightly  # by day the pages' commands are run, from a bag as well
-def test_from_a_bag_of_a_robot_that_no_preset_knows(tmp_path: Path, run: Run) -> None:
+def test_from_a_bag_of_a_robot_that_no_preset_knows(tmp_path: Path, ask: Ask) -> None:
     from energyplan.io.files import bundled, files_behind
 
     bag(tmp_path, drive())
     for file in files_behind(bundled("warehouse.yaml")):
         shutil.copy(file, tmp_path / (file.name if file.suffix != ".yaml" else "map.yaml"))
     measures = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 30)
-    chain(run, "bag", measures, ("14,10.6,0", "21,11.8,90deg"))
+    chain(ask, "bag", measures, ("14,10.6,0", "21,11.8,90deg"))
