@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import math
 import re
 import select
 import sys
 from collections.abc import Callable
-from copy import copy
 from dataclasses import MISSING, fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -67,12 +65,6 @@ class Command(TyperCommand):
     An option whose metavar ends with dots takes all that follows it, up to the next option.
     ``--project`` gives the options ``--vehicle``, ``--columns`` and ``--topics`` their value.
     """
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        project = copy(_project_option())
-        project.hidden = not _OF_PROJECT & {param.name for param in self.params}
-        self.params.append(project)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, each value of a list as if its option stood before it."""
@@ -216,7 +208,17 @@ def grouped(function: Callable[..., Any]) -> Callable[..., Any]:
                 annotation=annotations[option.name],
             )
 
-    def command(**values: Any) -> Any:
+    option = typer.Option(
+        callback=_take_project, expose_value=False, is_eager=True,
+        hidden=not _OF_PROJECT & options.keys(),
+        help="Project written by start, in place of --vehicle, --columns and --topics.",
+    )  # fmt: skip
+    options["project"] = inspect.Parameter(
+        "project", inspect.Parameter.KEYWORD_ONLY, default=None,
+        annotation=Annotated[Path | None, option],
+    )  # fmt: skip
+
+    def command(project: None = None, **values: Any) -> Any:
         for name, kind in groups.items():
             values[name] = kind(**{option.name: values.pop(option.name) for option in fields(kind)})
         return function(**values)
@@ -261,30 +263,6 @@ def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:
         told = {name: str(value) for name, there in given.items() if there}
         ctx.default_map = {**(ctx.default_map or {}), **told}
     return value
-
-
-@functools.cache
-def _project_option() -> Any:
-    """Build the option that every command has."""
-    from typer.main import get_command
-
-    parts = typer.Typer(add_completion=False)
-
-    @parts.command()
-    def take(
-        project: Annotated[
-            Path | None,
-            typer.Option(
-                callback=_take_project,
-                expose_value=False,
-                is_eager=True,
-                help="Project written by start, in place of --vehicle, --columns and --topics.",
-            ),
-        ] = None,
-    ) -> None:
-        """Hold the option."""
-
-    return next(param for param in get_command(parts).params if param.name == "project")
 
 
 def check_standard_output() -> None:
