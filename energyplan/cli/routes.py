@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -32,32 +32,71 @@ if TYPE_CHECKING:
 
 PLAN_TIME = 1.0
 """Time for planning where neither time nor effort is given [s]."""
-Planner = Annotated[str, Option(help="lattice, roadmap, or the name of another planner.")]
-Objective = Annotated[str, Option(help="What to make least: energy, length or time.")]
-Turning = Annotated[
-    str,
-    Option(
-        metavar="any|forward|RADIUS",
-        help="How the robot may turn: in any way, without treads against each other, or on arcs of "
-        "this radius at least [m].",
-    ),
-]
-OutPath = Annotated[
-    Path | None,
-    Option(
-        "--out",
-        callback=writes(*opt.TABLES, opt.RECORDING),
-        help="Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
-    ),
-]
-OutTrajectory = Annotated[
-    Path | None,
-    Option(
-        "--trajectory",
-        callback=writes(*opt.TABLES),
-        help="Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' limits.",
-    ),
-]
+
+
+@dataclass(frozen=True)
+class Routing:
+    """How a route is searched, and where it is written."""
+
+    turning: Annotated[
+        str,
+        Option(
+            metavar="any|forward|RADIUS",
+            help="How the robot may turn: in any way, without treads against each other, or on "
+            "arcs of this radius at least [m].",
+        ),
+    ] = "any"
+    planner: Annotated[str, Option(help="lattice, roadmap, or the name of another planner.")] = (
+        "lattice"
+    )
+    objective: Annotated[str, Option(help="What to make least: energy, length or time.")] = "energy"
+    out: Annotated[
+        Path | None,
+        Option(
+            callback=writes(*opt.TABLES, opt.RECORDING),
+            help="Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
+        ),
+    ] = None
+    trajectory: Annotated[
+        Path | None,
+        Option(
+            callback=writes(*opt.TABLES),
+            help="Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' "
+            "limits.",
+        ),
+    ] = None
+    plot: opt.Plot = None
+
+    def problem(self, site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -> Any:
+        """Return what is to be planned; a recording that could not be written is refused."""
+        if self.out and self.out.suffix == opt.RECORDING:
+            from energyplan.ros.messages import need_rosbags
+
+            need_rosbags()
+        turning: str | float = self.turning
+        with suppress(ValueError):
+            turning = float(turning)
+        return problem_of(
+            site, drive, start, goal, objective=self.objective, turning=turning, **more
+        )
+
+    def write(self, problem: PlanningProblem, plans: dict[str, Plan]) -> None:
+        """Write the first of some plans as a table, or all as a recording; draw them all."""
+        from energyplan.io.files import atomic_write
+        from energyplan.io.tables import write_path
+        from energyplan.output import plots
+        from energyplan.output.plots import image
+
+        if self.out and self.out.suffix == opt.RECORDING:
+            from energyplan.ros.messages import write_recording
+
+            topics = {f"/{name.replace(' ', '_')}": made.path for name, made in plans.items()}
+            write_recording(topics, self.out, problem.map)
+        elif self.out:
+            write_path(next(iter(plans.values())).path, self.out)
+        if self.plot:
+            paths = {f"{name}: {made.energy:.0f} J": made.path for name, made in plans.items()}
+            atomic_write(self.plot, image(plots.planned(problem, paths), self.plot.suffix))
 
 
 class PricedGround(NamedTuple):
@@ -180,46 +219,6 @@ def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
     return told
 
 
-def _writable(out: Path | None) -> None:
-    """Refuse a recording that could not be written, before any work."""
-    if out and out.suffix == opt.RECORDING:
-        from energyplan.ros.messages import need_rosbags
-
-        need_rosbags()
-
-
-def _turning(text: str) -> str | float:
-    """Return a radius where the text is a number, else the text."""
-    with suppress(ValueError):
-        return float(text)
-    return text
-
-
-def _write(
-    problem: PlanningProblem, out: Path | None, plot: Path | None, plans: dict[str, Plan]
-) -> None:
-    """Write the first of some plans as a table, or all of them as a recording; draw them all."""
-    from energyplan.io.files import atomic_write
-    from energyplan.io.tables import write_path
-    from energyplan.output import plots
-    from energyplan.output.plots import image
-
-    if out and out.suffix == opt.RECORDING:
-        from energyplan.ros.messages import write_recording
-
-        topics = {f"/{name.replace(' ', '_')}": made.path for name, made in plans.items()}
-        write_recording(topics, out, problem.map)
-    elif out:
-        write_path(next(iter(plans.values())).path, out)
-    if plot:
-        paths = {f"{name}: {made.energy:.0f} J": made.path for name, made in plans.items()}
-        ground = problem.surfaces.polygons if problem.surfaces else ()
-        figure = plots.routes(problem.map, paths, surfaces=ground)
-        if problem.heights is not None:
-            problem.heights.contours(figure.axes[0])
-        atomic_write(plot, image(figure, plot.suffix))
-
-
 @app.command(
     epilog="Example: energyplan plan --map warehouse.yaml --model quadriga:empty:concrete "
     "--start 2,2,0 --goal 20,12,90deg --plot route.png"
@@ -229,6 +228,7 @@ def plan(
     drive: Drive,
     start: opt.PoseText,
     effort: Effort,
+    routing: Routing,
     goal: Annotated[
         str | None,
         Option(metavar="X,Y,YAW", help="Where to go, unless --former says it."),
@@ -248,12 +248,6 @@ def plan(
             "objective].",
         ),
     ] = 0.0,
-    turning: Turning = "any",
-    planner: Planner = "lattice",
-    objective: Objective = "energy",
-    out: OutPath = None,
-    trajectory: OutTrajectory = None,
-    plot: opt.Plot = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
@@ -267,31 +261,28 @@ def plan(
     from energyplan.planning import plan as run
     from energyplan.planning.replanning import replan
 
-    _writable(out)
     if former is None and goal is None:
         raise InvalidInputError("--goal is missing; give X,Y,YAW, or a path by --former")
     if former is not None and goal is not None:
         raise InvalidInputError("--former has its own goal, the end of the path; leave --goal out")
-    if former is not None and planner != "lattice":
-        raise InvalidInputError(f"--former needs the planner lattice, not {planner}")
+    if former is not None and routing.planner != "lattice":
+        raise InvalidInputError(f"--former needs the planner lattice, not {routing.planner}")
     here = parse_pose(start)
-    more = {
-        "objective": objective, "costmap_weight": costmap_weight, "turning": _turning(turning)
-    }  # fmt: skip
-    problem = problem_of(site, drive, here, here if goal is None else parse_pose(goal), **more)
+    there = here if goal is None else parse_pose(goal)
+    problem = routing.problem(site, drive, here, there, costmap_weight=costmap_weight)
     if costmap_weight and problem.costmap is None:
         raise InvalidInputError("--costmap-weight needs a site's file that names a costmap")
     spent = effort.within(PLAN_TIME)
     if former is None:
         with planning(json, strict):
-            made = run(problem, planner=planner, **spent)
+            made = run(problem, planner=routing.planner, **spent)
     else:
         path = read_path(former, problem.cost.icr.longitudinal)
         before = replace(problem, start=path.start, goal=path.end)
         with planning(json, strict):
             made = replan(before, path, start=here, map=problem.map, **spent)
-    told = driven(made, trajectory)
-    _write(problem, out, plot, {"plan": made})
+    told = driven(made, routing.trajectory)
+    routing.write(problem, {"plan": made})
     document = {**documents.plan(made), **documents.driven_path(told)}
     answer(document, made, json=json)
 
@@ -306,12 +297,7 @@ def compare(
     start: opt.PoseText,
     goal: opt.PoseText,
     effort: Effort,
-    turning: Turning = "any",
-    planner: Planner = "lattice",
-    objective: Objective = "energy",
-    out: OutPath = None,
-    trajectory: OutTrajectory = None,
-    plot: opt.Plot = None,
+    routing: Routing,
     report: opt.Report = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
@@ -325,17 +311,13 @@ def compare(
     from energyplan.output import documents
     from energyplan.output.pages import comparison_page
 
-    _writable(out)
-    problem = problem_of(
-        site, drive, parse_pose(start), parse_pose(goal), objective=objective,
-        turning=_turning(turning),
-    )  # fmt: skip
+    problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
-        made = run(problem, planner=planner, **effort.within(PLAN_TIME))
-    best = driven(made.energy_optimal, trajectory)
+        made = run(problem, planner=routing.planner, **effort.within(PLAN_TIME))
+    best = driven(made.energy_optimal, routing.trajectory)
     one = made.shortest.path == made.energy_optimal.path
     shortest = best if one else driven(made.shortest, None)
-    _write(problem, out, plot, {"least energy": made.energy_optimal, "shortest": made.shortest})
+    routing.write(problem, {"least energy": made.energy_optimal, "shortest": made.shortest})
     if report:
         write_report(comparison_page(made, problem), report)
     document = documents.comparison(made)

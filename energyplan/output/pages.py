@@ -311,11 +311,7 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
     """Yield both routes on the map, the energy along them, and their energy by term."""
     plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
     paths = {label: plan.path for label, plan in plans.items()}
-    areas = problem.surfaces.polygons if problem.surfaces else ()
-    walls = plots.routes(problem.map, paths, surfaces=areas)
-    if problem.heights is not None:
-        problem.heights.contours(walls.axes[0])
-    yield Picture("map", walls, "Both routes on the map.")
+    yield Picture("map", plots.planned(problem, paths), "Both routes on the map.")
     figure = plots.figure()
     ax = figure.axes[0]
     for (label, path), (color, dash) in zip(
@@ -400,7 +396,4 @@ def loop_pictures(made: Loop, problem: PlanningProblem) -> Iterator[Picture]:
     )
     paths = {f"round {k}": now.plan.path for k, now in enumerate(made.rounds, 1)}
     shown = dict(list(paths.items())[:1] + list(paths.items())[-1:])
-    areas = problem.surfaces.polygons if problem.surfaces else ()
-    yield Picture(
-        "routes", plots.routes(problem.map, shown, surfaces=areas), "The first and the last route."
-    )
+    yield Picture("routes", plots.planned(problem, shown), "The first and the last route.")

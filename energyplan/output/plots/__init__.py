@@ -20,6 +20,7 @@ from energyplan.output.plots.routes import (
     mission_charge,
     mission_map,
     occupancy,
+    planned,
     route,
     routes,
     state_of_charge,
@@ -44,6 +45,6 @@ from energyplan.output.plots.style import (
 __all__ = [
     "BLACK", "BLUE", "GREEN", "ORANGE", "PURPLE", "RED", "SKY", "WIDTH", "YELLOW", "bin_means",
     "breakdown", "energy_map", "energy_over_time", "feasible_region", "figure", "image", "legend",
-    "mission_charge", "mission_map", "occupancy", "png", "power_over_time", "prediction",
+    "mission_charge", "mission_map", "occupancy", "planned", "png", "power_over_time", "prediction",
     "residual_against", "rounds", "route", "routes", "state_of_charge", "svg", "tread_speeds",
 ]  # fmt: skip

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
     from energyplan.mission import MissionReport
+    from energyplan.planning import PlanningProblem
     from energyplan.reach import EnergyMap
     from energyplan.terrain import OccupancyGrid
 
@@ -125,6 +126,16 @@ def routes(
     made.suptitle(title, x=0.01, ha="left", fontsize="large")
     if paths or surfaces:
         style.legend(ax, above=True)
+    return made
+
+
+def planned(problem: PlanningProblem, paths: Mapping[str, Path]) -> Figure:
+    """Draw paths over what was planned on: map, surfaces and heights."""
+    made = routes(
+        problem.map, paths, surfaces=problem.surfaces.polygons if problem.surfaces else ()
+    )
+    if problem.heights is not None:
+        problem.heights.contours(made.axes[0])
     return made
 
 
