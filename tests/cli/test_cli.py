@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import Result, Run
+from commands import Run
 from PIL import Image
 
 import energyplan as ep
@@ -57,15 +57,6 @@ def arc(speed: float) -> Trajectory:
     return Trajectory(
         t, np.sin(yaw) / 1.5, (1 - np.cos(yaw)) / 1.5, yaw, 0 * t + speed, 0 * t + rate
     )
-
-
-def assert_refused(result: Result, *words: str) -> None:
-    assert result.code == 2
-    assert result.out == ""
-    assert len(result.err.splitlines()) == 1
-    assert "Traceback" not in result.err
-    for word in words:
-        assert word in result.err
 
 
 def test_check_answers_no_and_strict_says_so(run: Run, tmp_path: Path) -> None:
@@ -141,10 +132,6 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     assert picture.read_text().count("<svg") == 1
     both = run(*options, "--energy", 1500, "--return")
     assert both.json["area"] < result.json["area"]
-    refused = run(*options, "--energy", -3)
-    assert refused.code == 2
-    assert "the energy is -3.0 J; give a positive number" in refused.err
-    assert_refused(run(*options, "--out", tmp_path / "range.tif"), ".asc")
 
 
 def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Path) -> None:
@@ -159,10 +146,6 @@ def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Pat
     usable = 0.5 * ep.Battery.preset("quadriga").usable_energy(most_power(power), 0.0015)
     told = charged.json["contours"]
     assert (told[-1]["energy"] if told else 0.0) == pytest.approx(float(usable))
-    assert_refused(run(*options, "--confidence", 0.95), "coefficient spread")
-    assert_refused(run(*options, "--soc", 0.5), "--battery")
-    assert_refused(run(*options, "--spread", 0.1), "--confidence")
-    assert_refused(run(*options, "--battery", "quadriga", "--energy", 5), "give one")
 
 
 def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> None:
@@ -182,7 +165,6 @@ def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> No
     told = soft.json["energy"] + soft.json["soft_cost"]
     assert soft.json["cost"] == pytest.approx(told)
     assert soft.json["cost"] < plain.json["energy"] + 2000
-    assert_refused(run(*options, "--costmap", "costs.yaml"), "a key of a site's file")
 
 
 def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> None:
@@ -198,6 +180,3 @@ def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> N
     around = run(*options, "--keepout", tmp_path / "mask.yaml").json
     wider = run(*options, "--keepout", tmp_path / "mask.yaml", "--clearance", 0.2).json
     assert straight["energy"] < around["energy"] < wider["energy"]
-    refused = run(*options, "--clearance", -1)
-    assert refused.code == 2
-    assert "clearance is -1.0 m" in refused.err

@@ -330,7 +330,15 @@ plna | Did you mean 'plan'
 {plan} --goal 2,2,0 --tolerance 0.1 | tracking_tolerance
 range --start 2,2,0 --energy 5kJ | '5kJ' should be a valid number in J
 range --map {surfaces} --model model.yaml --start 1.2,2,0 | these are surfaces and no obstacles
+{plan} --goal 2,2,0 --clearance -1 | clearance is -1.0 m
+{plan} --goal 2,2,0 --costmap c.yaml | --costmap is a key of a site's file
 range {site} --energy 5000 --spread -1 | give
+range {site} --energy -3 | the energy is -3.0 J; give a positive number
+range {site} --out range.tif | .asc
+range {site} --soc 0.5 | --battery
+range {site} --spread 0.1 | --confidence
+range {site} --battery quadriga --energy 5 | give one
+range --map office.yaml --model quadriga:full:marble --start 1.2,2,0 --confidence 0.95 | spread
 range {site} --energy 5000 --surfaces s.geojson | --surfaces is a key of a site's file
 range {site} --energy 5000 --speed 1 | usual_speed
 mission absent.yaml | absent.yaml
