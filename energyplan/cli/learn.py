@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as jsonlib
-import math
 import signal
 import sys
 import time
@@ -57,7 +56,7 @@ def start(
         Path | None,
         Option(
             callback=writes(*opt.YAML),
-            help="Write the project to this opt.YAML file. Without it: list what the log holds.",
+            help="Write the project to this YAML file. Without it: list what the log holds.",
         ),
     ] = None,
     wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
@@ -106,10 +105,9 @@ def start(
     }  # fmt: skip
     if like is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
         told |= {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if told[key] is None}
-    given = Given(
-        **{key: math.nan if value is None else value for key, value in told.items()},
-        name=name, like=None if like is None else read_vehicle(like), columns=columns,
-    )  # fmt: skip
+    known: Any = {key: value for key, value in told.items() if value is not None}
+    vehicle = None if like is None else read_vehicle(like)
+    given = Given(**known, name=name, like=vehicle, columns=columns)
     with progress("looking into the log"):
         made = run(log, given)
     written = made.sound or accept

@@ -6,7 +6,6 @@ import asyncio
 import base64
 import io
 import json
-import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -346,15 +345,9 @@ def _logs(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
     def begun(name: str, robot: Robot) -> Start:
-        track, wheelbase, mass, radius = (
-            math.nan if value is None else value
-            for value in (robot.track, robot.wheelbase, robot.mass, robot.wheel_radius)
-        )
-        given = Given(
-            wheel_radius=radius, track=track, wheelbase=wheelbase, mass=mass,
-            like=store.vehicle(robot.like) if robot.like else None, columns=robot.columns,
-        )  # fmt: skip
-        return start_of(store.path(name), given)
+        known = robot.model_dump(exclude_none=True, exclude={"like"})
+        like = store.vehicle(robot.like) if robot.like else None
+        return start_of(store.path(name), Given(**known, like=like))
 
     def project_of(asked: IdentifyRequest) -> Project | None:
         """Return the project of a robot of one's own; a log that contradicts it is refused."""
