@@ -44,13 +44,11 @@ def start(made: Start) -> list[str]:
     """Return what ``energyplan start`` prints."""
     project = made.project
     topics = {} if project.topics is None else project.topics.channels
+    sources = {**project.columns, **{channel: many[0] for channel, many in topics.items()}}
     lines = [
         f"{channel}: {f'{one.topic} {one.written}'.strip()}"
         f"{f' [{one.unit}]' if one.unit and not one.field.endswith(f'[{one.unit}]') else ''}"
-        for channel, one in {
-            **project.columns,
-            **{c: many[0] for c, many in topics.items()},
-        }.items()
+        for channel, one in sources.items()
     ]
     lines += [f"assumed {what}: {value}" for what, value in project.defaults.items()]
     for check in made.checks:

@@ -247,13 +247,11 @@ def visits(ax: Axes, report: MissionReport) -> Axes:
 def mission_charge(report: MissionReport) -> Figure:
     """Draw charge over a mission, where the robot is, and the power at the battery."""
     count = len({stop.name for stop in report.route})
-    made = Figure(figsize=(style.WIDTH, 4.2 + 0.22 * count), layout="constrained")
-    charge, where, power = made.subplots(
-        3, 1, sharex=True, height_ratios=(2.2, 0.3 + 0.22 * count, 1.4)
-    )
-    for ax in made.axes:
-        ax.grid(alpha=0.3)
-        ax.spines[["top", "right"]].set_visible(False)
+    made = style.figure(
+        3, 1, size=(style.WIDTH, 4.2 + 0.22 * count), sharex=True,
+        height_ratios=(2.2, 0.3 + 0.22 * count, 1.4),
+    )  # fmt: skip
+    charge, where, power = made.axes
     state_of_charge(charge, report)
     visits(where, report)
     line = report.timeline

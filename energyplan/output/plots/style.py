@@ -36,10 +36,12 @@ WIDTH = 5.2
 """Width of a picture [inch]: its text can be read in a phone's column of 350 pixels."""
 
 
-def figure(rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (WIDTH, 3.4)) -> Figure:
+def figure(
+    rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (WIDTH, 3.4), **layout: Any
+) -> Figure:
     """Return an empty figure in the library's style, without a window."""
     made = Figure(figsize=size, layout="constrained")
-    for ax in made.subplots(rows, columns, squeeze=False).flat:
+    for ax in made.subplots(rows, columns, squeeze=False, **layout).flat:
         ax.grid(alpha=0.3)
         ax.spines[["top", "right"]].set_visible(False)
     return made
