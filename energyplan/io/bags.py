@@ -88,8 +88,6 @@ def _readable(column: Column) -> Column:
         raise ValueError(f"give the topic of {column.field}")
     if column.times is not None:
         _place(column.times)
-    if column.weights and len(column.weights) != 1 + len(column.plus):
-        raise ValueError("give one weight for each field, or write a sum of fields with factors")
     added = column.model_copy(update={"times": None})
     made = formula(added.written if column.plus else column.field, _NAME)
     if made is None or made.times is not None:

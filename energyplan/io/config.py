@@ -24,7 +24,7 @@ from energyplan.io.bags import TopicMap
 from energyplan.io.documents import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
 from energyplan.kinds import checked
-from energyplan.logs.mapping import Column, column_from
+from energyplan.logs.mapping import Column
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
 from energyplan.power.effects import term
@@ -455,9 +455,7 @@ def read_project(path: str | Path) -> Project:
     for channel, item in spec.columns.items():
         one = Column(field=item) if isinstance(item, str) else item
         try:
-            columns[channel] = column_from(
-                channel, one.field, one.unit, one.times, one.plus, one.weights
-            )
+            columns[channel] = one.changed(channel=channel)
         except DriveLogError as problem:
             raise document.fail(("columns", channel), str(problem)) from None
     topics = None if spec.topics is None else TopicMap.model_validate(spec.topics)

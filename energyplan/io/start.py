@@ -365,7 +365,7 @@ _USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surpri
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _CHARGE = {"percentage", "percent", "soc", "pct"}  # words of how full a battery is
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
-_RATES = {"rad/s": 1.0, "rpm": pi / 30, "deg/s": pi / 180}
+_RADIUS = 0.15  # radius of wheels of which it is not known yet [m]
 
 
 @dataclass(frozen=True)
@@ -689,7 +689,7 @@ def _with_units(
         units = next((units for channels, units in choices if "v_left" in channels), ())
         _sure_of_speeds(table, columns, units, chosen, best[2], known)
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
-        radius = _radius_from(raw, chosen)
+        radius = _radius_of(best[2].distance / _RADIUS) if best else nan
         if not isfinite(radius):
             raise InvalidInputError(f"{table.source}: {_no_radius(raw)}")
     made = dict(columns)
@@ -799,21 +799,9 @@ def _factor(channel: str, unit: str, known: Given) -> float:
     if not unit:
         return 1.0
     if unit.endswith("*"):
-        radius = known.wheel_radius if isfinite(known.wheel_radius) else 0.15
-        return _RATES.get(unit[:-1], 2 * pi) * radius
+        radius = known.wheel_radius if isfinite(known.wheel_radius) else _RADIUS
+        return RATES[unit[:-1]] * radius
     return scale_of(channel, unit).factor
-
-
-def _radius_from(raw: Mapping[str, FloatArray], chosen: Mapping[str, str]) -> float:
-    """Return the wheel radius that the pose tells: the way gone over the angle rolled."""
-    if len(raw["t"]) < RECORDING:
-        return nan
-    trial = {
-        channel: values * _factor(channel, chosen.get(channel, ""), Given(wheel_radius=1.0))
-        for channel, values in raw.items()
-    }
-    drive = Drive(trial, total_power(trial), find_runs(trial["t"]))
-    return _radius_of(drive.distance)
 
 
 def _radius_of(angle: float) -> float:

@@ -337,6 +337,14 @@ class Column(Checked):
         rest = {key: part for key, part in value.items() if key != "scale"}
         return {**rest, "unit": f"*{scale!r}"}
 
+    @model_validator(mode="after")
+    def _weighed(self) -> Column:
+        if self.weights and len(self.weights) != 1 + len(self.plus):
+            raise ValueError(
+                f"{len(self.weights)} weights of {1 + len(self.plus)} columns; give one for each"
+            )
+        return self
+
     @property
     def conversion(self) -> Scale:
         """Conversion to the library's unit."""
@@ -421,10 +429,6 @@ def column_from(
     weights: Sequence[float] = (),
 ) -> Column:
     """Return the column of a name that serves as a channel."""
-    if weights and len(weights) != 1 + len(plus):
-        raise DriveLogError(
-            f"{channel}: {len(weights)} weights of {1 + len(plus)} columns; give one for each"
-        )
     made = Column(field=column, unit=unit or "", times=times, plus=tuple(plus),
                   weights=tuple(weights), channel=channel)  # fmt: skip
     _ = made.conversion  # refuses an unknown unit
