@@ -579,7 +579,9 @@ class _Watch:
         k = int(np.argmax(value))
         top = float(value[k])
         if bound not in self.peaks or top > self.peaks[bound].value:
-            self.peaks[bound] = Peak(bound, float(t[k]), top, _use(top, bound.limit))
+            self.peaks[bound] = Peak(
+                bound, float(t[k]), top, float(relative(np.asarray(top), bound.limit))
+            )
         tolerance = ROUNDING * max(bound.limit, 1.0)
         if top <= bound.limit + tolerance:
             return
@@ -591,12 +593,6 @@ class _Watch:
             else:
                 self._latest[bound] = len(self.violations)
                 self.violations.append(Violation(*bound[:2], start, end, peak, bound.limit))
-
-
-def _use(value: float, limit: float) -> float:
-    if limit > 0:
-        return value / limit
-    return np.inf if value > ROUNDING else 0.0
 
 
 SLOWEST, FASTEST, STEP = 1e-4, 1e6, 1.1

@@ -82,13 +82,10 @@ class Limits:
         battery_return: float = np.inf,
     ) -> Limits:
         """Return the limits of a vehicle; those that are given may only be tighter."""
-        given = cls(vehicle.motor, vehicle.max_yaw_rate, lateral_acceleration, battery_power,
-                    battery_return)  # fmt: skip
-        return replace(
-            given,
-            battery_power=min(given.battery_power, vehicle.battery_power),
-            battery_return=min(given.battery_return, vehicle.battery_return),
-        )
+        return cls(
+            vehicle.motor, vehicle.max_yaw_rate, lateral_acceleration,
+            min(battery_power, vehicle.battery_power), min(battery_return, vehicle.battery_return),
+        )  # fmt: skip
 
     @property
     def sustained(self) -> Limits:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar
 from energyplan.errors import CancelledError, InvalidInputError, TimeLimitError
 from energyplan.kinds import checked
 
-Made = TypeVar("Made")
+Result = TypeVar("Result")
 
 PACE = 50_000
 """Units of work that count as a second where the two are compared.
@@ -191,7 +191,7 @@ class Budget:
             other._end = min(self._end, time.perf_counter() + units / PACE)
         return other
 
-    def beside(self, make: Callable[[], Made]) -> Made:
+    def beside(self, make: Callable[[], Result]) -> Result:
         """Return what is made once for many plans; by the clock its time comes on top.
 
         Parameters
@@ -239,9 +239,6 @@ class Budget:
 
 UNLIMITED = Budget()
 """A budget without end, for work that nobody limits."""
-
-
-Result = TypeVar("Result")
 
 
 def workers() -> int:
