@@ -43,6 +43,10 @@ _GONE = -2
 _TAKEN = 0.8
 """Chance of a neighbour to be taken out with a task."""
 
+_CLOSED = 0.5
+"""Chance of a robot to get nothing at first, in one of `_APART` rounds."""
+_APART = 8
+
 _FAR = 1e15
 """Rank of labels that do not lead to the worth that is known, beyond their energy [J]."""
 
@@ -614,9 +618,12 @@ def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tup
 
 @njit
 def _insert_all(
-    tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags
+    tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags, closed: Flags
 ) -> None:
-    """Put in what is left out, first what would be dearer anywhere else (regret), where it pays."""
+    """Put in what is left out where it pays, first what would be dearer anywhere else (regret).
+
+    Robots that are closed get nothing.
+    """
     robots, n = len(counts), len(open_tasks)
     total, place = np.full((robots, n), np.inf), np.zeros((robots, n), np.int64)
     stale = np.ones(robots, np.bool_)
@@ -632,6 +639,8 @@ def _insert_all(
                 continue
             first, second, best = np.inf, np.inf, -1
             for r in range(robots):
+                if closed[r]:
+                    continue
                 more = total[r, t] - energies[r]
                 if more < first:
                     first, second, best = more, first, r
@@ -659,7 +668,8 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
     """Give tasks to robots: insert with regret, then take some out again and again.
 
     In each round, which reads a row of chances in [0, 1), a task and its neighbours are taken out
-    and put in anew. What comes of it is kept if it is better, or, in the beginning, little worse
+    and put in anew, now and then first at some of the robots only: else insertion ends the same
+    way again. What comes of it is kept if it is better, or, in the beginning, little worse
     (ruin and recreate, Pisinger and Ropke 2007).
     """
     rounds = len(chances)
@@ -671,7 +681,8 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
     near = np.zeros((n, n), np.int64)
     for t in range(n):
         near[t] = np.argsort(tours.energy[:, 1 + t, 1 : 1 + n].sum(axis=0))
-    _insert_all(tours, stops, counts, energies, open_tasks)
+    nobody = np.zeros(robots, np.bool_)
+    _insert_all(tours, stops, counts, energies, open_tasks, nobody)
     now = energies.sum() + tours.worth[open_tasks].sum()
     best, best_stops, best_counts = now, stops.copy(), counts.copy()
     for turn in range(rounds):
@@ -697,7 +708,10 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
                 new_energies[r] = left if kept > 0 or np.isfinite(left) else 0.0
         if not np.all(np.isfinite(new_energies)):
             continue  # what is left needs what was taken out
-        _insert_all(tours, new_stops, new_counts, new_energies, out)
+        if turn % _APART == 0:
+            closed = drawn[3 + n :] < _CLOSED
+            _insert_all(tours, new_stops, new_counts, new_energies, out, closed)
+        _insert_all(tours, new_stops, new_counts, new_energies, out, nobody)
         then = new_energies.sum() + tours.worth[out].sum()
         heat = 0.01 * (1.0 - (turn + 1) / rounds) * abs(best) / max(n, 1)
         if then < now - heat * np.log(max(drawn[2], 1e-12)):

@@ -201,7 +201,7 @@ def shared(
     """
     n = len(worth)
     own = [range(n)] * len(problems) if own is None else own
-    chances = np.random.default_rng(0).random((_SHARES, 3 + n))
+    chances = np.random.default_rng(0).random((_SHARES, 3 + n + len(problems)))
     stops, counts = share(_tours(problems, worth, own), chances)
     given = [list(map(int, row[:count])) for row, count in zip(stops, counts, strict=True)]
     return given, sorted(set(range(n)) - {task for tasks in given for task in tasks})

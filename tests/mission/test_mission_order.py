@@ -312,9 +312,9 @@ def test_a_given_order_is_the_best_that_overtakes_nothing(seed, options):
     assert tasks == sorted(tasks)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(8))
 def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
-    """Nothing is proven: one of these ways takes a quarter more than the best one."""
+    """Nothing is proven: of sixty such cases two take up to 0.3 % more than the best one."""
     robots = [problem(10 * seed + r, 5, budget=1e3) for r in range(3)]
     ways = [np.nan_to_num(p.energy(0.0), posinf=9.0) for p in robots]
     robots = [
@@ -335,7 +335,7 @@ def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
     assert left == []
     told = [drive(p, tuple(t + 1 for t in tasks)) for p, tasks in zip(robots, own, strict=True)]
     found = sum(tour[0] for tour in told if tour is not None)
-    assert best - 1e-9 <= found <= (1.26 if seed == 2 else 1.0 + 1e-9) * best
+    assert best - 1e-9 <= found <= 1.003 * best
 
 
 def pressed(seed: int, tasks: int, chargers: int) -> OrderProblem:
