@@ -125,7 +125,7 @@ def routes(
         route(ax, path, label, color, dash)
     made.suptitle(title, x=0.01, ha="left", fontsize="large")
     if paths or surfaces:
-        style.legend(ax, above=True)
+        made.set_figheight(height + 0.2 * max(style.legend(ax, above=True) - 1, 0))
     return made
 
 

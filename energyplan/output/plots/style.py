@@ -57,14 +57,14 @@ COLUMN = 76
 """Letters of small text that fit above a picture's axes."""
 
 
-def legend(ax: Axes, above: bool = False, **options: Any) -> None:
-    """Add a legend without a frame; with `above`, between the axes and their title."""
+def legend(ax: Axes, above: bool = False, **options: Any) -> int:
+    """Add a legend without a frame; return its rows `above` the axes, below their title."""
     if not above:
         ax.legend(frameon=False, fontsize="small", **options)
-        return
+        return 0
     handles = options.get("handles") or ax.get_legend_handles_labels()[0]
     if not handles:
-        return
+        return 0
     widest = max(len(str(handle.get_label())) for handle in handles)
     columns = int(np.clip(COLUMN // (widest + 6), 1, len(handles)))
     ax.legend(
@@ -74,6 +74,7 @@ def legend(ax: Axes, above: bool = False, **options: Any) -> None:
     title = ax.get_title(loc="left")
     rows = -(-len(handles) // columns)
     ax.set_title(title, loc="left", fontsize="medium", pad=8 + 13 * rows)
+    return rows
 
 
 def svg(figure: Figure) -> bytes:
