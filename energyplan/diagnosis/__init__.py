@@ -24,6 +24,7 @@ from energyplan.diagnosis.judge import (
     find_mass_centre,
     holds,
     interval,
+    least_known,
     predict,
     score,
     size_error,
@@ -293,6 +294,10 @@ class _Case:
             maps = []
         if maps:
             outcome = test([part for part in outcome.effects if part not in maps])
+        vague = list[Part]()
+        while choose and (least := least_known(outcome.fitted.model, outcome.effects)) is not None:
+            vague.append(least)
+            outcome = test([part for part in outcome.effects if part is not least])
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality = outcome.fitted, outcome.quality
         weighed = (
@@ -333,6 +338,7 @@ class _Case:
                 {entry.name: entry for entry in self.entries},
                 used,
                 [part.effect.name for part in maps],
+                [part.effect for part in vague],
                 fitted.model,
                 quality,
                 left,

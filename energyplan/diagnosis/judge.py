@@ -287,6 +287,8 @@ def _turning(drives: Sequence[Drive]) -> tuple[FloatArray, FloatArray]:
 _STEP = 0.02  # relative step of a parameter's derivative
 _MOMENT = 0.02  # step of a time offset [s]
 
+_UNSURE = 0.5  # standard error over size from which zero is within two errors
+
 _LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
 """Standard deviation of a delay anywhere among those looked for [s]: none is known less."""
 
@@ -375,6 +377,18 @@ def size_error(effect: Effect, model: PowerModel) -> float:
             ends.append(effect.value(replace(model, coefficients=moved)))
         gradient[k] = (ends[0] - ends[1]) / (2 * step)
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
+
+
+def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
+    """Return the effect whose size is known least, where zero is within two standard errors."""
+    sized = [part for part in parts if part.terms]
+    ratios = [
+        size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
+        for part in sized
+    ]
+    if not ratios or max(ratios) <= _UNSURE:
+        return None
+    return sized[int(np.argmax(ratios))]
 
 
 # -- what it costs that the sides push against each other on straights -----------------------------

@@ -249,6 +249,7 @@ def advice_of_model(
     entries: Mapping[str, Effect],
     used: Sequence[Effect],
     maps: Sequence[str],
+    vague: Sequence[Effect],
     model: PowerModel,
     quality: Adequacy,
     left: Sequence[Dependence],
@@ -273,6 +274,12 @@ def advice_of_model(
             f"{_listed(maps)} would fit the training drives, but is probably something else that "
             "happened where they went, and would mislead elsewhere: it was dropped. Drive the same "
             "places at another time, by other ways"
+        )
+    for dropped in vague:
+        yield (
+            f"{_plain(dropped.name)} was dropped: its size is less than two standard errors, so "
+            "that another one, or none, fits these drives about as well; to tell it: "
+            f"{dropped.manoeuvre}"
         )
     if not quality.adequate:
         unknown = "" if left else ", and no recorded channel explains it"
