@@ -314,7 +314,7 @@ def test_a_given_order_is_the_best_that_overtakes_nothing(seed, options):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
-    """Nothing is proven: of sixty such cases two take up to 0.3 % more than the best one."""
+    """Nothing is proven: one of these ways may take up to 0.3 % more than the best one."""
     robots = [problem(10 * seed + r, 5, budget=1e3) for r in range(3)]
     ways = [np.nan_to_num(p.energy(0.0), posinf=9.0) for p in robots]
     robots = [
