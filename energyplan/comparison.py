@@ -74,6 +74,8 @@ class Comparison(html.Readable):
             ("turning [deg]", *(float(np.degrees(plan.turning)) for plan in plans)),
             ("duration [s]", *(plan.duration for plan in plans)),
         ]
+        if self.energy_optimal.potential:
+            rows.insert(2, ("of it for the height [J]", self.energy_optimal.potential, "-"))
         title = f"saving: {100 * self.saving:.1f} % of the shortest route's energy"
         if self.driven or all("driven" in vars(plan) for plan in plans):
             rows.insert(1, ("energy driven [J]", *(plan.driven.energy for plan in plans)))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gc
 import shutil
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,14 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the shared data folder {folder} is absent")
     return folder
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """Run a command as from a shell."""
+    import commands
+
+    return partial(commands.run, capsys)
 
 
 @pytest.fixture(scope="session")

@@ -299,6 +299,7 @@ class Plan(html.Readable):
             ("energy [J]", self.energy),
             *((f"of it {html.words(name)} [J]", part) for name, part in self.breakdown.items()),
             (f"lower bound of the {objective} [{unit}]", self.lower_bound),
+            *([(f"of it for the height [{unit}]", self.potential)] if self.potential else []),
             ("at most above the least possible [%]", 100 * self.gap),
             ("length [m]", self.length),
             ("turning [deg]", float(np.degrees(self.turning))),

@@ -419,7 +419,6 @@ def test_the_command_ends_well_with_ctrl_c_and_with_a_closed_pipe(tmp_path: Path
     [
         (["watch", "-"], "give --model, --vehicle or --mission"),
         (["watch", "-", "--model", "a", "--vehicle", "b"], "give one of them"),
-        (["watch", "-", "--vehicle", "quadriga", "--soc", "80 %"], "--soc goes with --mission"),
         (["watch", "none.csv", "--vehicle", "quadriga", "--once"], "none.csv cannot be read"),
         (["identify", "none.csv", "--vehicle", "quadriga", "--angle", "9rad"], "goes with --spin"),
     ],

@@ -465,7 +465,7 @@ def test_the_command_line_plans_on_slopes(folder, capsys, monkeypatch):
         capsys, monkeypatch, "compare", *asked, "--at-battery", "--report", folder / "told.html"
     )
     assert code == 0
-    assert "J of it for the height" in out
+    assert "of it for the height [J]" in out
     assert (folder / "told.html").stat().st_size > 10_000
 
 
