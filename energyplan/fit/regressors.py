@@ -202,6 +202,7 @@ def _told(
     share: FloatArray, most: FloatArray, error: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
     """Tell which stretches hold a moment, at what share of its largest cost, and at what odds."""
+    error = np.where(error > 0.0, error, np.inf)  # without a known error nothing is told
     taken = np.clip(share, 0.0, 1.0)
     gain = 0.5 * (most / error) ** 2 * taken * (2.0 * share - taken)
     odds = np.log(np.maximum(most / (np.sqrt(2.0 * np.pi) * error), 1e-300))
