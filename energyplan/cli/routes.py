@@ -67,7 +67,9 @@ class Routing:
     ] = None
     plot: opt.Plot = None
 
-    def problem(self, site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -> Any:
+    def problem(
+        self, site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any
+    ) -> PlanningProblem:
         """Return what is to be planned; a recording that could not be written is refused."""
         if self.out and self.out.suffix == opt.RECORDING:
             from energyplan.ros.messages import need_rosbags

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 from scipy.stats import f as fisher
 from scipy.stats import norm
@@ -27,7 +26,7 @@ from energyplan.diagnosis.result import (
 from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, SearchResult
 from energyplan.errors import VehicleError
 from energyplan.fit.doubts import Adequacy, adequacy, left_over, shown_of_contacts, statistics
-from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late
+from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late, cut
 from energyplan.fit.estimate import (
     Fit,
     JointFit,
@@ -104,16 +103,11 @@ def score(predictions: Sequence[Prediction]) -> Residual:
     return statistics([one.drive for one in predictions], [one.power for one in predictions])
 
 
-def blocks_of(t: FloatArray) -> NDArray[np.intp]:
-    """Return the block of driving that each time belongs to."""
-    return np.minimum((t / BLOCK).astype(np.intp), max(int(t[-1] / BLOCK + 0.5), 1) - 1)
-
-
 def interval(predictions: Sequence[Prediction], seed: int = 0) -> ErrorInterval:
     """Return 95 % intervals of the statistics by resampling blocks of driving."""
     rows = []
     for one in predictions:
-        block = blocks_of(one.drive.t)
+        block = cut(one.drive.t, BLOCK)
         r = one.drive.power - one.power
         dt = one.drive.weights
         values = np.column_stack(
@@ -492,7 +486,8 @@ class _Case:
         """Energy of each block that losses take because of a moment between the sides [J]."""
         power = np.zeros(len(self.drive.t))
         power[self.drive.holds] = self.held.cost(moment[self.drive.holds])
-        return np.asarray(np.bincount(blocks_of(self.drive.t), self.drive.weights * power), float)
+        block = cut(self.drive.t, BLOCK)
+        return np.asarray(np.bincount(block, self.drive.weights * power), float)
 
 
 # -- a set of effects as a model, and what that leaves of the training drives ----------------------

@@ -277,8 +277,8 @@ def advice_of_model(
         )
     for dropped in vague:
         yield (
-            f"{_plain(dropped.name)} was dropped: its size is less than two standard errors, so "
-            "that another one, or none, fits these drives about as well; to tell it: "
+            f"{html.words(dropped.name)} was dropped: its size is less than two standard errors, "
+            "so that another one, or none, fits these drives about as well; to tell it: "
             f"{dropped.manoeuvre}"
         )
     if not quality.adequate:
@@ -300,8 +300,8 @@ def advice_of_model(
         if effect.rivals:
             ways = [entries[name].manoeuvre for name in (effect.name, *effect.rivals)]
             yield (
-                f"these drives cannot separate {_plain(effect.name)} from "
-                f"{' or '.join(map(_plain, effect.rivals))}; to separate them: "
+                f"these drives cannot separate {html.words(effect.name)} from "
+                f"{' or '.join(map(html.words, effect.rivals))}; to separate them: "
                 f"{'; '.join(dict.fromkeys(way for way in ways if way))}"
             )
     own = model.vehicle.mass
@@ -313,15 +313,15 @@ def advice_of_model(
         most = 1.25 if entry.usual else 1.0
         if value > most * own + max(3 * error, 0.1 * own) or value < 0.9 * own - 3 * error:
             yield (
-                f"{_plain(entry.name)} gives {value:.0f} +- {error:.0f} kg, the vehicle has "
+                f"{html.words(entry.name)} gives {value:.0f} +- {error:.0f} kg, the vehicle has "
                 f"{own:.0f} kg: weigh it, or check the gain of the power sensor, which is off by "
                 "the same factor"
             )
     for entry in used:
         if entry.acts == "log":
             yield (
-                f"{_plain(entry.name)} belongs to the log, not to the robot: mend the sensor or "
-                "its driver; a planner must not use it"
+                f"{html.words(entry.name)} belongs to the log, not to the robot: mend the sensor "
+                "or its driver; a planner must not use it"
             )
 
 
@@ -381,9 +381,5 @@ def few_drives(count: int) -> Iterator[str]:
         )
 
 
-def _plain(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _listed(names: Iterable[str]) -> str:
-    return ", ".join(map(_plain, names))
+    return ", ".join(map(html.words, names))

@@ -33,6 +33,12 @@ BLOCK = 8.0
 """Length of the blocks that cross-validation leaves out [s]."""
 
 
+def cut(t: FloatArray, length: float) -> NDArray[np.intp]:
+    """Return the stretch that each time is in; a last one shorter than half joins its neighbour."""
+    count = max(int(np.floor(t[-1] / length + 0.5)), 1)
+    return np.minimum((t / length).astype(np.intp), count - 1)
+
+
 @dataclass(frozen=True)
 class Windows:
     """Consecutive windows of one length over a drive."""
@@ -44,13 +50,11 @@ class Windows:
 
     @classmethod
     def of(cls, t: FloatArray, length: float) -> Windows:
-        """Cut times into windows; a last one shorter than half its length joins its neighbour."""
-        count = max(int(np.floor(t[-1] / length + 0.5)), 1)
-        index = np.minimum((t / length).astype(np.intp), count - 1)
+        """Cut times into windows."""
+        index = cut(t, length)
         _, starts = np.unique(index, return_index=True)
         counts = np.diff(np.append(starts, len(t))).astype(float)
-        number = max(int(np.floor(t[-1] / BLOCK + 0.5)), 1)
-        block = np.minimum((t / BLOCK).astype(np.intp), number - 1)
+        block = cut(t, BLOCK)
         blocks = np.searchsorted(np.unique(block), block[starts])
         return cls(starts.astype(np.intp), counts, blocks, length)
 

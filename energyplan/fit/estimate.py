@@ -13,7 +13,7 @@ from scipy.special import fdtrc
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from energyplan.fit.doubts import with_usual
+from energyplan.fit.doubts import usual_effects, with_usual
 from energyplan.fit.drive import SCALES, Drive, Late, Steps, columns_of, parted, prepared
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
 from energyplan.logs import DriveLog
@@ -462,7 +462,7 @@ _LEFT = 0.1  # share of the samples that must slide
 
 def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
     """Return drives as they are fitted: each side an equation, where it slides."""
-    usual = (one for one in effects if one.usual and not one.channels and not one.grid)
+    usual = (effect for effect in usual_effects(effects) if not effect.grid)
     terms = [term for effect in usual for term in effect.terms]
     return with_breakaway(Problem(prepared(logs, vehicle), vehicle), terms)
 
