@@ -104,12 +104,8 @@ def most_power(cost: EnergyCost) -> float:
 def _directions(cost: EnergyCost, spread: float) -> FloatArray:
     """Return the changes of the coefficients per independent unknown, shape (terms, unknowns)."""
     model = cost.model
-    columns = [np.diag(spread * model.coefficients)] if spread > 0 else []
-    if model.covariance is not None:
-        value, vector = np.linalg.eigh(model.covariance)
-        keep = value > 1e-12 * max(float(value.max()), 1e-300)
-        columns.append(vector[:, keep] * np.sqrt(value[keep]))
-    return np.column_stack(columns) if columns else np.zeros((len(model.terms), 0))
+    own = [np.diag(spread * model.coefficients)] if spread > 0 else []
+    return np.column_stack([*own, model.principal_directions()])
 
 
 CELLS = 2

@@ -112,16 +112,6 @@ def _battery_shares(mission: Mission, power: float) -> tuple[dict[str, float], f
     return shares, gauge
 
 
-def _root(model: PowerModel) -> FloatArray:
-    """Return principal directions of the covariance, one standard deviation each."""
-    n = len(model.terms)
-    if model.covariance is None:
-        return np.empty((n, 0))
-    value, vector = np.linalg.eigh(model.covariance)
-    keep = value > 1e-12 * max(float(value.max()), 1e-300)
-    return np.asarray(vector[:, keep] * np.sqrt(value[keep]))
-
-
 class Priced(NamedTuple):
     """What a drive takes."""
 
@@ -209,7 +199,7 @@ class Grounds:
                     "both with the same terms",
                     ("payload_models",),
                 )
-        roots, first = tuple(_root(other) for _, other in nodes), len(self.labels)
+        roots, first = tuple(other.principal_directions() for _, other in nodes), len(self.labels)
         self.labels += [f"coefficients of {model.name}"] * sum(len(root.T) for root in roots)
         self.labels += ["coefficient_spread"] * len(terms)
         self.labels.append(f"hold-out error of {model.name}")

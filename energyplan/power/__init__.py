@@ -209,6 +209,14 @@ class PowerModel(ByValue, html.Readable):
         k = self._index(name)
         return None if self.covariance is None else float(np.sqrt(self.covariance[k, k]))
 
+    def principal_directions(self) -> FloatArray:
+        """Return independent changes of the coefficients, one standard deviation each, (n, k)."""
+        if self.covariance is None:
+            return np.empty((len(self.terms), 0))
+        value, vector = np.linalg.eigh(self.covariance)
+        keep = value > 1e-12 * max(float(value.max()), 1e-300)
+        return np.asarray(vector[:, keep] * np.sqrt(value[keep]))
+
     @checked(ModelError)
     def with_term(self, term: Term, value: float) -> PowerModel:
         """Return this model with one more term of known coefficient (variance zero)."""
