@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan import html
-from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
@@ -72,14 +71,16 @@ class Comparison(html.Readable):
             ("at most above the least possible [%]", *(100 * plan.gap for plan in plans)),
             ("length [m]", *(plan.length for plan in plans)),
             ("turning [deg]", *(float(np.degrees(plan.turning)) for plan in plans)),
-            ("duration [s]", *(plan.duration for plan in plans)),
+            ("duration at a steady speed [s]", *(plan.duration for plan in plans)),
         ]
         if self.energy_optimal.potential:
             rows.insert(2, ("of it for the height [J]", self.energy_optimal.potential, "-"))
         title = f"saving: {100 * self.saving:.1f} % of the shortest route's energy"
-        if self.driven or all("driven" in vars(plan) for plan in plans):
-            rows.insert(1, ("energy driven [J]", *(plan.driven.energy for plan in plans)))
-            rows.append(("duration driven [s]", *(plan.driven.duration for plan in plans)))
+        if not any(plan.why_not_driven for plan in plans):
+            rows.insert(
+                1, ("driven, with its stops: energy [J]", *(plan.driven.energy for plan in plans))
+            )
+            rows.append(("driven: duration [s]", *(plan.driven.duration for plan in plans)))
         if self.driven:
             title += ", driven with its stops"
         parts = [
@@ -108,14 +109,6 @@ def _spent(made: Plan, driven: bool) -> Spent:
     if driven:
         return Spent(made.driven.energy, made.driven.breakdown)
     return Spent(made.energy, made.breakdown)
-
-
-def _can_be_driven(made: Plan) -> bool:
-    try:
-        _ = made.driven
-    except (InfeasibleMotionError, InvalidInputError):
-        return False
-    return True
 
 
 @checked()
@@ -175,7 +168,7 @@ def compare(
     shortest = plan(replace(problem, objective="length"), "lattice", time_limit, effort=effort)
     cheapest = replace(problem, objective="energy")
     best = plan(cheapest, planner, time_limit, effort=effort, **options)
-    driven = stops_count(cheapest) and _can_be_driven(shortest) and _can_be_driven(best)
+    driven = stops_count(cheapest) and not (shortest.why_not_driven or best.why_not_driven)
     if _spent(best, driven).energy > _spent(shortest, driven).energy:
         best = priced_plan(
             compiled(cheapest), shortest.path, best.lower_bound, best.planner,

@@ -93,9 +93,9 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         say("2/7 diagnosing a residual")
         _diagnosis(demo)
         say("3/7 planning")
-        made = _routes(demo)
+        result = _routes(demo)
         say("4/7 checking motor limits")
-        _limits(demo, made)
+        _limits(demo, result)
         say("5/7 driving it in a physics engine")
         report = beside.submit(evaluate, read_mission(bundled("mission_warehouse.yaml")))
         _driven(demo)
@@ -178,17 +178,17 @@ def _diagnosis(demo: _Demo) -> None:
     unseen = _drive(truth, simulate.VALIDATION, slope=slope, uphill=0.7, seed=3)
     for name, log in zip(("train-1", "train-2", "holdout"), (*drives, unseen), strict=True):
         write_log(log, demo.path(f"drives/hidden-{name}.csv"))
-    told = diagnose(drives, holdout=[unseen], vehicle=vehicle)
-    write_model(told.model, demo.path("models/extended.yaml"))
+    report = diagnose(drives, holdout=[unseen], vehicle=vehicle)
+    write_model(report.model, demo.path("models/extended.yaml"))
     page.paragraph(
         f"A robot drives on ground tilted by {math.degrees(slope):.0f} degrees and its computers "
         f"draw {load:.0f} W; the paper's model knows of neither. The residual is traced to an "
         "effect, the effect is added, and the error is reported on a drive not fitted to."
     )
-    found = ", ".join(words(effect.name) for effect in told.effects) or "no effect"
+    found = ", ".join(words(effect.name) for effect in report.effects) or "no effect"
     demo.results.append(("Hidden effects found", found))
-    page.summaries(told.tables)
-    for name, figure, caption in diagnosis_pictures(told, [unseen]):
+    page.summaries(report.tables)
+    for name, figure, caption in diagnosis_pictures(report, [unseen]):
         demo.picture(f"diagnosis-{name}.png", figure, caption)
     page.command(
         "energyplan diagnose drives/hidden-train-1.csv drives/hidden-train-2.csv "
@@ -208,12 +208,12 @@ def _routes(demo: _Demo) -> Comparison:
     problem = PlanningProblem(
         grid, cost, Pose(2.0, 2.0, 0.0), Pose(20.0, 12.0, math.pi / 2), surfaces=ground
     )
-    made = compare(problem, effort=20_000)
-    demo.results.append(("Energy saved against the shortest route", f"{100 * made.saving:.0f} %"))
-    write_path(made.energy_optimal.path, demo.path("routes/least-energy.csv"))
-    write_path(made.shortest.path, demo.path("routes/shortest.csv"))
-    plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
-    page.summaries(made.tables)
+    result = compare(problem, effort=20_000)
+    demo.results.append(("Energy saved against the shortest route", f"{100 * result.saving:.0f} %"))
+    write_path(result.energy_optimal.path, demo.path("routes/least-energy.csv"))
+    write_path(result.shortest.path, demo.path("routes/shortest.csv"))
+    plans = {"least energy": result.energy_optimal, "shortest": result.shortest}
+    page.summaries(result.tables)
     demo.picture(
         "routes.png",
         plots.routes(
@@ -226,14 +226,14 @@ def _routes(demo: _Demo) -> Comparison:
     figure = plots.figure(size=(plots.WIDTH, 2.0))
     plots.breakdown(figure.axes[0], {label: p.breakdown for label, p in plans.items()})
     demo.picture("routes-energy.png", figure, "Where the energy of both routes goes.")
-    return made
+    return result
 
 
-def _limits(demo: _Demo, made: Comparison) -> None:
+def _limits(demo: _Demo, result: Comparison) -> None:
     page = demo.page
     page.heading("4. Can the motors drive it?")
     model = PowerModel.preset("quadriga:full:concrete")
-    trajectory = profile(made.energy_optimal.path, model)
+    trajectory = profile(result.energy_optimal.path, model)
     write_trajectory(trajectory, demo.path("routes/least-energy-trajectory.csv"))
     report = check(trajectory, model)
     fast = check(trajectory.scaled(1.5), model)
@@ -269,10 +269,10 @@ def _driven(demo: _Demo) -> None:
     problem = PlanningProblem(grid, EnergyCost(model), Pose(0.0, 0.0, 0.0), Pose(9.0, 0.0, 0.0))
     border = {"direction": math.pi / 2, "offset": 1.1}
     robot = Effect("surface_border", 0.3, border).on(Robot.from_model(model))
-    made = close_loop(
+    result = close_loop(
         problem, EngineDrives(robot), rounds=2, tolerance=0.0, survey=40.0, effort=20_000
     )
-    first, last = made.rounds[0], made.rounds[-1]
+    first, last = result.rounds[0], result.rounds[-1]
     page.paragraph(
         "A physics engine that knows nothing of the model drives the planned route. It hides that "
         f"the ground is rougher above y = {border['offset']} m. The error of "
@@ -280,12 +280,12 @@ def _driven(demo: _Demo) -> None:
         "designed drive shows why; the route of the second round takes "
         f"{100 * (1 - last.energy_taken / first.energy_taken):.0f} % less than the first one."
     )
-    page.summaries(made.tables)
+    page.summaries(result.tables)
     rough = box(-2.0, border["offset"], 11.0, 3.6)
     demo.picture(
         "loop.png",
         plots.routes(
-            grid, {f"round {k}": r.plan.path for k, r in enumerate(made.rounds, 1)},
+            grid, {f"round {k}": r.plan.path for k, r in enumerate(result.rounds, 1)},
             surfaces=[("rough ground", rough)],
         ),
         "What was learned changes the route.",

@@ -48,8 +48,8 @@ def main() -> None:
         full = isinstance(error, OSError) and error.errno == errno.ENOSPC
         if full:
             give_up_stdout()
-        told = "the answer cannot be written: the disk is full" if full else str(error)
-        code = _fail(told, 1 if full else 2)
+        message = "the answer cannot be written: the disk is full" if full else str(error)
+        code = _fail(message, 1 if full else 2)
     except typer.TyperException as error:
         code = _fail(misuse(error), error.exit_code)
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code

@@ -167,6 +167,7 @@ MOVED_OPTIONS = {
     "--charger": "is the argument back of energyplan.energy_map, in Python",
     "--former-map": "is the map of energyplan.planning.replanning.replan, in Python",
     "--time-limit": "is the key planning_time of a mission's file; --effort limits the work",
+    "--without": "is gone; name the terms that stay by --terms",
 }
 """Options that are given elsewhere, and where."""
 _MISSION_OPTIONS = dict.fromkeys(
@@ -260,8 +261,8 @@ def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:
         project = read_project(value)
         ctx.meta[_PROJECT] = value
         given = {"vehicle": True, "columns": project.columns, "topics": project.topics}
-        told = {name: str(value) for name, there in given.items() if there}
-        ctx.default_map = {**(ctx.default_map or {}), **told}
+        values = {name: str(value) for name, there in given.items() if there}
+        ctx.default_map = {**(ctx.default_map or {}), **values}
     return value
 
 

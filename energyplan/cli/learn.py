@@ -29,7 +29,7 @@ from energyplan.cli.answers import (
 )
 from energyplan.cli.app import app
 from energyplan.cli.options import Robot, number, writes
-from energyplan.errors import InvalidInputError, NotIdentifiableError, UnknownNameError
+from energyplan.errors import InvalidInputError, NotIdentifiableError
 
 if TYPE_CHECKING:
     from energyplan.fit import ICREstimate
@@ -99,24 +99,24 @@ def start(
         lines = [*text.log(held), "give --out PROJECT.yaml to check it and write a project"]
         answer(documents.plain(held), lines, json=json)
         return
-    told = {
+    numbers = {
         "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
         "counts_per_revolution": counts_per_revolution,
     }  # fmt: skip
     if like is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
-        told |= {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if told[key] is None}
-    known: Any = {key: value for key, value in told.items() if value is not None}
+        numbers |= {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if numbers[key] is None}
+    known: Any = {key: value for key, value in numbers.items() if value is not None}
     vehicle = None if like is None else read_vehicle(like)
     given = Given(**known, name=name, like=vehicle, columns=columns)
     with progress("looking into the log"):
-        made = run(log, given)
-    written = made.sound or accept
+        result = run(log, given)
+    written = result.sound or accept
     done = f"not written: {out}; mend what is WRONG, or write it all the same with --accept"
     if written:
-        write_project(made.project, out)
+        write_project(result.project, out)
         done = f"written: {out}"
-    answer(documents.start(made), [*text.start(made), done], json=json)
-    verdict(made.sound, strict or not written)
+    answer(documents.start(result), [*text.start(result), done], json=json)
+    verdict(result.sound, strict or not written)
 
 
 def _ask(question: str) -> float | None:
@@ -147,10 +147,6 @@ def identify(
             metavar="NAME,NAME",
             help="Terms of the model. Default: slip_friction,traction_resistance.",
         ),
-    ] = None,
-    without: Annotated[
-        str | None,
-        Option(metavar="NAME,NAME", help="Terms to leave out, such as slip_friction."),
     ] = None,
     hoisted: Annotated[
         bool,
@@ -190,11 +186,11 @@ def identify(
         if given is not None and not needed:
             mode = "--hoisted" if name == "--motor-constant" else "--spin"
             raise InvalidInputError(f"{name} goes with {mode}; give both or neither")
-    if spin and (hoisted or terms or without):
+    if spin and (hoisted or terms):
         raise InvalidInputError("--spin finds the tread ICRs alone; leave other options out")
     if spin and len(logs) > 1:
         raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
-    if hoisted and (out or terms or without):
+    if hoisted and (out or terms):
         raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
     drives = _read(logs, robot)
     if spin:
@@ -204,18 +200,18 @@ def identify(
         answer(documents.icr(icr), text.icr(icr), json=json)
     elif hoisted:
         sides = inside(drives, motor_constant)
-        told = _notes([replace(log, warnings=doubts_off_the_ground(log)) for log in drives])
+        notes = _notes([replace(log, warnings=doubts_off_the_ground(log)) for log in drives])
         if motor_constant is None:
-            told += [
+            notes += [
                 f"{side.side}: the power hardly grows with speed, as if it were voltage times "
                 "motor current; then give --motor-constant, such as 21.4 for a Husky"
                 for side in sides
                 if side.power_without_speed
             ]
-        lines = [*text.hoisted(sides), *(f"note: {line}" for line in told)]
-        answer({"sides": documents.plain(sides), "warnings": told}, lines, json=json)
+        lines = [*text.hoisted(sides), *(f"note: {line}" for line in notes)]
+        answer({"sides": documents.plain(sides), "warnings": notes}, lines, json=json)
     else:
-        found = run(drives, vehicle, terms=_terms(terms, without), method=method)
+        found = run(drives, vehicle, terms=_terms(terms), method=method)
         doubts = (*_notes(drives, found.warnings), *_contradictions(drives, vehicle))
         found = replace(found, warnings=(*doubts, *found.warnings))
         if out:
@@ -236,13 +232,13 @@ def _contradictions(logs: list[DriveLog], vehicle: Any) -> list[str]:
     return [f"{log.name}: {check}" for log in logs for check in contradictions(log, vehicle)]
 
 
-def _notes(logs: list[DriveLog], told: Sequence[str] = ()) -> list[str]:
+def _notes(logs: list[DriveLog], known: Sequence[str] = ()) -> list[str]:
     """Return what the readers of logs warned of, and is not yet told; once for several logs."""
     from energyplan.html import listed
 
     warned: dict[str, list[str]] = {}
     for log in logs:
-        for warning in (one for one in log.warnings if not any(one in text for text in told)):
+        for warning in (one for one in log.warnings if not any(one in text for text in known)):
             warned.setdefault(warning, []).append(log.name)
     return [f"{listed(names)}: {warning}" for warning, names in warned.items()]
 
@@ -263,23 +259,13 @@ def _icr_of_spin(drive: DriveLog, angle: str | None, angle_error: str) -> ICREst
     return found
 
 
-def _terms(terms: str | None, without: str | None) -> list[Term]:
+def _terms(names: str | None) -> list[Term]:
     """Return the terms that a model is to have."""
     from energyplan.power import SLIP, TRACTION
     from energyplan.power.effects import term
 
-    wanted, unwanted = (
-        [name.strip() for name in (names or "").split(",") if name.strip()]
-        for names in (terms, without)
-    )
-    chosen = {one.name: one for one in (list(map(term, wanted)) or [SLIP, TRACTION])}
-    for name in unwanted:
-        if name not in chosen:
-            raise UnknownNameError("term to leave out", name, list(chosen))
-    left = [one for name, one in chosen.items() if name not in unwanted]
-    if not left:
-        raise InvalidInputError("--without leaves no term to identify; leave one in")
-    return left
+    wanted = [name.strip() for name in (names or "").split(",") if name.strip()]
+    return list(map(term, dict.fromkeys(wanted))) or [SLIP, TRACTION]
 
 
 @app.command(
@@ -333,18 +319,18 @@ def diagnose(
         "judging": [drive.name for drive in judging],
     }
     with progress("diagnosing") as update:
-        told = run(training, holdout=judging, vehicle=vehicle, progress=update)
-    told = replace(told, set_aside=set_aside_by_drive(read))
+        result = run(training, holdout=judging, vehicle=vehicle, progress=update)
+    result = replace(result, set_aside=set_aside_by_drive(read))
     lines = [f"{part}: {', '.join(names)}" for part, names in parts.items()]
     if out:
-        write_model(told.model, out)
+        write_model(result.model, out)
     if report:
-        page = diagnosis_page(told, judging)
+        page = diagnosis_page(result, judging)
         page.heading("Drives")
         page.bullets(lines)
         write_report(page, report)
-    answer({**parts, **documents.diagnosis(told)}, [*lines, told], json=json)
-    verdict(told.verdict != "unexplained", strict)
+    answer({**parts, **documents.diagnosis(result)}, [*lines, result], json=json)
+    verdict(result.verdict != "unexplained", strict)
 
 
 @app.command(
@@ -403,8 +389,8 @@ def watch(
             for k, event in enumerate(found):
                 if k == 0:
                     warn_with_answer()
-                told = jsonlib.dumps(documents.event(event), allow_nan=False) if json else ""
-                say(told or "\n".join(text.event(event)))
+                line = jsonlib.dumps(documents.event(event), allow_nan=False) if json else ""
+                say(line or "\n".join(text.event(event)))
                 sys.stdout.flush()
                 if isinstance(event, Learned | Ended):
                     learned = event.model if isinstance(event, Learned) else learned

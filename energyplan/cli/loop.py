@@ -97,16 +97,16 @@ def drive(
     x, y, _ = wanted.poses[len(wanted) // 2]
     simulated = switch_on(simulated, robot.effects(simulated, float(x), float(y)))
     with progress("driving"):
-        made = run(wanted, simulated, cost.model, ground=Floor(surfaces, heights))
+        result = run(wanted, simulated, cost.model, ground=Floor(surfaces, heights))
     if out:
-        write_log(recording.log(made.run, out.name), out)
+        write_log(recording.log(result.run, out.name), out)
     secret = robot.hidden is not None
-    (energy,) = made.tables
+    (energy,) = result.tables
     if secret:  # what was taken by term would tell the effects
         rows = [row[:2] for row in energy.rows if row[1]]
         energy = energy._replace(header=energy.header[:2], rows=rows)
-    answer(documents.driven(made, secret=secret), energy.text(), json=json)
-    verdict(made.arrived, strict)
+    answer(documents.driven(result, secret=secret), energy.text(), json=json)
+    verdict(result.arrived, strict)
 
 
 @app.command(
@@ -169,16 +169,16 @@ def close_the_loop(
         simulated = switch_on(simulated, robot.effects(simulated, x, y))
         source = EngineDrives(simulated, Floor(problem.surfaces, problem.heights))
     with progress("closing the loop") as update:
-        made = close_loop(
+        result = close_loop(
             problem, source, rounds=rounds, tolerance=error, survey=survey, progress=update,
             effort=effort, time_limit=PLAN_TIME,
         )  # fmt: skip
     if out:
-        write_model(made.model, out)
+        write_model(result.model, out)
     if report:
-        write_report(loop_page(made, problem), report)
-    answer(documents.loop(made), made, json=json)
-    verdict(made.closed, strict)
+        write_report(loop_page(result, problem), report)
+    answer(documents.loop(result), result, json=json)
+    verdict(result.closed, strict)
 
 
 @app.command(
@@ -219,14 +219,14 @@ def design(
 
     law = read_model(model)
     explanations = explanations_of(_document(diagnosis)) if diagnosis else ()
-    made = run(
+    result = run(
         law, explanations, grid=read_site(map_file).grid if map_file else None,
         start=parse_pose(start) if start else None, duration=duration, speed=max_speed,
         screen=screen,
     )  # fmt: skip
     if out:
-        write_trajectory(made.trajectory, out)
-    answer(documents.design(made), text.design(made), json=json)
+        write_trajectory(result.trajectory, out)
+    answer(documents.design(result), text.design(result), json=json)
 
 
 def _document(file: Path) -> dict[str, Any]:

@@ -55,14 +55,14 @@ def graph(
     somewhere = as_pose((*next(iter(places.nodes(data="pos")))[1], 0.0), "a node")
     problem = problem_of(Site(map_file), Drive(model, at_battery), somewhere, somewhere)
     with progress("planning"):
-        made = run(places, problem, effort=EFFORT if effort is None else effort)
+        result = run(places, problem, effort=EFFORT if effort is None else effort)
     if out:
-        write_route_graph(made.graph, out)
+        write_route_graph(result.graph, out)
     edges = [{"source": one.source, "target": one.target, "energy": energy}
-             for one, energy in made.energies.items()]  # fmt: skip
+             for one, energy in result.energies.items()]  # fmt: skip
     lines = [f"{edge['source']} to {edge['target']}: {edge['energy']:.0f} J" for edge in edges]
-    lines += [f"{one.source} to {one.target} is closed: {one.reason}" for one in made.closed]
-    answer({"edges": edges, "closed": [one._asdict() for one in made.closed]}, lines, json=json)
+    lines += [f"{one.source} to {one.target} is closed: {one.reason}" for one in result.closed]
+    answer({"edges": edges, "closed": [one._asdict() for one in result.closed]}, lines, json=json)
 
 
 @export.command(
@@ -103,10 +103,10 @@ def lattice(
     write_lattice(controls, out)
     if parameters:
         write_penalties(found, parameters, out)
-    told = {name: round(value, 6) for name, value in found._asdict().items()}
+    rounded = {name: round(value, 6) for name, value in found._asdict().items()}
     lines = [f"{len(controls.primitives)} primitives: {out}"]
-    lines += [f"{name}: {value:.4g}" for name, value in told.items()]
-    answer({"primitives": len(controls.primitives), "penalties": told}, lines, json=json)
+    lines += [f"{name}: {value:.4g}" for name, value in rounded.items()]
+    answer({"primitives": len(controls.primitives), "penalties": rounded}, lines, json=json)
 
 
 @export.command(
@@ -132,14 +132,14 @@ def table(
         raise InvalidInputError(
             f"--speeds is {speeds!r}; write metres per second with commas between, like 0.2,0.5"
         ) from None
-    made = tabulate(EnergyCost(level_model(model), battery=at_battery), asked)
-    write_cost_table(made, out)
-    size = {"directions": len(made.angle), "speeds": len(made.speed)}
+    result = tabulate(EnergyCost(level_model(model), battery=at_battery), asked)
+    write_cost_table(result, out)
+    size = {"directions": len(result.angle), "speeds": len(result.speed)}
     lines = [
         f"{size['directions']} directions, {size['speeds']} speeds: {out}",
-        f"read with straight lines between entries, energies are right to {made.error:.1g}",
+        f"read with straight lines between entries, energies are right to {result.error:.1g}",
     ]
-    document = {**size, "half_track": made.half_track, "error": made.error}
+    document = {**size, "half_track": result.half_track, "error": result.error}
     answer(document, lines, json=json)
 
 
@@ -189,16 +189,18 @@ def warmup(
     with progress("compiling"):
         for module in modules:
             import_module(module)
-        made = compile_kernels(*modules, processes=2)
+        result = compile_kernels(*modules, processes=2)
     document = {
-        "folder": str(cache_folder()), "compiled": list(made.compiled), "found": made.found,
-        "kept": made.kept, "processes": made.processes, "seconds": made.seconds,
+        "folder": str(cache_folder()), "compiled": list(result.compiled), "found": result.found,
+        "kept": result.kept, "processes": result.processes, "seconds": result.seconds,
     }  # fmt: skip
     text = (
-        f"{len(made.compiled)} kernels compiled in {made.seconds:.1f} s by {made.processes} "
-        f"process{'es' if made.processes > 1 else ''}, {made.found} found; "
+        f"{len(result.compiled)} kernels compiled in {result.seconds:.1f} s by {result.processes} "
+        f"process{'es' if result.processes > 1 else ''}, {result.found} found; "
     )
-    where = f"kept in {cache_folder()}" if made.kept else "not kept: the next process compiles too"
+    where = (
+        f"kept in {cache_folder()}" if result.kept else "not kept: the next process compiles too"
+    )
     answer(document, [text + where], json=json)
 
 

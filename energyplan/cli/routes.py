@@ -16,7 +16,7 @@ from energyplan.cli import options as opt
 from energyplan.cli.answers import NO, answer, progress, verdict, warn, write_report
 from energyplan.cli.app import app
 from energyplan.cli.options import Drive, Effort, Site, number, writes
-from energyplan.errors import InfeasibleMotionError, InvalidInputError, NoPathError
+from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
     from energyplan.cost import EnergyCost
@@ -49,7 +49,6 @@ class Routing:
     planner: Annotated[str, Option(help="lattice, roadmap, or the name of another planner.")] = (
         "lattice"
     )
-    objective: Annotated[str, Option(help="What to make least: energy, length or time.")] = "energy"
     out: Annotated[
         Path | None,
         Option(
@@ -78,9 +77,7 @@ class Routing:
         turning: str | float = self.turning
         with suppress(ValueError):
             turning = float(turning)
-        return problem_of(
-            site, drive, start, goal, objective=self.objective, turning=turning, **more
-        )
+        return problem_of(site, drive, start, goal, turning=turning, **more)
 
     def write(self, problem: PlanningProblem, plans: dict[str, Plan]) -> None:
         """Write the first of some plans as a table, or all as a recording; draw them all."""
@@ -92,12 +89,14 @@ class Routing:
         if self.out and self.out.suffix == opt.RECORDING:
             from energyplan.ros.messages import write_recording
 
-            topics = {f"/{name.replace(' ', '_')}": made.path for name, made in plans.items()}
+            topics = {f"/{name.replace(' ', '_')}": planned.path for name, planned in plans.items()}
             write_recording(topics, self.out, problem.map)
         elif self.out:
             write_path(next(iter(plans.values())).path, self.out)
         if self.plot:
-            paths = {f"{name}: {made.energy:.0f} J": made.path for name, made in plans.items()}
+            paths = {
+                f"{name}: {planned.energy:.0f} J": planned.path for name, planned in plans.items()
+            }
             atomic_write(self.plot, image(plots.planned(problem, paths), self.plot.suffix))
 
 
@@ -202,23 +201,16 @@ def planning(json: bool, strict: bool) -> Iterator[None]:
         raise typer.Exit(NO if strict else 0) from None
 
 
-def driven(made: Plan, trajectory: Path | None) -> DrivenPath | None:
+def driven(planned: Plan, trajectory: Path | None) -> DrivenPath | None:
     """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
     from energyplan.io.tables import write_trajectory
 
-    if trajectory is None and made.length == 0.0 and made.turning == 0.0:
-        warn("start and goal are the same pose: there is nothing to drive")
-        return None
-    try:
-        told = made.driven
-    except (InfeasibleMotionError, InvalidInputError) as error:
-        if trajectory:
-            raise
-        warn(f"the path cannot be timed: {error}")
-        return None
     if trajectory:
-        write_trajectory(told.trajectory, trajectory)
-    return told
+        write_trajectory(planned.driven.trajectory, trajectory)
+    if planned.why_not_driven:
+        warn(f"the path cannot be timed: {planned.why_not_driven}")
+        return None
+    return planned.driven
 
 
 @app.command(
@@ -242,6 +234,9 @@ def plan(
             "is still free."
         ),
     ] = None,
+    objective: Annotated[
+        str, Option(help="What to make least: energy, length or time.")
+    ] = "energy",
     costmap_weight: Annotated[
         float,
         Option(
@@ -271,22 +266,24 @@ def plan(
         raise InvalidInputError(f"--former needs the planner lattice, not {routing.planner}")
     here = parse_pose(start)
     there = here if goal is None else parse_pose(goal)
-    problem = routing.problem(site, drive, here, there, costmap_weight=costmap_weight)
+    problem = routing.problem(
+        site, drive, here, there, objective=objective, costmap_weight=costmap_weight
+    )
     if costmap_weight and problem.costmap is None:
         raise InvalidInputError("--costmap-weight needs a site's file that names a costmap")
     spent = effort.within(PLAN_TIME)
     if former is None:
         with planning(json, strict):
-            made = run(problem, planner=routing.planner, **spent)
+            result = run(problem, planner=routing.planner, **spent)
     else:
         path = read_path(former, problem.cost.icr.longitudinal)
         before = replace(problem, start=path.start, goal=path.end)
         with planning(json, strict):
-            made = replan(before, path, start=here, map=problem.map, **spent)
-    told = driven(made, routing.trajectory)
-    routing.write(problem, {"plan": made})
-    document = {**documents.plan(made), **documents.driven_path(told)}
-    answer(document, made, json=json)
+            result = replan(before, path, start=here, map=problem.map, **spent)
+    path_driven = driven(result, routing.trajectory)
+    routing.write(problem, {"plan": result})
+    document = {**documents.plan(result), **documents.driven_path(path_driven)}
+    answer(document, result, json=json)
 
 
 @app.command(
@@ -315,17 +312,17 @@ def compare(
 
     problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
-        made = run(problem, planner=routing.planner, **effort.within(PLAN_TIME))
-    best = driven(made.energy_optimal, routing.trajectory)
-    one = made.shortest.path == made.energy_optimal.path
-    shortest = best if one else driven(made.shortest, None)
-    routing.write(problem, {"least energy": made.energy_optimal, "shortest": made.shortest})
+        result = run(problem, planner=routing.planner, **effort.within(PLAN_TIME))
+    best = driven(result.energy_optimal, routing.trajectory)
+    one = result.shortest.path == result.energy_optimal.path
+    shortest = best if one else driven(result.shortest, None)
+    routing.write(problem, {"least energy": result.energy_optimal, "shortest": result.shortest})
     if report:
-        write_report(comparison_page(made, problem), report)
-    document = documents.comparison(made)
+        write_report(comparison_page(result, problem), report)
+    document = documents.comparison(result)
     document["energy_optimal"] |= documents.driven_path(best)
     document["shortest"] |= documents.driven_path(shortest)
-    answer(document, made, json=json)
+    answer(document, result, json=json)
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
@@ -514,15 +511,15 @@ def mission(
     asked = _with_effort(MissionReader(document, file.parent, anywhere=True).mission(), effort)
     warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"):
-        told = evaluate(asked)
+        result = evaluate(asked)
     if trajectories:
         trajectories.mkdir(parents=True, exist_ok=True)
-        for k, leg in enumerate(told.trajectories, start=1):
+        for k, leg in enumerate(result.trajectories, start=1):
             write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
     if report:
-        write_report(mission_page(told), report)
-    answer(documents.mission(told, bool(trajectories)), text.mission(told), json=json)
-    verdict(told.feasible, strict)
+        write_report(mission_page(result), report)
+    answer(documents.mission(result, bool(trajectories)), text.mission(result), json=json)
+    verdict(result.feasible, strict)
 
 
 def _with_effort(asked: Mission, effort: int | None) -> Mission:
@@ -542,14 +539,14 @@ def _robots(
     robots = [replace(one, mission=_with_effort(one.mission, effort)) for one in asked.robots]
     asked = Fleet(tuple(robots), asked.places, asked.name)
     with progress("evaluating the mission"):
-        told = evaluate_fleet(asked)
-        after = evaluate_fleet(told.after_failure(name, instant)) if name else None
-    document, lines = documents.fleet(told), text.fleet(told)
+        report = evaluate_fleet(asked)
+        after = evaluate_fleet(report.after_failure(name, instant)) if name else None
+    document, lines = documents.fleet(report), text.fleet(report)
     if after is not None:
         document["after_failure"] = {"robot": name, "time": instant, **documents.fleet(after)}
         lines += [f"if {name} fails at {instant:g} s:", *text.fleet(after)]
     answer(document, lines, json=json)
-    verdict(told.feasible and (after is None or after.feasible), strict)
+    verdict(report.feasible and (after is None or after.feasible), strict)
 
 
 def _failure(text: str) -> tuple[str, float]:

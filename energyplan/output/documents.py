@@ -92,9 +92,9 @@ def icr(found: ICREstimate) -> Document:
     return {"icr": {**values, "std_error": spread}, **picked(found, "turning source")}
 
 
-def start(made: Start) -> Document:
+def start(result: Start) -> Document:
     """Return what ``energyplan start --json`` prints."""
-    project = made.project
+    project = result.project
     return {
         "columns": {channel: one.written for channel, one in project.columns.items()},
         "units": {
@@ -104,41 +104,41 @@ def start(made: Start) -> Document:
         "topics": None if project.topics is None else project.topics.model_dump(),
         "vehicle": plain(plain_vehicle(project.vehicle)),
         "defaults": plain(project.defaults),
-        "checks": [picked(check, "what value expected ok remedy") for check in made.checks],
-        "notes": list(made.notes),
+        "checks": [picked(check, "what value expected ok remedy") for check in result.checks],
+        "notes": list(result.notes),
     }
 
 
-def diagnosis(told: Diagnosis) -> Document:
+def diagnosis(report: Diagnosis) -> Document:
     """Return what ``energyplan diagnose --json`` prints."""
     return {
         **picked(
-            told, "verdict effects training choosing judging predictions average set_aside "
+            report, "verdict effects training choosing judging predictions average set_aside "
             "unexplained advice",
         ),
-        "explanations": [picked(one, "effects probability") for one in told.explanations],
-        "before": residual(told.before),
-        "after": residual(told.after),
-        "after_undated": None if told.after_undated is None else residual(told.after_undated),
-        "adequacy": adequacy(told.adequacy),
-        "terms": terms(told.model),
+        "explanations": [picked(one, "effects probability") for one in report.explanations],
+        "before": residual(report.before),
+        "after": residual(report.after),
+        "after_undated": None if report.after_undated is None else residual(report.after_undated),
+        "adequacy": adequacy(report.adequacy),
+        "terms": terms(report.model),
     }  # fmt: skip
 
 
-def driven_path(told: DrivenPath | None) -> Document:
+def driven_path(report: DrivenPath | None) -> Document:
     """Return what driving a plan takes; null where the motors cannot."""
     keys = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
             "breakdown_driven": "breakdown"}  # fmt: skip
-    return {key: plain(getattr(told, name, None)) for key, name in keys.items()}
+    return {key: plain(getattr(report, name, None)) for key, name in keys.items()}
 
 
-def plan(made: Plan) -> Document:
+def plan(result: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints."""
     keys = (
         "energy length turning lower_bound gap planning_time planner potential effort cost "
         "soft_cost breakdown notes"
     )
-    return {**picked(made, keys), "path": plain(made.path.poses())}
+    return {**picked(result, keys), "path": plain(result.path.poses())}
 
 
 def no_path(error: NoPathError) -> Document:
@@ -146,13 +146,13 @@ def no_path(error: NoPathError) -> Document:
     return {"path": None, "reason": str(error), **picked(error, "certainty resolution")}
 
 
-def comparison(made: Comparison) -> Document:
+def comparison(result: Comparison) -> Document:
     """Return what ``energyplan compare --json`` prints."""
     return {
-        "energy_optimal": plan(made.energy_optimal),
-        "shortest": plan(made.shortest),
-        "saving": plain(made.saving),
-        "saving_of": "energy_driven" if made.driven else "energy",
+        "energy_optimal": plan(result.energy_optimal),
+        "shortest": plan(result.shortest),
+        "saving": plain(result.saving),
+        "saving_of": "energy_driven" if result.driven else "energy",
     }
 
 
@@ -204,11 +204,11 @@ def fleet(report: FleetReport) -> Document:
     }
 
 
-def event(told: Event) -> Document:
+def event(report: Event) -> Document:
     """Return an event of ``energyplan watch --json``."""
-    named: Document = {"event": type(told).__name__.lower()}
-    for item in fields(told):
-        value = getattr(told, item.name)
+    named: Document = {"event": type(report).__name__.lower()}
+    for item in fields(report):
+        value = getattr(report, item.name)
         if item.name in ("model", "before"):
             named |= {"terms": terms(value)}
         elif item.name == "models":
@@ -223,29 +223,29 @@ def event(told: Event) -> Document:
 def _leg(leg: LegReport, trajectory: bool) -> Document:
     """Return a leg, with its trajectory as columns over its time if asked."""
     drive = leg.trajectory
-    told = {**picked(leg, "start goal departure energy"), "duration": plain(drive.duration)}
+    report = {**picked(leg, "start goal departure energy"), "duration": plain(drive.duration)}
     if trajectory:
         columns = {name: getattr(drive, name) for name in ("t", "x", "y", "yaw", "v", "omega")}
         columns |= {"soc": leg.soc, "soc_lower": leg.soc_lower}
-        told["trajectory"] = {k: np.round(values, 6).tolist() for k, values in columns.items()}
-    return told
+        report["trajectory"] = {k: np.round(values, 6).tolist() for k, values in columns.items()}
+    return report
 
 
-def driven(made: Driven, secret: bool = False) -> Document:
+def driven(result: Driven, secret: bool = False) -> Document:
     """Return what ``energyplan drive --json`` prints; what was taken not by term if `secret`."""
     keys = "energy_told energy_taken error arrived tracking_error heading_error final_error"
     return {
-        **picked(made, keys),
-        "duration": plain(made.trajectory.duration),
+        **picked(result, keys),
+        "duration": plain(result.trajectory.duration),
         "terms": [
-            {"name": name, "told": told} | ({} if secret else {"taken": taken})
-            for name, told, taken in made.terms
-            if told or not secret
+            {"name": name, "told": report} | ({} if secret else {"taken": taken})
+            for name, report, taken in result.terms
+            if report or not secret
         ],
     }
 
 
-def loop(made: Loop) -> Document:
+def loop(result: Loop) -> Document:
     """Return what ``energyplan close-the-loop --json`` prints."""
     keys = "energy_told energy_interval energy_taken error overhead effects length note"
     return {
@@ -255,21 +255,21 @@ def loop(made: Loop) -> Document:
                 "arrived": plain(now.driven.arrived) if now.driven else None,
                 "survey": plain(now.survey.trajectory.duration) if now.survey else None,
             }
-            for now in made.rounds
+            for now in result.rounds
         ],
-        "closed": made.closed,
-        "terms": terms(made.model),
+        "closed": result.closed,
+        "terms": terms(result.model),
     }
 
 
-def design(made: Design) -> Document:
+def design(result: Design) -> Document:
     """Return what ``energyplan design --json`` prints."""
     return {
-        "separates": [picked(pair, "true other log_odds") for pair in made.separates],
+        "separates": [picked(pair, "true other log_odds") for pair in result.separates],
         "probabilities_expected": [
             {"explanation": label, "if_true": plain(value)}
-            for label, value in made.probabilities_expected
+            for label, value in result.probabilities_expected
         ],
-        "duration": plain(made.trajectory.duration),
-        **picked(made, "manoeuvres sentence"),
+        "duration": plain(result.trajectory.duration),
+        **picked(result, "manoeuvres sentence"),
     }

@@ -159,13 +159,13 @@ class Page:
         lines = [("Made by", f"<code>{html.escape(call)}</code>")] if call else []
         if model is not None:
             robot = model.vehicle
-            told = f"{robot.name}: {_html.number(robot.mass)} kg, slip track "
+            named = f"{robot.name}: {_html.number(robot.mass)} kg, slip track "
             values = ", ".join(
                 f"{_html.words(term.name)} {_html.quantity(value, None, term.unit)}"
                 for term, value in zip(model.terms, model.coefficients.tolist(), strict=True)
             )
             lines += [
-                ("Vehicle", html.escape(f"{told}{_html.number(robot.icr.slip_track)} m")),
+                ("Vehicle", html.escape(f"{named}{_html.number(robot.icr.slip_track)} m")),
                 ("Model", html.escape(f"{model.name}: {values}")),
             ]
         lines += [
@@ -230,37 +230,37 @@ def _models(page: Page, model: PowerModel, surfaces: SurfaceMap | None) -> None:
         page.made_from(model=surface.model)
 
 
-def diagnosis_page(told: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
+def diagnosis_page(report: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     """Return the report of a diagnosis; `holdout` are the drives that it was judged on."""
     page = Page("Diagnosis of a power model")
-    page.made_from(model=told.model)
-    before, after = (f"{number(one.rmse, 3)} W" for one in (told.before, told.after))
-    found = " and ".join(words(effect.name) for effect in told.effects) or "none"
+    page.made_from(model=report.model)
+    before, after = (f"{number(one.rmse, 3)} W" for one in (report.before, report.after))
+    found = " and ".join(words(effect.name) for effect in report.effects) or "none"
     page.paragraph(
         {
             "effect_found": f"The most probable cause of the residual is {found}, with a "
-            f"probability of {chance(told.explanations[0].probability)}. On drives that were not "
+            f"probability of {chance(report.explanations[0].probability)}. On drives that were not "
             f"fitted to, the root mean square error is {before} without it and {after} with it.",
             "no_effect": "No effect of the catalogue predicts these drives better than the paper's "
             "model alone.",
             "unexplained": "More is left than noise, and no effect of the catalogue explains it.",
-        }[told.verdict],
+        }[report.verdict],
         "lead",
     )
-    page.pictures(diagnosis_pictures(told, holdout))
-    page.summaries(told.tables)
+    page.pictures(diagnosis_pictures(report, holdout))
+    page.summaries(report.tables)
     return page
 
 
-def diagnosis_pictures(told: Diagnosis, holdout: Sequence[DriveLog]) -> Iterator[Picture]:
+def diagnosis_pictures(report: Diagnosis, holdout: Sequence[DriveLog]) -> Iterator[Picture]:
     """Yield the residual against the guilty channel, and power and energy, before and after."""
-    if any(one.knots for one in told.dependences_before):
-        yield _guilty_channel(told, holdout)
+    if any(one.knots for one in report.dependences_before):
+        yield _guilty_channel(report, holdout)
     longest = int(np.argmax([log.duration for log in holdout]))
     log = holdout[longest]
     both = {
-        "before": told.predictions_before[longest],
-        "after": told.predictions_after[longest],
+        "before": report.predictions_before[longest],
+        "after": report.predictions_after[longest],
     }
     yield Picture(
         "power",
@@ -269,10 +269,10 @@ def diagnosis_pictures(told: Diagnosis, holdout: Sequence[DriveLog]) -> Iterator
     )
 
 
-def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
+def _guilty_channel(report: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
     # What has no knots is no channel of a log: drives as a whole, waves, forces of the model.
-    channel = next(one.channel for one in told.dependences_before if one.knots)
-    icr = told.model.vehicle.icr
+    channel = next(one.channel for one in report.dependences_before if one.knots)
+    icr = report.model.vehicle.icr
     values = np.concatenate([signal(log.motion(icr), channel) for log in holdout])
     if channel == "yaw":
         values = wrap_angle(values)
@@ -281,8 +281,8 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
             [log.power - power for log, power in zip(holdout, predicted, strict=True)]
         )
         for label, predicted in (
-            ("before", told.predictions_before),
-            ("after", told.predictions_after),
+            ("before", report.predictions_before),
+            ("after", report.predictions_after),
         )
     }
     figure = plots.figure()
@@ -290,26 +290,26 @@ def _guilty_channel(told: Diagnosis, holdout: Sequence[DriveLog]) -> Picture:
     return Picture("residual", figure, "The residual against the channel that it depends on most.")
 
 
-def comparison_page(made: Comparison, problem: PlanningProblem) -> Page:
+def comparison_page(result: Comparison, problem: PlanningProblem) -> Page:
     """Return the report of a comparison; `problem` is what was planned."""
     page = Page("Least energy against the shortest route")
     _models(page, problem.cost.model, problem.surfaces)
-    least, most = made.spent
+    least, most = result.spent
     page.paragraph(
-        f"{'Driven with its stops, the' if made.driven else 'The'} route of least energy takes "
+        f"{'Driven with its stops, the' if result.driven else 'The'} route of least energy takes "
         f"{number(least.energy)} J, the shortest one {number(most.energy)} J: "
-        f"{100 * made.saving:.1f} % saved. No route takes less than "
-        f"{number(made.energy_optimal.lower_bound)} J{' at a steady speed' * made.driven}.",
+        f"{100 * result.saving:.1f} % saved. No route takes less than "
+        f"{number(result.energy_optimal.lower_bound)} J{' at a steady speed' * result.driven}.",
         "lead",
     )
-    page.pictures(comparison_pictures(made, problem))
-    page.summaries(made.tables)
+    page.pictures(comparison_pictures(result, problem))
+    page.summaries(result.tables)
     return page
 
 
-def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[Picture]:
+def comparison_pictures(result: Comparison, problem: PlanningProblem) -> Iterator[Picture]:
     """Yield both routes on the map, the energy along them, and their energy by term."""
-    plans = {"least energy": made.energy_optimal, "shortest": made.shortest}
+    plans = {"least energy": result.energy_optimal, "shortest": result.shortest}
     paths = {label: plan.path for label, plan in plans.items()}
     yield Picture("map", plots.planned(problem, paths), "Both routes on the map.")
     figure = plots.figure()
@@ -325,47 +325,49 @@ def comparison_pictures(made: Comparison, problem: PlanningProblem) -> Iterator[
         "energy", figure, "Energy along both routes; turns on the spot are upright steps."
     )
     figure = plots.figure(size=(plots.WIDTH, 2.0))
-    terms = dict(zip(plans, (spent.by_term for spent in made.spent), strict=True))
+    terms = dict(zip(plans, (spent.by_term for spent in result.spent), strict=True))
     plots.breakdown(figure.axes[0], terms)
     yield Picture("terms", figure, "Energy of both routes by term of the model.")
 
 
-def mission_page(told: MissionReport) -> Page:
+def mission_page(report: MissionReport) -> Page:
     """Return the report of a mission, flagged tasks first."""
-    page = Page(f"Mission: {told.mission.name}")
-    _models(page, told.mission.model, told.mission.surfaces)
-    flagged = [task for task in told.tasks if task.verdict == "unreachable"]
-    page.paragraph(f"{told.sentence[0].upper()}{told.sentence[1:]}. It ends at {told.end}.", "lead")
+    page = Page(f"Mission: {report.mission.name}")
+    _models(page, report.mission.model, report.mission.surfaces)
+    flagged = [task for task in report.tasks if task.verdict == "unreachable"]
+    page.paragraph(
+        f"{report.sentence[0].upper()}{report.sentence[1:]}. It ends at {report.end}.", "lead"
+    )
     for task in flagged:
         remedy = f"; remedy: {task.remedy}" if task.remedy else ""
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
-    for warning in told.warnings:
+    for warning in report.warnings:
         page.paragraph(f"Warning: {warning}.", "flag")
-    page.pictures(mission_pictures(told))
-    page.summaries(told.tables)
+    page.pictures(mission_pictures(report))
+    page.summaries(report.tables)
     return page
 
 
-def mission_pictures(told: MissionReport) -> Iterator[Picture]:
+def mission_pictures(report: MissionReport) -> Iterator[Picture]:
     """Yield the route on the map, coloured by power, and the state of charge over time."""
     yield Picture(
-        "map", plots.mission_map(told), "The route, coloured by the power at the battery."
+        "map", plots.mission_map(report), "The route, coloured by the power at the battery."
     )
     yield Picture(
         "charge",
-        plots.mission_charge(told),
+        plots.mission_charge(report),
         "State of charge over the mission with its band, what the robot does, and the power at the "
         "battery.",
     )
 
 
-def loop_page(made: Loop, problem: PlanningProblem) -> Page:
+def loop_page(result: Loop, problem: PlanningProblem) -> Page:
     """Return the report of a closed loop; `problem` is what was planned."""
     page = Page("Plan, drive, learn, plan again")
     _models(page, problem.cost.model, problem.surfaces)
-    page.made_from(model=made.model)
-    first, last = made.rounds[0], made.rounds[-1]
-    later = f" and {_off(last.error)} it in round {len(made.rounds)}" if last is not first else ""
+    page.made_from(model=result.model)
+    first, last = result.rounds[0], result.rounds[-1]
+    later = f" and {_off(last.error)} it in round {len(result.rounds)}" if last is not first else ""
     page.paragraph(
         f"The predicted energy was {_off(first.error)} what was measured in the first "
         f"round{later}. "
@@ -373,9 +375,9 @@ def loop_page(made: Loop, problem: PlanningProblem) -> Page:
         f"{number(last.energy_taken)} J.",
         "lead",
     )
-    page.pictures(loop_pictures(made, problem))
-    page.summaries(made.tables)
-    for k, now in enumerate(made.rounds, 1):
+    page.pictures(loop_pictures(result, problem))
+    page.summaries(result.tables)
+    for k, now in enumerate(result.rounds, 1):
         if now.driven is not None:
             energy = now.driven.tables[0]
             page.summaries([energy._replace(title=f"Round {k}, {energy.title}")])
@@ -387,13 +389,13 @@ def _off(error: float) -> str:
     return f"{100 * abs(error):.1f} % {'above' if error > 0 else 'below'}"
 
 
-def loop_pictures(made: Loop, problem: PlanningProblem) -> Iterator[Picture]:
+def loop_pictures(result: Loop, problem: PlanningProblem) -> Iterator[Picture]:
     """Yield predicted and measured energy by round, and the first and the last route."""
     yield Picture(
         "rounds",
-        plots.rounds(made),
+        plots.rounds(result),
         "Predicted energy, with its 95 % interval, and measured energy.",
     )
-    paths = {f"round {k}": now.plan.path for k, now in enumerate(made.rounds, 1)}
+    paths = {f"round {k}": now.plan.path for k, now in enumerate(result.rounds, 1)}
     shown = dict(list(paths.items())[:1] + list(paths.items())[-1:])
     yield Picture("routes", plots.planned(problem, shown), "The first and the last route.")

@@ -40,9 +40,9 @@ def hoisted(sides: Sequence[InternalFriction]) -> list[str]:
     return lines
 
 
-def start(made: Start) -> list[str]:
+def start(result: Start) -> list[str]:
     """Return what ``energyplan start`` prints."""
-    project = made.project
+    project = result.project
     topics = {} if project.topics is None else project.topics.channels
     sources = {**project.columns, **{channel: many[0] for channel, many in topics.items()}}
     lines = [
@@ -51,9 +51,9 @@ def start(made: Start) -> list[str]:
         for channel, one in sources.items()
     ]
     lines += [f"assumed {what}: {value}" for what, value in project.defaults.items()]
-    for check in made.checks:
+    for check in result.checks:
         lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")
-    return [*lines, *(f"note: {note}" for note in made.notes)]
+    return [*lines, *(f"note: {note}" for note in result.notes)]
 
 
 def icr(found: ICREstimate) -> list[str]:
@@ -65,30 +65,32 @@ def icr(found: ICREstimate) -> list[str]:
     return [*lines, f"from {found.source}, {number(found.turning)} rad of turning"]
 
 
-def event(told: Event) -> list[str]:
+def event(result: Event) -> list[str]:
     """Return the line of an event of ``energyplan watch``."""
     from energyplan.live import Changed, Done, Learned, Reassessed, Trouble
 
-    if isinstance(told, Trouble):
-        often = f" ({told.count} times more)" if told.count > 1 else ""
-        return [f"{told.place}: {told.reason}{often}"]
-    if isinstance(told, Learned):
-        factor = f"; {number(told.factor, 3)} times former runs" if told.factor != 1.0 else ""
-        return [f"{told.t:.1f} s: {_coefficients(told.model)}; {told.samples} samples{factor}"]
-    if isinstance(told, Changed):
+    if isinstance(result, Trouble):
+        often = f" ({result.count} times more)" if result.count > 1 else ""
+        return [f"{result.place}: {result.reason}{often}"]
+    if isinstance(result, Learned):
+        factor = f"; {number(result.factor, 3)} times former runs" if result.factor != 1.0 else ""
         return [
-            f"{told.t:.1f} s: the ground changed about {told.onset:.1f} s (chi-squared "
-            f"{number(told.statistic)}); it was {_coefficients(told.before)}"
+            f"{result.t:.1f} s: {_coefficients(result.model)}; {result.samples} samples{factor}"
         ]
-    if isinstance(told, Done):
-        return [f"{told.t:.1f} s: task {told.task} is done"]
-    if isinstance(told, Reassessed):
-        report = told.report
+    if isinstance(result, Changed):
+        return [
+            f"{result.t:.1f} s: the ground changed about {result.onset:.1f} s (chi-squared "
+            f"{number(result.statistic)}); it was {_coefficients(result.before)}"
+        ]
+    if isinstance(result, Done):
+        return [f"{result.t:.1f} s: task {result.task} is done"]
+    if isinstance(result, Reassessed):
+        report = result.report
         said = "all tasks are done" if report is None else "; ".join(mission(report))
-        return [f"{told.t:.1f} s: charge {100 * told.soc:.1f} %; {said}"]
-    aside = ", ".join(f"{count} x {reason}" for reason, count in told.set_aside.items())
+        return [f"{result.t:.1f} s: charge {100 * result.soc:.1f} %; {said}"]
+    aside = ", ".join(f"{count} x {reason}" for reason, count in result.set_aside.items())
     return [
-        f"the end: {told.samples} samples, {told.changes} changes of ground"
+        f"the end: {result.samples} samples, {result.changes} changes of ground"
         + (f"; reported: {aside}" if aside else "")
     ]
 
@@ -125,27 +127,27 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> list[str]:
     return lines
 
 
-def mission(told: MissionReport) -> list[str]:
+def mission(report: MissionReport) -> list[str]:
     """Return what ``energyplan mission`` prints."""
-    tables = [line for one in told.tables for line in one.text().splitlines()]
-    return [told.sentence, *(f"warning: {warning}" for warning in told.warnings), *tables]
+    tables = [line for one in report.tables for line in one.text().splitlines()]
+    return [report.sentence, *(f"warning: {warning}" for warning in report.warnings), *tables]
 
 
-def fleet(told: FleetReport) -> list[str]:
+def fleet(report: FleetReport) -> list[str]:
     """Return what ``energyplan mission`` prints of several robots."""
-    count = len(told.fleet.tasks)
-    done = count - len(told.left_out)
-    if told.proven:
+    count = len(report.fleet.tasks)
+    done = count - len(report.left_out)
+    if report.proven:
         quality = "no better assignment exists"
-    elif math.isfinite(told.gap):
-        quality = f"at most {100 * told.gap:.0f} % of its energy could be saved"
+    elif math.isfinite(report.gap):
+        quality = f"at most {100 * report.gap:.0f} % of its energy could be saved"
     else:
         quality = "how much could be saved is not known"
     lines = [
-        f"{done} of {count} tasks are done: {'feasible' if told.feasible else 'not feasible'}; "
+        f"{done} of {count} tasks are done: {'feasible' if report.feasible else 'not feasible'}; "
         f"{quality}"
     ]
-    for robot in told.robots:
+    for robot in report.robots:
         lines.append(
             f"{robot.name}: {number(robot.energy / 3600)} Wh, at most "
             f"{number(robot.energy_upper / 3600)} Wh; {robot.duration:.0f} s; state of charge at "
@@ -156,28 +158,28 @@ def fleet(told: FleetReport) -> list[str]:
             + (f" until {stop.departure:.0f} s" if stop.departure > stop.arrival else "")
             for stop in robot.route[1:]
         ]
-    for task in told.left_out:
+    for task in report.left_out:
         lines.append(f"{task.name}: not assigned ({', '.join(task.reasons)})")
     return lines
 
 
-def log(told: LogInfo) -> list[str]:
+def log(report: LogInfo) -> list[str]:
     """Return what ``energyplan start`` prints without ``--out``: columns or topics, then notes."""
-    wide = max((len(entry.name) for entry in told.entries), default=0)
-    length = f"{told.duration:.1f} s" if told.duration > 0 else "of unknown length"
-    lines = [f"{told.name}: {told.kind}, {length}"]
-    for entry in told.entries:
+    wide = max((len(entry.name) for entry in report.entries), default=0)
+    length = f"{report.duration:.1f} s" if report.duration > 0 else "of unknown length"
+    lines = [f"{report.name}: {report.kind}, {length}"]
+    for entry in report.entries:
         rate = f", {entry.rate:.1f} Hz" if entry.rate else ""
         serves = f"  -> {entry.serves}" if entry.serves else ""
         lines.append(f"  {entry.name:{wide}}  {entry.type}, {entry.count} readings{rate}{serves}")
-    lines += [f"{name}: {', '.join(found) or 'none'}" for name, found in told.channels.items()]
-    return [*lines, *(f"note: {note}" for note in told.notes)]
+    lines += [f"{name}: {', '.join(found) or 'none'}" for name, found in report.channels.items()]
+    return [*lines, *(f"note: {note}" for note in report.notes)]
 
 
-def design(made: Design) -> list[str]:
+def design(result: Design) -> list[str]:
     """Return what ``energyplan design`` prints."""
     expected = [
         f"if it is {label}: {100 * value:.0f} % sure of it after the drive"
-        for label, value in made.probabilities_expected
+        for label, value in result.probabilities_expected
     ]
-    return [f"{made.trajectory.duration:.0f} s: {made.sentence}", *expected]
+    return [f"{result.trajectory.duration:.0f} s: {result.sentence}", *expected]

@@ -281,6 +281,15 @@ class Plan(html.Readable):
             )
         return drive_plan(self.problem, self.path)
 
+    @cached_property
+    def why_not_driven(self) -> str:
+        """Why the path cannot be driven; empty where it can."""
+        try:
+            _ = self.driven
+        except (InfeasibleMotionError, InvalidInputError) as error:
+            return str(error)
+        return ""
+
     @property
     def energy_driven(self) -> float:
         """What driving the path takes, from standstill to standstill [J]; see `driven`."""
@@ -303,11 +312,11 @@ class Plan(html.Readable):
             ("at most above the least possible [%]", 100 * self.gap),
             ("length [m]", self.length),
             ("turning [deg]", float(np.degrees(self.turning))),
-            ("duration [s]", self.duration),
+            ("duration at a steady speed [s]", self.duration),
         ]
         if self.soft_cost:
             rows.insert(1, (f"costmap [{unit}]", self.soft_cost))
-        if "driven" in vars(self):
+        if not self.why_not_driven:
             rows += [
                 ("driven, with its stops: energy [J]", self.driven.energy),
                 ("driven: duration [s]", self.driven.duration),

@@ -55,14 +55,14 @@ def _over_time(
 
 def prediction(log: DriveLog, predictions: Mapping[str, ArrayLike], title: str = "") -> Figure:
     """Draw tread speeds, power and energy of a drive, as in the paper's figures 6 to 9."""
-    made = style.figure(3, 1, size=(style.WIDTH, 7.0))
-    tread_speeds(made.axes[0], log)
-    power_over_time(made.axes[1], log, predictions)
-    energy_over_time(made.axes[2], log, predictions)
-    for ax in made.axes[:2]:
+    picture = style.figure(3, 1, size=(style.WIDTH, 7.0))
+    tread_speeds(picture.axes[0], log)
+    power_over_time(picture.axes[1], log, predictions)
+    energy_over_time(picture.axes[2], log, predictions)
+    for ax in picture.axes[:2]:
         ax.set_xlabel("")
-    made.suptitle(title, x=0.01, ha="left", fontsize="large")
-    return made
+    picture.suptitle(title, x=0.01, ha="left", fontsize="large")
+    return picture
 
 
 def bin_means(x: ArrayLike, series: Sequence[ArrayLike], bins: int = 24) -> list[FloatArray]:
@@ -100,22 +100,22 @@ def residual_against(
     return ax
 
 
-def rounds(made: Loop) -> Figure:
+def rounds(loop: Loop) -> Figure:
     """Draw predicted and measured energy by round of a closed loop."""
     drawn = style.figure(size=(style.WIDTH, 2.8))
     ax = drawn.axes[0]
-    at = np.arange(1, len(made.rounds) + 1)
-    told = np.array([now.energy_told for now in made.rounds]) / 1e3
-    spans = [now.energy_interval or (now.energy_told, now.energy_told) for now in made.rounds]
+    at = np.arange(1, len(loop.rounds) + 1)
+    predicted = np.array([now.energy_told for now in loop.rounds]) / 1e3
+    spans = [now.energy_interval or (now.energy_told, now.energy_told) for now in loop.rounds]
     ends = np.array(spans).T / 1e3
-    away = np.maximum([told - ends[0], ends[1] - told], 0.0)
-    ax.errorbar(at - 0.05, told, yerr=away, fmt="none", color=style.BLUE, capsize=5, lw=1.2)
-    ax.plot(at - 0.05, told, "s", ms=5, color=style.BLUE, label="predicted")
-    taken = [now.energy_taken / 1e3 for now in made.rounds]
-    ax.plot(at + 0.05, taken, "o", ms=5, color=style.RED, label="measured")
+    away = np.maximum([predicted - ends[0], ends[1] - predicted], 0.0)
+    ax.errorbar(at - 0.05, predicted, yerr=away, fmt="none", color=style.BLUE, capsize=5, lw=1.2)
+    ax.plot(at - 0.05, predicted, "s", ms=5, color=style.BLUE, label="predicted")
+    measured = [now.energy_taken / 1e3 for now in loop.rounds]
+    ax.plot(at + 0.05, measured, "o", ms=5, color=style.RED, label="measured")
     ax.set_xticks(at)
     ax.set_xlim(0.5, len(at) + 0.5)
-    ax.set_ylim(0.0, 1.08 * max(*taken, *ends[1]))
+    ax.set_ylim(0.0, 1.08 * max(*measured, *ends[1]))
     style.label(ax, "round", "energy [kJ]", "")
     style.legend(ax, above=True)
     return drawn

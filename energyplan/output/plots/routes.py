@@ -63,8 +63,8 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
 
 def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure:
     """Draw the energy that each place takes, over its map."""
-    made = style.figure(size=(style.WIDTH, 4.4))
-    ax = occupancy(made.axes[0], grid)
+    picture = style.figure(size=(style.WIDTH, 4.4))
+    ax = occupancy(picture.axes[0], grid)
     energy = np.ma.masked_invalid(found.energy / 1e3)
     rows, columns = energy.shape
     image = ax.imshow(
@@ -87,8 +87,8 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
     ways = "to get there" if found.back is None else "to get there and back"
     sure = "" if found.confidence is None else f", with {100 * found.confidence:g} %"
     label = f"energy {ways}{sure} [kJ]"
-    made.colorbar(image, ax=ax, label=label, location="bottom", aspect=40, panchor=TOP)
-    return made
+    picture.colorbar(image, ax=ax, label=label, location="bottom", aspect=40, panchor=TOP)
+    return picture
 
 
 def route(
@@ -118,25 +118,25 @@ def routes(
     """Draw routes on a map."""
     rows, columns = grid.occupied.shape
     height = float(np.clip((style.WIDTH - 0.7) * rows / columns + 1.0, 2.4, 7.5))
-    made = style.figure(size=(style.WIDTH, height))
-    ax = occupancy(made.axes[0], grid)
+    picture = style.figure(size=(style.WIDTH, height))
+    ax = occupancy(picture.axes[0], grid)
     _surfaces(ax, surfaces)
     for (label, path), (color, dash) in zip(paths.items(), style.LINES, strict=False):
         route(ax, path, label, color, dash)
-    made.suptitle(title, x=0.01, ha="left", fontsize="large")
+    picture.suptitle(title, x=0.01, ha="left", fontsize="large")
     if paths or surfaces:
-        made.set_figheight(height + 0.2 * max(style.legend(ax, above=True) - 1, 0))
-    return made
+        picture.set_figheight(height + 0.2 * max(style.legend(ax, above=True) - 1, 0))
+    return picture
 
 
 def planned(problem: PlanningProblem, paths: Mapping[str, Path]) -> Figure:
     """Draw paths over what was planned on: map, surfaces and heights."""
-    made = routes(
+    picture = routes(
         problem.map, paths, surfaces=problem.surfaces.polygons if problem.surfaces else ()
     )
     if problem.heights is not None:
-        problem.heights.contours(made.axes[0])
-    return made
+        problem.heights.contours(picture.axes[0])
+    return picture
 
 
 def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
@@ -158,8 +158,8 @@ def mission_map(report: MissionReport) -> Figure:
     """Draw a mission's route, coloured by power, and its places, numbered."""
     mission, line = report.mission, report.timeline
     areas = mission.surfaces.polygons if mission.surfaces else ()
-    made = routes(mission.map, {}, surfaces=areas)
-    ax = made.axes[0]
+    picture = routes(mission.map, {}, surfaces=areas)
+    ax = picture.axes[0]
     points = np.column_stack([line.x, line.y])
     moving = np.any(np.diff(points, axis=0) != 0, axis=1)
     pairs = np.stack([points[:-1], points[1:]], axis=1)[moving]
@@ -168,8 +168,8 @@ def mission_map(report: MissionReport) -> Figure:
     )
     drawn.set_array(line.power[:-1][moving])
     ax.add_collection(drawn)
-    made.set_figheight(made.get_figheight() + 0.7)
-    made.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40, panchor=TOP)
+    picture.set_figheight(picture.get_figheight() + 0.7)
+    picture.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40, panchor=TOP)
     stops = [stop.name for stop in report.route]
     good = {task.name for task in report.tasks if task.verdict == "reachable"}
     ordered = sorted(
@@ -202,9 +202,11 @@ def mission_map(report: MissionReport) -> Figure:
         )
         for sign, name, _, marker, color in places
     ]  # fmt: skip
-    made.legend(handles=handles, loc="outside lower left", ncols=2, frameon=False, fontsize="small")
-    made.set_figheight(made.get_figheight() + 0.2 * -(-len(handles) // 2))
-    return made
+    picture.legend(
+        handles=handles, loc="outside lower left", ncols=2, frameon=False, fontsize="small"
+    )
+    picture.set_figheight(picture.get_figheight() + 0.2 * -(-len(handles) // 2))
+    return picture
 
 
 def _short(name: str) -> str:
@@ -247,11 +249,11 @@ def visits(ax: Axes, report: MissionReport) -> Axes:
 def mission_charge(report: MissionReport) -> Figure:
     """Draw charge over a mission, where the robot is, and the power at the battery."""
     count = len({stop.name for stop in report.route})
-    made = style.figure(
+    picture = style.figure(
         3, 1, size=(style.WIDTH, 4.2 + 0.22 * count), sharex=True,
         height_ratios=(2.2, 0.3 + 0.22 * count, 1.4),
     )  # fmt: skip
-    charge, where, power = made.axes
+    charge, where, power = picture.axes
     state_of_charge(charge, report)
     visits(where, report)
     line = report.timeline
@@ -270,4 +272,4 @@ def mission_charge(report: MissionReport) -> Figure:
     style.legend(power, above=True)
     for ax in (charge, where):
         ax.set_xlabel("")
-    return made
+    return picture

@@ -40,11 +40,11 @@ def figure(
     rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (WIDTH, 3.4), **layout: Any
 ) -> Figure:
     """Return an empty figure in the library's style, without a window."""
-    made = Figure(figsize=size, layout="constrained")
-    for ax in made.subplots(rows, columns, squeeze=False, **layout).flat:
+    result = Figure(figsize=size, layout="constrained")
+    for ax in result.subplots(rows, columns, squeeze=False, **layout).flat:
         ax.grid(alpha=0.3)
         ax.spines[["top", "right"]].set_visible(False)
-    return made
+    return result
 
 
 def label(ax: Axes, x: str, y: str, title: str) -> None:
