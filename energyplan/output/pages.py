@@ -124,10 +124,7 @@ class Page:
         self._parts.append(f"<p><code>{html.escape(text)}</code></p>")
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        """Add a table; numbers are aligned to the right and shown with four digits.
-
-        On a phone a table of more than four columns is shown row by row, each cell with its header.
-        """
+        """Add a table; numbers are aligned to the right and shown with four digits."""
         self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
 
     def summaries(self, found: Iterable[_html.Summary]) -> None:
