@@ -28,10 +28,10 @@ def main(folder: Path, chosen: str | None) -> None:
         vehicle = ep.Vehicle.preset("quadriga" if "empty" in stem else "quadriga:full")
         train = ep.DriveLog.read(ident)
         unseen = ep.DriveLog.read(folder / f"{stem}_valid.csv.gz")
-        told = ep.diagnose(train, holdout=unseen, vehicle=vehicle)
+        diagnosis = ep.diagnose(train, holdout=unseen, vehicle=vehicle)
         hidden = json.loads((folder / f"{stem}_ident.json").read_text())["effects"]
         print(f"\n{stem}, which hides {hidden or 'nothing'}")
-        for effect in told.effects:
+        for effect in diagnosis.effects:
             more = ", ".join(f"{name} {value:.3g}" for name, value in effect.details.items())
             rivals = f", or {' or '.join(effect.rivals)}" if effect.rivals else ""
             print(
@@ -39,9 +39,10 @@ def main(folder: Path, chosen: str | None) -> None:
                 f"+- {effect.std_error:.2g} {effect.unit}" + (f" ({more})" if more else "")
             )
         print(
-            f"  hold-out: rmse {told.before.rmse:.1f} W before, {told.after.rmse:.1f} W after; "
-            f"energy {100 * told.before.energy_error:+.2f} % before, "
-            f"{100 * told.after.energy_error:+.2f} % after"
+            f"  hold-out: rmse {diagnosis.before.rmse:.1f} W before, "
+            f"{diagnosis.after.rmse:.1f} W after; "
+            f"energy {100 * diagnosis.before.energy_error:+.2f} % before, "
+            f"{100 * diagnosis.after.energy_error:+.2f} % after"
         )
 
 

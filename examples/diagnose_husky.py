@@ -28,22 +28,22 @@ def main(folder: Path) -> None:
     for warning in sorted({log.warnings[0] for log in chosen if log.warnings}):
         print(f"  {warning}")
 
-    told = ep.diagnose(train, holdout=unseen, vehicle=ep.Vehicle.preset("husky_a200"))
-    print(f"verdict: {told.verdict.replace('_', ' ')}")
-    for effect in told.effects:
+    diagnosis = ep.diagnose(train, holdout=unseen, vehicle=ep.Vehicle.preset("husky_a200"))
+    print(f"verdict: {diagnosis.verdict.replace('_', ' ')}")
+    for effect in diagnosis.effects:
         rivals = f", or {' or '.join(effect.rivals)}" if effect.rivals else ""
         print(
             f"  {effect.name}{rivals}: {effect.symbol} = {effect.value:.4g} +- "
             f"{effect.std_error:.2g} {effect.unit}; {effect.meaning}"
         )
-    for found in told.unexplained:
+    for found in diagnosis.unexplained:
         print(f"  unexplained: {found.shape} ({found.explained_variance:.0%} of the error)")
-    for name, error in (("before", told.before), ("after", told.after)):
+    for name, error in (("before", diagnosis.before), ("after", diagnosis.after)):
         print(
             f"  held-out runs {name:6}: rmse {error.rmse:.1f} W, "
             f"energy {100 * error.energy_error:+.1f} %"
         )
-    for line in told.advice:
+    for line in diagnosis.advice:
         print(f"  advice: {line}")
 
 

@@ -23,10 +23,10 @@ from energyplan.power import HOTEL
 from energyplan.power.effects import GRADE
 
 
-def report(told: Diagnosis) -> None:
+def report(diagnosis: Diagnosis) -> None:
     """Print a diagnosis."""
-    print(f"verdict: {told.verdict.replace('_', ' ')}")
-    for effect in told.effects:
+    print(f"verdict: {diagnosis.verdict.replace('_', ' ')}")
+    for effect in diagnosis.effects:
         print(
             f"  {effect.name}: {effect.symbol} = {effect.value:.4g} +- {effect.std_error:.2g} "
             f"{effect.unit} ({effect.meaning}); for a planner: {effect.planner}"
@@ -38,11 +38,11 @@ def report(told: Diagnosis) -> None:
         )
         if effect.rivals:
             print(f"    these drives cannot separate it from: {', '.join(effect.rivals)}")
-    for found in told.unexplained:
+    for found in diagnosis.unexplained:
         print(f"  unexplained: {found.shape} ({found.explained_variance:.0%} of the error)")
     rows = (
-        ("before", told.before, told.before_interval),
-        ("after", told.after, told.after_interval),
+        ("before", diagnosis.before, diagnosis.before_interval),
+        ("after", diagnosis.after, diagnosis.after_interval),
     )
     for name, error, interval in rows:
         low, high = interval.rmse
@@ -50,24 +50,24 @@ def report(told: Diagnosis) -> None:
             f"  hold-out {name:6}: rmse {error.rmse:6.2f} W ({low:.2f} to {high:.2f}), "
             f"bias {error.bias:+6.2f} W, energy {100 * error.energy_error:+.2f} %"
         )
-    for line in told.advice:
+    for line in diagnosis.advice:
         print(f"  advice: {line}")
 
 
-def draw(told: Diagnosis, unseen: ep.DriveLog, folder: Path) -> None:
+def draw(diagnosis: Diagnosis, unseen: ep.DriveLog, folder: Path) -> None:
     """Draw power and energy before and after, and the residual against the heading."""
     folder.mkdir(parents=True, exist_ok=True)
     predicted = {
-        "paper's model": told.predictions_before[0],
-        "extended model": told.predictions_after[0],
+        "paper's model": diagnosis.predictions_before[0],
+        "extended model": diagnosis.predictions_after[0],
     }
     energy = plots.prediction(unseen, predicted, "A drive that was held out")
     (folder / "energy.png").write_bytes(png(energy))
     residuals = {label: unseen.power - power for label, power in predicted.items()}
     heading = np.degrees(np.angle(np.exp(1j * unseen.channel("yaw"))))
-    made = plots.figure()
-    plots.residual_against(made.axes[0], heading, residuals, "heading [deg]")
-    (folder / "residual.png").write_bytes(png(made))
+    picture = plots.figure()
+    plots.residual_against(picture.axes[0], heading, residuals, "heading [deg]")
+    (folder / "residual.png").write_bytes(png(picture))
     print(f"pictures: {folder / 'energy.png'}, {folder / 'residual.png'}")
 
 
@@ -85,18 +85,18 @@ def main(folder: Path | None) -> None:
     unseen = simulate.validation_drive(truth, seed=3, **options)
 
     print("2. The diagnosis")
-    told = ep.diagnose(train, holdout=unseen, vehicle=vehicle)
-    report(told)
-    angle = next(effect for effect in told.effects if effect.name == "tilted_plane")
+    diagnosis = ep.diagnose(train, holdout=unseen, vehicle=vehicle)
+    report(diagnosis)
+    angle = next(effect for effect in diagnosis.effects if effect.name == "tilted_plane")
     print(f"  the ground is tilted by {np.degrees(angle.value):.2f} degrees (true: 4.00)")
 
     print("3. The extended model in a plan: ten metres straight at two speeds")
     for speed in (0.3, 1.0):
-        cost = ep.EnergyCost(told.model, speed=speed)
+        cost = ep.EnergyCost(diagnosis.model, speed=speed)
         energy = float(cost.segment_energy(np.array([10.0]), np.array([0.0]))[0])
         print(f"  at {speed} m/s: {energy:.0f} J; the constant load makes slow driving expensive")
     if folder is not None:
-        draw(told, unseen, folder)
+        draw(diagnosis, unseen, folder)
 
 
 if __name__ == "__main__":

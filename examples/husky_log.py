@@ -59,8 +59,8 @@ def main(folder: Path) -> None:
     print(f"\n4. Parameters of the {robot.name} on {folder.name}, from {len(training)} drives")
     try:
         found = ep.identify(training, robot)
-    except NotIdentifiableError as told:
-        raise SystemExit(f"   cannot be told: {told}") from None
+    except NotIdentifiableError as error:
+        raise SystemExit(f"   cannot be found: {error}") from None
     for term in found.model.terms:
         value = found.model.coefficient(term.name)
         unit = "" if term.unit == "1" else term.unit

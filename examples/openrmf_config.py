@@ -63,14 +63,14 @@ def config(model: ep.PowerModel, battery: ep.Battery, current: float) -> dict[st
     }  # fmt: skip
 
 
-def estimate(told: dict[str, Any], drive: ep.Trajectory) -> float:
+def estimate(settings: dict[str, Any], drive: ep.Trajectory) -> float:
     """Return the energy that Open-RMF counts for a trajectory [J]."""
     t = np.arange(drive.t[0], drive.t[-1] + 1e-9, STEP)
     rates = drive.v, drive.omega, np.gradient(drive.v, drive.t), np.gradient(drive.omega, drive.t)
     v, w, a, alpha = (np.abs(np.interp(t, drive.t, rate)) for rate in rates)
-    mass, inertia, friction = told["mechanical_system"].values()
+    mass, inertia, friction = settings["mechanical_system"].values()
     moving = friction * mass * GRAVITY * v + mass * a * v + inertia * alpha * w
-    return float(moving.sum() * STEP + told["ambient_system"]["power"] * drive.duration)
+    return float(moving.sum() * STEP + settings["ambient_system"]["power"] * drive.duration)
 
 
 def drives(model: ep.PowerModel, grid: ep.OccupancyGrid, count: int) -> list[Any]:
@@ -79,14 +79,14 @@ def drives(model: ep.PowerModel, grid: ep.OccupancyGrid, count: int) -> list[Any
     drawn = rng.uniform((0.0, 0.0, -np.pi), (*grid.shape[::-1], np.pi), (50 * count, 3))
     drawn[:, :2] = grid.to_world(drawn[:, :2])
     poses = drawn[grid.footprint_free(drawn, model.vehicle)][: count + 1]
-    made = []
+    driven = []
     for start, goal in pairwise(poses):
         try:
             problem = ep.PlanningProblem(grid, cost, start, goal)
-            made.append(ep.plan(problem, effort=3000).driven)
+            driven.append(ep.plan(problem, effort=3000).driven)
         except ep.errors.PlanningError:
             pass
-    return made
+    return driven
 
 
 def main() -> None:
@@ -99,15 +99,15 @@ def main() -> None:
     parser.add_argument("--routes", type=int, default=20)
     options = parser.parse_args()
     model = ep.read_model(options.model)
-    told = config(model, ep.Battery.preset(options.battery), options.current)
-    print(yaml.safe_dump({"rmf_fleet": {"name": model.vehicle.name, **told}}, sort_keys=False))
+    settings = config(model, ep.Battery.preset(options.battery), options.current)
+    print(yaml.safe_dump({"rmf_fleet": {"name": model.vehicle.name, **settings}}, sort_keys=False))
     if options.map:
-        made = drives(model, ep.read_map(options.map), options.routes)
-        energy = np.array([one.energy for one in made])
-        ratio = np.array([estimate(told, one.trajectory) for one in made]) / energy
+        driven = drives(model, ep.read_map(options.map), options.routes)
+        energy = np.array([one.energy for one in driven])
+        ratio = np.array([estimate(settings, one.trajectory) for one in driven]) / energy
         total = 100 * (ratio @ energy / energy.sum() - 1)
         single = 100 * np.sqrt(((ratio - 1) ** 2).mean())
-        print(f"# {len(made)} routes: sum {total:+.0f} %, single routes {single:.0f} % (rms)")
+        print(f"# {len(driven)} routes: sum {total:+.0f} %, single routes {single:.0f} % (rms)")
 
 
 if __name__ == "__main__":

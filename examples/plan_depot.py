@@ -59,17 +59,20 @@ def main() -> None:
     problem = PlanningProblem(grid, cost, given.start, goal, surfaces)
 
     # the route of least energy against the shortest one, priced by the same models
-    told = compare(problem, effort=100_000)
-    tell("least energy", told.energy_optimal)
-    tell("shortest", told.shortest)
-    print(f"saving: {100 * told.saving:.1f} % of the shortest route's energy; by term:")
-    for name, joules in told.by_term.items():
+    comparison = compare(problem, effort=100_000)
+    tell("least energy", comparison.energy_optimal)
+    tell("shortest", comparison.shortest)
+    print(f"saving: {100 * comparison.saving:.1f} % of the shortest route's energy; by term:")
+    for name, joules in comparison.by_term.items():
         print(f"  {name:22s} {joules:8.0f} J")
 
     drawn = surfaces.polygons if surfaces else ()
     both = {
         f"{name}: {found.energy:.0f} J": found.path
-        for name, found in (("least energy", told.energy_optimal), ("shortest", told.shortest))
+        for name, found in (
+            ("least energy", comparison.energy_optimal),
+            ("shortest", comparison.shortest),
+        )
     }
     picture = given.out / "routes.png"
     picture.write_bytes(png(plots.routes(grid, both, surfaces=drawn)))

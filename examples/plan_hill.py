@@ -73,20 +73,20 @@ def main() -> None:
     given = parser.parse_args()
     ground, cost = heap(given.height), robot()
     problem = PlanningProblem(yard(), cost, START, GOAL, heights=ground)
-    made = compare(problem, effort=100_000)
+    result = compare(problem, effort=100_000)
     blind = plan(replace(problem, heights=None), effort=100_000)
-    best = made.energy_optimal
+    best = result.energy_optimal
     tell("least energy", best.energy, best, ground)
-    tell("shortest", made.shortest.energy, made.shortest, ground)
+    tell("shortest", result.shortest.energy, result.shortest, ground)
     tell("planned as if level", path_price(blind.path, cost, None, ground).energy, blind, ground)
     print(
-        f"{100 * made.saving:.1f} % saved; no route takes less than {best.lower_bound:.0f} J. "
+        f"{100 * result.saving:.1f} % saved; no route takes less than {best.lower_bound:.0f} J. "
         f"On level ground the way would take {blind.energy:.0f} J."
     )
-    for name, joules in made.by_term.items():
+    for name, joules in result.by_term.items():
         print(f"  {name.replace('_', ' '):24s} {round(joules):8d} J saved")
 
-    paths = {"least energy": best.path, "shortest": made.shortest.path}
+    paths = {"least energy": best.path, "shortest": result.shortest.path}
     picture = plots.routes(problem.map, paths, "Over the heap or round it")
     ground.contours(picture.axes[0], 12)
     given.out.mkdir(parents=True, exist_ok=True)
