@@ -25,7 +25,14 @@ from energyplan.diagnosis.result import (
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, SearchResult
 from energyplan.errors import VehicleError
-from energyplan.fit.doubts import Adequacy, adequacy, left_over, shown_of_contacts, statistics
+from energyplan.fit.doubts import (
+    Adequacy,
+    adequacy,
+    left_over,
+    predicted,
+    shown_of_contacts,
+    statistics,
+)
 from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late, cut
 from energyplan.fit.estimate import (
     Fit,
@@ -43,7 +50,6 @@ from energyplan.fit.regressors import (
     held_forces,
     is_lossy,
     losses_of,
-    power_of,
     preload,
     slip_limit,
     straights,
@@ -75,27 +81,25 @@ def predict(
     for part in parts:
         if part.effect.delays:
             drive = replace(drive, late=Late.of(part.params))
-    whole = model.battery_side() if drive.battery else model
     steps = [
-        k for k, term in enumerate(whole.terms) if term.name in ("slip_change", "traction_change")
+        k for k, term in enumerate(model.terms) if term.name in ("slip_change", "traction_change")
     ]
     if not steps:
-        return Prediction(drive, drive.seen(power_of(whole, drive)))
+        return Prediction(drive, predicted(model, drive))
     if not dated:
         after = drive.with_channels(changed=np.ones(len(drive.t)))
-        return Prediction(after, after.seen(power_of(whole, after)))
-    still = drive.with_channels(changed=np.zeros(len(drive.t)))
+        return Prediction(after, predicted(model, after))
     settled = settle_change(
         drive,
-        drive.seen(power_of(whole, still)),
-        [whole.terms[k] for k in steps],
-        whole.coefficients[steps],
-        whole.vehicle,
+        predicted(model, drive.with_channels(changed=np.zeros(len(drive.t)))),
+        [model.terms[k] for k in steps],
+        model.coefficients[steps],
+        model.vehicle,
     )
     changed = settled.motion.channels["changed"]
     at = np.flatnonzero(np.diff(changed))
     time = float(drive.t[at[0] + 1]) if len(at) else None
-    return Prediction(drive, drive.seen(power_of(whole, settled)), time)
+    return Prediction(drive, predicted(model, settled), time)
 
 
 def score(predictions: Sequence[Prediction]) -> Residual:

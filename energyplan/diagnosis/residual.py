@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import f as fisher
 
 from energyplan.fit.drive import Drive, channels_of
-from energyplan.fit.estimate import Fit, Problem, difference, fit
+from energyplan.fit.estimate import Fit, Problem, RunSpread, difference, fit
 from energyplan.fit.regressors import Design, held_forces, window_means
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
@@ -36,7 +34,6 @@ _POWER_PARTS = ("current", "voltage")  # of a battery, a motor, a side: parts of
 _CONSEQUENCE = 0.9  # correlation with the measured power from which a channel is a part of it
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]
 _WAVES = 12  # drives in which a periodic load is looked for
-_WINDOWS = 4  # longest windows that a drive needs to show how much it scatters
 
 
 @dataclass(frozen=True)
@@ -150,42 +147,20 @@ def dependences(
 
 def _between_drives(now: Fit, design: Design) -> list[Dependence]:
     """Test whether drives differ as a whole, each by a factor of its power."""
-    # Source: Welch (1951), Biometrika 38, 330-336. Paule and Mandel (1982), J. Res. NBS 87,
-    # 377-385.
-    table, owner = design.longest
-    predicted = table[:, :-1] @ now.values
-    residual = table[:, -1] - predicted
-    factors, variances, sizes = [], [], []
-    for drive in range(int(owner.max()) + 1):
-        mine = owner == drive
-        size, energy = int(np.count_nonzero(mine)), float(predicted[mine].sum())
-        if size < _WINDOWS or energy <= 0.0:
-            continue
-        factor = float(residual[mine].sum()) / energy
-        scatter = residual[mine] - factor * predicted[mine]
-        factors.append(factor)
-        variances.append(size * float(scatter @ scatter) / (size - 1) / energy**2)
-        sizes.append(size)
-    count = len(factors)
-    if count < 3 or min(variances) <= 0.0:
+    found = RunSpread.of(design, now.values)
+    if found is None:
         return []
-    values, noise = np.array(factors), np.array(variances)
-
-    def scattered(square: float) -> float:
-        weight = 1.0 / (noise + square)
-        return float(weight @ (values - weight @ values / weight.sum()) ** 2)
-
-    lack = float(np.sum((1 - 1 / noise / np.sum(1 / noise)) ** 2 / (np.array(sizes) - 1.0)))
-    ratio = scattered(0.0) / (count - 1) / (1 + 2 * (count - 2) / (count**2 - 1) * lack)
-    p_value = float(fisher.sf(ratio, count - 1, (count**2 - 1) / (3 * lack)))
-    spread = 0.0
-    if scattered(0.0) > count - 1:
-        most = 2 * float(np.var(values, ddof=1))
-        spread = float(np.sqrt(brentq(lambda square: scattered(square) - (count - 1), 0.0, most)))
     squares = [float(np.mean((rows[:, :-1] @ now.values) ** 2)) for rows in design.rows]
-    share = float(np.mean(np.minimum(spread**2 * np.array(squares) / now.errors, 1.0)))
-    words = f"drives differ as a whole, by {100 * spread:.1f} % of their power (standard deviation)"
-    return [Dependence("drive", "power", words, share, 0.0, p_value, (), (spread,))]
+    share = np.mean(np.minimum(found.deviation**2 * np.array(squares) / now.errors, 1.0))
+    words = (
+        f"drives differ as a whole, by {100 * found.deviation:.1f} % of their power (standard "
+        "deviation)"
+    )
+    return [
+        Dependence(
+            "drive", "power", words, float(share), 0.0, found.p_value, (), (found.deviation,)
+        )
+    ]
 
 
 def _dependence(

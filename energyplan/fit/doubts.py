@@ -378,8 +378,7 @@ class Adequacy:
 
 def predicted(model: PowerModel, drive: Drive) -> FloatArray:
     """Power that a drive's log would show by a model [W]."""
-    whole = model.battery_side() if drive.battery else model
-    return drive.seen(power_of(whole, drive))
+    return drive.seen(power_of(model, drive))
 
 
 def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:

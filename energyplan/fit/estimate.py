@@ -141,6 +141,7 @@ class RunSpread:
 
     deviation: float
     excess: FloatArray  # each run's own estimate of its factor, less 1
+    p_value: float  # that they do not differ
 
     @classmethod
     def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
@@ -168,7 +169,8 @@ class RunSpread:
         if misfit(0.0) > 0.0:
             most = 2.0 * float(np.var(excess, ddof=1)) + 1e-12
             between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
-        return cls(float(np.sqrt(between)), excess)
+        chance = fdtrc(count - 1, freedom, misfit(0.0) / (count - 1) + 1.0)
+        return cls(float(np.sqrt(between)), excess, float(chance))
 
 
 # -- drives and the terms that are to explain them: their columns, losses linearised ---------------

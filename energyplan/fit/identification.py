@@ -25,6 +25,7 @@ from energyplan.fit.doubts import (
     linearise,
     open_in_words,
     pieces_of,
+    predicted,
     signal_motion,
     statistics,
     usual_effects,
@@ -33,7 +34,7 @@ from energyplan.fit.doubts import (
 from energyplan.fit.drive import Drive, check_long_enough
 from energyplan.fit.estimate import joint_fit, problem_of
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
-from energyplan.fit.regressors import is_lossy, linearise_drive, power_of
+from energyplan.fit.regressors import is_lossy, linearise_drive
 from energyplan.fit.solvers import (
     HUBER_TUNING,
     Bounds,
@@ -101,7 +102,7 @@ class PowerRegression:
 
     def powers(self, model: PowerModel) -> list[FloatArray]:
         """Return the predicted power of each drive [W]."""
-        return [drive.seen(power_of(model, drive)) for drive in self._drives]
+        return [predicted(model, drive) for drive in self._drives]
 
     def residual(self, model: PowerModel) -> FloatArray:
         """Measured minus predicted power [W]."""
@@ -211,8 +212,8 @@ class PowerRegression:
             step = max(estimate.std_error[which], 1e-6)
             moved = replace(icr, **{which: getattr(icr, which) + step})
             other = replace(model, vehicle=model.vehicle.with_icr(moved))
-            turned = [drive.with_icr(moved) for drive in self._drives]
-            ahead = np.concatenate([drive.seen(power_of(other, drive)) for drive in turned])
+            turned = (predicted(other, drive.with_icr(moved)) for drive in self._drives)
+            ahead = np.concatenate([*turned])
             shifts.append((ahead - power) / step)
         sensitivity = -np.linalg.lstsq(design, np.column_stack(shifts))[0]
         return np.asarray(sensitivity @ estimate.covariance @ sensitivity.T)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,36 +16,6 @@ from energyplan.power.effects import catalogue
 from energyplan.power.effects import term as known_term
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
-
-_MOST = 20  # exchanges
-_WORTH = 1e-3  # gain of the criterion that is worth one
-
-
-def exchanged(
-    gain: Callable[[FloatArray, FloatArray], float],
-    grams: Sequence[FloatArray],
-    times: FloatArray,
-    chosen: Sequence[int],
-    duration: float,
-) -> list[int]:
-    """Exchange parts of a design, one at a time, for what improves the whole of it most."""
-    # Source: Fedorov (1972), "Theory of optimal experiments".
-    design = list(chosen)
-    for _ in range(_MOST):
-        whole = np.sum([grams[k] for k in design], axis=0)
-        left = duration - float(times[design].sum())
-        best, swap = 0.0, (0, 0)
-        for place, old in enumerate(design):
-            rest = whole - grams[old]
-            for new in np.flatnonzero(times <= left + times[old]).tolist():
-                more = gain(whole, rest + grams[new]) if new != old else 0.0
-                if more > best:
-                    best, swap = more, (place, new)
-        if not best > _WORTH:
-            break
-        design[swap[0]] = swap[1]
-    return design
-
 
 STEP = 0.05
 """Time between two samples of a designed drive [s]."""
@@ -174,7 +144,6 @@ SHARE = 0.15
 """Share of the power that an effect of unknown size is taken to have."""
 
 LONGEST = 3600.0  # [s]; beyond it, the same drive again tells as much
-_HINT = 0.02  # share of every manoeuvre that is taken to be driven while the first are chosen
 
 
 @dataclass(frozen=True)
@@ -270,11 +239,9 @@ def design(
     question.scale_by(np.sum(early, axis=0))
     probe = question.gram(options[-1].trajectory, 100.0)
     timeless = bool(np.allclose(probe, early[-1], rtol=1e-9))
-    # Some explanations are told apart by no manoeuvre alone: a hint of all others shows its worth.
-    hint = _HINT * np.sum(early, axis=0)
     while True:
         worth = [
-            (question.gain(gram + hint, found + hint) / option.trajectory.duration, k, found)
+            (question.gain(gram, found) / option.trajectory.duration, k, found)
             for k, option in enumerate(options)
             if clock + option.trajectory.duration <= duration
             for more in [early[k] if timeless else question.gram(option.trajectory, clock)]
@@ -291,12 +258,6 @@ def design(
     if not chosen:
         chosen = [options[0]]
         gram = question.gram(options[0].trajectory, 0.0)
-    if timeless:
-        times = np.array([option.trajectory.duration for option in options])
-        first = [options.index(option) for option in chosen]
-        places = exchanged(question.gain, early, times, first, duration)
-        chosen = [options[k] for k in places]
-        gram = np.sum([early[k] for k in places], axis=0)
     trajectory = joined([option.trajectory for option in chosen])
     pairs = question.separations(gram)
     names = tuple(option.manoeuvre.name for option in chosen)

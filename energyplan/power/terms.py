@@ -156,47 +156,22 @@ def regeneration_loss(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
 
 
 SLIP = Term(
-    "slip_friction",
-    "mu",
-    "1",
-    "force",
-    slip_friction,
-    bounds=(0.0, 2.0),
+    "slip_friction", "mu", "1", "force", slip_friction, bounds=(0.0, 2.0),
     meaning="wheels sliding sideways while the robot turns",
-)
+)  # fmt: skip
 TRACTION = Term(
-    "traction_resistance",
-    "K",
-    "N",
-    "force",
-    traction_resistance,
-    bounds=(0.0, np.inf),
+    "traction_resistance", "K", "N", "force", traction_resistance, bounds=(0.0, np.inf),
     meaning="rolling resistance and friction of transmission and gears",
-)
+)  # fmt: skip
 HOTEL = Term(
-    "hotel_load",
-    "P_h",
-    "W",
-    "power",
-    hotel_load,
-    bounds=(0.0, np.inf),
+    "hotel_load", "P_h", "W", "power", hotel_load, bounds=(0.0, np.inf),
     meaning="constant draw of computers and sensors",
-)
+)  # fmt: skip
 DRIVE_LOSS = Term(
-    "drive_efficiency",
-    "1/eta - 1",
-    "1",
-    "loss",
-    drive_loss,
-    bounds=(0.0, np.inf),
+    "drive_efficiency", "1/eta - 1", "1", "loss", drive_loss, bounds=(0.0, np.inf),
     meaning="power lost between battery and tread while drawing",
-)
+)  # fmt: skip
 REGENERATION_LOSS = Term(
-    "regeneration_efficiency",
-    "1 - eta_r",
-    "1",
-    "loss",
-    regeneration_loss,
-    bounds=(0.0, 1.0),
+    "regeneration_efficiency", "1 - eta_r", "1", "loss", regeneration_loss, bounds=(0.0, 1.0),
     meaning="power lost between tread and battery while returning",
-)
+)  # fmt: skip

@@ -377,13 +377,7 @@ class Vehicle(ByValue, html.Readable):
         cog: ArrayLike = (0.0, 0.0),
         icr: TreadICR | None = None,
         motor: MotorLimits | None = None,
-        drive_efficiency: float = 1.0,
-        regen_efficiency: float = 1.0,
-        max_yaw_rate: float = np.inf,
-        battery_power: float = np.inf,
-        battery_return: float = np.inf,
-        usual_speed: float = np.inf,
-        tracking_tolerance: float = 0.0,
+        **limits: float,
     ) -> Vehicle:
         """Build a four-wheeled vehicle that is symmetric about its centre.
 
@@ -403,10 +397,8 @@ class Vehicle(ByValue, html.Readable):
             Tread ICRs; predicted by `predict_icr` where not given.
         motor : MotorLimits, optional
             Limits of each side's motor.
-        drive_efficiency, regen_efficiency, max_yaw_rate : float
-            As in `Vehicle`.
-        battery_power, battery_return, usual_speed, tracking_tolerance : float
-            As in `Vehicle`.
+        **limits : float
+            Efficiencies, limits, usual speed and tolerance, as in `Vehicle`.
 
         Returns
         -------
@@ -430,13 +422,7 @@ class Vehicle(ByValue, html.Readable):
             icr=icr or TreadICR.symmetric(predict_icr(wheelbase, track)),
             footprint=np.array([(-length / 2, -width / 2), (length / 2, width / 2)]),
             motor=motor or MotorLimits(),
-            drive_efficiency=drive_efficiency,
-            regen_efficiency=regen_efficiency,
-            max_yaw_rate=max_yaw_rate,
-            battery_power=battery_power,
-            battery_return=battery_return,
-            usual_speed=usual_speed,
-            tracking_tolerance=tracking_tolerance,
+            **limits,
         )
 
     @classmethod
