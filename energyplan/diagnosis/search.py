@@ -6,7 +6,7 @@ a set must earn its place in it. What is left is weighed by likelihood and prior
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -33,115 +33,38 @@ from energyplan.fit.drive import (
     SCALES,
     Drive,
     Late,
-    field_of,
     least_late,
     speed_noise,
 )
 from energyplan.fit.estimate import FLOOR, PAPER, ROUNDS, Fit, Problem, by_name, fit
-from energyplan.fit.regressors import Design, held_loss
+from energyplan.fit.regressors import Design
 from energyplan.fit.solvers import innovation_share
 from energyplan.path import FloatArray
-from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, Sides, Term
-from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE
+from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import Effect
-from energyplan.vehicle import GRAVITY
 
 # -- is what an effect asks for what this robot can do? --------------------------------------------
 
-_MARGIN = 1.5  # over what the vehicle's description gives
 _OVER = 0.05  # over the upper end of a coefficient, by which noise of the speeds may put it beyond
-_USUAL = 0.99  # quantile over the samples: single ones may be noise of a speed's derivative
 
 
-def drivable(problem: Problem, terms: Sequence[Term], model: PowerModel) -> bool:
-    """Tell whether the force of an effect is one that this robot's treads can have given."""
-    forces = [term for term in terms if term.kind == "force"]
-    if not forces:
-        return True
-    vehicle = problem.vehicle
-    strongest = _MARGIN * min(vehicle.motor.force, vehicle.mass * GRAVITY)
-    most = _MARGIN * vehicle.motor.peak_power
-    for drive in problem.drives:
-        motion = drive.motion
-        total = Sides(np.zeros(motion.shape), np.zeros(motion.shape))
-        for term in forces:
-            total = total + field_of(term, drive, vehicle) * model.coefficient(term.name)
-        for force, speed in ((total.left, motion.v_left), (total.right, motion.v_right)):
-            if float(np.quantile(np.abs(force), _USUAL)) > strongest:
-                return False
-            if np.isfinite(most) and float(np.quantile(np.abs(force * speed), _USUAL)) > most:
-                return False
+def possible(problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
+    """Tell whether coefficients, and the sizes of effects, are within their ranges."""
+    terms = terms_of(parts)
+    slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    for term, value, wide in zip(terms, found.values, slack, strict=True):
+        low, high = term.bounds
+        # What is at its upper end is estimated beyond it as often as not; none is no effect.
+        above = float(wide) + _OVER * abs(high)
+        if not low - (float(wide) if term in PAPER else 0.0) <= value <= high + above:
+            return False
+    most = np.array([term.bounds[1] for term in terms])
+    model = PowerModel(problem.vehicle, tuple(terms), np.minimum(found.values, most))
+    for part in parts:
+        low, high = part.effect.limits(problem.vehicle)
+        if part.terms and not low <= part.effect.value(model) <= high:
+            return False
     return True
-
-
-def most_held(problem: Problem, terms: Sequence[Term], values: FloatArray) -> float:
-    """Return the most that losses may take at rest in any drive [W]."""
-    return max(held_loss(problem.vehicle, terms, values, drive) for drive in problem.drives)
-
-
-def drags(terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether friction and resistance still drag after a change, as plans take them then."""
-    now = by_name(terms, values)
-    return all(
-        now.get(usual.name, 0.0) + now[change.name] >= 0.0
-        for usual, change in ((SLIP, SLIP_CHANGE), (TRACTION, TRACTION_CHANGE))
-        if change.name in now
-    )
-
-
-class Rest:
-    """What the robot draws at rest, where the drives show it."""
-
-    def __init__(self, problem: Problem) -> None:
-        self.drives = problem.drives
-        self._drawn: dict[Late, tuple[int, float]] = {}
-
-    def drawn(self, late: Late) -> tuple[int, float]:
-        """Return how many samples show the robot at rest, and the mean of their power [W]."""
-        if late not in self._drawn:
-            late_drives = [replace(drive, late=late) for drive in self.drives]
-            power = np.concatenate([drive.power[drive.rests] for drive in late_drives])
-            self._drawn[late] = len(power), float(power.mean()) if len(power) else 0.0
-        return self._drawn[late]
-
-    def allows(self, constant: float, held: float = 0.0, late: Late = ON_TIME) -> bool:
-        """Tell whether a constant power agrees with what is drawn at rest."""
-        count, mean = self.drawn(late)
-        if count < 10 or constant == 0.0:
-            return True
-        slack = 0.5 * abs(constant)
-        return -slack <= mean - constant <= slack + held
-
-    def agrees(self, problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
-        """Tell whether coefficients are possible, and what the robot draws at rest too."""
-        terms = terms_of(parts)
-        slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-        for term, value, wide in zip(terms, found.values, slack, strict=True):
-            low, high = term.bounds
-            # What is at its upper end is estimated beyond it as often as not; none is no effect.
-            above = float(wide) + _OVER * abs(high)
-            if not low - (float(wide) if term in PAPER else 0.0) <= value <= high + above:
-                return False
-        most = np.array([term.bounds[1] for term in terms])
-        model = PowerModel(problem.vehicle, tuple(terms), np.minimum(found.values, most))
-        for part in parts:
-            if not part.terms:
-                continue
-            low, high = part.effect.limits(problem.vehicle)
-            if not low <= part.effect.value(model) <= high:
-                return False
-        if not all(drivable(problem, part.terms, model) for part in parts):
-            return False
-        if not drags(terms, found.values):
-            return False
-        constant = {term.name for part in parts for term in part.terms if term.kind == "power"}
-        resting = sum(
-            float(value)
-            for term, value in zip(terms, found.values, strict=True)
-            if term.name in constant
-        )
-        held = most_held(problem, terms, found.values)
-        return self.allows(resting, held, problem.drives[0].late)
 
 
 # -- what a residual counts as evidence, and which explanations drives cannot tell apart -----------
@@ -239,8 +162,6 @@ class Evaluated:
     gains: dict[int, Gain] = field(default_factory=dict)
 
 
-# -- how well one effect stands in for another that a catalogue lacks ------------------------------
-
 # -- sets of effects fitted as they are, losses included, and what an effect earns in one ----------
 
 _CHANCE = 0.05
@@ -259,9 +180,6 @@ _LASTING = 0.45
 """Part of what a change is worth that is left without the block that shows most of it, at least.
 Changes that are there leave half and more; an odd block that some line or time fits, two fifths at
 most."""
-
-_LASTING_COMPLETE = 0.3
-"""The same where what the set leaves beyond noise is worth no effect: then no block is odd."""
 
 _BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
 _FEWEST = 4  # samples that tell no noise
@@ -338,14 +256,6 @@ _SAMPLES = 5  # in a shortest window, that tell where a line may be
 Weighed = dict[tuple[frozenset[int], Late], float]
 """Likelihood times prior of sets at time offsets, as logarithms."""
 
-
-def most_probable(weighed: Weighed) -> tuple[frozenset[int], Late]:
-    """Return the most probable set, and its time offset."""
-    return max(weighed, key=lambda key: weighed[key])
-
-
-# -- sets beside another one: what it may lack, or have in place of something else -----------------
-
 _TRIED = 18  # neighbours of a set, each of other effects, that are fitted as they are
 
 
@@ -374,7 +284,6 @@ class Search:
         self.quick = Proposals(problem, effects, limit, judged)
         self.progress = progress
         self.whole, self.excerpted = problem, False
-        self.rest = Rest(problem)
         self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
@@ -414,33 +323,27 @@ class Search:
         for late in self._delays(nuisance):
             pools[late] = self.quick.pool(late, usual)
         self.progress(0.5, "fitting the best sets")
-        self.quick.errors = self._best_of(pools).errors
+        proposed = [
+            self._evaluate(chosen, candidates, late)
+            for late, (candidates, sets) in pools.items() for chosen in sets
+        ]  # fmt: skip
+        self.quick.errors = max(proposed, key=self.score).errors
         weighed: Weighed = {}
         for late, (candidates, sets) in pools.items():
             for chosen in sets:
                 self._weigh(weighed, chosen, candidates, late)
         candidates_at = {late: pool[0] for late, pool in pools.items()}
-        self._climb(weighed, candidates_at)
+        # Effects are added to the best set, or replaced in it, while that helps.
+        for _ in range(self.quick.limit):
+            best, late = max(weighed, key=lambda key: weighed[key])
+            before = set(weighed)
+            self._weigh_neighbours(weighed, tuple(sorted(best)), candidates_at[late], late)
+            if max(weighed, key=lambda key: weighed[key]) in before:
+                break
         return self._explained(weighed, candidates_at)
 
-    def _climb(
-        self,
-        weighed: Weighed,
-        pools: dict[Late, list[Candidate]],
-    ) -> None:
-        """Add to the best set, or replace in it, one effect after the other while that helps."""
-        for _ in range(self.quick.limit):
-            chosen, late = most_probable(weighed)
-            before = set(weighed)
-            self._weigh_neighbours(weighed, tuple(sorted(chosen)), pools[late], late)
-            if most_probable(weighed) in before:
-                return
-
-    def _explained(
-        self,
-        weighed: Weighed,
-        pools: dict[Late, list[Candidate]],
-    ) -> SearchResult:
+    def _explained(self, weighed: Weighed, pools: dict[Late, list[Candidate]]) -> SearchResult:
+        """Return what is weighed as explanations, variants of the same effects as one."""
         # Exact ties go to the effect that comes first in the catalogue.
         keys = sorted(weighed, key=lambda key: (-round(weighed[key], 2), sorted(key[0])))
         values = np.array([weighed[key] for key in keys])
@@ -563,8 +466,9 @@ class Search:
         self, weighed: Weighed, chosen: Set, candidates: Sequence[Candidate], late: Late
     ) -> None:
         """Weigh what of a set earns a place in it."""
-        one = self._reduced(chosen, candidates, late)
-        weighed[frozenset(one), late] = self._posterior(one, candidates, late)
+        kept = self._reduced(chosen, candidates, late)
+        prior = sum(candidates[k].prior for k in kept) + (0.0 if late == ON_TIME else LATE)
+        weighed[frozenset(kept), late] = self.score(self._evaluate(kept, candidates, late)) + prior
 
     def _nearest(self, parts: Sequence[Part], at: int, now: Evaluated) -> Part:
         """Return the line with which a set fits best, of many: the nearest to start from."""
@@ -630,13 +534,6 @@ class Search:
 
         return made
 
-    def _best_of(self, pools: Mapping[Late, tuple[list[Candidate], list[Set]]]) -> Evaluated:
-        every = [
-            self._evaluate(chosen, candidates, late)
-            for late, (candidates, sets) in pools.items() for chosen in sets
-        ]  # fmt: skip
-        return max(every, key=self.score)
-
     def score(self, one: Evaluated) -> float:
         """Return the logarithm of an evaluated set's likelihood, that of its innovations."""
         return (
@@ -663,7 +560,7 @@ class Search:
         design = problem.design(terms, self.quick.errors)
         errors = problem.reference(design)
         found = fit(design, errors)
-        sound = self.rest.agrees(problem, parts, found)
+        sound = possible(problem, parts, found)
         shares = innovations(design, residuals(design, found.values))
         odds = problem.odds(terms, found.values)
         return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
@@ -704,33 +601,16 @@ class Search:
         return float(np.sqrt(max(left.max(), 0.0) / max(np.mean(power), 1e-300)))
 
     def _acceptable(self, gain: Gain, one: Candidate, full: Evaluated, less: Evaluated) -> bool:
-        """Tell whether an effect earns its place in a set, given the set with and without it."""
-        return (self._large(gain, full) or not less.sound) and self._shown(gain, one, full)
-
-    def _large(self, gain: Gain, full: Evaluated) -> bool:
-        """Tell whether an effect is large enough to be named."""
-        return gain.improvement > WORTHWHILE and (
-            gain.share > WORTH or gain.share > self._missing(full)
-        )
-
-    def _shown(self, gain: Gain, one: Candidate, full: Evaluated) -> bool:
-        """Tell whether drives show an effect, however small it is."""
-        if one.part.effect.acts in ("change", "place"):
-            # Where or when something changes was searched with all blocks: the block that shows
-            # most of it is not foretold by the others.
-            foretold = gain.lasting > _LASTING * gain.improvement or (
-                gain.lasting > _LASTING_COMPLETE * gain.improvement and self._missing(full) <= WORTH
-            )
-        else:
-            foretold = gain.lasting > 0.0 or gain.improvement > gain.error
-        return foretold and gain.p_value < _CHANCE and gain.weight + one.prior > 0.0
-
-    def _posterior(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> float:
-        one = self._evaluate(chosen, candidates, late)
-        prior = sum(candidates[k].prior for k in chosen)
-        if late != ON_TIME:
-            prior += LATE
-        return self.score(one) + prior
+        """Tell whether an effect is large and certain enough, given its set with and without it."""
+        large = gain.improvement > WORTHWHILE and gain.share > min(WORTH, self._missing(full))
+        if less.sound and not large:
+            return False
+        # Where or when something changes was searched with all blocks: the block that shows most
+        # of it is not predicted by the others.
+        searched = one.part.effect.acts in ("change", "place")
+        least = _LASTING * gain.improvement if searched else 0.0
+        lasts = gain.lasting > least or (not searched and gain.improvement > gain.error)
+        return lasts and gain.p_value < _CHANCE and gain.weight + one.prior > 0.0
 
     def _reduced(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Set:
         """Take out what earns no place, the worst first."""

@@ -180,24 +180,6 @@ def _bisected(
     return 0.5 * (low + high)
 
 
-def at_rest(drive: Drive, power: FloatArray, most: float) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Return which samples at rest a held moment explains, and what it takes at each [W]."""
-    rest = drive.holds & (drive.held.v_left == 0.0)  # which is that of both where contacts hold
-    if not most > 0.0 or not rest.any():
-        return np.zeros(len(rest), bool), np.zeros(len(rest))
-    beyond, width = drive.in_time(drive.power) - power, drive.samples_in(MOMENT)
-    number = np.cumsum(np.diff(rest, prepend=False) & rest)[rest] - 1
-    count = np.bincount(number)
-    share = np.bincount(number, beyond[rest]) / count / most
-    error = _error(drive, beyond, count.astype(float))
-    _, free, _ = _told(share, np.full(len(count), most), error)
-    held = np.zeros(len(rest), bool)
-    held[rest] = free[number]
-    smooth = _smoothed(beyond, width, _alone(rest, width))
-    taken = np.where(held, np.clip(smooth, 0.0, most), 0.0)
-    return held & (smooth > 0.0) & (smooth < most), taken
-
-
 def _told(
     share: FloatArray, most: FloatArray, error: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
@@ -401,13 +383,9 @@ def linearise_drive(
         held_apart.append(apart)
         limits.append(vehicle.slip_moment if term.name == SLIP.name else 0.0)
     table = np.stack(columns, axis=-1) if columns else np.zeros((*power.shape, 0))
-    if fight is not None:
-        if columns:
-            apart = np.stack(held_apart, axis=-1)
-            table[:, 0] -= fight.followed(apart, np.array(limits))
-        known, most = at_rest(drive, power[:, 0], held_loss(vehicle, terms, values, drive))
-        power[:, 0] += most
-        table[known, 0] = 0.0
+    if fight is not None and columns:
+        apart = np.stack(held_apart, axis=-1)
+        table[:, 0] -= fight.followed(apart, np.array(limits))
     shown = drive.observed(table)
     if held_by is not None:
         return Linear(drive.observed(power), held_by.without(shown), held_by.odds)
@@ -444,14 +422,6 @@ def power_of(model: PowerModel, drive: Drive) -> FloatArray:
     """Return the power of a drive by a model, with contacts that hold on a straight [W]."""
     alone = replace(drive, between=None, fitted=False, late=ON_TIME, hold=None)
     return equations_of(model, alone)[:, 0]
-
-
-def held_loss(vehicle: Vehicle, terms: Sequence[Term], values: FloatArray, drive: Drive) -> float:
-    """Return what losses take at most at rest, where contacts hold all that friction allows [W]."""
-    push = np.array(vehicle.slip_moment * slip_limit(terms, values) / drive.motion.icr.slip_track)
-    losses = losses_of(drive, vehicle, terms, values)
-    still = Motion(np.array(0.0), np.array(0.0), drive.motion.icr)
-    return float(lost_power(losses, still, vehicle, Sides(-push, push)).total)
 
 
 def losses_of(
