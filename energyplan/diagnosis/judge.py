@@ -442,16 +442,12 @@ def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
     chance = float(norm.sf(total / max(error, 1e-12)))
     if chance > _CHANCE:
         return None
-    return WheelFight(size, deviation, total / energy, chance, _with_fight(model, size, deviation))
-
-
-def _with_fight(model: PowerModel, size: float, deviation: float) -> PowerModel:
     extended = model.with_term(WHEEL_FIGHT, size)
-    if extended.covariance is None:
-        return extended
-    covariance = np.array(extended.covariance)
-    covariance[-1, -1] = deviation**2
-    return extended.with_coefficients(extended.coefficients, covariance)
+    if extended.covariance is not None:
+        covariance = np.array(extended.covariance)
+        covariance[-1, -1] = deviation**2
+        extended = extended.with_coefficients(extended.coefficients, covariance)
+    return WheelFight(size, deviation, total / energy, chance, extended)
 
 
 @dataclass(frozen=True)
@@ -552,16 +548,12 @@ class Tested:
     quality: Adequacy  # what the model leaves, against noise
     dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
     left: list[Dependence]  # those that are reasons
+    first: Dependence | None  # the one that explains most, beside how drives differ
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """All that the model has beside the paper's terms."""
         return self.effects if self.added is None else (*self.effects, self.added)
-
-    @property
-    def first(self) -> Dependence | None:
-        """The reason that explains most; what differs from drive to drive hides no other one."""
-        return _first(self.left)
 
     @property
     def doubtful(self) -> bool:
@@ -571,10 +563,6 @@ class Tested:
         searched = any(p.terms and p.effect.grid and not p.effect.usual for p in self.effects)
         rest = self.first is not None and bool(self.first.knots)
         return bool(kinds & {"change", "place"}) or (searched and rest)
-
-
-def _first(left: list[Dependence]) -> Dependence | None:
-    return next((one for one in left if one.channel != "drive"), None)
 
 
 def tested(
@@ -592,7 +580,7 @@ def tested(
         one for one in told
         if one.p_value < SIGNIFICANCE and one.explained_variance > max(_TELLING, 2 * one.std_error)
     ]  # fmt: skip
-    first = _first(left)
+    first = next((one for one in left if one.channel != "drive"), None)
     added = smooth_part(first) if first is not None and first.knots else None
     if added is not None and not smooth(added):
         added = None
@@ -603,7 +591,7 @@ def tested(
     if fight is not None:
         fitted = replace(fitted, model=fight.model)
     quality = adequacy(problem.drives, left_over(fitted.model, problem.drives))
-    return Tested(parts, added, fitted, fight, quality, told, left)
+    return Tested(parts, added, fitted, fight, quality, told, left, first)
 
 
 # -- does what was found hold on other drives? Prediction intervals of energies --------------------
@@ -653,12 +641,15 @@ def energies(
     told = 0.5 + _LEVEL / 2
     reach = float(student.ppf(told, count - 1 if spread else _WITHIN))
     assumed = 0.0 if spread else USUAL_RUN_SPREAD * float(student.ppf(told, _ASSUMED))
+    changes = any(term.name in ("slip_change", "traction_change") for term in model.terms)
     found = []
     for one in predictions:
-        weights = one.drive.weights
+        drive, weights = one.drive, one.drive.weights
         energy = float(weights @ one.power)
-        columns = plain_columns(plain, fitted, one.drive)
-        gradient = weights @ columns
+        if changes and "changed" not in drive.motion.channels:
+            drive = drive.with_channels(changed=np.ones(len(drive.t)))
+        alone = Problem([replace(drive, between=None)], plain.vehicle)
+        gradient = weights @ alone.tables(model.terms, values).columns[0][:, 0]
         variance = density * float(weights.sum())
         if model.covariance is not None:
             variance += float(gradient @ model.covariance @ gradient)
@@ -669,19 +660,7 @@ def energies(
             half = max(half, reach * fitted.run_error * abs(energy))
         found.append(
             EnergyPrediction(
-                one.drive.name, energy, (energy - half, energy + half),
-                float(weights @ one.drive.power),
+                drive.name, energy, (energy - half, energy + half), float(weights @ drive.power),
             )
         )  # fmt: skip
     return tuple(found)
-
-
-def plain_columns(problem: Problem, fitted: JointFit, drive: Drive) -> FloatArray:
-    """Return the derivatives of a drive's power by the coefficients, shape (n, k)."""
-    if any(t.name in ("slip_change", "traction_change") for t in fitted.model.terms):
-        drive = drive.with_channels(
-            changed=drive.motion.channels.get("changed", np.ones(len(drive.t)))
-        )
-    one = Problem([replace(drive, between=None)], problem.vehicle)
-    about = one.tables(fitted.model.terms, np.array(fitted.model.coefficients))
-    return about.columns[0][:, 0]

@@ -387,14 +387,11 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
     undated = changes and "changed" not in drive.motion.channels
     if undated or not is_lossy(drive, model.terms):
         return None
-    told = equations_of(_without_fight(model), replace(drive, fitted=True))[:, 0]
+    keep = [k for k, term in enumerate(model.terms) if term.name != WHEEL_FIGHT.name]
+    some = PowerModel(model.vehicle, tuple(model.terms[k] for k in keep), model.coefficients[keep])
+    told = equations_of(some, replace(drive, fitted=True))[:, 0]
     alone = equations_of(model, replace(drive, between=None, fitted=False))[:, 0]
     return told - alone if np.any(told != alone) else None
-
-
-def _without_fight(model: PowerModel) -> PowerModel:
-    keep = [k for k, term in enumerate(model.terms) if term.name != WHEEL_FIGHT.name]
-    return PowerModel(model.vehicle, tuple(model.terms[k] for k in keep), model.coefficients[keep])
 
 
 def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
