@@ -83,10 +83,6 @@ def _masked(total: FloatArray, after: FloatArray, count: int) -> FloatArray:
     return gram
 
 
-def _loss(gram: FloatArray) -> FloatArray:
-    return squared_errors(gram, solve(gram))
-
-
 def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) -> Problem:
     """Find when each drive changed state, and give the drives the channel ``changed``."""
     design = problem.design(terms, errors)
@@ -110,7 +106,7 @@ def mark_changes(problem: Problem, terms: Sequence[Term], errors: FloatArray) ->
             best = (np.inf, splits[k], afters[k])
             for number, after in enumerate(options):
                 grams = _masked(others_total + totals[k], others_after + after, count)
-                losses = _loss(grams)
+                losses = squared_errors(grams, solve(grams))
                 place = int(np.argmin(losses))
                 if losses[place] < best[0] * (1 - 1e-9):
                     time = (int(times[place]), int(times[place]), 0, len(part) - 1)[number]
@@ -253,7 +249,8 @@ class Ground:
         steps = self._steps(level)
         kept: list[Part] = []
         for part in ranked:
-            gaps = (np.abs(self._gap(part, other)) for other in kept)
+            place = self.from_middle(part.values)
+            gaps = (np.abs(place - self.from_middle(other.values)) for other in kept)
             if all(np.any(gap > 1.5 * steps) for gap in gaps):
                 kept.append(part)
         return kept
@@ -285,9 +282,6 @@ class Ground:
         close, fine = _CLOSE * self._reach, self._span / len(_FINE_SHARES)
         share = level / self.levels
         return np.array([_TURN / 2.0**level, fine ** (1.0 - share) * close**share])
-
-    def _gap(self, one: Part, other: Part) -> FloatArray:
-        return self.from_middle(one.values) - self.from_middle(other.values)
 
 
 def _normal(direction: float) -> FloatArray:
@@ -375,6 +369,11 @@ def _key(term: Term) -> Key:
 def terms_of(parts: Sequence[Part]) -> list[Term]:
     """Return the paper's terms and those of the parts."""
     return [*PAPER, *(term for part in parts for term in part.terms)]
+
+
+def _columns(candidates: Sequence[Candidate], chosen: Set) -> list[int]:
+    """Return the columns of a set in the table of all candidates, the paper's first."""
+    return [*range(len(PAPER)), *(c for one in chosen for c in candidates[one].columns)]
 
 
 class Proposals:
@@ -470,10 +469,7 @@ class Proposals:
         grams = design.grams
         bounds = self._bounds(candidates)
         found = np.full(len(sets), -np.inf)
-        wide = [
-            [*range(len(PAPER)), *(c for one in chosen for c in candidates[one].columns)]
-            for chosen in sets
-        ]
+        wide = [_columns(candidates, chosen) for chosen in sets]
         widths = np.array([len(columns) for columns in wide])
         weight = 1.0 / (reference * design.counts)
         for width in np.unique(widths):
@@ -558,21 +554,17 @@ class Proposals:
             candidates = self.candidates_for(marked)
             start = tuple(k for k, one in enumerate(candidates) if one.part in usual)
             design = self.table(problem, candidates, about)
-            first = [*range(len(PAPER)), *(c for k in start for c in candidates[k].columns)]
-            errors = problem.reference(design.picked(first))
+            errors = problem.reference(design.picked(_columns(candidates, start)))
             known = self._grow(design, candidates, start, errors, 2)
             # Weigh the scales by what the best set leaves, and look again.
             top = max(known, key=lambda one: known[one])
-            columns = [*range(len(PAPER)), *(c for k in top for c in candidates[k].columns)]
-            best = design.picked(columns)
-            errors = problem.reference(best)
+            errors = problem.reference(design.picked(_columns(candidates, top)))
             known = self._grow(design, candidates, start, errors, self.limit)
             ranked = sorted(known, key=lambda one: -known[one])
             pooled = self._merged(pooled, ranked[: 4 * _EXACT], known, candidates, stage)
             if stage:
                 break
             top = ranked[0]
-            columns = [*range(len(PAPER)), *(c for k in top for c in candidates[k].columns)]
             parts = [candidates[k].part for k in top]
             about = self.about(problem, parts, errors)
             if any(effect.acts == "change" for effect in self.effects):
@@ -581,7 +573,7 @@ class Proposals:
             losses = any(one.part.lossy for one in candidates)
             if marked is None and not (losses and set(top) != set(start)):
                 break
-        names = {self._label(one): k for k, one in enumerate(candidates)}
+        names = {(one.name, one.part.params): k for k, one in enumerate(candidates)}
         sets = []
         for _, (_, labels) in sorted(pooled.items(), key=lambda item: -item[1][0]):
             if all(label in names for label in labels):
@@ -614,10 +606,6 @@ class Proposals:
         values = fit(design, scale).values
         return dict(zip((_key(t) for t in terms_of(parts)), values.tolist(), strict=True))
 
-    def _label(self, one: Candidate) -> tuple[str, tuple[tuple[str, float], ...]]:
-        """Name a candidate in a way that outlasts a new numbering."""
-        return one.name, one.part.params
-
     def _merged(
         self,
         pooled: Mapping[frozenset[str], tuple[float, Labels]],
@@ -630,7 +618,7 @@ class Proposals:
         merged = dict(pooled)
         for chosen in ranked:
             names = frozenset(candidates[k].name for k in chosen)
-            labels = tuple(self._label(candidates[k]) for k in chosen)
+            labels = tuple((candidates[k].name, candidates[k].part.params) for k in chosen)
             if names not in merged or (stage and known[chosen] > merged[names][0]):
                 merged[names] = (known[chosen], labels)
         return merged

@@ -501,24 +501,20 @@ def _setpoints(
     accel_limit: float,
     seed: int,
 ) -> list[Setpoint]:
-    parts = [pattern] if isinstance(pattern, str) else list(pattern)
-    times: list[float] = []
-    for part in parts:
+    parts: list[tuple[str, float] | Setpoint] = []
+    for part in [pattern] if isinstance(pattern, str) else pattern:
         label = part if isinstance(part, str) else part[0] if isinstance(part, tuple) else "rest"
         if label not in PATTERNS:
             raise UnknownNameError("drive pattern", label, PATTERNS)
-        times.append(
-            0.0 if isinstance(part, Setpoint)
-            else part[1] if isinstance(part, tuple)
-            else PATTERNS[part].duration
-        )  # fmt: skip
-    scale = 1.0 if duration is None or not any(times) else duration / sum(times)
+        parts.append((part, PATTERNS[part].duration) if isinstance(part, str) else part)
+    whole = sum(part[1] for part in parts if isinstance(part, tuple))
+    scale = duration / whole if duration is not None and whole else 1.0
     setpoints: list[Setpoint] = []
-    for k, (part, time) in enumerate(zip(parts, times, strict=True)):
+    for k, part in enumerate(parts):
         if isinstance(part, Setpoint):
             setpoints.append(part)
             continue
-        label = part if isinstance(part, str) else part[0]
+        label, time = part
         brief = Brief(model.vehicle, time * scale, speed, accel_limit, _stream(seed, f"{label}{k}"))
         setpoints += PATTERNS[label].setpoints(brief)
     return setpoints
