@@ -1,29 +1,18 @@
-"""Evidence: innovations, slight turns, and explanations that drives cannot tell apart."""
+"""Evidence: slight turns, and explanations that drives cannot tell apart."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from energyplan import PowerModel, diagnose, simulate
 from energyplan.fit.drive import quiet, reading_noise
-from energyplan.fit.solvers import innovation_share
 from energyplan.motion import Motion
 from energyplan.power import effects
 from energyplan.power.effect_terms import DRAGGING_LEFT
 from energyplan.vehicle import TreadICR
 
 ICR = TreadICR(0.45, 0.45)
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
-def test_innovations_of_an_autoregression(rho: float) -> None:
-    # The variance of x[t] = rho x[t-1] + e[t] is that of e over 1 - rho^2.
-    noise = np.random.default_rng(3).normal(size=6000)
-    series = lfilter([1.0], [1.0, -rho], noise)
-    share = innovation_share(series, [slice(0, 3000), slice(3000, 6000)])
-    assert share == pytest.approx(1.0 - rho**2, rel=0.06)
 
 
 def test_noise_of_readings_in_steps() -> None:

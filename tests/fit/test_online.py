@@ -81,26 +81,6 @@ def test_a_robot_that_hardly_moves_teaches_nothing() -> None:
     assert slow[1][kernel.COEFFICIENTS, 0] > 1.0
 
 
-def test_compiled_kernel_is_the_plain_one() -> None:
-    rng = np.random.default_rng(0)
-    settings = np.array([60.0, 30.0, 30.0, 0.01])
-    plain, compiled = _state(2), _state(2)
-    answers = []
-    for k in range(1500):
-        phi = rng.normal(size=2) * 20.0 * (k % 300 > 60)
-        power = float(phi @ [1.0, 1.2 if k < 800 else 2.4]) + 5.0 * rng.standard_t(2)
-        answers.append(
-            (
-                kernel.advance(phi, power, 0.05, *compiled, settings),
-                kernel.advance.py_func(phi, power, 0.05, *plain, settings),
-            )
-        )
-    assert all(a == b for a, b in answers)
-    assert any(a for a, _ in answers)
-    for a, b in zip(compiled, plain, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-12)
-
-
 def test_statistic_of_a_known_change_has_its_expectation() -> None:
     """White noise and known coefficients: the 8 s window's statistic is non-central chi-squared."""
     rng, found = np.random.default_rng(4), []
