@@ -188,7 +188,6 @@ def planners(scene: Scene, effort: int) -> dict[str, Planner]:
     return {
         "energyplan, `lattice`": counted("lattice", effort),
         "energyplan, shortest route": counted("lattice", effort, "length"),
-        "energyplan with networkx, `roadmap`": counted("roadmap", effort),
         "OMPL RRT*, energy": counted("rrtstar", effort),
         "OMPL RRT*, length": counted("rrtstar", effort, "length"),
         "OMPL Informed RRT*, energy": counted("informed_rrtstar", effort),

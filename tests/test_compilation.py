@@ -368,7 +368,7 @@ WAYS = {
         ("range", "plain"),
         *(("lattice", kind) for kind in ("plain", "tight", "surfaces", "heights", "length")),
         ("lattice", "time"),
-        ("compare", "surfaces"), ("roadmap", "plain"), ("bitstar", "surfaces"),
+        ("compare", "surfaces"), ("bitstar", "surfaces"),
         ("drive", "plain"),
     ],
     "with exact steering": [("lattice", "speed")],

@@ -45,8 +45,8 @@ def graph(
     """
     from energyplan.export.graph import read_route_graph, write_route_graph
     from energyplan.path import as_pose
-    from energyplan.planning.roadmap.planned import EFFORT
-    from energyplan.planning.roadmap.planned import plan_edges as run
+    from energyplan.planning.graphs import EFFORT
+    from energyplan.planning.graphs import plan_edges as run
 
     places = read_route_graph(file)
     if len(places) == 0:

@@ -46,9 +46,7 @@ class Routing:
             "arcs of this radius at least [m].",
         ),
     ] = "any"
-    planner: Annotated[str, Option(help="lattice, roadmap, or the name of another planner.")] = (
-        "lattice"
-    )
+    planner: Annotated[str, Option(help="lattice, or the name of another planner.")] = "lattice"
     out: Annotated[
         Path | None,
         Option(

@@ -93,8 +93,8 @@ def _cost(properties: dict[str, Any], place: str) -> float:
 def write_route_graph(graph: RouteGraph, path: str | Path) -> None:
     """Write a route graph with the edges' ``cost``, for Nav2's route server to plan with.
 
-    Each edge that carries a ``cost`` (see `energyplan.planning.roadmap.price_edges` and
-    `energyplan.planning.roadmap.planned.plan_edges`) is written with it and with ``overridable:
+    Each edge that carries a ``cost`` (see `energyplan.planning.graphs.price_edges` and
+    `energyplan.planning.graphs.plan_edges`) is written with it and with ``overridable:
     false``, without which the route server would replace it by the scores of its plug-ins. Edges
     that were read and are no longer in the graph are left out. Everything else that was read is
     written back as it was.

@@ -46,9 +46,6 @@ PLANNERS = {
         surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
         costmap=True, turning=True,
     ),
-    "roadmap": Planner(
-        "energyplan.planning.roadmap:plan", surfaces=True, objectives=OBJECTIVES, effort=True
-    ),
     **{
         name: Planner(
             f"{_OMPL}:{name}", surfaces=True, heights=True, objectives=OBJECTIVES, effort=True,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from energyplan.cost import EnergyCost
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.export.graph import read_route_graph, write_route_graph
-from energyplan.planning.roadmap import Roadmap, price_edges
+from energyplan.planning.graphs import Roadmap, price_edges
 from energyplan.power import PowerModel
 from energyplan.terrain import Surface, SurfaceMap
 

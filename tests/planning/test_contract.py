@@ -146,7 +146,7 @@ def test_a_planner_is_refused_where_it_cannot_be_used_and_others_are_named():
     x = np.arange(0.0, 10.5, 0.5)
     ramp = HeightMap(np.tile(0.05 * x, (21, 1)), 0.5)
     for problem, words in (
-        (replace(PROBLEM, surfaces=ground), "surfaces; use one of lattice, roadmap"),
+        (replace(PROBLEM, surfaces=ground), "surfaces; use one of lattice, rrtstar"),
         (replace(PROBLEM, heights=ramp), "heights; use one of lattice, rrtstar"),
         (replace(PROBLEM, objective={"energy": 1.0, "time": 2.0}), "the objective time; use"),
     ):

@@ -116,7 +116,7 @@ def test_other_frames_and_sizes_are_looked_up_where_they_lie():
 
 def test_planners_that_do_not_know_costs_say_so():
     with pytest.raises(UnsupportedPlannerError, match="a costmap"):
-        plan(problem(10.0), "roadmap")
+        plan(problem(10.0), "rrtstar")
 
 
 @pytest.mark.parametrize("weight", [-1.0, np.inf, np.nan])

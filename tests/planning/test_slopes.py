@@ -18,7 +18,6 @@ from energyplan.errors import (
     InvalidInputError,
     MapError,
     ModelError,
-    UnsupportedPlannerError,
 )
 from energyplan.limits.drive import Drive
 from energyplan.mission import Mission, Task, evaluate
@@ -365,17 +364,6 @@ def test_steep_ground_that_the_robot_cannot_reach_does_not_count():
     assert CompiledProblem(
         replace(problem, map=OccupancyGrid(blocked, 0.1))
     ).steepest == pytest.approx(0.04)
-
-
-@pytest.mark.parametrize("planner", ["roadmap"])
-def test_planners_of_level_ground_say_so(planner):
-    problem = PlanningProblem(
-        HALL, EnergyCost(MODEL), (2, 6, 0), (13, 6, 0), heights=plane(0.1, 0.0)
-    )
-    with pytest.raises(
-        UnsupportedPlannerError, match="cannot be used with heights; use one of lattice"
-    ):
-        plan(problem, planner, effort=6_000)
 
 
 # -- missions --------------------------------------------------------------------------------------

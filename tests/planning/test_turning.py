@@ -129,9 +129,9 @@ def test_what_cannot_keep_a_radius_is_refused():
     cost = EnergyCost.from_coefficients(150.0, 60.0, 0.4)
     grid = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
     problem = PlanningProblem(grid, cost, (2, 5, 0), (2, 5, 2), turning=1.0)
-    with pytest.raises(UnsupportedPlannerError, match="least turning radius"):
-        plan(problem, "roadmap", effort=1000)
     spin = Path(problem.start, [0.0], [2.0])
+    with pytest.raises(UnsupportedPlannerError, match="least turning radius"):
+        plan(problem, Planner(lambda problem, budget: Candidate(spin)))
     spinning = Planner(lambda problem, budget: Candidate(spin), turning=True, effort=True)
     with pytest.raises(InvalidPathError, match="less than 1 m"):
         plan(problem, spinning, effort=1000)

@@ -1,8 +1,9 @@
-"""Energy graphs, visibility graphs and the roadmap planner."""
+"""Energy graphs, routes on them, and edges planned among obstacles."""
 
 from __future__ import annotations
 
 import itertools
+import json
 from dataclasses import replace
 
 import networkx as nx
@@ -12,14 +13,11 @@ import shapely
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError
-from energyplan.export.graph import read_route_graph
+from energyplan.errors import InvalidInputError, NoPathError
+from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.path import Path, Pose, wrap_angle
-from energyplan.planning import PlanningProblem, plan
-from energyplan.planning import roadmap as rm
-from energyplan.planning.roadmap import traced
-from energyplan.planning.roadmap.routes import round_corner
-from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning import PlanningProblem
+from energyplan.planning.graphs import Roadmap, plan_edges, price_edges, round_corner
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import VISCOUS_LOSS
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
@@ -40,7 +38,7 @@ def grid_graph(rng, side=4, size=2.0):
 
 
 def brute_force(graph, source, target, start_yaw, goal_yaw, reverse, metre=A, radian=SPIN):
-    """Every simple path, every gear on every edge, priced by the closed form."""
+    """Every simple path, every gear on every edge, priced by the closed fo"""
     place = nx.get_node_attributes(graph, "pos")
     best = np.inf
     for nodes in nx.all_simple_paths(graph, source, target):
@@ -65,7 +63,7 @@ def test_routes_are_the_best_of_all(reverse, ends):
     rng = np.random.default_rng(21)
     for _ in range(3):
         graph = grid_graph(rng, side=3)
-        route = rm.Roadmap(graph, COST, reverse=reverse).route(
+        route = Roadmap(graph, COST, reverse=reverse).route(
             (0, 0), (2, 2), start_yaw=ends[0], goal_yaw=ends[1]
         )
         expected = brute_force(graph, (0, 0), (2, 2), *ends, reverse)
@@ -92,7 +90,7 @@ def test_routes_are_the_best_of_all_at_every_objective(objective):
     rng = np.random.default_rng(28)
     for _ in range(4):
         graph = grid_graph(rng, side=3)
-        roadmap = rm.Roadmap(graph, cost, objective=objective)
+        roadmap = Roadmap(graph, cost, objective=objective)
         route = roadmap.route((0, 0), (2, 2), start_yaw=1.5)
         expected = brute_force(
             graph, (0, 0), (2, 2), 1.5, None, True, price(1.0, 0.0), price(0.0, 1.0)
@@ -107,7 +105,7 @@ def test_a_route_ends_where_it_should():
     nx.set_node_attributes(graph, 0.5, "radius")
     ahead = MODEL.vehicle.with_icr(TreadICR(0.5, 0.45, 0.1))
     cost = EnergyCost(PowerModel.paper(ahead, 113.0, 0.627))
-    route = rm.Roadmap(graph, cost).route((0, 0), (3, 2), start_yaw=2.5, goal_yaw=-1.0)
+    route = Roadmap(graph, cost).route((0, 0), (3, 2), start_yaw=2.5, goal_yaw=-1.0)
     end, start = route.path.end, route.path.start
     for pose, node in ((start, (0, 0)), (end, (3, 2))):
         point = np.array(pose[:2]) + 0.1 * np.array([np.cos(pose.yaw), np.sin(pose.yaw)])
@@ -125,7 +123,7 @@ def test_the_weights_along_a_route_add_up_to_its_energy():
         [Surface(shapely.box(3, -5, 20, 20), PowerModel.preset("quadriga:empty:marble"))]
     )
     for radius, surfaces in ((0.0, ground), (0.6, None)):
-        roadmap = rm.Roadmap(graph, COST, surfaces=surfaces, radius=radius)
+        roadmap = Roadmap(graph, COST, surfaces=surfaces, radius=radius)
         route = roadmap.route((0, 0), (3, 3))
         arcs = [roadmap.states[a][b]["weight"] for a, b in itertools.pairwise(route.states)]
         first = roadmap.states.nodes[route.states[0]]["cost"]
@@ -136,7 +134,7 @@ def test_turns_change_the_best_route():
     """A staircase is no longer than an L, and costs five quarter turns more."""
     graph = nx.grid_2d_graph(4, 4)
     nx.set_node_attributes(graph, {n: n for n in graph}, "pos")
-    route = rm.Roadmap(graph, COST).route((0, 0), (3, 3))
+    route = Roadmap(graph, COST).route((0, 0), (3, 3))
     turns = np.count_nonzero(route.path.dtheta)
     assert turns == 1
     assert route.energy == pytest.approx(6 * A + SPIN * np.pi / 2)
@@ -145,10 +143,10 @@ def test_turns_change_the_best_route():
 def test_backing_out_of_a_dead_end_is_cheaper_than_turning_round():
     graph = nx.path_graph(3)
     nx.set_node_attributes(graph, {0: (0, 0), 1: (2, 0), 2: (5, 0)}, "pos")
-    route = rm.Roadmap(graph, COST).route(2, 0, start_yaw=0.0)
+    route = Roadmap(graph, COST).route(2, 0, start_yaw=0.0)
     assert [s.gear for s in route.states] == [-1, -1]
     assert route.energy == pytest.approx(5 * A)
-    forward = rm.Roadmap(graph, COST, reverse=False).route(2, 0, start_yaw=0.0)
+    forward = Roadmap(graph, COST, reverse=False).route(2, 0, start_yaw=0.0)
     assert forward.energy == pytest.approx(5 * A + SPIN * np.pi)
 
 
@@ -159,24 +157,24 @@ def test_any_kind_of_graph_will_do():
         graph = kind([(0, 1), (1, 2)])
         nx.set_node_attributes(graph, {n: x for n, (x, _) in place.items()}, "x")
         nx.set_node_attributes(graph, {n: y for n, (_, y) in place.items()}, "y")
-        energies.append(rm.Roadmap(graph, COST).route(0, 2).energy)
+        energies.append(Roadmap(graph, COST).route(0, 2).energy)
         if graph.is_directed():
             with pytest.raises(
                 NoPathError, match=r"nearest node that is reached is 2 at \(1.00, 1.00\), 1.41 m"
             ):
-                rm.Roadmap(graph, COST).route(2, 0)
+                Roadmap(graph, COST).route(2, 0)
     assert np.allclose(energies, 2 * A + SPIN * np.pi / 2)
 
 
 def test_malformed_graphs_are_refused():
     graph = nx.path_graph(2)
     with pytest.raises(InvalidInputError, match="position"):
-        rm.Roadmap(graph, COST).route(0, 1)
+        Roadmap(graph, COST).route(0, 1)
     nx.set_node_attributes(graph, (0, 0), "pos")
     with pytest.raises(InvalidInputError, match="length"):
-        rm.Roadmap(graph, COST).route(0, 1)
+        Roadmap(graph, COST).route(0, 1)
     with pytest.raises(InvalidInputError, match="not in the graph"):
-        rm.Roadmap(graph, COST).route(0, 7)
+        Roadmap(graph, COST).route(0, 7)
 
 
 # -- rounded corners --------------------------------------------------------------------------
@@ -209,12 +207,12 @@ def test_with_losses_the_pivot_beats_wide_arcs():
 def test_rounded_corners_lie_within_the_lines():
     graph = nx.path_graph(3)
     nx.set_node_attributes(graph, {0: (0, 0), 1: (2, 0), 2: (2, 3)}, "pos")
-    roadmap = rm.Roadmap(graph, COST, radius=0.6)
+    roadmap = Roadmap(graph, COST, radius=0.6)
     route = roadmap.route(0, 2)
     assert np.allclose(np.abs(route.path.ds), [1.4, 0.6 * np.pi / 2, 2.4])
     assert route.path.end[:2] == pytest.approx((2, 3))
     # a radius that does not fit into half an edge is cut down
-    wide = rm.Roadmap(graph, COST, radius=9.0).route(0, 2)
+    wide = Roadmap(graph, COST, radius=9.0).route(0, 2)
     assert np.allclose(np.abs(wide.path.ds), [1.0, 1.0 * np.pi / 2, 2.0])
 
 
@@ -230,131 +228,93 @@ def test_the_best_radius_is_as_good_as_any():
         assert corner.price[k] <= every.min() + 1e-3 * abs(every.min())
 
 
-# -- visibility graphs ------------------------------------------------------------------------
-
-
-def test_shortest_way_round_a_box():
-    """Against the length by hand: over the mitred corners of the box grown by the clearance."""
-    graph = rm.visibility_graph(shapely.box(2, -1, 4, 3), 0.5, [(0, 0), (6, 0)])
-    length = nx.dijkstra_path_length(graph, 0, 1, weight="length")
-    assert length == pytest.approx(2 * np.hypot(1.5, 1.5) + 3.0)
-    assert all(data["radius"] == 0.5 for node, data in graph.nodes(data=True) if node > 1)
-
-
-def test_tracing_covers_the_map_closely():
-    rng = np.random.default_rng(25)
-    discs = [shapely.Point(*rng.uniform(1, 5, 2)).buffer(0.4) for _ in range(5)]
-    grid = OccupancyGrid.from_polygons(discs, (0, 0, 6, 6), 0.05)
-    area = traced(grid, 0.05)
-    row, column = np.nonzero(grid.blocked)
-    cells = shapely.union_all(shapely.box(column, row, column + 1, row + 1))
-    cells = shapely.transform(cells, grid.to_world)
-    assert cells.difference(area.buffer(0.03)).area == 0
-    assert area.difference(cells.buffer(0.06, join_style="mitre")).area < 1e-12
-    assert shapely.get_num_coordinates(area) < 0.6 * shapely.get_num_coordinates(cells)
-
-
-# -- the planner ------------------------------------------------------------------------------
-
-
-def road(problem, **options):
-    return plan(problem, "roadmap", effort=1_000_000, **options)
-
-
-def hall(*boxes, size=(12.0, 10.0)):
-    return OccupancyGrid.from_polygons([shapely.box(*b) for b in boxes], (0, 0, *size), 0.05)
-
-
-def test_plan_in_an_empty_hall_turns_drives_and_turns():
-    problem = PlanningProblem(hall((11, 9, 12, 10)), COST, (1, 1, 0.4), (6, 5, 1.2))
-    found = road(problem, refine=False)
-    bearing = np.arctan2(4, 5)
-    turning = abs(bearing - 0.4) + abs(1.2 - bearing)
-    assert found.energy == pytest.approx(A * np.hypot(4, 5) + SPIN * turning)
-    assert found.lower_bound <= found.energy
-    assert found.lower_bound >= 0.999 * float(steering.energy(problem.start, problem.goal, COST))
-    assert found.planner == "roadmap"
-    # exact steering does better than turning on the spot
-    assert road(problem).energy == pytest.approx(found.lower_bound, rel=1e-3)
-
-
-def test_plans_are_free_and_end_at_the_goal():
-    rng = np.random.default_rng(26)
-    boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
-    grid = hall(*boxes)
-    vehicle = MODEL.vehicle
-    poses = np.column_stack(
-        [rng.uniform(0.6, 11, 40), rng.uniform(0.6, 9, 40), rng.uniform(-3, 3, 40)]
-    )
-    poses = poses[grid.footprint_free(poses, vehicle)]
-    for start, goal in zip(poses[:6], poses[6:12], strict=True):
-        try:
-            found = road(PlanningProblem(grid, COST, start, goal))
-        except NoPathError:
-            # the corner of a body that cannot turn on the spot where it stands
-            circle = [[(*p[:2], yaw) for yaw in np.linspace(0, 6.28, 60)] for p in (start, goal)]
-            assert not np.all(grid.footprint_free(circle, vehicle))
-            continue
-        assert grid.path_free(found.path, vehicle)
-        assert np.allclose(found.path.end[:2], goal[:2], atol=1e-6)
-        assert wrap_angle(found.path.end.yaw - goal[2]) == pytest.approx(0.0, abs=1e-6)
-        assert found.lower_bound <= found.energy * (1 + 1e-9)
-
-
-@pytest.mark.parametrize("objective", ["energy", "length", "time", {"energy": 1, "time": 200}])
-def test_plans_follow_the_objective(objective):
-    """No dearer than the lattice planner's by more than a little, and above its bound."""
-    boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
-    problem = PlanningProblem(hall(*boxes), COST, (1, 1, 0.4), (11, 8.5, 1.2), objective=objective)
-    found, other = road(problem), plan(problem, effort=10_000)
-    assert found.cost == pytest.approx(CompiledProblem(problem).value(found.path))
-    assert max(found.lower_bound, other.lower_bound) <= found.cost <= 1.02 * other.cost
-    assert problem.map.path_free(found.path, MODEL.vehicle)
-
-
-def test_objectives_differ_in_what_they_make_least():
-    boxes = [(x, y, x + 0.8, y + 0.6) for x in (2, 4.5, 7, 9.5) for y in (1.5, 4, 6.5)]
-    problem = PlanningProblem(hall(*boxes), COST, (1, 1, 0.4), (11, 8.5, -2.0))
-    plans = [
-        road(replace(problem, objective=name), refine=False)
-        for name in ("energy", "length", "time")
-    ]
-    for k, values in enumerate(
-        zip(*((p.energy, p.length, p.duration) for p in plans), strict=True)
-    ):
-        assert values[k] <= min(values) * (1 + 1e-9)
-        assert values[k] < max(values)
-
-
-def test_plan_on_a_given_graph():
-    """Its edges through obstacles are not driven."""
-    grid = hall((4, 0, 5, 6))
-    graph = nx.Graph([("low", "right"), ("low", "high"), ("high", "right")])
-    place = {"low": (2, 2), "high": (4.5, 8), "right": (8, 2)}
-    nx.set_node_attributes(graph, place, "pos")
-    problem = PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0))
-    found = road(problem, graph=graph)
-    assert found.path.poses()[:, 1].max() > 7
-    blocked = graph.copy()
-    blocked.remove_node("high")
-    with pytest.raises(NoPathError):
-        road(problem, graph=blocked)
-
-
-def test_what_cannot_be_planned_is_refused():
-    grid = hall((4, 0, 5, 10))
-    with pytest.raises(NoPathError, match=r"\(1.00, 2.00\) to .* at \(10.00, 2.00\).*lattice"):
-        road(PlanningProblem(grid, COST, (1, 2, 0), (10, 2, 0)))
-    with pytest.raises(StartInCollisionError):
-        road(PlanningProblem(grid, COST, (4.5, 2, 0), (10, 2, 0)))
-
-
 @pytest.mark.shared
 def test_nav2_graph_routes_cost_at_least_the_free_minimum(shared_data):
     graph = read_route_graph(shared_data / "route_graphs" / "turtlebot4_graph.geojson")
-    roadmap = rm.Roadmap(graph, COST)
+    roadmap = Roadmap(graph, COST)
     nodes = sorted(graph)
     for target in nodes[1::5]:
         route = roadmap.route(nodes[0], target, start_yaw=0.3, goal_yaw=1.0)
         least = float(steering.energy(route.path.start, route.path.end, COST))
         assert route.energy >= least * (1 - 1e-9)
+
+
+# -- edges planned among obstacles ------------------------------------------------------------
+
+
+def problem(*boxes: tuple[int, int, int, int]) -> PlanningProblem:
+    """Return a hall of 10 m by 8 m with boxes of cells."""
+    occupied = np.zeros((160, 200), bool)
+    for row, column, height, width in boxes:
+        occupied[row : row + height, column : column + width] = True
+    return PlanningProblem(OccupancyGrid(occupied, 0.05), COST, (1, 1, 0), (1, 1, 0))
+
+
+def square(kind=nx.DiGraph) -> nx.Graph:
+    graph = kind()
+    for node, place in enumerate([(2, 2), (8, 2), (8, 6), (2, 6)]):
+        graph.add_node(node, pos=place)
+    graph.add_edges_from([(0, 1), (1, 2), (2, 3), (3, 0), (0, 3)])
+    return graph
+
+
+def test_free_edges_are_straight_and_pay_for_turns():
+    found = plan_edges(square(), problem())
+    assert found.closed == ()
+    straight = price_edges(square(), COST)
+    spin = float(COST.segment_energy(0.0, np.pi / 2))
+    for source, target, data in found.graph.edges(data=True):
+        expected = straight.edges[source, target]["cost"]
+        # from place 3 the way leads on to 0 or back, from 2 on to 3 alone, and so on
+        assert data["cost"] == pytest.approx(expected + (spin if (source, target) != (0, 3) else 0))
+
+
+def test_a_route_pays_for_each_turn():
+    found = plan_edges(square(), problem())
+    path = found.route(0, 2)
+    spin = float(COST.segment_energy(0.0, np.pi / 2))
+    assert COST.energy(path) == pytest.approx(10 * 226.0 + spin)
+    assert np.allclose(path.end[:2], (8, 6))
+
+
+@pytest.mark.parametrize("kind", [nx.DiGraph, nx.MultiDiGraph, nx.Graph])
+def test_an_obstacle_on_an_edge_is_driven_around(kind):
+    asked = problem((30, 90, 20, 20))
+    found = plan_edges(square(kind), asked)
+    assert found.closed == ()
+    state = next(s for s in found.paths if {s.source, s.target} == {0, 1})
+    path = found.paths[state]
+    assert asked.map.path_free(path, COST.vehicle)
+    assert found.energies[state] == pytest.approx(COST.energy(path))
+    assert found.energies[state] > 6 * 226.0 * 1.02
+    assert found.energies[state] >= steering.energy(path.start, path.end, COST) * (1 - 1e-9)
+    route = found.route(0, 2)
+    assert asked.map.path_free(route, COST.vehicle)
+
+
+def test_closed_edges_are_told_and_left_out(tmp_path):
+    walled = problem((0, 100, 160, 4))
+    found = plan_edges(square(), walled)
+    assert {(edge.source, edge.target) for edge in found.closed} == {(0, 1), (2, 3)}
+    assert "certainly" in found.closed[0].reason
+    assert not found.graph.has_edge(0, 1)
+    with pytest.raises(NoPathError, match="2 edges are closed"):
+        found.route(0, 2)
+    with pytest.raises(InvalidInputError):
+        found.route(0, 7)
+    # and of a file that was read
+    write_route_graph(square(), tmp_path / "read.geojson")
+    graph = read_route_graph(tmp_path / "read.geojson")
+    write_route_graph(plan_edges(graph, walled).graph, tmp_path / "planned.geojson")
+    again = read_route_graph(tmp_path / "planned.geojson")
+    assert sorted(again.edges()) == [(0, 3), (1, 2), (3, 0)]
+    told = json.loads((tmp_path / "planned.geojson").read_text())
+    edges = [f["properties"] for f in told["features"] if "startid" in f["properties"]]
+    assert all(edge["cost"] > 0 and edge["overridable"] is False for edge in edges)
+    assert sum("startid" not in f["properties"] for f in told["features"]) == 4
+
+
+def test_a_place_in_an_obstacle_closes_its_edges():
+    found = plan_edges(square(), problem((110, 30, 20, 20)))
+    assert {(edge.source, edge.target) for edge in found.closed} == {(2, 3), (3, 0), (0, 3)}
+    assert all("touches an obstacle" in edge.reason for edge in found.closed)

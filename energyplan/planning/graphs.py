@@ -1,0 +1,544 @@
+"""Graphs of places with networkx: routes that pay for turns, and edges planned among obstacles.
+
+Any networkx graph with positions becomes a graph of states. A state is an edge with the gear it is
+driven in: where the robot is and which way it faces when it arrives. A graph of places cannot carry
+the cost of turning, because what a turn costs depends on where the robot came from; a graph of
+states can, and every shortest-path algorithm applies to it.
+
+For Nav2's route server and most roadmaps, an edge is the straight line between its places. Among
+obstacles (`plan_edges`) it is the path of the planner from one place to the other, at both in the
+direction of the edge; its cost includes the mean of the turns that may follow it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from math import inf
+from typing import Any, NamedTuple
+
+import networkx as nx
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from energyplan.cost import EnergyCost
+from energyplan.errors import (
+    GoalInCollisionError,
+    InvalidInputError,
+    NoPathError,
+    OutsideMapError,
+    StartInCollisionError,
+    TimeLimitError,
+)
+from energyplan.path import FloatArray, Path, Pose, point_ahead, wrap_angle
+from energyplan.planning.budget import Budget
+from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.ready import compile_planning
+from energyplan.planning.search import planner as lattice
+from energyplan.planning.space.compiled import compiled
+from energyplan.planning.space.prices import Prices
+from energyplan.terrain import SurfaceMap, path_price
+
+Graph = Any
+"""A networkx graph of any kind, directed or not; its nodes carry ``pos`` or ``x`` and ``y`` [m]."""
+
+EFFORT = 4000
+"""Units of work for each edge that is planned among obstacles."""
+
+_RADII = np.linspace(0.0, 1.0, 9)
+"""Radii at which a rounded corner is priced, as fractions of the largest."""
+
+
+class State(NamedTuple):
+    """An edge as it is driven."""
+
+    source: Hashable
+    target: Hashable
+    key: Hashable  # in a multigraph
+    gear: int  # 1 forwards, -1 backwards
+
+
+@dataclass(frozen=True)
+class Edges:
+    """All ways to drive the edges of a graph, as arrays in the order of `states`."""
+
+    states: tuple[State, ...]
+    start: FloatArray  # (n, 2)
+    heading: FloatArray
+    length: FloatArray
+    gear: FloatArray
+
+    @property
+    def yaw(self) -> FloatArray:
+        """Yaw of the robot on each [rad]."""
+        return self.heading + np.where(self.gear > 0, 0.0, np.pi)
+
+
+def positions(graph: Graph) -> dict[Hashable, tuple[float, float]]:
+    """Return the position of each node [m]."""
+    found = {}
+    for node, data in graph.nodes(data=True):
+        place = data.get("pos", (data.get("x"), data.get("y")))
+        try:
+            x, y = (float(v) for v in place)
+        except (TypeError, ValueError):
+            raise InvalidInputError(
+                f"node {node!r} has no position; give each node pos=(x, y) or x= and y= [m]"
+            ) from None
+        if not (np.isfinite(x) and np.isfinite(y)):
+            raise InvalidInputError(f"node {node!r} lies at ({x}, {y}); give finite metres")
+        found[node] = (x, y)
+    return found
+
+
+def edges_of(graph: Graph, reverse: bool) -> Edges:
+    """Return every way to drive a graph's edges; undirected edges can be driven both ways."""
+    place = positions(graph)
+    states: list[State] = []
+    rows: list[tuple[float, ...]] = []
+    for source, target, *key in graph.edges(keys=True) if graph.is_multigraph() else graph.edges():
+        if source == target:
+            # a loop leads nowhere
+            continue
+        for a, b in [(source, target)] + [(target, source)] * (not graph.is_directed()):
+            (ax, ay), (bx, by) = place[a], place[b]
+            length = float(np.hypot(bx - ax, by - ay))
+            if length == 0.0:
+                raise InvalidInputError(
+                    f"the edge from {a!r} to {b!r} has no length; merge these nodes"
+                )
+            for gear in (1, -1) if reverse else (1,):
+                states.append(State(a, b, key[0] if key else None, gear))
+                rows.append((ax, ay, float(np.arctan2(by - ay, bx - ax)), length, gear))
+    table = np.array(rows, float).reshape(-1, 5)
+    return Edges(tuple(states), table[:, :2], table[:, 2], table[:, 3], table[:, 4])
+
+
+def _straight_prices(edges: Edges, prices: Prices) -> FloatArray:
+    """Return the price of driving each edge straight."""
+    ds = edges.gear * edges.length
+    if prices.surfaces is None:
+        return prices.motion(ds, 0.0)
+    heading = np.column_stack([np.cos(edges.heading), np.sin(edges.heading)])
+    ends = edges.start + edges.length[:, None] * heading
+    shares = prices.surfaces.line_shares(edges.start, ends)
+    return np.asarray(sum(prices.motion(ds * part, 0.0, k) for k, part in enumerate(shares.T)))
+
+
+def _with_costs(graph: Graph, costs: Mapping[State, float]) -> Graph:
+    """Return a copy of a graph with the cost of its edges, less those of infinite cost.
+
+    An edge that is driven both ways has the greater cost of the two.
+    """
+    priced = graph.copy()
+    several = graph.is_multigraph()
+    edges = [(*state[:3],) if several else state[:2] for state in costs]
+    for edge in edges:
+        priced.edges[edge].pop("cost", None)
+    for edge, cost in zip(edges, costs.values(), strict=True):
+        data = priced.edges[edge]
+        data["cost"] = max(cost, data.get("cost", cost))
+    costly = priced.edges(keys=True, data="cost") if several else priced.edges(data="cost")
+    priced.remove_edges_from([edge for edge in costly if edge[-1] == inf])
+    return priced
+
+
+def price_edges(graph: Graph, cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Graph:
+    """Return a copy of a graph whose edges carry the energy of driving them as ``cost`` [J].
+
+    A graph of places cannot carry the energy of the turns at its nodes: a planner that adds up
+    these costs sees none of it, `Roadmap` does.
+    """
+    edges = edges_of(graph, reverse=False)
+    energies = _straight_prices(edges, Prices(cost, surfaces)).tolist()
+    return _with_costs(graph, dict(zip(edges.states, energies, strict=True)))
+
+
+@dataclass(frozen=True)
+class Corner:
+    """How a route turns from one edge to the next."""
+
+    radius: FloatArray  # (n,): radius of the arc [m]
+    price: FloatArray  # (n,): price of the arc, less that of the straight lines that it cuts off
+
+
+def round_corner(
+    price: Callable[[ArrayLike, ArrayLike], FloatArray],
+    half_track: float,
+    turn: FloatArray,
+    limit: FloatArray,
+    gear: FloatArray,
+) -> Corner:
+    """Return the best way round corners.
+
+    Both lines that meet at a corner are left at the same distance before it and joined by an
+    arc. Of all radii up to `limit` the cheapest is chosen. Where energy counts and every joule of
+    an inner, generating motor comes back, that is the largest one, which cuts off most of the way;
+    where it is lost, it is often the pivot about a tread's ICR. So nine radii and the pivot are
+    tried, then nine between the neighbours of the best.
+    """
+    size = np.abs(turn)[:, None]
+    way = gear[:, None]
+    # a half turn cannot be rounded: its lines never meet
+    tangent = np.tan(np.minimum(0.5 * size, 1.5))
+    row = np.arange(len(turn))
+
+    def extra(radius: FloatArray) -> FloatArray:
+        arc = price(way * radius * size, np.broadcast_to(turn[:, None], radius.shape))
+        return np.asarray(arc - price(way * 2 * radius * tangent, np.zeros(1)))
+
+    pivot = np.where(limit >= half_track, half_track, 0.0)
+    radius = np.concatenate([limit[:, None] * _RADII, pivot[:, None]], axis=1)
+    value = extra(radius)
+    k = np.argmin(value, axis=1)
+    best, least = radius[row, k], value[row, k]
+    near = _RADII[1] * limit
+    low, high = np.maximum(best - near, 0.0), np.minimum(best + near, limit)
+    between = low[:, None] + (high - low)[:, None] * _RADII
+    value = extra(between)
+    k = np.argmin(value, axis=1)
+    # a radius in between must be worth more than rounding
+    better = value[row, k] < least - 1e-9 * np.abs(least)
+    return Corner(np.where(better, between[row, k], best), np.where(better, value[row, k], least))
+
+
+def energy_graph(
+    graph: Graph,
+    cost: EnergyCost,
+    *,
+    surfaces: SurfaceMap | None = None,
+    reverse: bool = True,
+    radius: float = 0.0,
+    objective: str | Mapping[str, float] = "energy",
+) -> nx.DiGraph[State]:
+    """Return the graph of states whose shortest paths are the routes of least energy.
+
+    Its nodes are `State` tuples, with the price of driving that edge straight as ``cost``.
+    Its arcs join an edge to the next one; their ``weight`` is the price of the turn at the
+    node between them plus that of the next edge, and ``radius`` [m] says how the turn is made.
+    It may start forwards and go on backwards, in which case it turns on the spot. Prices are
+    joules, or of the objective's unit.
+    """
+    prices = Prices(cost, surfaces, objective)
+    edges = edges_of(graph, reverse)
+    straight = _straight_prices(edges, prices)
+    states = edges.states
+    out: nx.DiGraph[State] = nx.DiGraph()
+    for state, price in zip(states, straight.tolist(), strict=True):
+        out.add_node(state, cost=price)
+    first, then = _successions(graph, edges)
+    region = np.zeros(len(states), int)
+    if surfaces is not None and len(region):
+        region = surfaces.region_at(edges.start)
+    known = {node: float(data.get("radius", radius)) for node, data in graph.nodes(data=True)}
+    widest = np.array([known[state.source] for state in states])
+    corner = _corners(edges, first, then, widest[then], region[then], prices)
+    weights = (corner.price + straight[then]).tolist()
+    rows = zip(first.tolist(), then.tolist(), weights, corner.radius.tolist(), strict=True)
+    out.add_edges_from((states[i], states[j], {"weight": w, "radius": r}) for i, j, w, r in rows)
+    return out
+
+
+def _successions(graph: Graph, edges: Edges) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which state may follow which: the first ones, and those that come then."""
+    number = {node: k for k, node in enumerate(graph)}
+    source = np.array([number[state.source] for state in edges.states], int)
+    target = np.array([number[state.target] for state in edges.states], int)
+    order = np.argsort(source, kind="stable")
+    begin = np.searchsorted(source[order], target, "left")
+    count = np.searchsorted(source[order], target, "right") - begin
+    first = np.repeat(np.arange(len(target)), count)
+    rank = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+    return first, order[np.repeat(begin, count) + rank]
+
+
+def _corners(
+    edges: Edges,
+    first: NDArray[np.intp],
+    then: NDArray[np.intp],
+    widest: FloatArray,
+    region: NDArray[np.intp],
+    prices: Prices,
+) -> Corner:
+    """Return how to turn from the first edges to those that come then."""
+    turn = wrap_angle(edges.yaw[then] - edges.yaw[first])
+    # rounding errors must not tell a turn to the left from one to the right
+    turn = np.where(np.abs(np.abs(turn) - np.pi) < 1e-9, np.pi, turn)
+    room = 0.5 * np.minimum(edges.length[first], edges.length[then])
+    tangent = np.tan(np.minimum(0.5 * np.abs(turn), 1.5))
+    limit = np.minimum(widest, room / np.maximum(tangent, 1e-9))
+    same_gear = (edges.gear[first] == edges.gear[then]) & (np.abs(turn) < 3.0)
+    limit = np.where(same_gear, limit, 0.0)
+    radius, price = np.zeros(len(turn)), np.zeros(len(turn))
+    for number, cost in enumerate(prices.costs):
+        here = region == number
+        if np.any(here):
+            charge = partial(prices.motion, region=number)
+            way = edges.gear[then][here]
+            corner = round_corner(charge, cost.half_track, turn[here], limit[here], way)
+            radius[here], price[here] = corner.radius, corner.price
+    return Corner(radius, price)
+
+
+def _cheapest(
+    states: nx.DiGraph[State],
+    source: Hashable,
+    target: Hashable,
+    leave: Callable[[State], float],
+    arrive: Callable[[State], float],
+) -> list[State]:
+    """Return the cheapest states from one node to another; none if nothing joins them.
+
+    `leave` and `arrive` price the first state with the turn onto it, and the turn after the last.
+    """
+    # two more states for the ends, taken out again whatever happens
+    begin, end = State(source, source, "start", 0), State(target, target, "goal", 0)
+    first = [(begin, state, leave(state)) for state in states if state.source == source]
+    last = [(state, end, arrive(state)) for state in states if state.target == target]
+    try:
+        states.add_weighted_edges_from([*first, *last])
+        return list(nx.dijkstra_path(states, begin, end)[1:-1])
+    except (nx.NetworkXNoPath, nx.NodeNotFound):
+        return []
+    finally:
+        states.remove_nodes_from([begin, end])
+
+
+def _check_nodes(graph: Graph, *nodes: Hashable) -> None:
+    for node in nodes:
+        if node not in graph:
+            raise InvalidInputError(f"node {node!r} is not in the graph")
+
+
+@dataclass(frozen=True)
+class Route:
+    """A route on a graph of places."""
+
+    nodes: tuple[Hashable, ...]  # the places, from the source to the target
+    states: tuple[State, ...]  # each edge as it is driven
+    path: Path  # the motions
+    energy: float  # its energy, priced by the model itself [J]
+    cost: float  # the objective's value
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """A graph of places, priced for a robot."""
+
+    graph: Graph
+    cost: EnergyCost  # cost of motions
+    surfaces: SurfaceMap | None = None  # grounds with power models of their own
+    reverse: bool = True  # whether the robot may drive backwards
+    radius: float = 0.0  # with which nodes are rounded at most that have none of their own [m]
+    objective: str | Mapping[str, float] = "energy"  # what to make least, as in `PlanningProblem`
+
+    @cached_property
+    def _prices(self) -> Prices:
+        return Prices(self.cost, self.surfaces, self.objective)
+
+    @cached_property
+    def states(self) -> nx.DiGraph[State]:
+        """The graph of states; see `energy_graph`."""
+        return energy_graph(
+            self.graph, self.cost, surfaces=self.surfaces, reverse=self.reverse,
+            radius=self.radius, objective=self.objective,
+        )  # fmt: skip
+
+    @cached_property
+    def _places(self) -> dict[Hashable, tuple[float, float]]:
+        return positions(self.graph)
+
+    def _yaw(self, state: State) -> float:
+        """Return the robot's yaw while it drives a state [rad]."""
+        (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
+        return float(np.arctan2(by - ay, bx - ax)) + (0.0 if state.gear > 0 else np.pi)
+
+    def _spin(self, node: Hashable, before: float | None, after: float | None) -> float:
+        """Return the price of turning on the spot at a node; nothing where a yaw is free."""
+        turn = 0.0 if before is None or after is None else float(wrap_angle(after - before))
+        ground = self.surfaces
+        region = 0 if ground is None else int(ground.region_at(self._places[node]))
+        return float(self._prices.motion(0.0, turn, region))
+
+    def route(
+        self,
+        source: Hashable,
+        target: Hashable,
+        *,
+        start_yaw: float | None = None,
+        goal_yaw: float | None = None,
+    ) -> Route:
+        """Return the route between two nodes whose objective is least."""
+        _check_nodes(self.graph, source, target)
+        states: list[State] = []
+        if source != target:
+            known = self.states
+            states = _cheapest(
+                known, source, target,
+                lambda s: self._spin(source, start_yaw, self._yaw(s)) + known.nodes[s]["cost"],
+                lambda s: self._spin(target, self._yaw(s), goal_yaw),
+            )  # fmt: skip
+            if not states:
+                raise NoPathError(self._nearest(source, target))
+        path = self._drive(source, states, start_yaw, goal_yaw)
+        nodes = (source, *(state.target for state in states))
+        price = path_price(path, self.cost, self.surfaces)
+        value = self._prices.value(price.energy, path.length, price.duration)
+        return Route(nodes, tuple(states), path, price.energy, value)
+
+    def _nearest(self, source: Hashable, target: Hashable) -> str:
+        """Return how near to the target one gets, in words."""
+        first = [state for state in self.states if state.source == source]
+        after = nx.multi_source_dijkstra_path_length(self.states, first) if first else {}
+        goal = np.array(self._places[target])
+        gap, near = min(
+            (float(np.hypot(*(goal - self._places[node]))), k, node)
+            for k, node in enumerate([source, *dict.fromkeys(s.target for s in after)])
+        )[::2]
+        (sx, sy), (gx, gy), (x, y) = self._places[source], goal, self._places[near]
+        return (
+            f"no route leads from {source!r} at ({sx:.2f}, {sy:.2f}) to {target!r} at ({gx:.2f}, "
+            f"{gy:.2f}); the nearest node that is reached is {near!r} at ({x:.2f}, {y:.2f}), "
+            f"{gap:.2f} m from there"
+        )
+
+    def _drive(
+        self,
+        source: Hashable,
+        sequence: Sequence[State],
+        start_yaw: float | None,
+        goal_yaw: float | None,
+    ) -> Path:
+        """Return the motions of a sequence of states, spins and arcs at its nodes included."""
+        lon = self.cost.icr.longitudinal
+        x, y = self._places[source]
+        first = self._yaw(sequence[0]) if sequence else (goal_yaw or 0.0)
+        yaw = first if start_yaw is None else start_yaw
+        start = Pose(*point_ahead((x, y, yaw), -lon).tolist(), yaw)
+        moves = [(0.0, float(wrap_angle(first - yaw)))]
+        yaw, cut = first, 0.0
+        for k, state in enumerate(sequence):
+            (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
+            length = float(np.hypot(bx - ax, by - ay)) - cut
+            if k + 1 == len(sequence):
+                moves.append((state.gear * length, 0.0))
+                break
+            ahead = sequence[k + 1]
+            radius = float(self.states[state][ahead]["radius"])
+            turn = float(wrap_angle(self._yaw(ahead) - yaw))
+            cut = radius * float(np.tan(0.5 * abs(turn))) if radius > 0 else 0.0
+            moves += [
+                (state.gear * (length - cut), 0.0),
+                (state.gear * radius * abs(turn), turn),
+            ]
+            yaw = self._yaw(ahead)
+        if goal_yaw is not None:
+            moves.append((0.0, float(wrap_angle(goal_yaw - yaw))))
+        ds, dtheta = np.array(moves).T
+        keep = np.hypot(ds, dtheta) > 1e-12
+        return Path(start, ds[keep], dtheta[keep], lon)
+
+
+class ClosedEdge(NamedTuple):
+    """An edge that no path was found for, and why."""
+
+    source: Hashable
+    target: Hashable
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedGraph:
+    """A graph whose edges were planned among obstacles."""
+
+    graph: Graph  # the graph less the edges that are closed [J]
+    paths: dict[State, Path]  # what is driven on each edge, by direction
+    energies: dict[State, float]  # what that takes [J]
+    turns: dict[tuple[State, State], float]  # [J]
+    closed: tuple[ClosedEdge, ...]  # the edges that no path was found for
+
+    def route(self, source: Hashable, target: Hashable) -> Path:
+        """Return the path of least energy along planned edges, turns at the places included."""
+        _check_nodes(self.graph, source, target)
+        if source == target:
+            raise InvalidInputError(f"the route from {source!r} leads to itself; give two places")
+        states: nx.DiGraph[State] = nx.DiGraph()
+        states.add_nodes_from(self.energies)
+        for (here, ahead), energy in self.turns.items():
+            states.add_edge(here, ahead, weight=energy + self.energies[ahead])
+        found = _cheapest(states, source, target, self.energies.__getitem__, lambda _: 0.0)
+        if not found:
+            raise NoPathError(
+                f"no route of edges that can be driven leads from {source!r} to {target!r}; "
+                f"{len(self.closed)} edges are closed"
+            )
+        whole, *others = [self.paths[state] for state in found]
+        for leg in others:
+            turn = float(wrap_angle(leg.start.yaw - whole.end.yaw))
+            if turn != 0.0:
+                whole = whole + _motion(whole.end, 0.0, turn, whole.longitudinal)
+            whole = whole + leg
+        return whole
+
+
+def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) -> PlannedGraph:
+    """Plan every edge of a graph among obstacles."""
+    edges = edges_of(graph, reverse=False)
+    compile_planning(problem, tight=True)
+    paths: dict[State, Path] = {}
+    energies: dict[State, float] = {}
+    closed = []
+    longitudinal = problem.cost.icr.longitudinal
+    for state, start, yaw, length in zip(
+        edges.states, edges.start, edges.heading.tolist(), edges.length.tolist(), strict=True
+    ):
+        ahead = np.array([np.cos(yaw), np.sin(yaw)])
+        x, y = (start - longitudinal * ahead).tolist()
+        ends = Pose(x, y, yaw), Pose(x + length * ahead[0], y + length * ahead[1], yaw)
+        asked = replace(problem, start=ends[0], goal=ends[1])
+        try:
+            asked.check_poses()
+            query = compiled(asked)
+            known = query.drivable([_motion(ends[0], length, 0.0, longitudinal)])
+            bound = query.least_in_free_space
+            path = lattice.plan(asked, Budget(effort=effort), initial=known, bound=bound).path
+        except (
+            NoPathError, TimeLimitError, StartInCollisionError, GoalInCollisionError,
+            OutsideMapError,
+        ) as error:  # fmt: skip
+            closed.append(ClosedEdge(state.source, state.target, str(error)))
+            continue
+        paths[state] = path
+        energies[state] = problem.terrain.price(path, problem.cost).energy
+    turns = _turns(paths, problem)
+    after: dict[State, list[float]] = {}
+    for (here, ahead_of_it), energy in turns.items():
+        # who turns back where there is another way has come in vain
+        if ahead_of_it.target != here.source:
+            after.setdefault(here, []).append(energy)
+    costs = {
+        state: energies.get(state, inf) + float(np.mean(after.get(state, [0.0])))
+        for state in edges.states
+    }
+    return PlannedGraph(_with_costs(graph, costs), paths, energies, turns, tuple(closed))
+
+
+def _motion(start: Pose, ds: float, turn: float, longitudinal: float) -> Path:
+    """Return a path of a single motion."""
+    return Path(start, np.array([ds]), np.array([turn]), longitudinal)
+
+
+def _turns(paths: dict[State, Path], problem: PlanningProblem) -> dict[tuple[State, State], float]:
+    """Return what turns on the spot from each edge to those that may follow take, where free."""
+    leaving: dict[Hashable, list[State]] = {}
+    for state in paths:
+        leaving.setdefault(state.source, []).append(state)
+    found = {}
+    for here, path in paths.items():
+        for ahead in leaving.get(here.target, []):
+            turn = float(wrap_angle(paths[ahead].start.yaw - path.end.yaw))
+            spin = _motion(path.end, 0.0, turn, path.longitudinal)
+            if problem.terrain.obstacles.path_free(spin, problem.robot):
+                found[here, ahead] = problem.terrain.price(spin, problem.cost).energy
+    return found
