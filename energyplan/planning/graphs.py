@@ -413,10 +413,11 @@ class Roadmap:
         """Return the motions of a sequence of states, spins and arcs at its nodes included."""
         lon = self.cost.icr.longitudinal
         x, y = self._places[source]
-        first = self._yaw(sequence[0]) if sequence else (goal_yaw or 0.0)
-        yaw = first if start_yaw is None else start_yaw
-        start = Pose(*point_ahead((x, y, yaw), -lon).tolist(), yaw)
-        moves = [(0.0, float(wrap_angle(first - yaw)))]
+        first = self._yaw(sequence[0]) if sequence else goal_yaw
+        first = (start_yaw or 0.0) if first is None else first
+        start_yaw = first if start_yaw is None else start_yaw
+        start_x, start_y = point_ahead((x, y, start_yaw), -lon).tolist()
+        moves = [(0.0, float(wrap_angle(first - start_yaw)))]
         yaw, cut = first, 0.0
         for k, state in enumerate(sequence):
             (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
@@ -437,7 +438,7 @@ class Roadmap:
             moves.append((0.0, float(wrap_angle(goal_yaw - yaw))))
         ds, dtheta = np.array(moves).T
         keep = np.hypot(ds, dtheta) > 1e-12
-        return Path(start, ds[keep], dtheta[keep], lon)
+        return Path(Pose(start_x, start_y, start_yaw), ds[keep], dtheta[keep], lon)
 
 
 class ClosedEdge(NamedTuple):

@@ -26,8 +26,9 @@ from energyplan.path import Pose
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.space.closure import check_way
+from energyplan.planning.space.closure import check_configurations
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
+from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.planning.space.motions import KernelProblem, drive, steering_cost
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.terrain.collision import pose_free
@@ -162,7 +163,7 @@ def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
         problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
     ) -> Candidate:
         query = compiled(problem)
-        check_way(query)
+        check_configurations(query, cost_to_go(query.setting))
         util.setLogLevel(util.LOG_NONE)
         util.RNG.setSeed(seed)
         space = pose_space(query)

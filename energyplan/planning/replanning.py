@@ -21,16 +21,11 @@ from numpy.typing import ArrayLike
 from energyplan import steering
 from energyplan.errors import (
     EnergyPlanError,
-    GoalInCollisionError,
     InvalidInputError,
-    NoPathError,
-    OutsideMapError,
-    StartInCollisionError,
-    TimeLimitError,
 )
 from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
-from energyplan.planning.budget import SHARES, Budget
+from energyplan.planning.budget import Budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import KEPT, PlanningProblem
@@ -48,7 +43,6 @@ class Settings(NamedTuple):
     ahead: tuple[float, ...] = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)
     step: float = 0.1  # distance between the places looked at [half slip tracks]
     turn: float = 0.05  # turn between them [rad]
-    around: tuple[float, ...] = (0.6, 2.0, 6.0)  # how far about what is closed a path is left
     alike: float = 1e-9  # distances that are equal [m]
 
 
@@ -106,42 +100,6 @@ def _joined(here: Pose, fine: Path, vertex: int, problem: PlanningProblem) -> Pa
             return None
     kept = merged(Segments(rest.ds, rest.dtheta))
     return Path(here, kept.ds, kept.dtheta, rest.longitudinal)
-
-
-def _closed(path: Path, grid: OccupancyGrid, problem: PlanningProblem) -> list[int]:
-    """Return the first and the last segment of a path that are not free; none if it is."""
-    vertices = path.vertices
-    free = grid.motions_free(vertices[:-1], path.ds, path.dtheta, problem.robot, path.longitudinal)
-    shut = np.flatnonzero(~free)
-    return [] if len(shut) == 0 else [int(shut[0]), int(shut[-1])]
-
-
-def _bypassed(rest: Path, problem: PlanningProblem, budget: Budget) -> Path | None:
-    """Return a path with what is closed of it bypassed, if a way around is found near it."""
-    grid = problem.terrain.obstacles
-    fine = _places(rest, problem)
-    shut = _closed(fine, grid, problem)
-    if not shut:
-        return rest
-    vertices = fine.vertices
-    free = np.flatnonzero(grid.footprint_free(vertices, problem.robot))
-    along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-    for n, far in enumerate(problem.cost.half_track * np.array(SETTINGS.around)):
-        own = budget.part(1.0 / (len(SETTINGS.around) - n))
-        before = free[(free <= shut[0]) & (along[free] <= along[shut[0]] - far)]
-        after = free[(free > shut[1]) & (along[free] >= along[shut[1] + 1] + far)]
-        first = int(before[-1]) if len(before) else 0
-        last = int(after[0]) if len(after) else len(fine)
-        ends = [Pose(*(float(v) for v in vertices[k])) for k in (first, last)]
-        part = replace(problem, start=ends[0], goal=ends[1])
-        try:
-            around = _planned(part, own).path
-        except (NoPathError, TimeLimitError, StartInCollisionError, GoalInCollisionError):
-            continue
-        start = Path(fine.start, fine.ds[:first], fine.dtheta[:first], fine.longitudinal)
-        end = Path(ends[1], fine.ds[last:], fine.dtheta[last:], fine.longitudinal)
-        return start + around + end
-    return None
 
 
 def _planned(problem: PlanningProblem, budget: Budget, known: Sequence[Path] = ()) -> Candidate:
@@ -253,18 +211,6 @@ def replan(
                 effort=budget.spent, asked=now, notes=notes,
             )  # fmt: skip
     known = [] if rest is None else [rest]
-    if rest is None:
-        # the way back to the path may be closed as well as the path
-        open_map = replace(problem, map=problem.map, start=here)
-        try:
-            open_map.without_clearance.check_poses()
-        except (StartInCollisionError, OutsideMapError):
-            rest = None
-        else:
-            rest = remainder(former.path, here, open_map)
-        if rest is not None:
-            bypassed = _bypassed(rest, now, budget.part(SHARES.aside))
-            known = [] if bypassed is None else [bypassed]
     found = _planned(now, budget, known)
     others = [path for path in known if now.first_collision(path) is None]
     path = min([found.path, *others], key=query.value)

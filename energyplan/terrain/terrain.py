@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,13 +18,8 @@ from energyplan.terrain.grid import CostMap, OccupancyGrid
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import SurfaceMap
 
-Made = TypeVar("Made")
-
 _KEPT = 4
 """Grounds that a map remembers: those with the surfaces and heights last seen on it."""
-
-_TABLES = 64
-"""Tables that a ground remembers; the oldest goes first."""
 
 _MOST_SURFACES = 255
 """A cell's class of surface is kept in one byte."""
@@ -187,7 +181,6 @@ class Terrain:
     grid: OccupancyGrid
     surfaces: SurfaceMap | None = None
     heights: HeightMap | None = None
-    _tables: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         check_fields(self, MapError)
@@ -204,23 +197,12 @@ class Terrain:
         surfaces: SurfaceMap | None = None,
         heights: HeightMap | None = None,
     ) -> Terrain:
-        """Return the ground made of these; the map remembers those last seen, and their tables."""
+        """Return the ground made of these; the map remembers those last seen."""
         known: list[Terrain] = grid.__dict__.setdefault("_terrains", [])
         same = (g for g in tuple(known) if g.surfaces is surfaces and g.heights is heights)
         ground = next(same, None) or cls(grid, surfaces, heights)
         known[:] = [*(g for g in known if g is not ground), ground][-_KEPT:]
         return ground
-
-    def remember(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return a table of this ground, made when it is first asked for."""
-        with suppress(KeyError):
-            known: Made = self._tables[key]
-            return known
-        made = make()
-        for oldest in list(self._tables)[: 1 - _TABLES]:
-            self._tables.pop(oldest, None)  # another thread may have been quicker
-        found: Made = self._tables.setdefault(key, made)
-        return found
 
     def updated(
         self, occupied: ArrayLike, row: int, column: int, unknown: ArrayLike | None = None
@@ -259,11 +241,6 @@ class Terrain:
     def _kept_out(self) -> NDArray[np.bool_]:
         """The cells that an area to keep out of touches, shape (rows, columns)."""
         return self.grid.touched_by(self.ground.keep_out)
-
-    @property
-    def bare(self) -> Terrain:
-        """The obstacles alone, for tables that depend on nothing else."""
-        return Terrain.of(self.obstacles)
 
     @cached_property
     def regions(self) -> NDArray[np.uint8]:

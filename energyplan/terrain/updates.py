@@ -121,12 +121,6 @@ class Window(NamedTuple):
             max(self.end_column, other.end_column),
         )
 
-    def meets(self, other: Window) -> bool:
-        """Tell whether this window and another have a cell in common."""
-        return max(self.first_row, other.first_row) < min(self.end_row, other.end_row) and max(
-            self.first_column, other.first_column
-        ) < min(self.end_column, other.end_column)
-
     @property
     def slices(self) -> tuple[slice, slice]:
         """Its rows and columns, to index with."""

@@ -17,7 +17,6 @@ from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
 from energyplan.planning.bound import EFFORT, corners, line, lower_bound
-from energyplan.planning.bound import outline as outlines
 from energyplan.planning.bound.corners import Ends, ways_to_goal
 from energyplan.planning.bound.line import (
     HEADINGS,
@@ -29,7 +28,7 @@ from energyplan.planning.bound.line import (
     gate,
     to_gate,
 )
-from energyplan.planning.bound.outline import DETAILS, _sights, no_links, sight, sights
+from energyplan.planning.bound.outline import DETAILS, no_links, outline_for, sight
 from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
 from energyplan.planning.contract import ROUNDING
 from energyplan.planning.space.compiled import CompiledProblem
@@ -44,8 +43,7 @@ MAPS = pathlib.Path(__file__).resolve().parents[2] / "maps"
 
 
 def outline(grid, radius, detail=DETAILS[0]):
-    """Return an outline that was drawn for this call alone."""
-    return _sights(grid, radius, detail).outline
+    return outline_for(grid, radius, detail)
 
 
 def nearly_a_point(metre, radian, half_track=0.01, size=0.05):
@@ -80,36 +78,6 @@ def test_outline_lies_within_the_grown_obstacles(exact, monkeypatch):
     edge = np.minimum(points.min(axis=1), (np.array(grid.size) - points).min(axis=1))
     assert worst <= radius + 1e-9 or np.any(edge < radius)
     assert worst > corners.inside - 1e-9
-
-
-def patched(rng, grid):
-    """Return a map with a random patch replaced: walls, pillars, or nothing at all."""
-    rows, columns = rng.integers(2, 40, 2)
-    row, column = rng.integers(0, grid.shape[0] - rows), rng.integers(0, grid.shape[1] - columns)
-    cells = rng.random((rows, columns)) < rng.choice([0.0, 0.02, 0.3, 1.0])
-    return grid.updated(cells, int(row), int(column))
-
-
-@pytest.mark.parametrize("drawn", ["squares", "polygons", "either"])
-def test_an_outline_brought_up_to_date_is_the_one_of_a_new_map(drawn, monkeypatch):
-    monkeypatch.setattr(outlines, "SQUARE", 32)
-    for seed in range(2):
-        grid = cluttered(seed)
-        runs = np.count_nonzero(np.diff(grid.blocked, axis=1)) // 2
-        most = {"squares": 0, "polygons": 10_000, "either": runs}[drawn]
-        monkeypatch.setattr(outlines, "MOST_RUNS", most)
-        rng, kept = np.random.default_rng(seed), 0
-        for _ in range(8):
-            before = {detail: sights(grid, 0.318, detail) for detail in DETAILS}
-            grid = patched(rng, grid)
-            for detail in DETAILS:
-                now = sights(grid, 0.318, detail)
-                new = outline(OccupancyGrid(grid.occupied, grid.resolution), 0.318, detail)
-                assert all(np.array_equal(a, b) for a, b in zip(now.outline, new, strict=True))
-                old = before[detail].squares
-                if now.squares and old:
-                    kept += sum(now.squares[at] is old[at] for at in old)
-        assert drawn != "squares" or kept > 100
 
 
 def test_lines_through_obstacles_are_closed_and_others_open():

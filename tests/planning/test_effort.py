@@ -139,13 +139,13 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
     monkeypatch.setattr("energyplan.planning.Budget", Clock)
     watched("energyplan.planning.space.cost_to_go.free_space")
     watched("energyplan.planning.space.cost_to_go.connect_places")
-    watched("energyplan.planning.bound.outline._sights")
+    watched("energyplan.planning.bound.outline.outline_for")
     watched("energyplan.planning.bound.surfaces._certain_regions")
     query = problem()
     assert digest(plan(query, effort=3_000)) == told
     # the first one only checks the numbers
     assert clocks == [0, len(made)]
-    assert set(made) == {"free_space", "connect_places", "_sights", "_certain_regions"}
+    assert set(made) == {"free_space", "connect_places", "outline_for", "_certain_regions"}
     made.clear()
     assert digest(plan(query, effort=3_000)) == told
     assert made == []

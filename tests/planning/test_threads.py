@@ -19,7 +19,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import budget as budgets
 from energyplan.planning.budget import Budget, side_by_side
 from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, Terrain, grid
+from energyplan.terrain import OccupancyGrid, grid
 from energyplan.terrain.updates import tables_of
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
@@ -153,9 +153,6 @@ def test_threads_share_what_was_made_first(monkeypatch):
     hall = rooms(0.9)
     tables = tables_of(hall.space)
     one, other = at_once([lambda: tables.get("table", slow())] * 2)
-    assert one is other
-    ground = Terrain(hall)
-    one, other = at_once([lambda: ground.remember("table", slow())] * 2)
     assert one is other
     monkeypatch.setattr(grid, "new_space", slow(grid.new_space))
     fresh = OccupancyGrid(hall.occupied, 0.05)

@@ -1,9 +1,4 @@
-"""Outlines of a map's obstacles for a disc, drawn square by square.
-
-A line that leads from one square into the next is cut between them. What is drawn of a square
-depends on the cells in it and near it alone. So where a map changes in part the squares nearby are
-drawn anew, and all others are kept; the outline is the one that a new map has.
-"""
+"""Outlines of a map's obstacles for a disc, and what is seen along lines between corners."""
 
 from __future__ import annotations
 
@@ -21,7 +16,7 @@ from energyplan.path import FloatArray
 from energyplan.planning.space.queues import longer_ints, pop, push, with_room
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Space, in_cells
-from energyplan.terrain.updates import Window, tables_of
+from energyplan.terrain.updates import tables_of
 
 
 class Settings(NamedTuple):
@@ -123,7 +118,7 @@ def squares_of_edges(space: Space, edges: FloatTable) -> EdgesBySquare:
 
 
 @njit
-def gaps(space: Space, radius: float, inside: float, window: Window) -> FloatTable:
+def gaps(space: Space, radius: float, inside: float) -> FloatTable:
     """Return lines across the gaps that a disc does not pass, where the outline is open.
 
     A disc's centre cannot cross a line between two points of obstacles that is shorter than its
@@ -138,8 +133,8 @@ def gaps(space: Space, radius: float, inside: float, window: Window) -> FloatTab
     reach = int(radius / res) + 2
     out = np.empty((64, 4))
     count = 0
-    for row in range(max(window.first_row, 1), min(window.end_row, rows - 1)):
-        for column in range(max(window.first_column, 1), min(window.end_column, columns - 1)):
+    for row in range(1, rows - 1):
+        for column in range(1, columns - 1):
             near = space.clearance[row, column]
             if not low < near < high:
                 continue
@@ -378,13 +373,6 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
 MOST_RUNS = 6000
 """Runs of blocked cells up to which obstacles are grown as polygons, in less than a second."""
 
-SQUARE = 256
-"""Side of the squares in which level sets are drawn [cells]."""
-
-
-BESIDE = 5
-"""Further cells than those under the disc that may matter to what is drawn of a place."""
-
 
 class Detail(NamedTuple):
     """How finely obstacles are drawn."""
@@ -404,98 +392,48 @@ class Lines(NamedTuple):
     first: NDArray[np.int64]  # (lines + 1,): where each begins, and where the last one ends
 
 
-class Drawn(NamedTuple):
-    """What is drawn of a map, or of one of its squares."""
-
-    lines: Lines  # the outline
-    across: FloatArray  # (k, 4): lines across gaps that the disc does not pass
-
-
-Squares = dict[tuple[int, int], Drawn]
-"""What is drawn of each square, by its row and column."""
-
-
 class Sights:
     """An outline, and what is known of the lines between its corners."""
 
-    def __init__(self, outline: Outline, squares: Squares | None = None) -> None:
+    def __init__(self, outline: Outline) -> None:
         self.outline = outline
-        self.squares = squares
         self.links = no_links(len(outline.point))
         self.lock = Lock()
 
 
 def sights(grid: OccupancyGrid, radius: float, detail: Detail) -> Sights:
-    """Return the outline of a map for a disc, with what is known of its corners.
-
-    It is made once, and in part only where the map is one that changed in part.
-    """
-
-    def update(former: Sights, window: Window) -> Sights:
-        return _sights(grid, radius, detail, former.squares, window)
-
+    """Return the outline of a map for a disc, with what is known of its corners; made once."""
     key = ("outline", radius, detail)
-    return tables_of(grid.space).get(key, lambda: _sights(grid, radius, detail), update)
+    return tables_of(grid.space).get(key, lambda: Sights(outline_for(grid, radius, detail)))
 
 
-def _sights(
-    grid: OccupancyGrid,
-    radius: float,
-    detail: Detail,
-    former: Squares | None = None,
-    window: Window | None = None,
-) -> Sights:
-    """Return the outline anew, or from the squares before the map changed within a window."""
+def outline_for(grid: OccupancyGrid, radius: float, detail: Detail) -> Outline:
+    """Return the outline of a map's obstacles, grown by a little less than a radius."""
     tolerance = detail.slack * radius
     grown = radius - tolerance
     before = np.count_nonzero(grid.blocked[:, 1:] & ~grid.blocked[:, :-1])
     if before + np.count_nonzero(grid.blocked[:, 0]) <= MOST_RUNS:
         low = grown * cos(0.25 * pi / detail.arc)
-        inside = max(low - tolerance, 0.0)
-        lines = _polygons(grid, grown, detail.arc, tolerance)
-        window = Window(0, grid.shape[0], 0, grid.shape[1])
-        drawn = [Drawn(lines, _gaps(grid, radius, inside, window))]
-        return Sights(_joined(grid, drawn, inside, radius))
-    level = _Level(grid, grown)
-    inside = max(level.low - tolerance, 0.0)
-    squares: Squares = {}
-    for place, square in _squares(grid.shape).items():
-        reach = ceil(radius / grid.resolution) + BESIDE
-        changed = window is None or square.grown(reach, grid.shape).meets(window)
-        if former is not None and not changed:
-            squares[place] = former[place]
-        else:
-            lines = level.lines(square, tolerance)
-            squares[place] = Drawn(lines, _gaps(grid, radius, inside, square))
-    return Sights(_joined(grid, list(squares.values()), inside, radius), squares)
-
-
-def _squares(shape: tuple[int, int]) -> dict[tuple[int, int], Window]:
-    """Return the squares of a map, row by row."""
-    rows, columns = shape
-    return {
-        (row // SQUARE, column // SQUARE): Window(
-            row, min(row + SQUARE, rows), column, min(column + SQUARE, columns)
-        )
-        for row in range(0, rows, SQUARE)
-        for column in range(0, columns, SQUARE)
-    }
-
-
-def _gaps(grid: OccupancyGrid, radius: float, inside: float, window: Window) -> FloatArray:
-    """Return the lines across gaps about a window's cells, each once."""
-    return np.unique(gaps(grid.space, radius, inside, window), axis=0)
+        lines = _polygons(grid, grown, detail.arc)
+    else:
+        level = _level(grid, grown)
+        low = max(level - sqrt(0.5), 0.0) * grid.resolution
+        lines = _level_set(grid, level)
+    inside = max(low - tolerance, 0.0)
+    lines = _simplified(lines, tolerance / grid.resolution)
+    across = np.unique(gaps(grid.space, radius, inside), axis=0)
+    return _outline(grid, lines, across, inside, radius)
 
 
 def _simplified(lines: Lines, tolerance: float) -> Lines:
-    """Return the lines moved by at most a tolerance [cells], with fewer points; ends are kept."""
+    """Return the lines moved by at most a tolerance [cells], with fewer points."""
     index = np.repeat(np.arange(len(lines.first) - 1), np.diff(lines.first))
-    drawn = shapely.simplify(shapely.linestrings(lines.point, indices=index), tolerance)
-    point, of = shapely.get_coordinates(drawn, return_index=True)
+    simpler = shapely.simplify(shapely.linestrings(lines.point, indices=index), tolerance)
+    point, of = shapely.get_coordinates(simpler, return_index=True)
     return Lines(point, np.searchsorted(of, np.arange(len(lines.first))))
 
 
-def _polygons(grid: OccupancyGrid, radius: float, arc: int, tolerance: float) -> Lines:
+def _polygons(grid: OccupancyGrid, radius: float, arc: int) -> Lines:
     """Return the outlines of the blocked cells grown by `radius`.
 
     Round corners are drawn as polygons inside them.
@@ -511,82 +449,53 @@ def _polygons(grid: OccupancyGrid, radius: float, arc: int, tolerance: float) ->
             points = shapely.get_coordinates(ring)
             rings.append(points[::-1] if shapely.is_ccw(ring) == (k == 0) else points)
     ends = np.cumsum([len(ring) for ring in rings])
-    return _simplified(Lines(np.concatenate(rings), ends), tolerance / grid.resolution)
+    return Lines(np.concatenate(rings), ends)
 
 
-class _Level:
-    """A level set of a map's clearance that lies within the blocked cells grown by `radius`.
+def _level(grid: OccupancyGrid, radius: float) -> float:
+    """Return the clearance whose level set lies within the blocked cells grown by `radius` [cells].
 
     The clearance between the cells' centres is interpolated. That is off by half a cell's diagonal
     at most, since clearance changes by no more than the distance, and the level is lower by that.
     """
-
-    def __init__(self, grid: OccupancyGrid, radius: float) -> None:
-        level = radius / grid.resolution - sqrt(0.5)
-        while level > 0.0 and abs(float(np.float32(level)) - level) < SETTINGS.apart * level:
-            level -= 2.0 * SETTINGS.apart * level
-        self._grid = grid
-        self._level = level
-        self.low = max(level - sqrt(0.5), 0.0) * grid.resolution
-
-    def lines(self, square: Window, tolerance: float) -> Lines:
-        """Return the simplified lines in a square, between its cells' centres and the next."""
-        none = Lines(np.empty((0, 2)), np.zeros(1, np.int64))
-        rows, columns = self._grid.shape
-        row = slice(square.first_row, min(square.end_row + 1, rows))
-        column = slice(square.first_column, min(square.end_column + 1, columns))
-        near = self._grid.space.clearance[row, column]
-        if self._level <= 0.0 or min(near.shape) < 2 or near.max() < self._level:
-            return none
-        if near.min() > self._level:
-            return none
-        x, y = (np.arange(part.start, part.stop) + 0.5 for part in (column, row))
-        drawn: Any = contourpy.contour_generator(
-            x, y, near, line_type=contourpy.LineType.ChunkCombinedOffset
-        ).lines(self._level)
-        (point,), (first,) = drawn
-        if point is None or first is None:
-            return none
-        lines = Lines(point, first.astype(np.int64))
-        return _simplified(lines, tolerance / self._grid.resolution)
+    level = radius / grid.resolution - sqrt(0.5)
+    while level > 0.0 and abs(float(np.float32(level)) - level) < SETTINGS.apart * level:
+        level -= 2.0 * SETTINGS.apart * level
+    return level
 
 
-def _between(point: FloatArray, columns: int) -> NDArray[np.int64]:
-    """Return numbers of the pairs of neighbouring cells between whose centres points lie."""
-    place = point - 0.5
-    near = np.rint(place)
-    off = np.abs(place - near)
-    # one of both is that of the centres, but for rounding
-    upright = off[:, 0] < off[:, 1]
-    column = np.where(upright, near[:, 0], np.floor(place[:, 0])).astype(np.int64)
-    row = np.where(upright, np.floor(place[:, 1]), near[:, 1]).astype(np.int64)
-    return np.asarray(2 * (row * (columns + 1) + column) + upright)
+def _level_set(grid: OccupancyGrid, level: float) -> Lines:
+    """Return the lines at a level of the clearance, between the cells' centres."""
+    none = Lines(np.empty((0, 2)), np.zeros(1, np.int64))
+    if level <= 0.0 or min(grid.shape) < 2:
+        return none
+    y, x = (np.arange(cells) + 0.5 for cells in grid.shape)
+    found: Any = contourpy.contour_generator(
+        x, y, grid.space.clearance, line_type=contourpy.LineType.ChunkCombinedOffset
+    ).lines(level)
+    (point,), (first,) = found
+    return none if point is None else Lines(point, first.astype(np.int64))
 
 
-def _joined(grid: OccupancyGrid, drawn: list[Drawn], inside: float, outside: float) -> Outline:
-    """Return the outline that is drawn in parts, with the ends of its lines joined."""
-    point = np.concatenate([part.lines.point for part in drawn])
-    count = np.concatenate([np.diff(part.lines.first) for part in drawn])
-    end = np.cumsum(count)
-    first, last = end - count, end - 1
+def _outline(
+    grid: OccupancyGrid, lines: Lines, across: FloatArray, inside: float, outside: float
+) -> Outline:
+    """Return the outline that some lines make, with lines across gaps."""
+    point = lines.point
+    first, last = lines.first[:-1], lines.first[1:] - 1
     closed = np.all(point[first] == point[last], axis=1)
-    begins, ends = first[~closed], last[~closed]
-    left, entered = (_between(point[of], grid.shape[1]) for of in (ends, begins))
-    _, one, two = np.intersect1d(left, entered, return_indices=True)
-    begins, ends = begins[two], ends[one]
-    point[begins] = point[ends]
+    first_closed, last_closed = first[closed], last[closed]
     inner = np.ones(len(point), bool)
     inner[first] = inner[last] = False
     within = np.flatnonzero(inner)
-    at = np.concatenate([within, first[closed], ends])
-    before = point[np.concatenate([within - 1, last[closed] - 1, ends - 1])]
-    after = point[np.concatenate([within + 1, first[closed] + 1, begins + 1])]
+    at = np.concatenate([within, first_closed])
+    before = point[np.concatenate([within - 1, last_closed - 1])]
+    after = point[np.concatenate([within + 1, first_closed + 1])]
     (x1, y1), (x2, y2) = (point[at] - before).T, (after - point[at]).T
     convex = x1 * y2 - y1 * x2 < 0
     follows = np.ones(len(point), bool)
     follows[last] = False
     edge = np.flatnonzero(follows)
-    across = np.concatenate([part.across for part in drawn])
 
     def world(place: FloatArray) -> FloatArray:
         return np.ascontiguousarray(grid.to_world(place))

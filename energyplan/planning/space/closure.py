@@ -7,7 +7,7 @@ that none leads over poses that lie close together, or there may be one.
 
 from __future__ import annotations
 
-from math import ceil, hypot, log2, pi, sqrt
+from math import ceil, hypot, log2, pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -365,62 +365,11 @@ CANNOT = "the footprint cannot get through, whichever way it turns, so there cer
 """What is said where that is proven."""
 
 
-def _parts(query: CompiledProblem) -> NDArray[np.int32]:
-    """Return the connected parts of the map's cells in which the centre of a disc may lie.
-
-    The disc is the largest one about the centre of the tread ICRs inside the footprint. Where its
-    centre is anywhere in a cell, the clearance of the cell's centre is at least the disc's radius
-    less half a diagonal. So the centre's way leads through such cells only, from each to one of
-    the eight around it: two parts that do not touch are apart for certain.
-    """
-    body, grid = query.body, query.grid
-    radius = max(min(-body.x_min, body.x_max, -body.y_min, body.y_max), 0.0)
-    # a thousandth of a cell is far above rounding
-    least = radius - (sqrt(0.5) + 1e-3) * grid.resolution
-
-    def label() -> NDArray[np.int32]:
-        from scipy import ndimage  # slow to import, and rarely needed
-
-        found, _ = ndimage.label(grid.clearance >= least, np.ones((3, 3)))
-        return np.asarray(found, np.int32)
-
-    return query.terrain.bare.remember(("parts a disc can be in", least), label)
-
-
-def _cells(query: CompiledProblem) -> list[tuple[int, int]]:
-    """Return row and column of the cells that hold the centre of the tread ICRs at both ends."""
-    grid = query.grid
-    ends = [query.centre(pose)[:2] for pose in (query.problem.start, query.problem.goal)]
-    rows, columns = grid.shape
-    cells = np.floor(grid.to_cells(ends)).astype(int)
-    return [(min(max(r, 0), rows - 1), min(max(c, 0), columns - 1)) for c, r in cells.tolist()]
-
-
-def check_way(query: CompiledProblem) -> None:
-    """Check that a disc inside the footprint may get from start to goal."""
-    parts, (start, goal) = _parts(query), _cells(query)
-    if parts[start] == parts[goal] or 0 in (parts[start], parts[goal]):
-        return
-    row, column = np.nonzero(parts == parts[start])
-    place = query.grid.to_world(np.column_stack([column + 0.5, row + 0.5]))
-    end = np.array(query.problem.goal[:2])
-    x, y = place[np.argmin(np.hypot(*(place - end).T))].tolist()
-    raise NoPathError(
-        _message(
-            query,
-            "a disc inside the footprint cannot get through, so there certainly is none",
-            (x, y),
-        ),
-        certainty="proven",
-    )
-
-
 def check_configurations(query: CompiledProblem, to_go: CostToGo) -> None:
     """Check that the footprint may get from start to goal."""
     setting = query.setting
     if reached(to_go, setting):
         return
-    check_way(query)
     away = cost_to_go(setting._replace(start=setting.goal, goal=setting.start))
     homes = away.places.home[np.isfinite(away.distance)]
     raise _none(query, away.places, homes, CANNOT, certainty="proven")
@@ -454,11 +403,7 @@ def _none(
 
 
 def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -> NoPathError:
-    """Return the error that says that none was found at a resolution, or that there is none."""
-    try:
-        check_way(query)
-    except NoPathError as proven:
-        return proven
+    """Return the error that says that none was found at a resolution."""
     why = (
         f"none was found in cells of {cell:.3g} m, though a finer search might find one (the "
         "lattice planner's option finest halves them)"
