@@ -11,14 +11,13 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import version
@@ -32,11 +31,6 @@ from numba.core import caching, config, event, sigutils
 from numba.core.registry import CPUDispatcher
 from numba.np import numpy_support
 from numpy.typing import NDArray
-
-try:
-    import fcntl
-except ImportError:  # on Windows two processes may both compile a kernel
-    fcntl = None  # type: ignore[assignment]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -75,15 +69,11 @@ FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
 KERNELS: dict[str, Kernel] = {}
 """All kernels of the modules imported so far, by module and name."""
 
-UNUSED = 30 * 24 * 3600.0
-"""Machine code that was not used for so long [s] is deleted when other is kept."""
-
 FEW = 4
 """Kernels up to which another process does not pay."""
 
 _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 _ROOT = Path(__file__).parent
-_DIGEST = re.compile("[0-9a-f]{24}")  # what `source_digest` returns
 _IMPORT = re.compile(r"^[ \t]*from energyplan([.\w]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
 
@@ -157,7 +147,6 @@ class _Cache(caching.FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return machine code from disk; whatever is wrong with its file, it is compiled anew."""
         with suppress(Exception):
-            _mark_used(self.file.parent)
             return super().load_overload(sig, target_context)
         with suppress(OSError):
             self.flush()
@@ -175,23 +164,6 @@ class _Cache(caching.FunctionCache):
         """Index of what is kept."""
         return Path(self._cache_file._index_path)
 
-    @contextmanager
-    def alone(self) -> Iterator[None]:
-        """Wait where another process compiles this kernel, and let others wait."""
-        with ExitStack() as stack:
-            with suppress(OSError):
-                self.file.parent.mkdir(parents=True, exist_ok=True)
-                lock = stack.enter_context(self.file.with_suffix(".lock").open("w"))
-                if fcntl is not None:
-                    fcntl.flock(lock, fcntl.LOCK_EX)
-            yield
-
-
-@cache
-def _mark_used(folder: Path) -> None:
-    with suppress(OSError):
-        os.utime(folder)
-
 
 @cache
 def _say_not_kept(why: str) -> None:
@@ -208,14 +180,9 @@ def _can_be_kept() -> bool:
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=cache_folder()).close()
-        entries = list(cache_folder().iterdir())
     except OSError as error:
         _say_not_kept(str(error.strerror))
         return False
-    for entry in entries:  # the folder may be one that the user has for other things, too
-        with suppress(OSError):  # another process may delete it at the same time
-            if _DIGEST.fullmatch(entry.name) and time.time() - entry.stat().st_mtime > UNUSED:
-                shutil.rmtree(entry)
     return True
 
 
@@ -252,8 +219,8 @@ class Kernel(CPUDispatcher):
         given, _ = sigutils.normalize_signature(sig or self.declared)
         if given != self.declared and not self._converts(given):
             return super().compile(given)
-        with nullcontext() if self.kept or self.disk is None else self.disk.alone():
-            entry = super().compile(self.declared)
+        _ = self.disk  # from where Numba loads it
+        entry = super().compile(self.declared)
         literal = any(isinstance(kind, types.Literal | types.Omitted) for kind in given)
         if given != self.declared and not literal:  # a second entry would be ambiguous
             insert: Any = self._insert  # type: ignore[attr-defined]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from typing_extensions import TypeAliasType
 
 import energyplan
-from energyplan import cli, compilation
+from energyplan import cli
 from energyplan.compilation import KERNELS, _numba_type, cache_folder, kernel_modules
 
 PACKAGE = Path(energyplan.__file__).parent
@@ -153,18 +153,6 @@ def test_the_command_line_says_it_in_one_line(unwritable: str, tmp_path: Path) -
     assert len(told) == 1
     assert told[0].startswith("energyplan: compiled kernels cannot be kept in " + unwritable)
     assert "Warning" not in found.stderr
-
-
-def test_only_machine_code_that_was_not_used_for_long_is_deleted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ENERGYPLAN_CACHE_DIR", str(tmp_path))
-    new = "b" * 24
-    for name in ("a" * 24, "photographs", new):
-        (tmp_path / name).mkdir()
-        os.utime(tmp_path / name, None if name == new else (0, 0))
-    assert compilation._can_be_kept()
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == [new, "photographs"]
 
 
 def test_without_compilation_kernels_are_plain_functions() -> None:

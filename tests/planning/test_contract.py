@@ -20,7 +20,7 @@ from energyplan.errors import (
     PlanningError,
     UnsupportedPlannerError,
 )
-from energyplan.planning import PLANNERS, planners
+from energyplan.planning import planners
 from energyplan.power.effects import with_weight
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
 from energyplan.vehicle import TreadICR
@@ -199,12 +199,3 @@ def test_a_planner_whose_package_is_absent_says_so(monkeypatch):
     with pytest.raises(MissingDependencyError, match="'rrtstar' needs the package ompl; install"):
         ep.plan(PROBLEM, "rrtstar", effort=100)
     assert ep.plan(PROBLEM, effort=5000).energy == pytest.approx(1808.0)
-
-
-def test_all_that_are_listed_can_be_used():
-    assert set(PLANNERS) <= set(planners())
-    for name in PLANNERS:
-        options = {"num_samples": 100} if name == "fmt" else {}
-        found = ep.plan(PROBLEM, name, effort=12_000, **options)
-        assert found.lower_bound <= found.energy * (1 + 1e-9)
-        assert found.effort > 0

@@ -18,7 +18,6 @@ import shapely
 from by_day import by_day
 from worlds import cluttered, free_poses
 
-from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
 from energyplan.planning import Budget, Plan, PlanningProblem, plan
@@ -154,12 +153,6 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
     made.clear()
     assert digest(plan(ready, effort=3_000)) == told
     assert made == []
-
-
-def test_comparisons():
-    once, again = (compare(PROBLEM, effort=5_000) for _ in range(2))
-    assert digest(once.shortest) == digest(again.shortest)
-    assert digest(once.energy_optimal) == digest(again.energy_optimal)
 
 
 def test_much_more_effort_is_better_and_effort_is_what_was_spent():

@@ -120,22 +120,3 @@ def test_the_way_to_go_knows_what_the_body_cannot_pass():
     node = node_at(to_go, grid.space, Pose(2.5, 4.0, 0.0))
     # up, across and down again: no less than this, and little more
     assert 22.0 < to_go.distance[node] < 28.0
-
-
-def test_what_is_closed_between_the_poses_tested_is_proven():
-    occupied = np.zeros((60, 120), bool)
-    occupied[:, 58:60] = True
-    occupied[25:32, 58:60] = False
-    grid = OccupancyGrid(occupied, 0.1)
-    cost = EnergyCost.from_coefficients(150.0, 60.0, 0.3)
-
-    def way(width):
-        robot = Vehicle.from_geometry(
-            "robot", mass=40.0, wheelbase=0.6, track=0.5, length=1.0, width=width
-        )
-        problem = PlanningProblem(grid, cost, (2, 3, 0), (10, 3, 0), vehicle=robot)
-        setting = CompiledProblem(problem).setting
-        return reached(cost_to_go(setting), setting)
-
-    assert way(0.66)
-    assert not way(0.9)

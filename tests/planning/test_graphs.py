@@ -19,7 +19,6 @@ from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem
 from energyplan.planning.graphs import Roadmap, plan_edges, price_edges, round_corner
 from energyplan.power import HOTEL, PowerModel
-from energyplan.power.effects import VISCOUS_LOSS
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import MotorLimits, TreadICR
 
@@ -214,18 +213,6 @@ def test_rounded_corners_lie_within_the_lines():
     # a radius that does not fit into half an edge is cut down
     wide = Roadmap(graph, COST, radius=9.0).route(0, 2)
     assert np.allclose(np.abs(wide.path.ds), [1.0, 1.0 * np.pi / 2, 2.0])
-
-
-def test_the_best_radius_is_as_good_as_any():
-    """Where a viscous loss makes slow arcs cheap, no radius of three thousand is much better."""
-    cost = EnergyCost(MODEL.with_term(HOTEL, 60.0).with_term(VISCOUS_LOSS, 300.0))
-    turn, limit = np.array([0.4, 1.2, -2.0]), np.array([2.0, 1.5, 0.9])
-    corner = round_corner(cost.segment_energy, C, turn, limit, np.ones(3))
-    for k in range(3):
-        radii, size = np.linspace(0, limit[k], 3001), abs(turn[k])
-        arcs = cost.segment_energy(radii * size, np.full(len(radii), turn[k]))
-        every = arcs - cost.segment_energy(2 * radii * np.tan(size / 2), 0.0)
-        assert corner.price[k] <= every.min() + 1e-3 * abs(every.min())
 
 
 @pytest.mark.shared

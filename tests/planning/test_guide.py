@@ -48,7 +48,7 @@ def robot(kind: str) -> Vehicle:
 
 
 def floor(kind: str, seed: int, resolution: float, scale: float) -> OccupancyGrid:
-    """Return a floor for robots about `scale` long: rooms, a maze, clutter, or aslant corridors."""
+    """Return a floor for robots about `scale` long: rooms, clutter, or aslant corridors."""
     rng = np.random.default_rng(seed)
     cells = round(14.0 * scale / resolution)
     occupied = np.zeros((cells, cells), bool)
@@ -69,24 +69,6 @@ def floor(kind: str, seed: int, resolution: float, scale: float) -> OccupancyGri
             row, column = rng.uniform(0, 14, 2) * unit
             height, width = rng.uniform(0.1, 0.9, 2) * unit
             occupied[int(row) : int(row + height) + 1, int(column) : int(column + width) + 1] = True
-    elif kind == "maze":
-        # walls of a grid of 1.9 units, of which a spanning tree's are open
-        side, nodes = 2.0 * unit, 7
-        occupied[:] = True
-        todo, seen = [(0, 0)], {(0, 0)}
-        while todo:
-            here = todo[-1]
-            ways = [(here[0] + r, here[1] + c) for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0))]
-            ways = [w for w in ways if w not in seen and min(w) >= 0 and max(w) < nodes]
-            if not ways:
-                todo.pop()
-                continue
-            there = ways[rng.integers(len(ways))]
-            seen.add(there)
-            todo.append(there)
-            low, high = np.minimum(here, there), np.maximum(here, there) + 0.8
-            (r0, c0), (r1, c1) = (low * side).astype(int), np.ceil(high * side).astype(int)
-            occupied[r0 : r1 + 1, c0 : c1 + 1] = False
     else:
         y, x = (np.mgrid[:cells, :cells] + 0.5) / unit - 7.0
         angle = rng.uniform(0.1, 0.7)

@@ -95,16 +95,6 @@ def test_initial_path_is_never_made_worse():
     assert found.energy <= COST.energy(known) * (1 + 1e-12)
 
 
-def test_narrow_corridor_is_driven_although_a_spin_does_not_fit():
-    occupied = np.zeros((60, 200), bool)
-    occupied[:22, 60:140] = True
-    occupied[38:, 60:140] = True  # a corridor of 0.8 m, narrower than the footprint's diagonal
-    grid = OccupancyGrid(occupied, 0.05)
-    found = plan(PlanningProblem(grid, COST, (1.5, 1.5, 1.0), (8.5, 1.5, -1.0)), effort=50_000)
-    assert grid.path_free(found.path, COST.vehicle)
-    assert found.gap < 0.03
-
-
 @pytest.mark.shared
 def test_depot_reference_query(shared_data):
     from energyplan.io.maps import read_map

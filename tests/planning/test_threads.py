@@ -13,7 +13,6 @@ from by_day import by_day
 
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
-from energyplan.errors import NoPathError
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import budget as budgets
@@ -71,31 +70,6 @@ def test_what_is_made_once_comes_on_top_of_the_time_only():
     counted = Budget(effort=10)
     assert counted.beside(lambda: 7) == 7
     assert counted.left == 10
-
-
-def test_a_door_too_narrow_is_proven_closed_and_a_tight_one_is_not():
-    start, goal = (1, 4, 0), (11, 1, 2)
-    with pytest.raises(NoPathError, match="certainly") as told:
-        plan(PlanningProblem(rooms(0.5), COST, start, goal), effort=20_000)
-    assert told.value.certainty == "proven"
-    # a door of 0.7 m lets 0.64 m pass
-    assert plan(PlanningProblem(rooms(0.7), COST, start, goal), effort=20_000).length > 10
-
-
-def test_a_body_that_no_corner_lets_round_is_proven_stuck_where_the_disc_is_not():
-    from energyplan.vehicle import Vehicle
-
-    free = np.zeros((80, 80), bool)
-    free[5:45, 5:13] = free[37:45, 5:75] = True
-    robot = Vehicle.from_geometry(
-        "long", mass=40.0, wheelbase=1.2, track=0.5, length=2.4, width=0.6
-    )
-    problem = PlanningProblem(
-        OccupancyGrid(~free, 0.1), COST, (0.9, 2.0, np.pi / 2), (6.0, 4.1, 0), vehicle=robot
-    )
-    with pytest.raises(NoPathError, match="whichever way it turns") as told:
-        plan(problem, effort=20_000)
-    assert told.value.certainty == "proven"
 
 
 def at_once(work: list[Callable[[], object]]) -> list[object]:
