@@ -22,10 +22,10 @@ from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, workers
 from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
+from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.cost_to_go import inscribed
 from energyplan.planning.space.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
-from energyplan.terrain.collision import Body
 
 EFFORT = 5e7
 """Steps of the searches over corners after which what is known by then is taken: below 0.1 s."""
@@ -125,10 +125,7 @@ def _among_obstacles(
     longest = (cost - kernel.least_radian * turn) / kernel.least_metre
     coarsest = sights(grid, radius, DETAILS[-1])
     found = sights(grid, radius, DETAILS[_finest(coarsest.outline, ends, longest)])
-    body, margin = kernel.body, MARGIN * grid.resolution
-    true_body = Body(
-        body.x_min + margin, body.y_min + margin, body.x_max - margin, body.y_max - margin
-    )
+    true_body = grown(kernel.body, -MARGIN * grid.resolution)
     rates = Rates(
         kernel.least_metre,
         kernel.least_radian,

@@ -14,7 +14,8 @@ import numpy as np
 from energyplan.compilation import Flags, Floats, FloatTable, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound.outline import Outline
-from energyplan.planning.space.queues import angle_between
+from energyplan.planning.space.configurations import grown
+from energyplan.planning.space.queues import turning_by
 from energyplan.terrain.collision import Body, Space, in_cells, pose_free
 
 
@@ -80,7 +81,7 @@ def gate(
         return Gate(length, False)
     # a body that is smaller by what a place and a heading stand for
     less = 0.5 * SETTINGS.step + 0.5 * spacing * reach
-    small = Body(body.x_min + less, body.y_min + less, body.x_max - less, body.y_max - less)
+    small = grown(body, -less)
     open_between = np.empty(n, np.bool_)
     for j in range(n):
         open_between[j] = False
@@ -306,10 +307,7 @@ def to_gate(
     towards = atan2(y, x)
     shift = towards - 0.5 * pi
     # no more than to turn to the corner, to drive there, forwards or backwards, and to turn
-    best = limit
-    for heading in (towards, towards + pi):
-        turns = angle_between(heading, start) + angle_between(heading, end)
-        best = min(best, radian * turns + metre * hypot(x, y))
+    best = min(limit, radian * turning_by(start, towards, end) + metre * hypot(x, y))
     ahead = np.empty(NORMALS)
     once = np.empty(NORMALS)
     inside = np.empty(NORMALS)

@@ -78,43 +78,24 @@ def _square(place: float, cells: int) -> int:
     return min(max(floor(place / SETTINGS.bucket), 0), (cells - 1) // SETTINGS.bucket)
 
 
-@njit
-def squares_of_edges(space: Space, edges: FloatTable) -> EdgesBySquare:
+def squares_of_edges(grid: OccupancyGrid, edges: FloatArray) -> EdgesBySquare:
     """List the edges by the squares that they may touch, a cell's width included."""
-    rows, columns = space.clearance.shape
-    across = (columns - 1) // SETTINGS.bucket + 1
-    total = ((rows - 1) // SETTINGS.bucket + 1) * across
-    first = np.empty(total + 1, np.int32)
-    for k in range(total + 1):
-        first[k] = 0
-    listed = np.empty(0, np.int32)
-    for filling in range(2):
-        for k in range(len(edges)):
-            a = in_cells(space, edges[k, 0], edges[k, 1])
-            b = in_cells(space, edges[k, 2], edges[k, 3])
-            low = _square(min(a.row, b.row) - 1.0, rows)
-            high = _square(max(a.row, b.row) + 1.0, rows)
-            left = _square(min(a.column, b.column) - 1.0, columns)
-            right = _square(max(a.column, b.column) + 1.0, columns)
-            for row in range(low, high + 1):
-                for column in range(left, right + 1):
-                    square = row * across + column
-                    if filling == 1:
-                        listed[first[square]] = k
-                    first[square] += 1
-        if filling == 0:
-            # counts become ends; filling from behind would reverse them, so starts are kept
-            begin = 0
-            for k in range(total):
-                count = int(first[k])
-                first[k] = begin
-                begin += count
-            first[total] = begin
-            listed = np.empty(begin, np.int32)
-    for k in range(total, 0, -1):
-        first[k] = first[k - 1]
-    first[0] = 0
-    return EdgesBySquare(first, listed)
+    ends = grid.to_cells(edges.reshape(-1, 2)).reshape(-1, 2, 2)
+    squares = (np.array(grid.shape[::-1]) - 1) // SETTINGS.bucket
+    low, high = ends.min(axis=1) - 1.0, ends.max(axis=1) + 1.0
+    low, high = (
+        np.clip(np.floor(at / SETTINGS.bucket).astype(int), 0, squares) for at in (low, high)
+    )
+    columns, rows = (high - low + 1).T
+    count = rows * columns
+    edge = np.repeat(np.arange(len(edges)), count)
+    place = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    row, column = np.divmod(place, columns[edge])
+    across = squares[0] + 1
+    square = (low[edge, 1] + row) * across + low[edge, 0] + column
+    order = np.argsort(square, kind="stable")
+    first = np.searchsorted(square[order], np.arange((squares[1] + 1) * across + 1))
+    return EdgesBySquare(first.astype(np.int32), edge[order].astype(np.int32))
 
 
 @njit
@@ -504,6 +485,6 @@ def _outline(
         world(np.concatenate([point[edge], across[:, :2]])),
         world(np.concatenate([point[edge + 1], across[:, 2:]])),
     ])  # fmt: skip
-    squares = squares_of_edges(grid.space, edges)
+    squares = squares_of_edges(grid, edges)
     corner, back, on = (world(of[convex]) for of in (point[at], before, after))
     return Outline(corner, back, on, edges, squares.first, squares.listed, inside, outside)

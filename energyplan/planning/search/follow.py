@@ -19,6 +19,7 @@ from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
 from energyplan.planning.space.compiled import Segments
+from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     RIM,
@@ -353,7 +354,7 @@ def _threaded(
     """Return motions along free poses that lie close together, if there are such."""
     for part in SETTINGS.spare:
         most = int(min(SETTINGS.most, budget.left / UNITS.pose))
-        spare, wide = (_grown(setting.body, much * cell) for much in (part, SETTINGS.wide))
+        spare, wide = (grown(setting.body, much * cell) for much in (part, SETTINGS.wide))
         tested = setting._replace(body=spare)
         found = bidirectional_search(tested, wide, begin, end, cell, 2 * HEADINGS, most)
         budget.spend(UNITS.pose * found.tests)
@@ -365,11 +366,6 @@ def _threaded(
             if led.last == len(found.poses) - 1:
                 return Segments(ds[: led.motions], dtheta[: led.motions])
     return None
-
-
-def _grown(body: Body, by: float) -> Body:
-    """Return a body that is larger on every side [m]."""
-    return Body(body.x_min - by, body.y_min - by, body.x_max + by, body.y_max + by)
 
 
 @njit

@@ -8,7 +8,7 @@ straight along the heading, a pivot about either tread's ICR, or a spin.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, floor, hypot, inf, pi
+from math import atan2, floor, hypot, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from energyplan.planning.space.motions import (
     motion_cost,
     price,
 )
-from energyplan.planning.space.queues import angle_between, pop, push, slot_of
+from energyplan.planning.space.queues import angle_between, pop, push, slot_of, turning_by
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
 from energyplan.terrain.collision import in_cells, motion_free
 
@@ -94,12 +94,7 @@ def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
     if far > to_go.far:
         # on its way the robot takes the heading of the way, or drives it backwards
         ahead = float(to_go.direction[node]) + space.yaw
-        through = inf
-        for way in range(2):
-            heading = ahead + way * pi
-            through = min(
-                through, angle_between(yaw, heading) + angle_between(heading, setting.goal.yaw)
-            )
+        through = turning_by(yaw, ahead, setting.goal.yaw)
         turn = max(turn, through - 2.0 * SETTINGS.tolerance)
     round_obstacles = setting.least_metre * far + setting.least_radian * turn
     # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
@@ -107,13 +102,7 @@ def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
     dy = setting.goal.y - pose.y
     above = round_obstacles - setting.steering.per_metre * hypot(dx, dy)
     if above >= 0.0:
-        straight = atan2(dy, dx)
-        turning = inf
-        for way in range(2):
-            heading = straight + way * pi
-            turning = min(
-                turning, angle_between(yaw, heading) + angle_between(heading, setting.goal.yaw)
-            )
+        turning = turning_by(yaw, atan2(dy, dx), setting.goal.yaw)
         if above >= setting.steering.per_radian * turning:
             return round_obstacles
     return max(round_obstacles, free_energy(setting, pose))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from energyplan.compilation import Flags, Floats, FloatTable, Words, njit
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import UNITS, Budget, Work, do_together, side_by_side
-from energyplan.planning.space.compiled import CompiledProblem, Segments, merged
+from energyplan.planning.space.compiled import Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
 from energyplan.terrain.collision import pose_free
@@ -574,16 +574,6 @@ class Refiner:
                 mark, since = self.cost, 0
             elif since >= patience:
                 break
-
-
-def refine(query: CompiledProblem, segments: Segments, budget: Budget, seed: int = 1) -> Segments:
-    """Return cheaper motions from the start to the goal."""
-    refiner = Refiner(query.setting, segments, seed)
-    refiner.shortcut(budget)
-    refiner.polish(budget)
-    refiner.again(budget)
-    refiner.polish(budget)
-    return refiner.segments
 
 
 TURN = 400

@@ -45,6 +45,7 @@ from energyplan.planning.space.queues import (
     pop,
     push,
     slot_of,
+    turning_by,
 )
 
 FACINGS = 16
@@ -365,10 +366,5 @@ def _rest(
         return inf
     turn = angle_between(yaw, goal_yaw)
     if far > to_go.far:
-        ahead = float(to_go.direction[node])
-        through = inf
-        for way in range(2):
-            heading = ahead + way * pi
-            through = min(through, angle_between(yaw, heading) + angle_between(heading, goal_yaw))
-        turn = max(turn, through)
+        turn = max(turn, turning_by(yaw, float(to_go.direction[node]), goal_yaw))
     return SETTINGS.weight * per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)

@@ -20,6 +20,7 @@ from energyplan.planning.search.follow import motions_along
 from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import Segments
+from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     CostToGo,
@@ -145,9 +146,7 @@ def shrinkage(setting: KernelProblem) -> float:
 
 def shrunken(setting: KernelProblem, by: float) -> KernelProblem:
     """Return the problem of a body that is smaller on every side [m]."""
-    body = setting.body
-    thin = Body(body.x_min + by, body.y_min + by, body.x_max - by, body.y_max - by)
-    return setting._replace(body=thin)
+    return setting._replace(body=grown(setting.body, -by))
 
 
 def grow(setting: KernelProblem, way: Segments, by: float, budget: Budget) -> Segments | list[Pose]:

@@ -17,7 +17,7 @@ from energyplan.compilation import Ints, Words, njit
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import MARGIN, CompiledProblem
-from energyplan.planning.space.configurations import shrunk
+from energyplan.planning.space.configurations import grown, shrunk
 from energyplan.planning.space.cost_to_go import (
     HEADINGS,
     RIM,
@@ -236,9 +236,7 @@ def look_closer(
                     break
                 part = 0.5**level
                 small = shrunk(body, part * places.spacing, heading, 0.5 * part * turn)
-                small = Body(
-                    small.x_min + less, small.y_min + less, small.x_max - less, small.y_max - less
-                )
+                small = grown(small, -less)
                 fits = small.x_min < small.x_max and small.y_min < small.y_max
                 if fits and not pose_free(space, small, x, y, space.yaw + heading):
                     continue
@@ -289,11 +287,7 @@ class _Closer:
             bit = np.uint64(1 << heading)
             for words in (self.may, self.free, self.known):
                 words[place] |= bit
-        grown = MARGIN * space.resolution
-        body = kernel.body
-        self.body = Body(
-            body.x_min + grown, body.y_min + grown, body.x_max - grown, body.y_max - grown
-        )
+        self.body = grown(kernel.body, -MARGIN * space.resolution)
 
     def found(self) -> Closure:
         """Return what is known in the end."""

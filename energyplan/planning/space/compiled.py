@@ -20,6 +20,7 @@ from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose, point_ahead
 from energyplan.planning.problem import PlanningProblem, is_length
 from energyplan.planning.space import prices as _prices
+from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.motions import DIRECTIONS, LEVEL, Hills, KernelProblem, free_energy
 from energyplan.planning.space.prices import LeastPrices, Minorant, Prices, least_prices
 from energyplan.terrain import OccupancyGrid, Terrain
@@ -217,8 +218,7 @@ class CompiledProblem:
     def grown(self) -> Body:
         """That footprint with the margin of planning."""
         more = max(self.wanted - self.problem.clearance, 0.0)
-        body, grow = self.body, MARGIN * self.grid.resolution + more
-        return Body(body.x_min - grow, body.y_min - grow, body.x_max + grow, body.y_max + grow)
+        return grown(self.body, MARGIN * self.grid.resolution + more)
 
     def roomy(self, pose: Pose) -> bool:
         """Tell whether a pose is free with the margin of planning."""

@@ -48,6 +48,12 @@ SETTINGS = Settings()
 
 
 @njit
+def grown(body: Body, by: float) -> Body:
+    """Return a body that is larger on every side [m], or smaller."""
+    return Body(body.x_min - by, body.y_min - by, body.x_max + by, body.y_max + by)
+
+
+@njit
 def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
     """Return a rectangle that lies in a body at all poses near a pose, in that pose's frame."""
     # the square as seen along either axis of the body, at any of the headings

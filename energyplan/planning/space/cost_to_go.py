@@ -25,7 +25,12 @@ from energyplan.compilation import (
 )
 from energyplan.path import Pose
 from energyplan.planning.space.compiled import MARGIN
-from energyplan.planning.space.configurations import FreeSpace, free_space, updated_free_space
+from energyplan.planning.space.configurations import (
+    FreeSpace,
+    free_space,
+    grown,
+    updated_free_space,
+)
 from energyplan.planning.space.motions import DIRECTIONS, Hills, KernelProblem, height_at
 from energyplan.planning.space.queues import (
     STEP_COLUMNS,
@@ -35,7 +40,7 @@ from energyplan.planning.space.queues import (
     push,
     with_room,
 )
-from energyplan.terrain.collision import Body, Space, in_cells
+from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import Window, tables_of
 
 HEADINGS = 64
@@ -653,13 +658,8 @@ def fill_beside(regions: Regions, near: Flags, back: Singles, distance: Singles)
 def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
     """Return the free configurations of a problem as nodes, made once for a map and a body."""
     space, body = kernel.space, kernel.body
-    fitting = body
-    if enlarged:
-        # the true footprint, which the margin of planning made larger
-        grown = MARGIN * space.resolution
-        fitting = Body(
-            body.x_min + grown, body.y_min + grown, body.x_max - grown, body.y_max - grown
-        )
+    # without the margin of planning, which made the footprint larger
+    fitting = grown(body, -MARGIN * space.resolution) if enlarged else body
 
     def make() -> Places:
         found = free_space(space, fitting, enlarged=enlarged, placed_as=body)

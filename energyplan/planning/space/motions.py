@@ -252,10 +252,10 @@ def free_energy(setting: KernelProblem, pose: Pose) -> float:
 
 
 @njit
-def drive(
+def motions_cost(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
-    """Cost of a sequence of motions from a pose; infinite if one collides or it reaches `limit`."""
+    """Cost of a sequence of motions from a pose, whatever lies in its way; infinite at `limit`."""
     total = 0.0
     here = pose
     for k in range(count):
@@ -263,7 +263,18 @@ def drive(
         if total >= limit:
             return inf
         here = arc_end(here, ds[k], dtheta[k])
+    return total
+
+
+@njit
+def drive(
+    setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
+) -> float:
+    """Cost of a sequence of motions from a pose; infinite if one collides or it reaches `limit`."""
     # collisions after the costs, which are cheaper to find out
+    total = motions_cost(setting, pose, ds, dtheta, count, limit)
+    if total == inf:
+        return inf
     here = pose
     for k in range(count):
         if not motion_free(
@@ -340,9 +351,4 @@ def steering_cost(setting: KernelProblem, pose: Pose, to: Pose) -> float:
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
     count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
-    total = 0.0
-    here = pose
-    for k in range(count):
-        total += motion_cost(setting, here, ds[k], dtheta[k])
-        here = arc_end(here, ds[k], dtheta[k])
-    return total
+    return motions_cost(setting, pose, ds, dtheta, count, inf)

@@ -105,3 +105,10 @@ def angle_between(a: float, b: float) -> float:
     """Angle between two headings, 0 to pi."""
     turn = abs(a - b) % (2.0 * pi)
     return min(turn, 2.0 * pi - turn)
+
+
+@njit
+def turning_by(a: float, way: float, b: float) -> float:
+    """Least turning from one heading to another by way of a direction or the opposite one."""
+    ahead = angle_between(a, way) + angle_between(way, b)
+    return min(ahead, angle_between(a, way + pi) + angle_between(way + pi, b))
