@@ -143,19 +143,6 @@ def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
     return state
 
 
-def _none(name: str, budget: Budget, query: CompiledProblem, near: Pose | None) -> TimeLimitError:
-    """Return the error that says that a planner of OMPL's found nothing within its budget."""
-    goal = query.setting.goal
-    text = "" if near is None else (
-        f"; it got as near to the goal as ({near.x:.2f}, {near.y:.2f}), "
-        f"{np.hypot(near.x - goal.x, near.y - goal.y):.2f} m from it"
-    )  # fmt: skip
-    return TimeLimitError(
-        f"{name} found no path in {budget.name}{text}; give more {budget.remedy}, or use the "
-        "planner 'lattice'"
-    )
-
-
 def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
     """Return the planner that lets one of OMPL's solve a problem."""
 
@@ -194,10 +181,17 @@ def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
 
         planner.solve(base.PlannerTerminationCondition(over))
         if not definition.hasExactSolution():
-            near = None
+            text, goal = "", query.setting.goal
             if definition.hasApproximateSolution():
                 near = _pose(definition.getSolutionPath().getStates()[-1])
-            raise _none(name, budget, query, near)
+                text = (
+                    f"; it got as near to the goal as ({near.x:.2f}, {near.y:.2f}), "
+                    f"{np.hypot(near.x - goal.x, near.y - goal.y):.2f} m from it"
+                )
+            raise TimeLimitError(
+                f"{name} found no path in {budget.name}{text}; give more {budget.remedy}, or use "
+                "the planner 'lattice'"
+            )
         poses = [_pose(state) for state in definition.getSolutionPath().getStates()]
         ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
         parts = [np.empty((2, 0))]

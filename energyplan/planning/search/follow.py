@@ -76,7 +76,6 @@ class Passage(NamedTuple):
 
     poses: FloatTable  # (n, 3): from one end to the other
     tests: int  # poses that were tested
-    closed: bool
 
 
 @njit
@@ -125,7 +124,7 @@ def bidirectional_search(
         slot = slot_of(table, key, key[who])
         if table[slot] >= 0:
             # both ends are one place of the grid
-            return Passage(_chain(parent, key, 0, 1, begin, end, cell, headings), 0, False)
+            return Passage(_chain(parent, key, 0, 1, begin, end, cell, headings), 0)
         table[slot] = who
         sizes[who] = push(heap_f[who], heap_node[who], 0, 0.0, who)
     count = 2
@@ -135,7 +134,7 @@ def bidirectional_search(
         while sizes[who] > 0 and done[heap_node[who, 0]]:
             sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
         if sizes[who] == 0:
-            return Passage(np.empty((0, 3)), count - 2, True)
+            return Passage(np.empty((0, 3)), count - 2)
         node = int(heap_node[who, 0])
         sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
         done[node] = True
@@ -153,7 +152,7 @@ def bidirectional_search(
                 first = node if who == 0 else other
                 second = other if who == 0 else node
                 found = _chain(parent, key, first, second, begin, end, cell, headings)
-                return Passage(found, count - 2, False)
+                return Passage(found, count - 2)
             if other >= 0 and (side[other] == BLOCKED or done[other]):
                 continue
             x = begin.x + (i + steps_i[k] - half) * cell
@@ -161,7 +160,7 @@ def bidirectional_search(
             yaw = begin.yaw + to_h * turn
             if other < 0:
                 if count == capacity:
-                    return Passage(np.empty((0, 3)), most, False)
+                    return Passage(np.empty((0, 3)), most)
                 other = count
                 count += 1
                 table[slot] = other

@@ -283,6 +283,29 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
     return out
 
 
+class Ground(NamedTuple):
+    """What a metre costs over the least price of one, by class of surface and slope."""
+
+    surface: Bytes  # (places,): class of surface; a single one where all are alike
+    ratio: FloatTable  # (classes, slopes)
+    height: Floats  # (places,): see `heights_of_places` [m]
+    steepest: float  # steepest slope, as rise over run
+
+
+@njit
+def ratio_between(ground: Ground, place: int, to: int, length: float) -> float:
+    """Return what a metre from one place to another costs over the least price of one."""
+    slopes = ground.ratio.shape[1]
+    at = 0
+    if slopes > 1:
+        steep = (ground.height[to] - ground.height[place]) / (length * ground.steepest)
+        at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
+    if ground.surface.size == 1:
+        return float(ground.ratio[0, at])
+    kinds = ground.surface
+    return 0.5 * float(ground.ratio[kinds[place], at] + ground.ratio[kinds[to], at])
+
+
 @njit
 def _node_ahead(node: int, far: int, distance: Singles, parent: ShortInts) -> int:
     """Return the node on the way to which a node's direction points; `far` is that of the next."""
@@ -302,10 +325,7 @@ def fill_cost_to_go(
     goals: ShortInts,
     region: ShortInts,
     near: Flags,
-    surface: Bytes,
-    price_ratio: FloatTable,
-    height: Floats,
-    steepest: float,
+    ground: Ground,
     distance: Singles,
     direction: Singles,
     parent: ShortInts,
@@ -320,17 +340,15 @@ def fill_cost_to_go(
     beside = halfway(across)
     aside = headings_aside()
     factors = to_and_fro()
-    varied = surface.size > 1
-    slopes = price_ratio.shape[1]
-    even = not varied and slopes == 1
+    even = ground.ratio.size == 1
     # Buckets of nodes by their distance, as wide as the shortest step, as lists in `nodes` linked
     # by `older`. A node that is lowered after its turn has another one.
     cheapest = inf
     dearest = 0.0
-    for r in range(price_ratio.shape[0]):
-        for c in range(slopes):
-            cheapest = min(cheapest, price_ratio[r, c])
-            dearest = max(dearest, price_ratio[r, c])
+    for r in range(ground.ratio.shape[0]):
+        for c in range(ground.ratio.shape[1]):
+            cheapest = min(cheapest, ground.ratio[r, c])
+            dearest = max(dearest, ground.ratio[r, c])
     width = places.spacing * cheapest
     most = lengths[STEPS - 1] * dearest * factors[-1]
     ring = int(most / width) + 2
@@ -382,8 +400,7 @@ def fill_cost_to_go(
             goal = int(places.home[target[node]])
             direction[node] = atan2(goal // across - row, goal % across - column)
         arc = places.arcs[node]
-        here = int(surface[place]) if varied else 0
-        factor = price_ratio[here, 0]
+        factor = ground.ratio[0, 0]
         for k in range(STEPS):
             there = place + steps_r[k] * across + steps_c[k]
             common = arc & places.masks[there]
@@ -392,13 +409,7 @@ def fill_cost_to_go(
             if k >= 8:
                 common &= places.masks[place + beside[k, 0]] | places.masks[place + beside[k, 1]]
             if not even:
-                at = 0
-                if slopes > 1:
-                    steep = (height[place] - height[there]) / (lengths[k] * steepest)
-                    at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
-                factor = price_ratio[here, at]
-                if varied:
-                    factor = 0.5 * (factor + price_ratio[surface[there], at])
+                factor = ratio_between(ground, there, place, lengths[k])
             step = factor * lengths[k]
             for other in range(places.first[there], places.first[there + 1]):
                 if d + step >= distance[other] - rounding or not near[region[other]]:
@@ -568,16 +579,11 @@ def ways_between(
     margin: float,
     slack: float,
     leaving: bool,
-    surface: Bytes,
-    price_ratio: FloatTable,
-    height: Floats,
-    steepest: float,
+    ground: Ground,
     distance: Singles,
 ) -> int:
     """Write the distance of every region from one of them, or to it; return the work."""
     count = len(regions.x)
-    varied = surface.size > 1
-    slopes = price_ratio.shape[1]
     closed = np.zeros(count, np.bool_)
     for region in range(count):
         distance[region] = inf
@@ -609,16 +615,9 @@ def ways_between(
             dy = regions.y[other] - regions.y[region]
             length = hypot(dx, dy)
             there = int(regions.home[other])
-            kind = int(surface[home]) if varied else 0
-            at = 0
-            if slopes > 1:
-                rise = height[there] - height[home]
-                steep = (rise if leaving else -rise) / (max(length, 1e-9) * steepest)
-                at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
-            dear = price_ratio[kind, at]
-            if varied:
-                dear = 0.5 * (dear + price_ratio[surface[there], at])
-            step = length * dear * aside
+            first = home if leaving else there
+            last = there if leaving else home
+            step = length * ratio_between(ground, first, last, max(length, 1e-9)) * aside
             if d + step < distance[other]:
                 distance[other] = d + step
                 heap_f, heap_node = with_room(heap_f, heap_node, size)
@@ -774,9 +773,12 @@ def _guide(
     straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
     # what is uphill forwards is downhill for one who faces the other way
     cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
-    surface = _surface(places, kernel)
-    price_ratio = cheapest / kernel.least_metre
-    height = heights_of_places(places, hills, space)
+    ground = Ground(
+        _surface(places, kernel),
+        cheapest / kernel.least_metre,
+        heights_of_places(places, hills, space),
+        hills.steepest,
+    )
     regions = regions_for(kernel, enlarged)
     near = np.ones(len(regions.x), bool)
     work = 0
@@ -784,28 +786,16 @@ def _guide(
         ends = int(regions.of_node[goal]), int(regions.of_node[start])
         slack = SETTINGS.slack * 2.0 * kernel.reach
         back, out = (np.empty(len(near), np.float32) for _ in range(2))
-        between = partial(
-            ways_between, regions, margin=SETTINGS.reach, slack=slack,
-            surface=surface, price_ratio=price_ratio, height=height, steepest=hills.steepest,
-        )  # fmt: skip
+        between = partial(ways_between, regions, margin=SETTINGS.reach, slack=slack, ground=ground)
         work += between(start=ends[0], stop=ends[1], leaving=False, distance=back)
         if np.isfinite(back[ends[1]]):
             work += between(start=ends[1], stop=ends[0], leaving=True, distance=out)
             far_off = back + out
             near = far_off <= max(SETTINGS.reach * back[ends[1]] + slack, known)
             distance[:] = np.inf
+    goals = np.array([goal] if goal >= 0 else [], np.int32)
     work += fill_cost_to_go(
-        places,
-        np.array([goal] if goal >= 0 else [], np.int32),
-        regions.of_node,
-        near,
-        surface,
-        price_ratio,
-        height,
-        hills.steepest,
-        to_go.distance,
-        to_go.direction,
-        to_go.after,
+        places, goals, regions.of_node, near, ground, distance, direction, after
     )
     if not near.all():
         fill_beside(regions, near, back, to_go.distance)
