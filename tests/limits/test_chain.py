@@ -76,25 +76,6 @@ def smooth_curve(rng, step=0.05):
     return Path(Pose(0, 0, 0), np.full(n, step), step * bend * rng.uniform(0.5, 2.5))
 
 
-def toppra_duration(path, icr, speed, acceleration):
-    """Least time along a spline through the treads' positions, by toppra on 1001 points."""
-    toppra = pytest.importorskip("toppra")
-    from toppra import algorithm, constraint
-
-    treads = np.column_stack([path.ds - icr.left * path.dtheta, path.ds + icr.right * path.dtheta])
-    along = np.append(0.0, np.cumsum(np.abs(treads).max(axis=1)))
-    curve = toppra.SplineInterpolator(
-        along, np.vstack([np.zeros((1, 2)), np.cumsum(treads, axis=0)])
-    )
-    limits = [
-        constraint.JointVelocityConstraint(np.array([[-speed, speed]] * 2)),
-        constraint.JointAccelerationConstraint(np.array([[-acceleration, acceleration]] * 2)),
-    ]
-    grid = np.linspace(0, along[-1], 1001)
-    solver = algorithm.TOPPRA(limits, curve, gridpoints=grid, parametrizer="ParametrizeConstAccel")
-    return solver.compute_trajectory(0, 0).duration
-
-
 def toppra_duration_along(made, icr, speed, acceleration):
     """Least time along the very curve that was driven, by toppra on 1001 points of a spline."""
     toppra = pytest.importorskip("toppra")
@@ -124,7 +105,7 @@ def toppra_duration_along(made, icr, speed, acceleration):
     return solver.compute_trajectory(0, 0).duration
 
 
-def test_smooth_curves_take_at_most_one_per_cent_longer_than_toppra_says():
+def test_smooth_curves_take_no_longer_than_toppra_says():
     model = PowerModel.preset("quadriga:empty:concrete")
     motor = MotorLimits(speed=1.2, acceleration=1.0)
     vehicle = replace(model.vehicle, motor=motor)
@@ -133,10 +114,6 @@ def test_smooth_curves_take_at_most_one_per_cent_longer_than_toppra_says():
         path = smooth_curve(rng)
         made = profile(path, model, vehicle=vehicle, smooth=0.5)
         assert check(made, model, vehicle).feasible
-        least = toppra_duration(path, vehicle.icr, motor.speed, motor.acceleration)
-        # Ours is the curve between the arcs' middles, theirs a spline: they differ by a few per
-        # cent where the curve is tight.
-        assert 0.96 * least <= made.duration <= 1.01 * least
         # On the very curve that was driven it is no slower, but for how either samples.
         same = toppra_duration_along(made, vehicle.icr, motor.speed, motor.acceleration)
         assert made.duration <= 1.003 * same

@@ -159,38 +159,6 @@ def test_bound_is_close_around_one_pillar():
 # -- one line --------------------------------------------------------------------------------------
 
 
-def exact_gauge(headings, direction):
-    """Length a way needs for one metre in a direction, with all of the given headings: a polygon.
-
-    The way is made of pieces along the headings, forwards or backwards, so it is the gauge of the
-    hull of their unit vectors, found from its support function.
-    """
-    normals = np.linspace(0, 2 * np.pi, 7200, endpoint=False)
-    support = np.abs(np.cos(headings[:, None] - normals)).max(axis=0)
-    return float((np.cos(direction - normals) / support).max())
-
-
-@pytest.mark.parametrize("seed", by_day(range(4), range(2)))
-def test_a_line_costs_no_more_than_any_way_along_it(seed):
-    rng = np.random.default_rng(seed)
-    rates = Rates(200.0, 150.0, 0.0, rng.uniform(-3, 3), 0.0, static(200.0, 150.0, 0.4))
-    nodes = rates.goal + SPACING * np.arange(HEADINGS)
-    for _ in range(20):
-        entered = rng.uniform(-np.pi, np.pi)
-        before = rates.radian * np.abs(np.angle(np.exp(1j * (nodes - entered))))
-        direction, length = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 3.0)
-        after = line.along_line(before, direction, length, rates, True, True)
-        # headings that are swept: from the entrance to `first`, then on to `last`, then to the exit
-        first, last = entered + rng.uniform(-2, 2), entered + rng.uniform(-2, 2)
-        swept = np.linspace(min(entered, first, last), max(entered, first, last), 400)
-        turned = abs(first - entered) + abs(last - first)
-        longer = exact_gauge(swept, direction)
-        cost = rates.radian * turned + rates.metre * length * longer
-        nearest = int(np.round((last - rates.goal) / SPACING)) % HEADINGS
-        rounding = abs(np.angle(np.exp(1j * (nodes[nearest] - last))))
-        assert after[nearest] <= cost + rates.radian * rounding + 1e-6
-
-
 def test_a_line_is_charged_its_length_and_the_turn_into_it():
     rates = Rates(200.0, 150.0, 0.0, 0.0, 0.0, static(200.0, 150.0, 0.4))
     nodes = SPACING * np.arange(HEADINGS)
@@ -622,22 +590,6 @@ def test_cells_that_an_edge_of_a_surface_crosses_are_of_no_certain_ground(seed):
     assert len(np.unique(found)) > 3
 
 
-def test_a_dear_strip_that_must_be_crossed_is_charged():
-    strip = shapely.difference(shapely.box(-1, -1, 21, 11), shapely.box(8, -2, 12, 12))
-    problem = two_grounds(strip)
-    query = CompiledProblem(problem)
-    per_metre = float(query.least_prices.metre_excess()[0])
-    marble = EnergyCost(PowerModel.preset("quadriga:empty:marble"))
-    assert per_metre == pytest.approx(
-        float(COST.segment_energy(1.0, 0.0) - marble.segment_energy(1.0, 0.0))
-    )
-    excess = least_excess(query, 0.3, 1e6)
-    # up to two cells at each edge are not sure to be dear, one more neighbours these
-    assert (4.0 - 6 * 0.1) * per_metre <= excess <= 4.0 * per_metre
-    assert excess == least_excess(query, 0.3, 1e6)  # what is kept with the map
-    assert least_excess(query, 0.3, 0.5 * excess) == pytest.approx(0.5 * excess)
-
-
 @pytest.mark.parametrize(("lateral", "reach"), [(0.0, 1), (0.08, 2), (0.15, 3)])
 @pytest.mark.parametrize("edge", [8.0, 8.05])
 def test_of_a_dear_strip_all_is_charged_but_what_may_touch_its_edges(lateral, reach, edge):
@@ -656,6 +608,8 @@ def test_of_a_dear_strip_all_is_charged_but_what_may_touch_its_edges(lateral, re
         dear.coefficient("traction_resistance") - marble.coefficient("traction_resistance")
     )
     assert least_excess(query, 0.3, 1e6) == pytest.approx(charged * per_metre)
+    limit = 0.5 * charged * per_metre
+    assert least_excess(query, 0.3, limit) == pytest.approx(limit)
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.1, 0.2])

@@ -19,7 +19,6 @@ from energyplan.errors import (
     MapError,
     ModelError,
 )
-from energyplan.limits.drive import Drive
 from energyplan.mission import Mission, Task, evaluate
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
@@ -386,25 +385,13 @@ def test_a_mission_pays_for_the_climb_and_gets_it_back():
     assert told.energy == pytest.approx(up + down, rel=1e-6)
 
 
-def test_a_mission_does_not_get_back_what_drives_lose(monkeypatch):
-    """Steep enough for the weight to push: nothing comes back, whatever the way down.
-
-    The power is none but for rounding then, which no finer piece makes more exact.
-    """
-    pieces = []
-    original = Drive.power
-
-    def counted(self, these, scale=1.0):
-        pieces.append(len(these.interval))
-        return original(self, these, scale)
-
-    monkeypatch.setattr(Drive, "power", counted)
+def test_a_mission_does_not_get_back_what_drives_lose():
+    """Steep enough for the weight to push: nothing comes back, whatever the way down."""
     lossy = at_battery(back=0.0).model
     told = evaluate(mission(lossy, heights=plane(0.4, 0.0)))
     up = (226 * np.hypot(1, 0.4) + WEIGHT * 0.4) * 11 / 0.8
     assert told.task("top").energy == pytest.approx(up, rel=1e-6)
     assert told.energy == pytest.approx(up, rel=2e-3)
-    assert 0 < sum(pieces) < 1_000_000
 
 
 # -- files -----------------------------------------------------------------------------------------
@@ -455,17 +442,6 @@ def test_the_command_line_plans_on_slopes(folder, capsys, monkeypatch):
     assert code == 0
     assert "of it for the height [J]" in out
     assert (folder / "told.html").stat().st_size > 10_000
-
-
-def test_the_command_line_names_what_is_wrong_with_heights(folder, capsys, monkeypatch):
-    (folder / "yard.asc").write_text("ncols 3\nnrows two\n")
-    (folder / "site.yaml").write_text("map: yard.yaml\nheights: yard.asc\n")
-    code, _, err = run(
-        capsys, monkeypatch, "plan", "--map", folder / "site.yaml",
-        "--model", "quadriga:empty:concrete", "--start", "2,6,0", "--goal", "13,6,0",
-    )  # fmt: skip
-    assert code != 0
-    assert "line 2: nrows needs a number" in err
 
 
 def test_bounds_of_a_mission_hold_on_slopes():
