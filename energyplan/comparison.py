@@ -38,17 +38,6 @@ class Comparison(html.Readable):
     driven : bool
         Whether both are of the energies that driving takes, with its stops, because these count;
         else they are of those at steady speeds.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> found = ep.compare(problem, effort=1000)
-    >>> found.energy_optimal.energy <= found.shortest.energy
-    True
     """
 
     energy_optimal: Plan

@@ -147,17 +147,6 @@ class EnergyMap:
     confidence : float or None
         Probability with which each place takes no more than its `energy`; None where that is what
         the model expects.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
-    >>> found = ep.energy_map(problem)
-    >>> bool(found.energy_at([(4.0, 2.0)])[0] > 0)
-    True
     """
 
     energy: FloatArray

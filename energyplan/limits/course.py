@@ -122,10 +122,7 @@ class Course:
         return cls(whole, length, corner, reach * through, known)
 
     def points(self, gather: float) -> Points:
-        """Return points along the course, at most a cell apart.
-
-        Next to a stop they stand closer where the rate rises to its top within `gather` [m].
-        """
+        """Return points along the course, at most a cell apart."""
         head, tail = np.append(0.0, self.reach), np.append(self.reach, 0.0)
         stop = self.corner[:-1] == 0.0
         stop[0] = True
@@ -181,10 +178,7 @@ class Course:
         )  # fmt: skip
 
     def timed(self, points: Points, rate: FloatArray, period: float) -> Sampled:
-        """Return the trajectory that passes the points at given rates.
-
-        It is sampled where its acceleration changes, and on runs at least every `period` [s].
-        """
+        """Return the trajectory that passes the points at given rates."""
         time = times(points.cell, rate)
         gain = np.diff(rate) / np.where(time > 0, time, 1.0)
         # Cells of one acceleration on one run are one phase, and no stop has two samples.

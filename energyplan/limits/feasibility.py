@@ -50,14 +50,6 @@ class Violation:
         Largest value in between, in the limit's unit.
     limit : float
         The limit [W, N, m/s, m/s^2 or rad/s].
-
-    Examples
-    --------
-    >>> t = np.linspace(0, 10, 201)
-    >>> spin = Trajectory(t, 0 * t, 0 * t, 3 * t, 0 * t, 3 + 0 * t)
-    >>> first = check(spin, PowerModel.preset("quadriga:empty:concrete")).violations[0]
-    >>> first.kind, first.side, first.start
-    ('speed', 'left', 0.0)
     """
 
     kind: str
@@ -91,13 +83,6 @@ class Instant(NamedTuple):
         What is asked, and what there is.
     margin : float
         What is left, as a fraction of the limit; negative where it is exceeded.
-
-    Examples
-    --------
-    >>> t = np.linspace(0, 10, 201)
-    >>> spin = Trajectory(t, 0 * t, 0 * t, 3 * t, 0 * t, 3 + 0 * t)
-    >>> check(spin, PowerModel.preset("quadriga:empty:concrete")).worst.kind
-    'speed'
     """
 
     t: float
@@ -295,13 +280,6 @@ class FeasibleRegion:
     max_speed, max_speed_brief : ndarray, shape (n,)
         Largest speed up to which every speed is feasible [m/s]; no more than the largest of
         `speed`. 0 where no speed is.
-
-    Examples
-    --------
-    >>> model = PowerModel.preset("quadriga:full:concrete")
-    >>> region = feasible_region(model, [0.0, 1.0], [0.3, 0.6, 0.9])
-    >>> region.sustained.shape, bool(region.max_speed[0] > region.max_speed[1])
-    ((2, 3), True)
     """
 
     curvature: FloatArray

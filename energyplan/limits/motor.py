@@ -151,10 +151,7 @@ class Limits:
         return Loads(left, right, values)
 
     def use(self, model: PowerModel, motion: Motion) -> FloatArray:
-        """Largest load relative to its limit at each instant; above 1 a limit is exceeded.
-
-        A limit of zero is used without bound as soon as anything is asked of it.
-        """
+        """Largest load relative to its limit at each instant; above 1 a limit is exceeded."""
         worst = np.zeros(motion.shape)
         for bound, value in zip(self.bounds, self.loads(model, motion).values, strict=True):
             np.maximum(worst, relative(value, bound.limit), out=worst)

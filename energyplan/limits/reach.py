@@ -133,10 +133,7 @@ class Reach:
         return rate, kinds.model.power(kinds.motion(rate))
 
     def cheapest(self, price: float, slowest: float) -> FloatArray:
-        """Rates of least energy, plus `price` [W] times time, per distance [m/s].
-
-        None is below `slowest` [m/s]; of equally cheap ones the fastest is taken.
-        """
+        """Rates of least energy, plus `price` [W] times time, per distance [m/s]."""
         rate, power = self._steady
         worth = (power + price) / rate
         allowed = rate >= np.minimum(slowest, rate[-1])

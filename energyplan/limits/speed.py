@@ -36,13 +36,7 @@ GROUND_SPEED = "ground_speed"
 
 
 class Rounding(NamedTuple):
-    """How corners are driven through; the arguments of that name of `profile`.
-
-    Examples
-    --------
-    >>> corner_rounding(0.05)._fields
-    ('smooth', 'tolerance')
-    """
+    """How corners are driven through; the arguments of that name of `profile`."""
 
     smooth: float
     tolerance: float
@@ -53,11 +47,6 @@ def corner_rounding(tolerance: float) -> Rounding:
 
     Without a tolerance it stops at corners, and drives through the small bends between poses that
     stand for a curve, within 5 mm.
-
-    Examples
-    --------
-    >>> corner_rounding(0.05).tolerance
-    0.05
     """
     return Rounding(1.0, tolerance) if tolerance > 0 else Rounding(SETTINGS.fitted, 0.005)
 

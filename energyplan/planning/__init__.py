@@ -58,13 +58,7 @@ PLANNERS = {
 
 
 def planners() -> tuple[str, ...]:
-    """Return the names of all planners: the library's own, then those of other packages.
-
-    Examples
-    --------
-    >>> "lattice" in planners()
-    True
-    """
+    """Return the names of all planners: the library's own, then those of other packages."""
     plugins = {entry.name for entry in entry_points(group="energyplan.planning")}
     return (*PLANNERS, *sorted(plugins - set(PLANNERS)))
 

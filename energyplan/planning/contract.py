@@ -44,12 +44,6 @@ class Candidate:
         it is left out.
     first_time : float, optional
         `Budget.elapsed` when a first path was known [s]; the end where left out.
-
-    Examples
-    --------
-    >>> from energyplan.path import Path, Pose
-    >>> Candidate(Path(Pose(0, 0, 0), [1.0], [0.0])).path.length
-    1.0
     """
 
     path: Path
@@ -87,11 +81,6 @@ class Planner:
     ------
     InvalidInputError
         If the objectives are none of these.
-
-    Examples
-    --------
-    >>> Planner("energyplan.planning.search:lattice", surfaces=True).objectives
-    ('energy',)
     """
 
     run: Callable[..., Candidate] | str

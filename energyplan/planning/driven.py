@@ -62,11 +62,7 @@ def drive_path(
     body: Vehicle | None = None,
     period: float = 0.05,
 ) -> DrivenPath:
-    """Time a path as its cost assumes, and integrate what driving it takes.
-
-    Where the cost has a speed, the path is driven as quickly as the limits and that speed allow;
-    where it has none, with the least energy.
-    """
+    """Time a path as its cost assumes, and integrate what driving it takes."""
     model, surfaces = counted(cost, surfaces)
     vehicle = cost.vehicle if vehicle is None else vehicle
     if cost.speed is not None:
@@ -158,11 +154,7 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
 
 
 def stops_count(problem: PlanningProblem) -> bool:
-    """Tell whether what driving takes is the energy by which paths are compared.
-
-    It is where the speed is given, energy alone is asked for, and a model's power changes with the
-    acceleration or is drawn at a standstill. Elsewhere paths are compared at steady speeds.
-    """
+    """Tell whether what driving takes is the energy by which paths are compared."""
     weights = {name for name, weight in problem.weights.items() if weight > 0}
     if problem.cost.speed is None or weights != {"energy"} or problem.softened:
         return False

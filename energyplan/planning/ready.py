@@ -38,10 +38,7 @@ def kernels(
 
 
 def compile_planning(problem: PlanningProblem, *, tight: bool | None = None) -> None:
-    """Compile the kernels of planning, or load them from disk, so that no time limit pays for it.
-
-    It is called when the problem has been checked: who starts in an obstacle is told so at once.
-    """
+    """Compile the kernels of planning, or load them from disk, so that no time limit pays for it."""
     surfaces = problem.surfaces is not None
     if tight is None:
         compile_kernels(*kernels(problem.cost, surfaces=surfaces))

@@ -50,11 +50,7 @@ SETTINGS = Settings()
 
 
 def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | None:
-    """Return what is left of a path for a robot on it or beside it.
-
-    The robot gets back to the path at the place, near or a little ahead of where it is, from which
-    the whole way costs least. On the path itself nothing but the rest of it is left.
-    """
+    """Return what is left of a path for a robot on it or beside it."""
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)
     asked = replace(problem, start=here, goal=path.end)
@@ -113,10 +109,7 @@ def _planned(problem: PlanningProblem, budget: Budget, known: Sequence[Path] = (
 
 
 def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
-    """Return what is left of a plan's lower bound where the robot is, on the former map.
-
-    The bound holds for the way that the robot came and the best way from here.
-    """
+    """Return what is left of a plan's lower bound where the robot is, on the former map."""
     fine = _places(former.path, problem)
     least = np.inf
     for k in _places_ahead(fine, here, problem)[:1]:

@@ -75,10 +75,7 @@ def lower_bound(
 
 
 def prepare_bound(query: CompiledProblem) -> None:
-    """Make what the bound needs of a map and keeps with it: surfaces by cell, and outlines.
-
-    What a plan will cost says which outlines are needed; those for all likely costs are made.
-    """
+    """Make what the bound needs of a map and keeps with it: surfaces by cell, and outlines."""
     setting, grid = query.setting, query.grid
     radius = inscribed(setting) - MARGIN * grid.resolution
     if radius <= 0:

@@ -294,10 +294,7 @@ def _hidden_by(outline: Outline, met: Sight, x: float, y: float, dx: float, dy: 
 
 @njit
 def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
-    """Return the links with those of a corner known.
-
-    The nearest corners come first: what hides one of them hides what is further away as well.
-    """
+    """Return the links with those of a corner known."""
     if links.first[k] >= 0:
         return links
     seen = links.seen

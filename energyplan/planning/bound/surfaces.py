@@ -68,10 +68,7 @@ def _blocks(cells: NDArray[np.generic], factor: int, fill: float) -> NDArray[np.
 
 
 def certain_regions(query: CompiledProblem, surfaces: SurfaceMap) -> NDArray[np.intp]:
-    """Return the region of each cell that lies in one as a whole, -1 for those near an edge.
-
-    It is made once for a map and its surfaces.
-    """
+    """Return the region of each cell that lies in one as a whole, -1 for those near an edge."""
     grid = query.grid
 
     def make() -> NDArray[np.intp]:

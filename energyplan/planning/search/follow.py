@@ -494,10 +494,7 @@ def either_way(places: Places, node: int) -> np.uint64:
 
 @njit
 def _free_in(setting: KernelProblem, along: float, up: float, yaw: float, spacing: float) -> Pose:
-    """Return the free pose of a place that is nearest to its middle; its middle where none is.
-
-    What is known of a place is that one of the cells that it gathers is free.
-    """
+    """Return the free pose of a place that is nearest to its middle; its middle where none is."""
     space = setting.space
     several = max(int(spacing / space.resolution + 0.5), 1)
     best = Pose(

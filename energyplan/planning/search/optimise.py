@@ -353,10 +353,7 @@ def unfold(
 
 @njit
 def reopen(chain: Chain, setting: KernelProblem, count: int) -> int:
-    """Join the poses of a chain anew, at an infinite cost where no motion is free.
-
-    Returns how many motions are not.
-    """
+    """Join the poses of a chain anew, at an infinite cost where no motion is free."""
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
     blocked = 0

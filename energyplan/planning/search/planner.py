@@ -265,11 +265,7 @@ class Paths:
         return self.cost < before
 
     def _together(self, budget: Budget, works: list[Work]) -> None:
-        """Do some work beside the next turns of the paths known.
-
-        None may spend more than half of what those before it leave: where little is left the first
-        ones get it, and where one is hopeless the others still have their part.
-        """
+        """Do some work beside the next turns of the paths known."""
         every = [*self.portfolio.turns(self.enough), *works]
         left = budget.left
         for k, work in enumerate(every):
@@ -407,11 +403,7 @@ _ROUNDING = 1e-9
 
 
 def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
-    """Return a path of the same cost in which a single spin stands for pivots that end in place.
-
-    A spin and pivots of the same turning cost the same where only the turning counts. The spin is
-    driven at once; each pivot begins and ends with a stop.
-    """
+    """Return a path of the same cost in which a single spin stands for pivots that end in place."""
     ahead, lateral = query.middle
     ds, dtheta = path.ds, path.dtheta
     first = 0

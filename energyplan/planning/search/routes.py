@@ -110,10 +110,7 @@ def cheapest_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> 
 
 @njit
 def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most: int) -> Route:
-    """Return the nodes along the way that is cheapest by its length and its turns.
-
-    A* over nodes and facings, led by the distance to go.
-    """
+    """Return the nodes along the way that is cheapest by its length and its turns."""
     places = to_go.places
     space = setting.space
     spacing = places.spacing

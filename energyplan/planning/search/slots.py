@@ -134,10 +134,7 @@ def _opened(
 
 
 def shrinkage(setting: KernelProblem) -> float:
-    """How much shrunken a body is to be so that it passes wherever the whole one may [m].
-
-    A point of the body is no further from where it is at the nearest pose tested.
-    """
+    """How much shrunken a body is to be so that it passes wherever the whole one may [m]."""
     body = setting.body
     half = 0.5 * min(body.x_max - body.x_min, body.y_max - body.y_min)
     apart = np.sqrt(0.5) * setting.space.resolution + setting.reach * np.pi / HEADINGS

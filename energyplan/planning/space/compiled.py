@@ -69,10 +69,7 @@ class CompiledProblem:
 
     @cached_property
     def leading(self) -> CompiledProblem:
-        """The problem to which a first plan is sought: for the shortest that of least energy.
-
-        So the shortest plan is what a plan of least energy holds itself against.
-        """
+        """The problem to which a first plan is sought: for the shortest that of least energy."""
         if not is_length(self.problem):
             return self
         energy = CompiledProblem(replace(self.problem, objective="energy"))
@@ -136,10 +133,7 @@ class CompiledProblem:
 
     @cached_property
     def prices(self) -> FloatArray:
-        """Price of the rays, shape (classes * slopes, DIRECTIONS + 1).
-
-        A class is a surface at a level of the costmap.
-        """
+        """Price of the rays, shape (classes * slopes, DIRECTIONS + 1)."""
         kept = self._priced.kept
         if self._levels == 1:
             return kept

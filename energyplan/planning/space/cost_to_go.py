@@ -112,10 +112,7 @@ def _ones(word: np.uint64) -> np.int64:
 
 @njit
 def headings_aside() -> WordTable:
-    """Headings no further than so many steps from a neighbour's direction or its opposite.
-
-    One row for each neighbour, one column for each number of steps up to a quarter turn.
-    """
+    """Headings no further than so many steps from a neighbour's direction or its opposite."""
     quarter = HEADINGS // 4
     turn = 2.0 * pi / HEADINGS
     out = np.empty((STEPS, quarter + 1), np.uint64)
@@ -238,10 +235,7 @@ def heading_of(space: Space, yaw: float) -> int:
 
 @njit
 def node_at(to_go: CostToGo, space: Space, pose: Pose) -> int:
-    """Return the node of a pose, or of the one next to it that is nearest to the goal; or -1.
-
-    The poses that were tested may all be blocked although this one is not.
-    """
+    """Return the node of a pose, or of the one next to it that is nearest to the goal; or -1."""
     places = to_go.places
     place = place_of(places, space, pose.x, pose.y)
     h = heading_of(space, pose.yaw)
@@ -757,10 +751,7 @@ def _guide(
     places: Places | None = None,
     known: float = 0.0,
 ) -> CostToGo:
-    """Return the distance to go near the shortest way, and on all that are not longer than known.
-
-    The places are those of the problem unless given.
-    """
+    """Return the distance to go near the shortest way, and on all that are not longer than known."""
     places = places_for(kernel, enlarged) if places is None else places
     hills, space = kernel.hills, kernel.space
     # where it turns for nothing within this distance, reversing can be cheaper

@@ -153,10 +153,7 @@ def height_at(hills: Hills, x: float, y: float) -> float:
 
 @njit
 def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
-    """Price of a motion on slopes, less what the rise of its reference point is worth.
-
-    Each piece pays for the mean slope along it, and for the surface under its middle.
-    """
+    """Price of a motion on slopes, less what the rise of its reference point is worth."""
     hills = setting.hills
     turned = setting.half_track * dtheta
     size = hypot(ds, turned)
@@ -213,10 +210,7 @@ def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -
 
 @njit
 def motion_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
-    """Price of a motion of constant curvature that starts at a pose.
-
-    Where surfaces differ, each piece of half a cell pays for the surface under its middle.
-    """
+    """Price of a motion of constant curvature that starts at a pose."""
     if setting.surface.size == 1:
         return price(setting.prices, 0, setting.half_track, ds, dtheta)
     if setting.hills.bins > 1:

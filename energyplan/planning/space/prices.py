@@ -51,10 +51,7 @@ _remembered = WeakKeyDictionary()
 
 
 def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Made]) -> Made:
-    """Return what is made once for an owner, one part that it is used with, and a key.
-
-    The part is told by its identity and not held: surfaces hold the costs last used with them.
-    """
+    """Return what is made once for an owner, one part that it is used with, and a key."""
     kept = _remembered.setdefault(owner, {})
     known = kept.get((id(part), key))
     if known is None or known[0]() is not part:
@@ -356,10 +353,7 @@ class LeastPrices:
         return known[track]
 
     def metre_excess(self) -> FloatArray:
-        """Return by how much a metre on each ground exceeds one on the cheapest, at least.
-
-        Beside it every radian costs what it costs at least anywhere.
-        """
+        """Return by how much a metre on each ground exceeds one on the cheapest, at least."""
         least, half_track = self.minorant(0.0), self.objective.cost.half_track
         known = self._kept.excess
         for ground in set(range(len(self.objective.costs))) - set(known):
