@@ -38,7 +38,7 @@ def kernels(
 
 
 def compile_planning(problem: PlanningProblem, *, tight: bool | None = None) -> None:
-    """Compile the kernels of planning, or load them from disk, so that no time limit pays for it."""
+    """Compile the kernels of planning, or load them, so that no time limit pays for it."""
     surfaces = problem.surfaces is not None
     if tight is None:
         compile_kernels(*kernels(problem.cost, surfaces=surfaces))

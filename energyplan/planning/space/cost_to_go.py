@@ -751,7 +751,7 @@ def _guide(
     places: Places | None = None,
     known: float = 0.0,
 ) -> CostToGo:
-    """Return the distance to go near the shortest way, and on all that are not longer than known."""
+    """Return the distance to go near the shortest way, and on all not longer than `known`."""
     places = places_for(kernel, enlarged) if places is None else places
     hills, space = kernel.hills, kernel.space
     # where it turns for nothing within this distance, reversing can be cheaper
