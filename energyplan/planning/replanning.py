@@ -2,7 +2,7 @@
 
 Planning starts from the rest of the former plan. If it is free, and no cell has become free since,
 no route can have become cheaper. Then the rest is the answer, within milliseconds. Otherwise the
-planner goes around what is closed, and continues from there.
+planner plans anew, with the rest as a first path where it is free.
 
 No new lower bound is computed among the obstacles, because it would need new outlines. If obstacles
 were only added, the former plan's bound less the cost driven so far is still a bound. The least
@@ -11,7 +11,6 @@ cost in free space always is one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -98,31 +97,18 @@ def _joined(here: Pose, fine: Path, vertex: int, problem: PlanningProblem) -> Pa
     return Path(here, kept.ds, kept.dtheta, rest.longitudinal)
 
 
-def _planned(problem: PlanningProblem, budget: Budget, known: Sequence[Path] = ()) -> Candidate:
-    """Return a path without a lower bound among the obstacles."""
-
-    def solve(asked: PlanningProblem, own: Budget) -> Candidate:
-        bound = compiled(asked).least_in_free_space
-        return lattice.plan(asked, own, initial=known, bound=bound)
-
-    return between_clear_ends(problem, budget, solve)
-
-
 def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
     """Return what is left of a plan's lower bound where the robot is, on the former map."""
     fine = _places(former.path, problem)
-    least = np.inf
-    for k in _places_ahead(fine, here, problem)[:1]:
-        at = Pose(*(float(v) for v in fine.vertices[k]))
-        driven = Path(fine.start, fine.ds[:k], fine.dtheta[:k], fine.longitudinal)
-        try:
-            came = driven + steering.path(at, here, problem.cost)
-        except EnergyPlanError:
-            continue
-        query = compiled(replace(problem, goal=here).without_clearance)
-        if query.drivable([came]):
-            least = min(least, query.value(came))
-    return former.lower_bound - least
+    k = _places_ahead(fine, here, problem)[0]
+    at = Pose(*(float(v) for v in fine.vertices[k]))
+    driven = Path(fine.start, fine.ds[:k], fine.dtheta[:k], fine.longitudinal)
+    try:
+        came = driven + steering.path(at, here, problem.cost)
+    except EnergyPlanError:
+        return -np.inf
+    query = compiled(replace(problem, goal=here).without_clearance)
+    return former.lower_bound - query.value(came) if query.drivable([came]) else -np.inf
 
 
 @checked()
@@ -195,22 +181,25 @@ def replan(
     budget = Budget(time_limit, effort=effort)
     query = compiled(bare)
     bound = query.least_in_free_space
-    rest = remainder(former.path, here, now)
-    if _only_added(problem, now):
+    path, planner, first = remainder(former.path, here, now), former.planner, None
+    added = _only_added(problem, now)
+    if added:
         bound = max(bound, _bound_left(former, problem, here))
-        if rest is not None:
-            return priced_plan(
-                query, rest, bound, former.planner, planning_time=budget.elapsed,
-                effort=budget.spent, asked=now, notes=notes,
-            )  # fmt: skip
-    known = [] if rest is None else [rest]
-    found = _planned(now, budget, known)
-    others = [path for path in known if now.first_collision(path) is None]
-    path = min([found.path, *others], key=query.value)
-    check_path(now, path, "lattice")
+    if path is None or not added:
+        known = [] if path is None else [path]
+
+        def solve(asked: PlanningProblem, own: Budget) -> Candidate:
+            """Return a path without a lower bound among the obstacles."""
+            least = compiled(asked).least_in_free_space
+            return lattice.plan(asked, own, initial=known, bound=least)
+
+        found = between_clear_ends(now, budget, solve)
+        path = min([found.path, *known], key=query.value)
+        planner, first = "lattice", found.first_time
+        check_path(now, path, planner)
     return priced_plan(
-        query, path, bound, "lattice", planning_time=budget.elapsed,
-        first_time=found.first_time, effort=budget.spent, asked=now, notes=notes,
+        query, path, bound, planner, planning_time=budget.elapsed, first_time=first,
+        effort=budget.spent, asked=now, notes=notes,
     )  # fmt: skip
 
 

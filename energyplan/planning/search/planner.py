@@ -167,32 +167,29 @@ class Paths:
         near = [*self._furthest, *(one.nearest for one in searched)]
         raise none_in_time(self.query, self.budget, done, near)
 
-    def _enter(self, way: Segments | None) -> None:
-        """Enter a way between the ends, if there is one."""
+    def _enter(self, way: Segments | None) -> bool:
+        """Enter a way between the ends, if there is one; tell whether there is."""
         if way is not None:
             self.enter(self.ends.whole(way))
+        return way is not None
 
     def _enter_all(self, ways: Iterable[Segments]) -> bool:
         """Enter ways between the ends; tell whether there are any."""
-        before = len(self.found)
-        for way in ways:
-            self._enter(way)
-        return len(self.found) > before
+        entered = [self._enter(way) for way in ways]
+        return any(entered)
 
     def _enter_way(self) -> bool:
         """Enter the path along the shortest route, if it can be followed; tell whether it can."""
         tracked = follow_route(self.ends.between(self.setting), self.to_go, self.budget)
         self._furthest.append((tracked.x, tracked.y))
-        self._enter(tracked.motions)
-        return tracked.motions is not None
+        return self._enter(tracked.motions)
 
     def _enter_slots(self) -> bool:
         """Enter a way through slots that no pose tested shows; tell whether one is found."""
         setting = self.ends.between(self.setting)
         self.budget.beside(lambda: regions_for(setting, enlarged=True))
         way = path_through_slots(setting, None, np.inf, self.budget.part(SHARES.aside))
-        self._through_slots = way is not None
-        self._enter(way)
+        self._through_slots = self._enter(way)
         return self._through_slots
 
     def _closed(self, setting: KernelProblem) -> Closure:

@@ -57,7 +57,7 @@ def slot_work(
     known: CostToGo,
     cost: float,
     budget: Budget,
-    enter: Callable[[Segments | None], None],
+    enter: Callable[[Segments | None], object],
 ) -> list[Work]:
     """Return the search for a way through slots shorter than those known, where it may pay."""
     units = SHARES.aside * budget.left
