@@ -463,20 +463,6 @@ class LimitedDrive:
     drive: Drive
     limits: Limits
 
-    @property
-    def rated(self) -> list[Limit]:
-        """The bounds that need more than one instant: acceleration and continuous power."""
-        motor = self.limits.motor
-        bounds = (
-            Limit(kind, side, limit)
-            for kind, limit in (
-                ("acceleration", motor.acceleration),
-                ("continuous_power", motor.continuous_power),
-            )
-            for side in ("left", "right")
-        )
-        return [bound for bound in bounds if np.isfinite(bound.limit)]
-
     def survey(self, scale: float = 1.0) -> Survey:
         """Evaluate every limit at the beginning, the middle and the end of every piece."""
         drive = self.drive
@@ -508,8 +494,9 @@ class LimitedDrive:
         if drawn:
             thermal = Thermal(np.concatenate(times), np.concatenate(drawn, axis=1))
             window = self.limits.motor.thermal_time
-            for bound, power in zip(self.rated[-2:], thermal.drawn, strict=True):
+            for side, power in zip(("left", "right"), thermal.drawn, strict=True):
                 mean = window_mean(thermal.t, power, window) if window > 0 else power
+                bound = Limit("continuous_power", side, self.limits.motor.continuous_power)
                 watch.see(bound, thermal.t, mean)
         return Survey(list(watch.peaks.values()), watch.violations, energy, thermal)
 
@@ -531,17 +518,17 @@ class LimitedDrive:
         return PieceLoads(out[0], out[1], out[2], list(out[3:]))
 
     def _see_acceleration(self, watch: _Watch, pieces: Pieces, scale: float) -> None:
-        if not np.isfinite(self.limits.motor.acceleration):
+        limit = self.limits.motor.acceleration
+        if not np.isfinite(limit):
             return
         path, icr = self.drive.trajectory, self.drive.ground.model.vehicle.icr
         part = slice(int(pieces.interval[0]), int(pieces.interval[-1]) + 2)
         step = np.diff(path.t[part])
         t = path.t[0] + (path.t[part] - path.t[0]) / scale
         v, omega = path.v[part], path.omega[part]
-        for bound, speed in zip(
-            self.rated[:2], (v - icr.left * omega, v + icr.right * omega), strict=True
-        ):
+        for side, speed in (("left", v - icr.left * omega), ("right", v + icr.right * omega)):
             rate = scale**2 * np.abs(np.diff(speed)) / step
+            bound = Limit("acceleration", side, limit)
             watch.see(bound, np.repeat(t, 2)[1:-1], np.repeat(rate, 2))
 
 
