@@ -222,9 +222,7 @@ def _chain(
         poses[at, 1] = begin.y + ((cells & ((1 << BITS) - 1)) - half) * cell
         poses[at, 2] = begin.yaw + (key[node] % headings) * (2.0 * pi / headings)
         node = int(parent[node])
-    poses[count - 1, 0] = end.x
-    poses[count - 1, 1] = end.y
-    poses[count - 1, 2] = end.yaw
+    poses[count - 1, :] = end
     return poses
 
 

@@ -129,7 +129,7 @@ def shortcut(
         j = before[j]
     for k in range(n):
         j = order[n - 1 - k]
-        _set_pose(chain, k, pose_at(chain.poses, j))
+        chain.poses[k, :] = pose_at(chain.poses, j)
         chain.step[k] = 0.3
         if k > 0:
             chain.cost[k - 1] = edge[j]
@@ -162,16 +162,9 @@ def random_number(state: Words) -> float:
 
 
 @njit
-def _set_pose(chain: Chain, k: int, pose: Pose) -> None:
-    chain.poses[k, 0] = pose.x
-    chain.poses[k, 1] = pose.y
-    chain.poses[k, 2] = pose.yaw
-
-
-@njit
 def _copy(chain: Chain, k: int, other: int) -> None:
     """Set a place of the chain to what stands at another one."""
-    _set_pose(chain, k, pose_at(chain.poses, other))
+    chain.poses[k, :] = pose_at(chain.poses, other)
     chain.cost[k] = chain.cost[other]
     chain.kept[k] = chain.kept[other]
     chain.ds[k] = chain.ds[other]
@@ -203,7 +196,7 @@ def _try_move(
             return False
         costs = (costs[1], cost)
         limit = old - cost - 1e-9
-    _set_pose(chain, k, pose)
+    chain.poses[k, :] = pose
     chain.cost[k - 1] = costs[0]
     chain.cost[k] = costs[1]
     chain.kept[k - 1] = False
@@ -240,7 +233,7 @@ def insert_pose(
         return count
     for i in range(count, k + 1, -1):
         _copy(chain, i, i - 1)
-    _set_pose(chain, k + 1, pose)
+    chain.poses[k + 1, :] = pose
     chain.cost[k] = costs[0]
     chain.cost[k + 1] = costs[1]
     chain.kept[k + 1] = False

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, Ints, ShortInts, njit
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
 from energyplan.errors import NoPathError, PlanningError
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget, side_by_side
@@ -32,7 +32,7 @@ from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import KEPT, PlanningProblem, free_beside
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import CompiledProblem, Segments
-from energyplan.planning.space.motions import KernelProblem, motion_cost, steering_cost
+from energyplan.planning.space.motions import KernelProblem, motion_cost, pose_at, steering_cost
 from energyplan.planning.space.queues import pop, push, slot_of
 from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import Body, Space, motion_free, pose_free
@@ -62,9 +62,7 @@ SETTINGS = Settings()
 class Escape(NamedTuple):
     """What the search found, as a tree of poses."""
 
-    x: Floats  # poses [m], [rad]
-    y: Floats
-    yaw: Floats
+    poses: FloatTable  # (n, 3)
     parent: ShortInts  # node it was reached from, -1 at the end itself
     ds: Floats  # motion between the two, as it will be driven
     dtheta: Floats
@@ -152,9 +150,7 @@ def escape(
 ) -> Escape:  # fmt: skip
     """Search until enough poses with room are known, or so many motions were tested."""
     nodes = SETTINGS.nodes
-    x = np.empty(nodes)
-    y = np.empty(nodes)
-    yaw = np.empty(nodes)
+    poses = np.empty((nodes, 3))
     g = np.empty(nodes)  # way from the end, with turns counted at half the slip track [m]
     parent = np.empty(nodes, np.int32)
     motion_ds = np.empty(nodes)
@@ -168,9 +164,7 @@ def escape(
     found = 0
     count = 1
     room = _spin_room(space, body, end, tested)
-    x[0] = end.x
-    y[0] = end.y
-    yaw[0] = end.yaw
+    poses[0, :] = end
     g[0] = 0.0
     parent[0] = -1
     key[0] = _key(end, room, reach)
@@ -182,7 +176,7 @@ def escape(
             break
         node = int(heap_node[0])
         size = pop(heap_f, heap_node, size)
-        pose = Pose(x[node], y[node], yaw[node])
+        pose = pose_at(poses, node)
         for kind in range(KINDS):
             sign = 1.0 if kind % 2 == 0 else -1.0
             most_ds = sign * far
@@ -213,9 +207,7 @@ def escape(
                 if table[slot] >= 0:
                     continue
                 table[slot] = count
-                x[count] = there.x
-                y[count] = there.y
-                yaw[count] = there.yaw
+                poses[count, :] = there
                 g[count] = g[node] + abs(ds) + half * abs(dtheta)
                 parent[count] = node
                 motion_ds[count] = ds
@@ -229,7 +221,7 @@ def escape(
                     f = g[count] / (SETTINGS.doubling * reach) - _octaves(room)
                     size = push(heap_f, heap_node, size, f, count)
                 count += 1
-    return Escape(x, y, yaw, parent, motion_ds, motion_turn, roomy[:found].copy(), tested[0])
+    return Escape(poses, parent, motion_ds, motion_turn, roomy[:found].copy(), tested[0])
 
 
 NOTHING = Segments(np.empty(0), np.empty(0))
@@ -335,7 +327,7 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     budget.spend(UNITS.motion * tree.tests)
     ways: list[tuple[float, Segments]] = []
     for node in tree.roomy.tolist():
-        room = Pose(float(tree.x[node]), float(tree.y[node]), float(tree.yaw[node]))
+        room = Pose(*tree.poses[node].tolist())
         chain = []
         while tree.parent[node] >= 0:
             chain.append((float(tree.ds[node]), float(tree.dtheta[node])))
