@@ -228,13 +228,13 @@ def _measure_gates(
         on = behind if which == 0 else about
         if on == 0:
             continue
-        found = gate(
+        width, barred = gate(
             space, body, outline, goal_yaw,
             ux if which == 0 else x, uy if which == 0 else y,
             on * iy / length, -on * ix / length, lines.closed[2 * line + which],
         )  # fmt: skip
-        lines.width[line, which] = found.width
-        if found.barred:
+        lines.width[line, which] = width
+        if barred:
             lines.gates[which, line] = BARRED
 
 

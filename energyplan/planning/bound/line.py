@@ -30,13 +30,6 @@ class Settings(NamedTuple):
 SETTINGS = Settings()
 
 
-class Gate(NamedTuple):
-    """What is known of a gate."""
-
-    width: float  # how far from the corner it is crossed at most [m]
-    barred: bool  # whether there are headings with which the body cannot cross
-
-
 @njit
 def gate(
     space: Space,
@@ -48,11 +41,11 @@ def gate(
     ux: float,
     uy: float,
     closed: Flags,
-) -> Gate:
-    """Measure a gate, and mark the headings with which the body cannot cross it.
+) -> tuple[float, bool]:
+    """Mark the headings with which the body cannot cross a gate; return how wide it is [m].
 
-    A gate is a ray from a corner, up to the next obstacle. Where a place on it lies in the open, or
-    where it is long, it forbids no heading.
+    Second comes whether there are any. A gate is a ray from a corner, up to the next obstacle.
+    Where a place on it lies in the open, or where it is long, it forbids no heading.
     """
     n = len(closed)
     spacing = 2.0 * pi / n
@@ -72,13 +65,13 @@ def gate(
         off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
         if length > SETTINGS.endless:
-            return Gate(inf, False)
+            return inf, False
         if near + off < outline.inside - 1e-9:
             break
         roomy = roomy or near - off > reach
         length += SETTINGS.step
     if roomy or length > SETTINGS.long:
-        return Gate(length, False)
+        return length, False
     # a body that is smaller by what a place and a heading stand for
     less = 0.5 * SETTINGS.step + 0.5 * spacing * reach
     small = grown(body, -less)
@@ -99,7 +92,7 @@ def gate(
     for j in range(n):
         closed[j] = not (open_between[j - 1] or open_between[j])
         any_closed = any_closed or closed[j]
-    return Gate(length, any_closed)
+    return length, any_closed
 
 
 HEADINGS = 256

@@ -44,13 +44,6 @@ class Outline(NamedTuple):
     outside: float  # [m]
 
 
-class EdgesBySquare(NamedTuple):
-    """The edges by square, as in `Outline`."""
-
-    first: ShortInts
-    listed: ShortInts
-
-
 class Links(NamedTuple):
     """Corners that see each other, so that a taut way may bend at both; found when needed."""
 
@@ -78,8 +71,8 @@ def _square(place: float, cells: int) -> int:
     return min(max(floor(place / SETTINGS.bucket), 0), (cells - 1) // SETTINGS.bucket)
 
 
-def squares_of_edges(grid: OccupancyGrid, edges: FloatArray) -> EdgesBySquare:
-    """List the edges by the squares that they may touch, a cell's width included."""
+def squares_of_edges(grid: OccupancyGrid, edges: FloatArray) -> tuple[ShortInts, ShortInts]:
+    """List the edges by the squares that they may touch, a cell's width included; see `Outline`."""
     ends = grid.to_cells(edges.reshape(-1, 2)).reshape(-1, 2, 2)
     squares = (np.array(grid.shape[::-1]) - 1) // SETTINGS.bucket
     low, high = ends.min(axis=1) - 1.0, ends.max(axis=1) + 1.0
@@ -95,7 +88,7 @@ def squares_of_edges(grid: OccupancyGrid, edges: FloatArray) -> EdgesBySquare:
     square = (low[edge, 1] + row) * across + low[edge, 0] + column
     order = np.argsort(square, kind="stable")
     first = np.searchsorted(square[order], np.arange((squares[1] + 1) * across + 1))
-    return EdgesBySquare(first.astype(np.int32), edge[order].astype(np.int32))
+    return first.astype(np.int32), edge[order].astype(np.int32)
 
 
 @njit
@@ -482,6 +475,6 @@ def _outline(
         world(np.concatenate([point[edge], across[:, :2]])),
         world(np.concatenate([point[edge + 1], across[:, 2:]])),
     ])  # fmt: skip
-    squares = squares_of_edges(grid, edges)
+    by_square = squares_of_edges(grid, edges)
     corner, back, on = (world(of[convex]) for of in (point[at], before, after))
-    return Outline(corner, back, on, edges, squares.first, squares.listed, inside, outside)
+    return Outline(corner, back, on, edges, *by_square, inside, outside)

@@ -256,18 +256,11 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
     return Route(_chain_of(to_go, node_of, parent, best), least, looked)
 
 
-class Step(NamedTuple):
-    """Where a step leads."""
-
-    place: int
-    headings: np.uint64  # headings that are free all along it
-
-
 @njit
 def _stepped(
     places: Places, beside: IntTable, place: int, arc: np.uint64, k: int, stride: int
-) -> Step:
-    """Take a step of so many places in a direction, with some headings."""
+) -> tuple[int, np.uint64]:
+    """Return where a step of so many places leads, and the headings that are free all along it."""
     across = places.columns + 2 * RIM
     step = int(STEP_ROWS[k]) * across + int(STEP_COLUMNS[k])
     there = place
@@ -276,9 +269,9 @@ def _stepped(
         row = place // across + stride * int(STEP_ROWS[k])
         column = place % across + stride * int(STEP_COLUMNS[k])
         if row < 0 or row >= len(places.masks) // across or column < 0 or column >= across:
-            return Step(place, np.uint64(0))
+            return place, np.uint64(0)
         there += stride * step
-        return Step(there, arc & places.masks[there])
+        return there, arc & places.masks[there]
     for _ in range(stride):
         if arc == 0:
             break
@@ -286,7 +279,7 @@ def _stepped(
             arc &= places.masks[there + beside[k, 0]] | places.masks[there + beside[k, 1]]
         there += step
         arc &= places.masks[there]
-    return Step(there, arc)
+    return there, arc
 
 
 @njit

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,19 +31,12 @@ def longer_floats(values: Floats) -> Floats:
     return out
 
 
-class Heap(NamedTuple):
-    """The arrays of a binary heap: what it is sorted by, and the nodes."""
-
-    f: Floats
-    node: ShortInts
-
-
 @njit
-def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> Heap:
+def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> tuple[Floats, ShortInts]:
     """Return the arrays of a binary heap, twice as long where it fills them."""
     if size < len(heap_f):
-        return Heap(heap_f, heap_node)
-    return Heap(longer_floats(heap_f), longer_ints(heap_node))
+        return heap_f, heap_node
+    return longer_floats(heap_f), longer_ints(heap_node)
 
 
 @njit
