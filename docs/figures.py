@@ -25,7 +25,7 @@ from energyplan.output.plots import image
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
 from energyplan.planning import Budget
 from energyplan.planning.search.follow import poses_along
-from energyplan.planning.search.optimise import refine
+from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_route, cheapest_routes
 from energyplan.planning.space.compiled import compiled
 from energyplan.planning.space.cost_to_go import cost_to_go
@@ -101,7 +101,14 @@ def planner() -> Figure:
     cells = poses_along(to_go.places, query.setting, route)
     ways = cheapest_routes(query.setting, to_go, budget)
     followed = [query.path(way) for way in ways]
-    refined = [query.path(refine(query, way, budget.part(0.2))) for way in ways]
+    refined = []
+    for way in ways:
+        refiner, own = Refiner(query.setting, way), budget.part(0.2)
+        refiner.shortcut(own)
+        refiner.polish(own)
+        refiner.again(own)
+        refiner.polish(own)
+        refined.append(query.path(refiner.segments))
     best = min(refined, key=query.value)
     made = Figure(figsize=(plots.WIDTH, 4.4), layout="constrained")
     place = made.subplots()
