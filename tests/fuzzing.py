@@ -38,7 +38,7 @@ from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.husky import read_husky
-from energyplan.io.logs import describe_log, read_log
+from energyplan.io.logs import read_log
 from energyplan.io.maps import read_heights, read_map, write_map
 from energyplan.io.mission import read_mission
 from energyplan.io.tables import (
@@ -268,11 +268,11 @@ def file_of_kind(name: str) -> Path:
 
 
 def read_bag_file(file: Path) -> Any:
-    return describe_log(file), read_log(file, topics=TOPICS)
+    return read_log(file, topics=TOPICS)
 
 
 READERS: dict[str, tuple[Callable[[Path], Any], bool]] = {
-    "log.csv": (lambda file: (describe_log(file), read_log(file)), True),
+    "log.csv": (read_log, True),
     "log.csv.gz": (read_log, False),
     "log.parquet": (read_log, False),
     "pro_01.csv": (read_husky, True),

@@ -56,7 +56,7 @@ def start(
         Path | None,
         Option(
             callback=writes(*opt.YAML),
-            help="Write the project to this YAML file. Without it: list what the log holds.",
+            help="Write the project to this YAML file.",
         ),
     ] = None,
     wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
@@ -89,16 +89,10 @@ def start(
     makes no project, unless you accept that. Other commands read the project with --project.
     """
     from energyplan.io.config import read_vehicle, write_project
-    from energyplan.io.logs import describe_log
     from energyplan.io.start import Given
     from energyplan.io.start import start as run
     from energyplan.output import documents, text
 
-    if out is None:
-        held = describe_log(log)
-        lines = [*text.log(held), "give --out PROJECT.yaml to check it and write a project"]
-        answer(documents.plain(held), lines, json=json)
-        return
     numbers = {
         "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
         "counts_per_revolution": counts_per_revolution,
@@ -111,10 +105,13 @@ def start(
     with progress("looking into the log"):
         result = run(log, given)
     written = result.sound or accept
-    done = f"not written: {out}; mend what is WRONG, or write it all the same with --accept"
-    if written:
+    done = "give --out PROJECT.yaml to write it as a project"
+    if out is not None and written:
         write_project(result.project, out)
         done = f"written: {out}"
+    elif not written:
+        where = "a project" if out is None else out
+        done = f"not written: {where}; mend what is WRONG, or write it all the same with --accept"
     answer(documents.start(result), [*text.start(result), done], json=json)
     verdict(result.sound, strict or not written)
 

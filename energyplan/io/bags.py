@@ -250,14 +250,6 @@ BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 _LARGEST_SKEW = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
 _MAGIC = b"#ROSBAG V2.0\n"
 _LARGEST_METADATA = 1 << 23  # bytes; a topic takes a few hundred
-_SERVES = {
-    "sensor_msgs/msg/JointState": "v_left, v_right (wheel rates times radius)",
-    "sensor_msgs/msg/BatteryState": "voltage, current (its sign is opposite)",
-    "sensor_msgs/msg/Imu": "yaw_rate, accel_x",
-    "nav_msgs/msg/Odometry": "x, y, yaw; v_left, v_right from the twist of wheel odometry",
-    "husky_msgs/msg/HuskyStatus": "p_left, p_right (driver current times voltage)",
-    "clearpath_platform_msgs/msg/Power": "p_left, p_right or power (currents times voltages)",
-}
 # What the packages that read bags raise when the bytes make no sense to them.
 _UNSOUND = (
     AssertionError, AttributeError, EOFError, IndexError, KeyError, MemoryError, OSError,
@@ -266,47 +258,10 @@ _UNSOUND = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class LogEntry:
-    """A column of a table or a topic of a bag."""
-
-    name: str  # its name
-    type: str  # type of the messages, or of the cells
-    count: int  # number of readings
-    rate: float  # readings per second [Hz]
-    serves: str  # channels that it serves for or could serve for
-
-
-@dataclass(frozen=True)
-class BagInfo:
-    """What a bag holds."""
-
-    name: str  # name of the file or folder
-    duration: float  # time from the first to the last message [s]
-    topics: tuple[LogEntry, ...]  # the topics
-
-
 def is_bag(path: str | Path) -> bool:
     """Tell whether a path is a bag, by its suffix or its metadata."""
     file = Path(path)
     return file.suffix.lower() in BAG_SUFFIXES or is_file(file / "metadata.yaml")
-
-
-def bag_info(path: str | Path) -> BagInfo:
-    """Tell what a bag holds, and what it could serve for."""
-    with opened_bag(Path(path)) as reader:
-        duration = max(reader.duration, 1) * 1e-9
-        topics = tuple(
-            LogEntry(
-                name,
-                str(topic.msgtype or "several types"),
-                topic.msgcount,
-                topic.msgcount / duration,
-                _SERVES.get(str(topic.msgtype), ""),
-            )
-            for name, topic in sorted(reader.topics.items())
-        )
-    return BagInfo(Path(path).name, duration, topics)
 
 
 def read_bag(
@@ -366,12 +321,6 @@ def _choose(mapping: TopicMap, names: list[str]) -> dict[str, Column]:
                 chosen[channel] = one.changed(topic=matching[0])
                 break
     return chosen
-
-
-def channels_served(mapping: TopicMap, names: list[str]) -> tuple[str, ...]:
-    """Return the channels that a topic map finds among topics of these names, ``t`` included."""
-    chosen = _choose(mapping, sorted(names))
-    return ("t", *chosen) if chosen else ()
 
 
 def _collect(

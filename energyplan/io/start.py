@@ -879,14 +879,15 @@ def _finish(
     drive = Drive(log.channels, log.power, log.runs)
     robot = build_vehicle(file, log, drive, known)
     found = [one for one in find_checks(log.channels, log.power, log.runs) if one.refuses]
-    wrong = [one for one in found if not isfinite(one.value)]  # measures tell more of ratios
-    checks = [*check_consistency(drive, known_measures(known), columns), *wrong]
+    checks = check_consistency(drive, known_measures(known), columns)
+    told = {one.what for one in checks}  # with the measures, which tell more
+    checks += [one for one in found if one.what not in told]
     project = Project(
         name=robot.vehicle.name, vehicle=robot.vehicle, columns=columns, topics=topics,
         log=file.name, defaults={**assumed, **robot.assumed},
     )  # fmt: skip
-    told = {str(check) for check in found}
-    notes = (*map(str, log.set_aside), *(w for w in log.warnings if w not in told))
+    refusing = {str(check) for check in found}
+    notes = (*map(str, log.set_aside), *(w for w in log.warnings if w not in refusing))
     return Start(project, tuple(checks), notes)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,8 +12,9 @@ from typing import BinaryIO
 
 from energyplan.errors import DriveLogError
 from energyplan.kinds import instance
-from energyplan.logs.clean import LIMITS, needed_channels
-from energyplan.logs.mapping import Column, own_columns, parse_columns
+from energyplan.logs.clean import ANY, LIMITS, needed_channels
+from energyplan.logs.mapping import Column, map_channels
+from energyplan.logs.tables import cut
 from energyplan.mission import MissionReport
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -219,15 +219,15 @@ def read_samples(
             fresh = True
             continue
         instance(line, Line, "a line")
-        place = f"line {line.number}"
         if not line.text.strip():
             continue
-        if table is None or (fresh and not _numbers(line.text, table)):
+        readings = [] if table is None else map(_number, cut(line.text, table.separator))
+        if table is None or (fresh and not any(isfinite(value) for value in readings)):
             table, fresh = _table(line, columns, needed, name), False
             yield Header(tuple(table.columns), table.power == ("voltage", "current"))
             continue
         fresh = False
-        yield _sample(line, table, place)
+        yield _sample(line, table, f"line {line.number}")
 
 
 def _table(
@@ -237,18 +237,17 @@ def _table(
     label: str,
 ) -> _Table:
     text = line.text.removeprefix("\ufeff")
+    place = f"{label}, line {line.number}"
     separator = max(",;\t", key=text.count)
-    names = tuple(cell.strip() for cell in _cells(text, separator))
+    names = tuple(cell.strip() for cell in cut(text, separator))
     if not line.whole:
-        raise DriveLogError(f"{label}, line {line.number} is cut off; it must name the columns")
-    if "\0" in text or all(_number(cell) is not None for cell in names):
-        raise DriveLogError(
-            f"{label}, line {line.number} names no columns; put a line of column names first"
-        )
+        raise DriveLogError(f"{place} is cut off; it must name the columns")
+    if "\0" in text or all(isfinite(_number(cell)) for cell in names):
+        raise DriveLogError(f"{place} names no columns; put a line of column names first")
     if len(set(names)) < len(names):
         twice = next(one for one in names if names.count(one) > 1)
-        raise DriveLogError(f"{label}, line {line.number} names the column {twice!r} twice")
-    chosen = parse_columns(columns, names)
+        raise DriveLogError(f"{place} names the column {twice!r} twice")
+    chosen = map_channels(columns, names)
     for channel, column in chosen.items():
         for source in column.names:
             if source not in names:
@@ -256,8 +255,6 @@ def _table(
                     f"{label}: {channel} is to come from {source!r}, which is no column; the "
                     f"columns are {', '.join(names)}"
                 )
-    chosen = {**chosen, **own_columns(names, chosen)}
-    for channel, column in chosen.items():
         if column.counts:
             raise DriveLogError(
                 f"{label}: {channel} comes from {column.field}, which counts on: a drive as it "
@@ -273,40 +270,25 @@ def _table(
     return _Table(names, separator, chosen, basic[3:], (*basic, *needed))
 
 
-def _cells(text: str, separator: str) -> list[str]:
-    try:
-        return next(csv.reader([text], delimiter=separator, skipinitialspace=True), [])
-    except csv.Error:
-        return []
-
-
-def _number(cell: str) -> float | None:
-    """Return a number, or the seconds since 1970 of an instant by ISO 8601; None for neither."""
+def _number(cell: str) -> float:
+    """Return a number, or the seconds since 1970 of an instant by ISO 8601; NaN for neither."""
     text = cell.strip()
     try:
         return float(text)
     except ValueError:
         pass
-    if len(text) < 10 or text[4] != "-":
-        return None
     try:
-        instant = datetime.fromisoformat(text)
+        instant = datetime.fromisoformat(text if text[4:5] == "-" else "")
     except ValueError:
-        return None
+        return nan
     return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
-
-
-def _numbers(text: str, table: _Table) -> bool:
-    """Tell whether a line holds readings rather than names."""
-    cells = _cells(text, table.separator)
-    return any(_number(cell) is not None for cell in cells)
 
 
 def _sample(line: Line, table: _Table, place: str) -> Sample | Trouble:
     """Return the sample of a line, or why there is none."""
     if not line.whole:
         return Trouble(place, "the line is cut off; set aside")
-    cells = _cells(line.text, table.separator)
+    cells = cut(line.text, table.separator)
     if len(cells) != len(table.names):
         return Trouble(
             place, f"cells are missing or too many (there are {len(table.names)} columns); set "
@@ -315,36 +297,17 @@ def _sample(line: Line, table: _Table, place: str) -> Sample | Trouble:
     if table.separator != ",":
         cells = [cell.replace(",", ".") for cell in cells]
     raw = dict(zip(table.names, map(_number, cells), strict=True))
-    values = {channel: _reading(column, raw) for channel, column in table.columns.items()}
-    for channel in table.needed:
-        value = values[channel]
-        if not isfinite(value):
-            return Trouble(place, f"{channel} is no number; set aside")
-        if not _possible(channel, value):
-            low, high, unit = LIMITS[channel]
-            return Trouble(place, f"{channel} is beyond {low:g} to {high:g} {unit}; set aside")
-    power = [values[channel] for channel in table.power]
-    further = {
-        channel: value
-        for channel, value in values.items()
-        if channel not in ("t", "v_left", "v_right", *table.power)
-        and isfinite(value)
-        and _possible(channel, value)
-    }
+    values = {channel: float(one.value(raw.__getitem__)) for channel, one in table.columns.items()}
+    known = {}
+    for channel, value in values.items():
+        low, high, unit = LIMITS.get(channel, ANY)
+        if low <= value <= high:
+            known[channel] = value
+        elif channel in table.needed:
+            beyond = f"beyond {low:g} to {high:g} {unit}" if isfinite(value) else "no number"
+            return Trouble(place, f"{channel} is {beyond}; set aside")
+    power = [known.pop(channel) for channel in table.power]
     return Sample(
-        place, values["t"], values["v_left"], values["v_right"],
-        power[0] * power[1] if table.power == ("voltage", "current") else sum(power), further,
+        place, known.pop("t"), known.pop("v_left"), known.pop("v_right"),
+        power[0] * power[1] if table.power == ("voltage", "current") else sum(power), known,
     )  # fmt: skip
-
-
-def _possible(channel: str, value: float) -> bool:
-    low, high, _ = LIMITS.get(channel, (value, value, ""))
-    return low <= value <= high
-
-
-def _reading(column: Column, raw: Mapping[str, float | None]) -> float:
-    def reading(name: str) -> float:
-        value = raw[name]
-        return nan if value is None else value
-
-    return float(column.value(reading))

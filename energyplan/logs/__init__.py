@@ -28,7 +28,7 @@ from energyplan.logs.align import (
 from energyplan.logs.checks import find_checks
 from energyplan.logs.clean import Place, SetAside, clean, needed_channels, total_power
 from energyplan.logs.consistency import Check
-from energyplan.logs.mapping import UNITS, Column, own_columns, parse_columns
+from energyplan.logs.mapping import Column, map_channels, parse_columns
 from energyplan.logs.tables import read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -194,8 +194,7 @@ class DriveLog(ReadOnly, html.Readable):
         names = (*table.columns, *table.text)
         wanted = parse_columns(columns, names)
         if others:
-            own = own_columns(names, wanted)
-            wanted |= {k: c for k, c in own.items() if k in UNITS or c.field in table.columns}
+            wanted = map_channels(wanted, names, table.text)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
             t = wanted["t"].value(table.column) if "t" in wanted else None
             channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}

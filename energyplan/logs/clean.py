@@ -43,24 +43,12 @@ LIMITS = {
 ANY = (-1e30, 1e30, "in its unit")
 """The same of other channels."""
 _MOST = 0.99  # share of readings that are possible where a channel is in its unit
-_OTHER_UNIT = {
-    "s": "ns",
-    "rad": "deg",
-    "rad/s": "deg/s",
-    "m/s": "km/h",
-    "V": "mV",
-    "A": "mA",
-    "W": "mW",
-}
-_SPEED_UNITS = {
-    "km/h": 1 / 3.6,
-    "cm/s": 1e-2,
-    "mm/s": 1e-3,
-    "rad/s*WHEEL_RADIUS": 0.15,
-    "rpm*WHEEL_RADIUS": 0.015,
-    "deg/s*WHEEL_RADIUS": 0.0025,
-}
-_USUAL_SPEED = 0.7  # of robots that skid, as they are driven [m/s]
+_OTHER_UNITS = {
+    "s": "ns", "rad": "deg", "rad/s": "deg/s", "V": "mV", "A": "mA", "W": "mW",
+    "m/s": "km/h], [cm/s] or [mm/s], of wheels' rates [rad/s*RADIUS] or [rpm*RADIUS], or, if "
+    "these are the motors', divide by the gear ratio, too, as in [rpm*0.0033",
+}  # fmt: skip
+"""In which unit readings are that are impossible in the library's."""
 
 
 def possible(channels: Mapping[str, FloatArray]) -> bool:
@@ -70,17 +58,6 @@ def possible(channels: Mapping[str, FloatArray]) -> bool:
         if np.mean((values >= low) & (values <= high)) < _MOST:
             return False
     return True
-
-
-def likely_unit(name: str, unit: str, values: FloatArray) -> str:
-    """Guess the unit of readings that are impossible in the library's."""
-    if name not in ("v_left", "v_right"):
-        return _OTHER_UNIT.get(unit, "*0.001")
-    size = float(np.nanquantile(np.abs(values), 0.9))
-    likely = {key: factor * size for key, factor in _SPEED_UNITS.items()}
-    near = sorted(likely, key=lambda key: abs(np.log(max(likely[key], 1e-300) / _USUAL_SPEED)))
-    text = "] or [".join(near[:3])
-    return f"{text}], or, if these are the motors' rates, divide by the gear ratio, as in [*0.033"
 
 
 _STANDS_OUT = {
@@ -336,11 +313,12 @@ class _Cleaner:
             count = int(np.count_nonzero(stray))
             value = float(values[stray][0])
             kinds = np.unique(values[stray])
+            other = _OTHER_UNITS.get(unit, "*0.001")
             blank = f"; where {value:g} stands for no reading, leave the cell empty"
             raise DriveLogError(
                 f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
                 f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
-                f"{unit}; name its unit, as in {name}=NAME[{likely_unit(name, unit, values)}]"
+                f"{unit}; name its unit, as in {name}=NAME[{other}]"
                 f"{blank if len(kinds) == 1 and count < len(values) else ''}"
             )
         self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")

@@ -291,6 +291,8 @@ def _repeats(residual: FloatArray) -> float:
 _WHEEL_RADII = (0.02, 0.45)  # of skid-steer robots [m]
 _GEAR_RATIOS = (4.0, 250.0)  # between a motor and its wheel
 _NAMED = 3  # mistakes that are named, where several explain the same
+_DOUBT = 0.05  # by how much less unusual another unit must be to be named where nothing is wrong
+_UNUSUAL = "speed and power are possible together, but another unit would be far more usual"
 
 _Columns = Mapping[str, Column]
 
@@ -366,6 +368,7 @@ _STEP = _Range("time step [s]", 1e-4, 3.0, 0.05, "logs of drives")
 _VOLTAGE = _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots")
 # Whole numbers may be tenths or hundredths, so that they must be more usual to be believed.
 _WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whole numbers")
+_ROUGH_FORCE = replace(_FORCE, low=8e-4, high=40.0, why="resistance of wheels, weight by size")
 _WHOLE_VOLTAGE = replace(_VOLTAGE, high=100.0, why="batteries of robots, read in whole numbers")
 
 
@@ -373,6 +376,11 @@ def _ratios(seen: Mapping[str, float], drive: Drive) -> list[tuple[_Range, float
     """Return the known ratios that drive and measures make."""
     track, wheelbase, mass = (seen[key] for key in ("track", "wheelbase", "mass"))
     geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else nan
+    force = _WHOLE_FORCE if drive.whole & _DRAWN else _FORCE
+    weight = mass * GRAVITY
+    if not isfinite(mass):
+        force = _ROUGH_FORCE
+        weight = _DENSITY.usual * track * (wheelbase if isfinite(wheelbase) else track) * GRAVITY
     found = [
         (_STEP, seen["step"]),
         (_TOP_SPEED, seen["top_speed"]),
@@ -381,7 +389,7 @@ def _ratios(seen: Mapping[str, float], drive: Drive) -> list[tuple[_Range, float
         (_TURNING, seen["slip_track"] / geometric),
         (_ASPECT, wheelbase / track),
         (_DENSITY, mass / (wheelbase * track)),
-        (_WHOLE_FORCE if drive.whole & _DRAWN else _FORCE, seen["force"] / (mass * GRAVITY)),
+        (force, seen["force"] / weight),
         (_ELECTRIC, seen["electric"]),
         (_WHOLE_VOLTAGE if "voltage" in drive.whole else _VOLTAGE, seen["voltage"]),
         (_INERTIA, seen.get("inertia", nan) / mass),
@@ -462,8 +470,9 @@ _MISTAKES = [
         for channels, what in (
             (("voltage",), "the voltage counts"), (("current",), "the current counts"),
             (("voltage", "current"), "voltage and current count"),
+            (("power",), "the power counts"), (("p_left", "p_right"), "the power counts"),
         )
-        if name != "thousandths" or len(channels) == 2
+        if name != "thousandths" or channels == ("voltage", "current")
     ),
     *(
         _Mistake(("track", "wheelbase"), f"track and wheelbase are in {name}", "metres", size, rare)
@@ -487,9 +496,13 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     geometric = 2 * predict_icr(known.wheelbase, known.track)
     distance = seen["distance"]
     wanted = 1 / distance if isfinite(distance) else _TURNING.usual * geometric / seen["slip_track"]
-    if not (isfinite(wanted) and wanted > 0):
-        return []
     sides = ("v_left", "v_right")
+    if not (isfinite(wanted) and wanted > 0):
+        return [
+            _Mistake(sides, f"the tread speeds are the wheels' rates in {unit}",
+                     f"{unit}*{known.wheel_radius:.3g}", rate * known.wheel_radius, 0.1)
+            for unit, rate in RATES.items() if isfinite(known.wheel_radius)
+        ]  # fmt: skip
     found = []
     mapped = columns.get("v_left")
     unit = "" if mapped is None else mapped.unit.lstrip("-").partition("*")[0]
@@ -528,22 +541,30 @@ def check_consistency(
 ) -> list[Check]:
     """Compare the quantities of a log with each other and with the robot's measures.
 
-    The first ratio that is wrong bears the remedy: what explains them all.
+    The first ratio that is wrong bears the remedy: what explains them all. Where none is, another
+    unit may still be far more usual.
     """
     seen = _seen(drive, known)
     ratios = _ratios(seen, drive)
     wrong = [span for span, value in ratios if not span.holds(value)]
-    remedy = _explain(seen, drive, known, columns) if wrong else ""
+    remedies = _explain(seen, drive, known, columns)
+    remedy = "; or ".join(text for _, text in remedies[:_NAMED]) if wrong else ""
     if wrong and not remedy:
         remedy = (
             "no single mistake explains it: check that the vehicle is this robot, the units, the "
             "wheel radius and the measures"
         )
-    return [
+    made = [
         Check(span.what, remedy if span in wrong[:1] else "", value=value, expected=span.expected,
               ok=span not in wrong)
         for span, value in ratios
     ]  # fmt: skip
+    weighed = any(span.what == _FORCE.what for span, _ in ratios)
+    cost = sum(span.strain(value) for span, value in ratios)
+    unusual = [text for saved, text in remedies if saved < cost - _DOUBT]
+    if weighed and unusual and not wrong:
+        made.append(Check(_UNUSUAL, "; or ".join(unusual[:_NAMED]), "trust"))
+    return made
 
 
 def contradictions(log: DriveLog, vehicle: Vehicle) -> list[Check]:
@@ -566,8 +587,10 @@ def strain(drive: Drive, known: Measures) -> float:
     return sum(span.strain(value) for span, value in _ratios(_seen(drive, known), drive))
 
 
-def _explain(seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns) -> str:
-    """Name the mistakes that explain all the ratios, the likeliest first."""
+def _explain(
+    seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns
+) -> list[tuple[float, str]]:
+    """Name the mistakes without which all ratios hold, by how unusual they leave them."""
     there = {*drive.channels} | {"track", "wheelbase", "mass"}
     swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
     tried = [(0.1, "track and wheelbase are swapped: swap them", swapped)]
@@ -575,7 +598,7 @@ def _explain(seen: Mapping[str, float], drive: Drive, known: Measures, columns: 
         mapped = columns.get(one.channels[0])
         scale = 1.0 if mapped is None or one not in _MISTAKES else mapped.conversion.factor
         factor = one.factor / abs(scale)
-        if there.issuperset(one.channels) and abs(factor - 1.0) >= 1e-9:  # else it is read so
+        if there.issuperset(one.channels) and abs(log(factor)) > 0.1:  # else it is read so
             text = f"{one.name}: {_remedy(one, columns)}"
             tried.append((one.rarity, text, one.undo(seen, drive, factor)))
     fitting: list[tuple[float, str]] = []
@@ -584,7 +607,7 @@ def _explain(seen: Mapping[str, float], drive: Drive, known: Measures, columns: 
         if all(span.holds(value) for span, value in ratios):
             cost = sum(span.strain(value) for span, value in ratios) + rarity
             fitting.append((cost, f"perhaps {text}"))
-    return "; or ".join(text for _, text in sorted(fitting)[:_NAMED])
+    return sorted(fitting)
 
 
 def _remedy(one: _Mistake, columns: _Columns) -> str:

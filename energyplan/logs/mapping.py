@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from math import isfinite, pi
@@ -558,8 +558,16 @@ def parse_columns(
     return made
 
 
-def own_columns(names: Iterable[str], wanted: Mapping[str, Column]) -> dict[str, Column]:
-    """Return the channels that columns are by their own names, with a unit after it or without."""
+def map_channels(
+    columns: str | Mapping[str, str | Column] | None,
+    names: Collection[str],
+    text: Collection[str] = (),
+) -> dict[str, Column]:
+    """Return which column serves as which channel: as told, and others by their own names.
+
+    A unit may stand after a channel's name. What is neither, nor text, is a channel of its own.
+    """
+    wanted = parse_columns(columns, names)
     taken = {name for column in wanted.values() for name in column.names}
     left = [name for name in names if name and name not in taken]
     found = {n: Column(field=n, channel=n) for n in left if n in UNITS and n not in wanted}
@@ -568,6 +576,6 @@ def own_columns(names: Iterable[str], wanted: Mapping[str, Column]) -> dict[str,
         channel = next((c for c, one in told.items() if one.unit and one.bare == c), "")
         if channel and channel not in {**wanted, **found}:
             found[channel] = column_from(channel, name, told[channel].unit)
-        elif name not in {**wanted, **found}:
+        elif name not in {*wanted, *found, *text}:
             found[name] = Column(field=name, channel=name)
-    return found
+    return {**wanted, **found}

@@ -84,15 +84,15 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
         if "\0" in line:
             raise error(f"{file}, line {number} holds a NUL byte; this is no text file")
     separator, place = _layout(lines)
-    cut = _cells(lines[place], separator) if separator else [lines[place]]
+    first_row = cut(lines[place], separator)
     try:
         if len(separator) == 1:
             next(csv.reader([lines[place]], delimiter=separator, strict=True), [])
     except csv.Error as problem:
         raise error(f"{file}, line {place + 1} is no line of column names: {problem}") from None
-    names = [name.strip() for name in _uncommented(cut)]
+    names = [name.strip() for name in _uncommented(first_row)]
     named = len(names) - next((k for k, name in enumerate(reversed(names)) if name), 0)
-    body = [_cells(line, separator) for line in lines[place + 1 :]]
+    body = [cut(line, separator) for line in lines[place + 1 :]]
     first = place + 1
     if body and len(body[0]) == len(names) and _is_unit_row(body[0]):
         names = [_with_unit(name, unit) for name, unit in zip(names, body[0], strict=True)]
@@ -145,7 +145,7 @@ def _layout(lines: Sequence[str]) -> _Layout:
     for separator in (*_SEPARATORS, _SPACES):
         if separator == _SPACES and best is not None:
             break
-        rows = [_cells(line, separator) for line in lines]
+        rows = [cut(line, separator) for line in lines]
         filled = [row for row in rows if any(cell.strip() for cell in row)]
         body = filled[len(filled) // 3 :] if len(filled) > 2 else filled[1:]
         if not body:
@@ -157,7 +157,7 @@ def _layout(lines: Sequence[str]) -> _Layout:
     if best is not None:
         return best[1]
     # Nothing fits: line 1 is taken for the names, so that the complaint names its fault.
-    counts = {mark: len(_cells(lines[0], mark)) for mark in _SEPARATORS}
+    counts = {mark: len(cut(lines[0], mark)) for mark in _SEPARATORS}
     return _Layout(max(counts, key=lambda mark: counts[mark]), 0)
 
 
@@ -178,7 +178,8 @@ def _names_row(rows: list[list[str]], width: int) -> int | None:
     return last[0]
 
 
-def _cells(row: str, separator: str) -> list[str]:
+def cut(row: str, separator: str) -> list[str]:
+    """Cut a row into its cells."""
     if separator == _SPACES:
         bare = _COMMENT.sub("", row, count=1) if _COMMENT.match(row) else row
         return bare.split()

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate
     from energyplan.fit.identification import InternalFriction
-    from energyplan.io.logs import LogInfo
     from energyplan.io.start import Start
     from energyplan.live import Event
     from energyplan.mission import FleetReport, MissionReport
@@ -161,19 +160,6 @@ def fleet(report: FleetReport) -> list[str]:
     for task in report.left_out:
         lines.append(f"{task.name}: not assigned ({', '.join(task.reasons)})")
     return lines
-
-
-def log(report: LogInfo) -> list[str]:
-    """Return what ``energyplan start`` prints without ``--out``: columns or topics, then notes."""
-    wide = max((len(entry.name) for entry in report.entries), default=0)
-    length = f"{report.duration:.1f} s" if report.duration > 0 else "of unknown length"
-    lines = [f"{report.name}: {report.kind}, {length}"]
-    for entry in report.entries:
-        rate = f", {entry.rate:.1f} Hz" if entry.rate else ""
-        serves = f"  -> {entry.serves}" if entry.serves else ""
-        lines.append(f"  {entry.name:{wide}}  {entry.type}, {entry.count} readings{rate}{serves}")
-    lines += [f"{name}: {', '.join(found) or 'none'}" for name, found in report.channels.items()]
-    return [*lines, *(f"note: {note}" for note in report.notes)]
 
 
 def design(result: Design) -> list[str]:

@@ -240,21 +240,15 @@ class SurfaceMap:
 
     def line_shares(self, starts: ArrayLike, ends: ArrayLike) -> FloatArray:
         """Return how straight lines divide over the regions, as `shares` does for segments."""
-        p, q = np.asarray(starts, float), np.asarray(ends, float)
+        p = np.asarray(starts, float)
+        d = np.asarray(ends, float) - p
         out = np.zeros((len(p), len(self.surfaces) + 1))
-        a, e = self._edges
-        d = (q - p)[:, None]
-        offset = a[None] - p[:, None]
-        cross = d[..., 0] * e[:, 1] - d[..., 1] * e[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (offset[..., 0] * e[:, 1] - offset[..., 1] * e[:, 0]) / cross
-            s = (offset[..., 0] * d[..., 1] - offset[..., 1] * d[..., 0]) / cross
-        crossed = (t > 0) & (t < 1) & (s >= 0) & (s <= 1)
-        ends_too = np.broadcast_to([0.0, 1.0], (len(p), 2))
-        cuts = np.sort(np.concatenate([ends_too, np.where(crossed, t, 1.0)], axis=1), axis=1)
+        crossed = np.nan_to_num(_crossings(p, d, *self._edges), nan=1.0)
+        both = np.broadcast_to([0.0, 1.0], (len(p), 2))
+        cuts = np.sort(np.concatenate([both, crossed], axis=1), axis=1)
         line, place = np.nonzero(np.diff(cuts, axis=1) > 0)
         middle = 0.5 * (cuts[line, place] + cuts[line, place + 1])
-        region = self.region_at(p[line] + middle[:, None] * d[line, 0])
+        region = self.region_at(p[line] + middle[:, None] * d[line])
         np.add.at(out, (line, region), cuts[line, place + 1] - cuts[line, place])
         return out
 
@@ -288,6 +282,16 @@ def _edges(areas: Iterable[BaseGeometry]) -> tuple[FloatArray, FloatArray]:
     """Return starts and directions of the edges of all areas, each of shape (n, 2)."""
     rims = [(np.empty((0, 2)), np.empty((0, 2))), *(_rim(area) for area in areas)]
     return np.concatenate([a for a, _ in rims]), np.concatenate([e for _, e in rims])
+
+
+def _crossings(p: FloatArray, d: FloatArray, a: FloatArray, e: FloatArray) -> FloatArray:
+    """Return where lines ``p + t d`` cross edges ``a + s e``, shape (lines, edges): t or NaN."""
+    offset, d = a - p[:, None], d[:, None]
+    cross = d[..., 0] * e[:, 1] - d[..., 1] * e[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (offset[..., 0] * e[:, 1] - offset[..., 1] * e[:, 0]) / cross
+        s = (offset[..., 0] * d[..., 1] - offset[..., 1] * d[..., 0]) / cross
+    return np.where((t > 0) & (t < 1) & (s >= 0) & (s <= 1), t, np.nan)
 
 
 def _cuts(path: Path, a: FloatArray, e: FloatArray) -> Iterator[tuple[_Arc, FloatArray]]:
@@ -375,7 +379,10 @@ class _Arc:
         if self.ds == 0.0 or len(a) == 0:
             return np.empty(0)
         if abs(self.dtheta) < _STRAIGHT:
-            return self._line_crossings(a, e)
+            middle = self.yaw + 0.5 * self.dtheta
+            d = self.ds * np.array([[np.cos(middle), np.sin(middle)]])
+            t = _crossings(self.start[None], d, a, e)
+            return t[np.isfinite(t)]
         radius = self.ds / self.dtheta
         centre = self.start + radius * np.array([-np.sin(self.yaw), np.cos(self.yaw)])
         # |a + s e - centre|^2 = radius^2
@@ -395,13 +402,3 @@ class _Arc:
         rounds = 2 * np.pi * np.arange(int(abs(self.dtheta) / (2 * np.pi)) + 1)
         t = (turn[:, None] + rounds).ravel() / abs(self.dtheta)
         return np.asarray(t[(t > 0) & (t < 1)])
-
-    def _line_crossings(self, a: FloatArray, e: FloatArray) -> FloatArray:
-        middle = self.yaw + 0.5 * self.dtheta
-        d = self.ds * np.array([np.cos(middle), np.sin(middle)])
-        cross = d[0] * e[:, 1] - d[1] * e[:, 0]
-        hit = cross != 0
-        offset = (a - self.start)[hit]
-        t = (offset[:, 0] * e[hit, 1] - offset[:, 1] * e[hit, 0]) / cross[hit]
-        s = (offset[:, 0] * d[1] - offset[:, 1] * d[0]) / cross[hit]
-        return np.asarray(t[(t > 0) & (t < 1) & (s >= 0) & (s <= 1)])

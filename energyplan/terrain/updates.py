@@ -9,7 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from math import ceil, inf, sqrt
+from math import inf, sqrt
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -90,9 +90,6 @@ def distance_to_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> S
 
 
 Made = TypeVar("Made")
-
-_CLOSE = 1e-3
-"""What counts as near beside a distance [cells]; far above rounding."""
 
 
 class Window(NamedTuple):
@@ -229,61 +226,8 @@ def new_space(
 
 def updated_space(space: Space, blocked: NDArray[np.bool_], window: Window | None) -> Space:
     """Return the space of a map whose blocked cells differ within a window."""
-    following, clearance = space.next_blocked.copy(), space.clearance.copy()
-    if window is not None:
-        rows = slice(window.first_row, window.end_row)
-        following[rows] = next_blocked(np.ascontiguousarray(blocked[rows]))
-        _update_clearance(clearance, blocked, window)
-    made = space._replace(next_blocked=following, clearance=clearance)
+    made = space._replace(
+        next_blocked=next_blocked(blocked), clearance=distance_to_blocked(blocked)
+    )
     _kept(made, tables_of(space).after(window))
     return made
-
-
-def _update_clearance(
-    clearance: NDArray[np.float32], blocked: NDArray[np.bool_], window: Window
-) -> None:
-    """Write distances anew where they may differ: where the window is no farther than they are."""
-    shape = clearance.shape
-    seen = window.grown(ceil(float(clearance.max())) + 1, shape)
-    row = np.arange(seen.first_row, seen.end_row) + 0.5
-    column = np.arange(seen.first_column, seen.end_column) + 0.5
-    up = np.maximum(np.maximum(window.first_row - row, row - window.end_row), 0.0)
-    along = np.maximum(np.maximum(window.first_column - column, column - window.end_column), 0.0)
-    before = clearance[seen.slices]
-    near = up[:, None] ** 2 + along[None, :] ** 2 <= (before.astype(float) + _CLOSE) ** 2
-    write = window_of(near, seen.first_row, seen.first_column)
-    if write is None:
-        return
-    near = near[
-        write.first_row - seen.first_row : write.end_row - seen.first_row,
-        write.first_column - seen.first_column : write.end_column - seen.first_column,
-    ]
-    margin = ceil(float(clearance[write.slices].max())) + 2
-    while True:
-        used = write.grown(margin, shape)
-        fresh = distance_to_blocked(np.ascontiguousarray(blocked[used.slices]))
-        inner = fresh[
-            write.first_row - used.first_row : write.end_row - used.first_row,
-            write.first_column - used.first_column : write.end_column - used.first_column,
-        ]
-        # what is nearer than the cells left out is right; the map's own edge counts as blocked
-        if np.all(inner[near] < _to_cut(write, used, shape)[near]):
-            break
-        margin *= 2
-    clearance[write.slices][near] = inner[near]
-
-
-def _to_cut(write: Window, used: Window, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the distance from cells to the nearest side of a window that is not the map's edge."""
-    row = np.arange(write.first_row, write.end_row) + 0.5
-    column = np.arange(write.first_column, write.end_column) + 0.5
-    up, along = np.full(len(row), np.inf), np.full(len(column), np.inf)
-    if used.first_row > 0:
-        up = np.minimum(up, row - used.first_row)
-    if used.end_row < shape[0]:
-        up = np.minimum(up, used.end_row - row)
-    if used.first_column > 0:
-        along = np.minimum(along, column - used.first_column)
-    if used.end_column < shape[1]:
-        along = np.minimum(along, used.end_column - column)
-    return np.asarray(np.minimum(up[:, None], along[None, :]))

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from energyplan.errors import ConfigError, DriveLogError, UnknownNameError
 from energyplan.io.bags import (
     TopicMap,
-    bag_info,
     is_bag,
     read_bag,
 )
@@ -197,17 +196,6 @@ def test_every_channel_says_where_it_came_from_and_how(bags, kind):
     assert "velocity[*left*]" in told["as"]
     assert "angular_velocity.z, averaged from 100 Hz" in told["yaw_rate"]
     assert "interpolated from 10 Hz" in told["p_left"]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_info_lists_topics_and_what_they_serve_for(bags, kind):
-    info = bag_info(bags[kind])
-    topics = {topic.name: topic for topic in info.topics}
-    assert info.duration == pytest.approx(120.0, abs=0.2)
-    assert topics["/imu/data"].rate == pytest.approx(100.0, rel=0.01)
-    assert topics["/imu/data"].serves == "yaw_rate, accel_x"
-    assert topics["/joint_states"].count == pytest.approx(6000, abs=2)
-    assert topics["/status"].serves.startswith("p_left")
 
 
 def test_battery_currents_change_sign_and_namespaces_match(tmp_path, drive):

@@ -13,7 +13,7 @@ from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError
 from energyplan.io.config import read_model, read_vehicle, write_model
 from energyplan.io.files import bundled
-from energyplan.io.logs import describe_log, read_log
+from energyplan.io.logs import read_log
 from energyplan.io.maps import read_map
 from energyplan.io.mission import read_mission
 from energyplan.mission import Spreads
@@ -260,6 +260,6 @@ def test_a_model_without_a_suffix_is_a_preset_not_a_file(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["x" * 5000, "é" * 200 + ".yaml", "a\0b", "x" * 300 + ".bag"])
 def test_names_that_no_file_can_bear_are_refused_by_name(name):
-    for read in (read_mission, read_vehicle, read_model, read_log, describe_log):
+    for read in (read_mission, read_vehicle, read_model, read_log):
         with pytest.raises(EnergyPlanError):
             read(name)

@@ -6,7 +6,7 @@ import pytest
 from small_bags import POWER, TOPICS, record
 
 from energyplan.errors import DriveLogError
-from energyplan.io.bags import bag_info, read_bag
+from energyplan.io.bags import read_bag
 
 pytest.importorskip("rosbags")
 
@@ -44,7 +44,7 @@ def test_what_would_be_read_whole_before_it_is_known_for_a_bag_is_refused(tmp_pa
     file = tmp_path / "none.bag"
     file.write_bytes(bytes(10_000))
     with pytest.raises(DriveLogError, match="does not begin as a ROS 1 bag"):
-        bag_info(file)
+        read_bag(file, TOPICS)
     (tmp_path / "metadata.yaml").write_bytes(b"a" * (9 << 20))
     with pytest.raises(DriveLogError, match=r"metadata\.yaml is larger than 8 MiB"):
-        bag_info(tmp_path)
+        read_bag(tmp_path, TOPICS)
