@@ -362,6 +362,7 @@ _TURNS = 3 * _FULL_TURN  # beyond, they are rather degrees
 _VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # usual ranges [V]
 _HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
 _USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
+_SPEEDS = ("v_left", "v_right")
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _CHARGE = {"percentage", "percent", "soc", "pct"}  # words of how full a battery is
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
@@ -415,7 +416,7 @@ def _start_table(file: Path, known: Given) -> Start:
             columns["t"] = Column(field=clock, channel="t")
     _refuse_percentages(table.source, table.columns, {*columns, *found})
     encoders = {name: found.pop(name) for name in [*found] if found[name].unit in COUNTS}
-    speeds = {"v_left", "v_right"}
+    speeds = {*_SPEEDS}
     notes: list[str] = []
     used = {name for one in (*columns.values(), *found.values()) for name in one.names}
     if not speeds & {*columns, *found, *encoders}:
@@ -603,123 +604,127 @@ def _clock(table: Table, taken: set[str]) -> str | None:
     return None
 
 
+class _Choice(NamedTuple):
+    """Channels that are in one unit, which nobody told, and what it may be, the likeliest first."""
+
+    channels: tuple[str, ...]
+    units: tuple[str, ...]  # those that end with a star take the wheel radius
+
+
+def _choices(
+    table: Table, columns: Mapping[str, Column], found: Mapping[str, Column], known: Given
+) -> list[_Choice]:
+    # A speed or a place that bears the channel's own name is in its unit; angles often are not.
+    free = {
+        channel for channel, one in found.items()
+        if not one.unit and not (one.field == channel and channel in (*_SPEEDS, "x", "y"))
+    }  # fmt: skip
+    size = {c: _size(table, columns[c]) for c in ("yaw_rate", "yaw", "voltage") if c in free}
+    rates = [found[name].unit for name in _SPEEDS if name in found and found[name].unit in RATES]
+    wheels = ("rad/s*", "rpm*", "rev/s*") if isfinite(known.wheel_radius) else ()
+    made = []
+    if rates:
+        made.append(_Choice(_SPEEDS, (f"{rates[0]}*",)))
+    elif {*_SPEEDS} <= free:
+        made.append(_Choice(_SPEEDS, ("m/s", *wheels, "km/h", "mm/s", "cm/s")))
+    if size.get("yaw_rate", 0.0) > _FASTEST_TURN:
+        made.append(_Choice(("yaw_rate",), ("rad/s", "deg/s")))
+    if size.get("yaw", 0.0) > _FULL_TURN:  # else these are no degrees
+        made.append(_Choice(("yaw",), ("deg", "rad") if size["yaw"] > _TURNS else ("rad", "deg")))
+    if size.get("voltage", 0.0) > _HIGHEST_VOLTAGE:
+        made.append(_Choice(("voltage",), (_unit_of_voltage(table, columns["voltage"]),)))
+    # A thousand is more than robots' resistances differ by: their weight tells which it is.
+    watts = ("W", "mW", "kW")
+    for channels, units in (
+        (("current",), ("A", "mA")), (("power",), watts), (("p_left", "p_right"), watts),
+        (("x", "y"), ("m", "mm", "cm")),
+    ):  # fmt: skip
+        if set(channels) <= free:
+            made.append(_Choice(channels, units))
+    return made
+
+
+def _readings(table: Table, columns: Mapping[str, Column]) -> dict[str, FloatArray]:
+    """Return rows that hold every channel; a mirrored side is turned, as `read_signed` does."""
+    t = _some(table, columns["t"])
+    raw = {channel: _some(table, column, t) for channel, column in columns.items()}
+    joined = join_rows(raw, [name for name in raw if name in _NEEDED])
+    raw = _whole_rows(raw if joined is None else joined.channels)
+    if len(raw["t"]) >= RECORDING:
+        mirrored = mirrored_side(Drive(raw, raw["t"], find_runs(raw["t"])))
+        raw |= {mirrored: -raw[mirrored]} if mirrored else {}
+    return raw
+
+
 def _with_units(
     table: Table, columns: dict[str, Column], found: Mapping[str, Column], known: Given
 ) -> dict[str, Column]:
     """Choose the units that nobody told, so that all that a log tells twice agrees."""
-    # A speed or a place that bears the channel's own name is in its unit; angles often are not.
-    sure = ("v_left", "v_right", "x", "y")
-    told = {
-        channel
-        for channel, one in found.items()
-        if one.unit or (one.field == channel and channel in sure)
-    }
-    free = {channel for channel in found if channel not in told}
-    choices: list[tuple[tuple[str, ...], tuple[str, ...]]] = []  # channels, and units
-    radius = known.wheel_radius
-    if {"v_left", "v_right"} & set(found):
-        rates = [found[name].unit for name in ("v_left", "v_right") if name in found]
-        named = next((unit for unit in rates if unit in RATES), "")
-        if named:
-            choices.append((("v_left", "v_right"), (f"{named}*",)))
-        elif {"v_left", "v_right"} <= free:
-            wheels = ("rad/s*", "rpm*", "rev/s*") if isfinite(radius) else ()
-            units = ("m/s", *wheels, "km/h", "mm/s", "cm/s")
-            choices.append((("v_left", "v_right"), units))
-    if "yaw_rate" in free and _size(table, columns["yaw_rate"]) > _FASTEST_TURN:
-        choices.append((("yaw_rate",), ("rad/s", "deg/s")))
-    heading = _size(table, columns["yaw"]) if "yaw" in free else 0.0
-    if heading > _FULL_TURN:  # else these are no degrees
-        likely = ("deg", "rad") if heading > _TURNS else ("rad", "deg")
-        choices.append((("yaw",), likely))
-    if "voltage" in free and _size(table, columns["voltage"]) > _HIGHEST_VOLTAGE:
-        choices.append((("voltage",), (_unit_of_voltage(table, columns["voltage"]),)))
-    # A thousand is more than robots' resistances differ by: their weight tells which it is.
-    electric = (("current",), ("power",), ("p_left", "p_right"))
-    choices += [
-        (channels, ("A", "mA") if channels == ("current",) else ("W", "mW", "kW"))
-        for channels in electric
-        if set(channels) <= free
-    ]
-    if {"x", "y"} <= free:
-        choices.append((("x", "y"), ("m", "mm", "cm")))
     clock = columns["t"]
-    if "t" not in told and not clock.unit:
-        columns = {**columns, "t": _timed(table, clock)}
-    t = _some(table, columns["t"])
-    raw = {channel: _some(table, column, t) for channel, column in columns.items()}
-    joined = join_rows(raw, [name for name in raw if name in _NEEDED])
-    raw = raw if joined is None else joined.channels
-    raw = _whole_rows(raw)
-    mirrored = (
-        mirrored_side(Drive(raw, raw["t"], find_runs(raw["t"])))
-        if len(raw["t"]) >= RECORDING
-        else ""
-    )
-    raw |= {mirrored: -raw[mirrored]} if mirrored else {}  # `read_signed` turns it round
-    measures = known_measures(known)
-    first = {channel: units[0] for channels, units in choices for channel in channels}
-    rolling = {channel for channel, unit in first.items() if unit.endswith("*")}
-    best: tuple[float, dict[str, str], Drive] | None = None
-    for each in product(*(units for _, units in choices)):
-        chosen = {
-            channel: unit
-            for (channels, _), unit in zip(choices, each, strict=True)
-            for channel in channels
-        }
-        trial = {
-            channel: values * _factor(channel, chosen.get(channel, ""), known)
-            for channel, values in raw.items()
-        }
-        sized = {c: v for c, v in trial.items() if isfinite(radius) or c not in rolling}
+    if not clock.unit:  # that in which a drive log's step is usual
+        unit = time_unit(table.column(clock.field)[:_SOME])
+        columns = {**columns, "t": clock.changed(unit=unit)}
+    choices = _choices(table, columns, found, known)
+    raw = _readings(table, columns)
+    measures, radius = known_measures(known), known.wheel_radius
+    chosen = {channel: one.units[0] for one in choices for channel in one.channels}
+    rolling = {c for c, unit in chosen.items() if unit.endswith("*") and not isfinite(radius)}
+    best, agreed = np.inf, None
+    for units in product(*(one.units for one in choices)):
+        picked = list(zip(choices, units, strict=True))
+        each = {channel: unit for one, unit in picked for channel in one.channels}
+        trial = {c: v * _factor(c, each.get(c, ""), known) for c, v in raw.items()}
+        sized = {c: v for c, v in trial.items() if c not in rolling}
         if len(trial["t"]) < RECORDING or not possible(sized):
             continue
         drive = Drive(trial, total_power(trial), find_runs(trial["t"]))
-        rank = sum(units.index(u) for (_, units), u in zip(choices, each, strict=True))
         # The measures may be what is wrong: they only decide where the log alone does not.
-        cost = strain(drive, Measures()) + 0.2 * strain(drive, measures) + 0.01 * rank
+        cost = strain(drive, Measures()) + 0.2 * strain(drive, measures)
+        cost += 0.01 * sum(one.units.index(unit) for one, unit in picked)
         # A heading in another unit does not turn with the treads, or a gyroscope, at all.
         cost += 0.5 * bool(np.isnan(drive.slip_track))
         cost += 0.5 * ({"yaw", "yaw_rate"} <= set(trial) and bool(np.isnan(drive.rotation)))
-        if best is None or cost < best[0] - 1e-9:
-            best = cost, chosen, drive
-    chosen = best[1] if best else first
-    if best:
-        _sure_of_current(table, columns, chosen, best[2].force / (measures.mass * GRAVITY))
-        units = next((units for channels, units in choices if "v_left" in channels), ())
-        _sure_of_speeds(table, columns, units, chosen, best[2], known)
+        if cost < best - 1e-9:
+            best, chosen, agreed = cost, each, drive
+    if agreed is not None:
+        _sure_of_current(table, columns, chosen, agreed.force / (measures.mass * GRAVITY))
+        units = next((one.units for one in choices if "v_left" in one.channels), ())
+        _sure_of_speeds(table, columns, units, chosen, agreed, known)
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
-        radius = _radius_of(best[2].distance / _RADIUS) if best else nan
+        radius = nan if agreed is None else _radius_of(agreed.distance / _RADIUS)
         if not isfinite(radius):
             raise InvalidInputError(f"{table.source}: {_no_radius(raw)}")
     made = dict(columns)
     for channel, unit in chosen.items():
-        if channel not in made:
-            continue
-        written = f"{unit}{radius:.6g}" if unit.endswith("*") else unit
-        plain = written in ("m/s", "rad", "rad/s", "m", "A", "W")
-        made[channel] = _mean(made[channel].model_copy(update={"unit": "" if plain else written}))
+        if channel in made:
+            written = f"{unit}{radius:.6g}" if unit.endswith("*") else unit
+            plain = written in ("m/s", "rad", "rad/s", "m", "A", "W")
+            made[channel] = _mean(made[channel].changed(unit="" if plain else written))
     return made
+
+
+def _ask_unit(table: Table, column: Column, why: str, units: Iterable[str]) -> NoReturn:
+    """Refuse to guess a unit, and say how to give it."""
+    ways = " or ".join(f"{column.channel}={column.field}[{unit}]" for unit in units)
+    raise DriveLogError(
+        f"{table.source}: {column.field} {why}; give its unit with --columns, and those of others "
+        f"that may have the same fault{f', as in {ways}' if ways else ''}"
+    )
 
 
 def _unit_of_voltage(table: Table, column: Column) -> str:
     """Return the unit of a voltage that is none in volts, where it can be one alone."""
     size = _size(table, column)
-    could = [u for u, (low, high) in _VOLTS.items()
-             if low <= size * scale_of("voltage", u).factor <= high]  # fmt: skip
-    if could == ["mV"]:
-        return "mV"
-    made = [
-        f"{size * scale_of('voltage', u).factor:.3g} V by voltage={column.field}[{u}]"
-        for u in could
-    ]
-    raise DriveLogError(
-        f"{table.source}: {column.field} is up to {size:.6g}, which is no voltage of a robot in V"
-        + (f"; it would be {' or '.join(made)}" if made else "")
-        + "; give its unit with --columns, and that of a current, which may be the same"
-    )
+    volts = {u: size * scale_of("voltage", u).factor for u in _VOLTS}
+    could = [u for u, (low, high) in _VOLTS.items() if low <= volts[u] <= high]
+    if could != ["mV"]:
+        made = f", but {' or '.join(f'{volts[u]:.3g} V in [{u}]' for u in could)}" if could else ""
+        why = f"is up to {size:.6g}, which is no voltage of a robot in V{made}"
+        _ask_unit(table, column, why, could)
+    return "mV"
 
 
+_SURE = 0.1  # relative error of a distance up to which its unit is sure
 _NEAR = 1.35  # ratio of two units up to which turning does not tell one from the other
 
 
@@ -727,20 +732,18 @@ def _sure_of_speeds(
     table: Table, columns: Mapping[str, Column], units: Sequence[str],
     chosen: Mapping[str, str], drive: Drive, known: Given,
 ) -> None:  # fmt: skip
-    """Refuse a unit of speeds that is nearly another one, where no pose tells which it is."""
-    if len(units) < 2 or isfinite(drive.distance):
+    """Refuse a unit of speeds where another one is as likely: near it, or, by the pose, too."""
+    way = abs(np.log(drive.distance)) if isfinite(drive.distance) else np.log(_NEAR)
+    if len(units) < 2 or way < _SURE:
         return
-    size = _factor("v_left", chosen["v_left"], known)
-    near = [
-        unit for unit in units if abs(np.log(_factor("v_left", unit, known) / size)) < np.log(_NEAR)
-    ]
+    size = {unit: _factor("v_left", unit, known) / _factor("v_left", chosen["v_left"], known)
+            for unit in units}  # fmt: skip
+    gone = drive.distance if isfinite(drive.distance) else 1.0
+    near = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u
+            for u in units if abs(np.log(gone * size[u])) < np.log(_NEAR)]  # fmt: skip
     if len(near) > 1:
-        name = columns["v_left"].field
-        told = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u for u in near]
-        raise DriveLogError(
-            f"{table.source}: {name} could be in {' or '.join(told)}, which are nearly the same; "
-            f"give its unit with --columns, as in v_left={name}[{told[0]}]"
-        )
+        why = f"could be in {' or '.join(near)}, of which nothing tells the one from the other"
+        _ask_unit(table, columns["v_left"], why, near[:1])
 
 
 def _sure_of_current(
@@ -752,18 +755,11 @@ def _sure_of_current(
         if not unit.startswith("m") or not isfinite(force):
             continue
         readings = _some(table, columns[channel])
-        if np.any(np.mod(readings[np.isfinite(readings)], 1.0)):
-            continue
-        raw = force / 1e-3
-        fits = {u: raw * f for u, f in (("*0.1", 0.1), ("*0.01", 0.01), (unit, 1e-3))
-                if _USUAL_FORCE[0] <= raw * f <= _USUAL_FORCE[1]}  # fmt: skip
-        if set(fits) - {unit}:
-            name = columns[channel].field
-            told = " or ".join(f"{channel}={name}[{u}]" for u in ("*0.1", "*0.01", unit))
-            raise DriveLogError(
-                f"{table.source}: {name} comes in whole numbers, whose unit their size does not "
-                f"tell for sure; give it with --columns, and that of the voltage, as in {told}"
-            )
+        sizes = {"*0.1": 100.0 * force, "*0.01": 10.0 * force}
+        usual = any(_USUAL_FORCE[0] <= size <= _USUAL_FORCE[1] for size in sizes.values())
+        if usual and not np.any(np.mod(readings[np.isfinite(readings)], 1.0)):
+            why = "comes in whole numbers, whose unit their size does not tell for sure"
+            _ask_unit(table, columns[channel], why, (*sizes, unit))
 
 
 def _whole_rows(raw: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -788,11 +784,6 @@ def _size(table: Table, column: Column) -> float:
 def _some(table: Table, column: Column, t: FloatArray | None = None) -> FloatArray:
     """Return the first readings of a column, in the library's unit as far as it is known."""
     return column.over(t, lambda name: table.column(name)[:_SOME])
-
-
-def _timed(table: Table, clock: Column) -> Column:
-    """Return a clock in the unit in which a drive log's step is usual."""
-    return clock.changed(unit=time_unit(table.column(clock.field)[:_SOME]))
 
 
 def _factor(channel: str, unit: str, known: Given) -> float:

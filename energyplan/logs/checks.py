@@ -493,38 +493,39 @@ def _dead(drive: Drive) -> _Found:
 
 
 def _dying(drive: Drive) -> _Found:
-    """Find a sensor that shows the same from or up to some time, while what it measures changes.
+    """Find a sensor that shows the same for a while, though what it measures changes.
 
-    What died stays dead; between others, such a stretch may be one of little power.
+    Amid others, a stretch of zeros may be one in which a side stands, or of little power.
     """
     time = np.gradient(drive.t)
     size = np.abs(drive.difference)
     turns = size > 0.4 * float(np.quantile(size, 0.95))
     electric = ["p_left", "p_right"] if drive.sides else ["power", "current"]
-    for name in ("v_left", "v_right", *electric, *drive.rates):
-        if name not in drive.channels:
-            continue
+    for name in (n for n in ("v_left", "v_right", *electric, *drive.rates) if n in drive.channels):
         rate = drive.rates.get(name)
+        values = drive.channels[name] if rate is None else rate
         active = drive.moving if rate is None else turns
         starts, counts = drive.stretches(name)
-        for k in (0, -1):
-            some = slice(int(starts[k]), int(starts[k] + counts[k]))
+        lasts_long = np.add.reduceat(time * active, starts) > _LONG
+        if rate is None:  # without noise, or with few digits, all that is steady repeats
+            lasts_long[1:-1] &= drive.channels[name][starts[1:-1]] != 0.0
+        for first, count in zip(starts[lasts_long], counts[lasts_long], strict=True):
             elsewhere = active.copy()
-            elsewhere[some] = False
-            others = (drive.channels[name] if rate is None else rate)[elsewhere]
-            if rate is None:  # without noise, or with few digits, all that is steady repeats
+            elsewhere[first : first + count] = False
+            others = values[elsewhere]
+            if rate is None:
                 changes = len(others) >= _ENOUGH and len(np.unique(others)) > 0.5 * len(others)
             else:  # a steady turn may repeat a reading, but none that is far below all others
-                changes = len(others) > 0 and bool(
-                    np.median(np.abs(rate[some])) < 0.1 * np.median(np.abs(others))
-                )
-            if changes and float((time * active)[some].sum()) > _LONG:
-                t, value = drive.t[some], drive.channels[name][some.start]
+                still = np.median(np.abs(values[first : first + count]))
+                changes = bool(len(others) and still < 0.1 * np.median(np.abs(others)))
+            if changes:
+                start, end = drive.t[[first, first + count - 1]]
                 though, why = ("the robot drives", "") if rate is None else (
                     "the treads turn", ", or the wheels are off the ground")  # fmt: skip
                 yield Check(
-                    f"{name} stays at {value:.4g} from t = {t[0]:.2f} to {t[-1]:.2f} s while "
-                    f"{though}: its sensor is dead there{why}", "leave that stretch out",
+                    f"{name} stays at {drive.channels[name][first]:.4g} from t = {start:.2f} to "
+                    f"{end:.2f} s while {though}: its sensor is dead there{why}",
+                    "leave that stretch out",
                 )  # fmt: skip
                 break
 
@@ -560,6 +561,28 @@ def _false_speeds(drive: Drive) -> _Found:
                 "neither turns nor reversing", "fitting",
             )  # fmt: skip
             return
+
+
+def _on_the_spot(drive: Drive) -> _Found:
+    """Find, without a heading, that both sides forwards as fast take one of two forces."""
+    left, right, effort = drive.left, drive.right, drive.effort
+    top = float(np.quantile(effort, 0.99))
+    if drive.rates or min(left.min(), right.min()) < -0.02 * top:
+        return
+    steady = np.abs(derivative(drive.t, effort, drive.runs, 0.5)) < 0.1 * top
+    equal = steady & (np.abs(left - right) < 0.15 * effort) & (effort > 0.2 * top)
+    if np.count_nonzero(equal) < 5 * _ENOUGH:
+        return
+    force = drive.power[equal] / effort[equal]
+    low, high = np.quantile(force, [0.1, 0.9])
+    between = np.abs(force - 0.5 * (low + high)) < 0.2 * (high - low)
+    if 0.0 < 1.5 * low < high and np.mean(between) < 0.1:
+        yield Check(
+            "v_left and v_right are never negative, and where both are as fast the power over the "
+            f"speed is one of two, {high / low:.2g} to one: the speeds lost their sign, so that "
+            "turns on the spot seem straight, or the ground changes",
+            "log speeds with their sign, or the yaw rate, which tells",
+        )  # fmt: skip
 
 
 def _turns_by(
@@ -935,6 +958,7 @@ RULES = (
     Rule("the robot turns, and goes, as its treads say", _turning, "", True),
     Rule("who drives draws power, at that time", _powers, "", True),
     Rule("speeds are those of two sides, with their signs", _false_speeds),
+    Rule("both sides forwards take one force", _on_the_spot, ""),
     Rule("both sides show something", _dead),
     Rule("what sensors show changes to the end", _dying),
     Rule("both speeds count alike", _counting),

@@ -377,7 +377,8 @@ class _Cleaner:
             f"over: give each recording a file of its own; or, {steady}"
         )
         if not np.any(steps < 0.0):
-            why = f"the clock counts in steps of {usual:.3g} s, or stood still: {steady}"
+            coarse = f"counts in steps of {usual:.3g} s, or " if usual > 0.0 else ""
+            why = f"the clock {coarse}stood still: {steady}"
         raise DriveLogError(
             f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "
             f"{t[k - 1]:.6f} s ({np.count_nonzero(back)} such steps in all): {why}"

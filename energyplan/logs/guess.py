@@ -9,7 +9,7 @@ from energyplan.logs.mapping import Column, split_unit, split_words, unit_in
 
 _WORDS = {
     "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm"},
-    "right": {"right", "r", "rh", "starboard", "fr", "rr", "br", "mr", "rf", "rb", "rm"},
+    "right": {"right", "r", "rh", "starboard", "stbd", "fr", "rr", "br", "mr", "rf", "rb", "rm"},
     "speed": {
         "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",

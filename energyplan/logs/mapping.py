@@ -66,7 +66,8 @@ _ALIASES = {
     "milliseconds": "ms", "usec": "us", "\u00b5s": "us", "\u03bcs": "us", "microseconds": "us",
     "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h", "day": "d", "days": "d",
     "meter": "m", "meters": "m", "metre": "m", "metres": "m",
-    "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s", "meters/s": "m/s", "kmh": "km/h",
+    "cmps": "cm/s", "mmps": "mm/s", "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s",
+    "meters/s": "m/s", "kmh": "km/h",
     "kph": "km/h", "kmph": "km/h", "ips": "in/s", "inch/s": "in/s", "inches/s": "in/s",
     "knot": "kn", "knots": "kn", "kt": "kn", "kts": "kn", "fpm": "ft/min",
     "fps": "ft/s", "feet/s": "ft/s", "inch": "in", "inches": "in", "feet": "ft", "foot": "ft",
@@ -164,6 +165,8 @@ def split_unit(name: str) -> tuple[str, str]:
     return (match[1], match[2]) if match else (name.strip(), "")
 
 
+_SCALED = re.compile(r"(.*[^\W\d])[\W_]+(10+|0\.0*1)([A-Za-z/]+)")
+"""A name that ends with the size of its steps, such as ``current_10mA``."""
 _ANYWHERE = {
     "ms", "us", "ns", "kmh", "kph", "mps", "mph", "rpm", "dps", "radps", "rads", "deg", "degrees",
     "kw", "mv", "ma", "mm", "cm", "hp", "ips", "wh", "kwh", "mwh", "ah", "mah",
@@ -203,6 +206,10 @@ def unit_in(channel: str, name: str) -> NamedUnit:
     bare, told = split_unit(name)
     if told:
         return NamedUnit(bare, known_unit(channel, told) or "")
+    scaled = _SCALED.fullmatch(bare)
+    spelt = known_unit(channel, scaled[3]) if scaled else None
+    if scaled and spelt is not None and spelt not in _OF_WHEELS:
+        return NamedUnit(scaled[1], f"{spelt}*{scaled[2]}")
     words = split_words(name)
     for count in (3, 2, 1):
         tail = [word for word in words[-count:] if word.lower() != "per"]

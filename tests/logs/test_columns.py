@@ -94,6 +94,8 @@ def test_what_a_name_says_of_its_unit_is_believed() -> None:
     found = parse_columns("v_left=speed [km/h],v_right=plain[mm/s]", names)
     assert found["v_left"].conversion.factor == pytest.approx(1 / 3.6)
     assert found["v_right"].field == "plain"
+    steps = parse_columns("current=bus_current_10mA", ["bus_current_10mA"])
+    assert steps["current"].conversion.factor == pytest.approx(0.01)
     with pytest.raises(DriveLogError, match="wheel radius"):
         parse_columns("v_left=w [rpm]", ["w [rpm]"])
 
@@ -110,7 +112,7 @@ def test_two_columns_are_multiplied(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("channel", "written", "meant"),
     [("v_left", "RPM", "rpm"), ("yaw", "degrees", "deg"), ("t", "µs", "us"), ("power", "kw", "kW"),
-     ("v_left", "KM/H", "km/h"), ("power", "MW", None), ("yaw_rate", "°/s", "deg/s"),
+     ("v_left", "KM/H", "km/h"), ("v_left", "mmps", "mm/s"), ("power", "MW", None), ("yaw_rate", "°/s", "deg/s"),
      ("x", "rpm", None)],
 )  # fmt: skip
 def test_units_are_known_by_what_people_write(channel: str, written: str, meant: str) -> None:

@@ -139,6 +139,18 @@ LOGS = {
     "speeds in rad/s": (speeds(1 / RADIUS), r"wheels' rates in rad/s.*\[rad/s\*0\.1[01]"),
     "speeds in rad/s, without a pose": (
         without(speeds(1 / RADIUS), *POSE), r"wheels' rates in rad/s"),
+    "speeds in km/h, without pose and heading": (
+        without(speeds(3.6), *POSE, "yaw_rate"), r"km/h"),
+    "power in tenths, of one voltage": (powers(10.0), r"in tenths: map p_left=NAME\[\*0\.1\]"),
+    "speeds without signs and heading": (
+        without(lambda made: unsigned(made), *POSE, "yaw_rate"), r"lost their sign"),
+    "a speed stuck for a while": (
+        lambda made: {**made, "v_left": np.where((made["t"] > 40.0) & (made["t"] < 60.0),
+                                                 made["v_left"][800], made["v_left"])},
+        r"v_left stays at .* its sensor is dead there"),
+    "a gyroscope dead for a while": (
+        lambda made: {**made, "yaw_rate": made["yaw_rate"] * (np.abs(made["t"] - 50.0) > 20.0)},
+        r"yaw_rate stays at 0 .* its sensor is dead there"),
     "speeds in rpm": (speeds(30 / np.pi / RADIUS), r"rpm\*"),
     "speeds in km/h": (speeds(3.6), r"\[km/h\]"),
     "speeds in mm/s": (speeds(1e3), r"mm/s"),
