@@ -28,10 +28,7 @@ _MAX_ID = 2**32
 
 
 def read_route_graph(path: str | Path) -> RouteGraph:
-    """Read a route graph.
-
-    Source: Nav2 documentation, "Route Graph Generation"; GeoJSON (RFC 7946).
-    """
+    """Read a route graph."""
     file = Path(path)
     document, features = read_features(file)
     graph: RouteGraph = nx.MultiDiGraph(document=document)

@@ -114,11 +114,7 @@ def headings_of(count: int) -> tuple[FloatArray, tuple[tuple[int, int], ...]]:
 def control_set(
     cost: EnergyCost, resolution: float, *, headings: int = 16, radius: float | None = None
 ) -> ControlSet:
-    """Return a control set: of the primitives between two headings, the one of least energy.
-
-    Source: Pivtoraiko and Kelly (2005), control sets of state lattices; here one primitive for
-    each turn.
-    """
+    """Return a control set (Pivtoraiko and Kelly 2005): per turn the primitive of least energy."""
     least = cost.half_track if radius is None else radius
     if not (0 < resolution < np.inf and 0 < least < np.inf):
         raise InvalidInputError(
@@ -196,11 +192,7 @@ def primitive_energy(cost: EnergyCost, primitive: Primitive, gear: int = 1) -> f
 
 
 def penalties(controls: ControlSet, cost: EnergyCost) -> Penalties:
-    """Return the penalties whose costs come nearest to the energy of the primitives.
-
-    A cell straight ahead is the unit. The factors fit the energies of the primitives by least
-    squares, and none is below what SmacPlannerLattice takes: 1 for factors.
-    """
+    """Return the penalties whose costs come nearest to the energy of the primitives."""
     unit = float(cost.segment_energy(1.0, 0.0)) * controls.resolution
     cells = np.array([p.length for p in controls.primitives]) / controls.resolution
     there, back = (

@@ -85,11 +85,7 @@ def tabulate(
 
 
 def write_cost_table(table: CostTable, path: str | Path) -> None:
-    """Write a table of cost.
-
-    The first two lines are comments with the half-track [m] and the error; then come a line of
-    column names, ``angle`` and the speeds [m/s], and one line for each direction.
-    """
+    """Write a table of cost."""
     names = ",".join(["angle", *(f"{speed:g}" for speed in table.speed.tolist())])
     rows = (
         ",".join(f"{value:.9g}" for value in (angle, *energies))

@@ -136,10 +136,7 @@ class TopicMap(BaseModel):
 
     @classmethod
     def read(cls, source: str | Path) -> TopicMap:
-        """Return a ready-made map (``husky``, ``jackal``, ``warthog``) or one from a YAML file.
-
-        A project's file is read for the topic map that it holds.
-        """
+        """Return a ready-made map (``husky``, ``jackal``, ``warthog``) or one from a YAML file."""
         if isinstance(source, str) and not source.endswith((".yaml", ".yml")):
             if source not in TOPIC_MAPS:
                 raise UnknownNameError("topic map", source, [*TOPIC_MAPS, "FILE.yaml"])
@@ -270,12 +267,7 @@ def read_bag(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> DriveLog:
-    """Read a drive log from a bag.
-
-    The bag is streamed: no more is kept than the numbers wanted. Channels come to the clock of the
-    left tread speed, averaged where they are faster and interpolated where they are slower.
-    Messages count at their stamp, or at their arrival where they have none that can be believed.
-    """
+    """Read a drive log from a bag."""
     file = Path(path)
     if topics is None:
         raise DriveLogError(
@@ -382,10 +374,7 @@ def _collect(
 
 @contextmanager
 def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})) -> Iterator[Any]:
-    """Open a bag; what goes wrong inside it becomes a named error.
-
-    The definitions are of messages, by type, that rosbags does not know and old bags do not carry.
-    """
+    """Open a bag; what goes wrong inside it becomes a named error."""
     try:
         from rosbags import rosbag1, rosbag2
         from rosbags.highlevel import AnyReader, AnyReaderError

@@ -37,11 +37,7 @@ _MOST_FILES = 1000  # of a folder that is read as one thing
 
 
 def atomic_write(path: str | Path, content: bytes | str) -> Path:
-    """Write a file so that it is never seen half written.
-
-    The content goes to a temporary file in the same folder, which then takes the file's place. A
-    run that is killed leaves the old file whole.
-    """
+    """Write a file so that it is never seen half written."""
     file = Path(path)
     data = _utf8(content) if isinstance(content, str) else content
     with _writing(file):
@@ -62,11 +58,7 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
 
 
 def _utf8(text: str) -> bytes:
-    """Encode text, with a mark in place of what UTF-8 does not have.
-
-    Where the locale is not UTF-8, Python holds the bytes of a file's name as surrogates. They are
-    read as UTF-8 here, which they mostly are.
-    """
+    """Encode text, with a mark in place of what UTF-8 does not have."""
     known = re.sub("[\ud800-\udc7f\udd00-\udfff]", "\ufffd", text)
     return known.encode("utf-8", "surrogateescape").decode("utf-8", "replace").encode()
 
@@ -130,11 +122,7 @@ def _probe(folder: Path) -> None:
 
 
 def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Path]) -> None:
-    """Refuse an output that is an input, or that is another output.
-
-    The same file counts as the same by whatever name: through links, or from another folder. What
-    an input names counts as an input too, such as the image of a map or the model of a mission.
-    """
+    """Refuse an output that is an input, or that is another output."""
     written = [Path(output) for output in outputs]
     for k, output in enumerate(written):
         if any(same_file(output, other) for other in written[:k]):

@@ -93,10 +93,7 @@ Header = TypeVar("Header", bound=_MapHeader)
 
 
 def _header(file: Path, kind: type[Header], *, costs: bool = False) -> Header:
-    """Read the YAML of a map; other files, and keys that are misspelt, are refused by name.
-
-    Raw costs need no thresholds.
-    """
+    """Read the YAML of a map; other files, and keys that are misspelt, are refused by name."""
     document = load(file, MapError)
     if document.kind not in (None, MAP) and "image" not in document.data:
         raise MapError(

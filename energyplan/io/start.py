@@ -283,10 +283,7 @@ def counts_rows(values: FloatArray) -> bool:
 
 
 def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str]) -> None:
-    """Refuse to take one of two columns that are named alike, and differ, for the whole power.
-
-    They may be those of two sides in words that nobody knows here: half of the power would be lost.
-    """
+    """Refuse to take one of two columns that are named alike, and differ, for the whole power."""
     one = found.get("power" if "power" in channels else "current")
     if one is None or {"p_left", "p_right"} <= channels:
         return
@@ -324,10 +321,7 @@ def _refuse_packs(table: Table, name: str) -> None:
 
 
 def refuse_unlike(table: Table, found: Mapping[str, Column]) -> None:
-    """Refuse to take the mean of one side's wheels where these do not go alike.
-
-    One may be dead or count the other way, or they may be of two robots.
-    """
+    """Refuse to take the mean of one side's wheels where these do not go alike."""
     for channel in ("v_left", "v_right"):
         one = found.get(channel)
         if one is None:
@@ -384,11 +378,7 @@ class Start:
 
 
 def start(path: str | Path, given: Given | None = None) -> Start:
-    """Guess what a log's columns or topics are, and hold them against the robot.
-
-    Names say which channel is what. Units come from the names, or are the ones with which
-    odometry, gyroscope, pose, power and geometry agree on.
-    """
+    """Guess what a log's columns or topics are, and hold them against the robot."""
     known = given or Given()
     if is_bag(path):
         return _start_bag(Path(path), known)
@@ -489,10 +479,7 @@ _ELECTRIC = ("power", "p_left", "p_right", "current", "current_left", "current_r
 def _guesses(
     table: Table, taken: Collection[str], columns: Mapping[str, Column]
 ) -> dict[str, Column]:
-    """Guess which column is which channel; a counter of energy or charge is no power of its own.
-
-    Its rate is one, where its name tells the unit and nothing else does.
-    """
+    """Guess which column is which channel; a counter of energy or charge is no power of its own."""
     names = [name for name in table.columns if name not in taken]
     counters = {name for name in names if grows(table.columns[name][:_SOME])}
     kept: dict[str, Column] = {}

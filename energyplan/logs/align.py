@@ -60,12 +60,7 @@ def time_weights(t: FloatArray, runs: Iterable[slice]) -> FloatArray:
 
 
 def align(series: Series, clock: FloatArray) -> Aligned:
-    """Bring a channel to another clock.
-
-    A channel that is sampled more than one and a half times as fast is averaged over the interval
-    around each instant; a slower one is linear between its samples. Holes longer than a second, or
-    than four of its steps, are not bridged.
-    """
+    """Bring a channel to another clock."""
     t, values = series
     if len(t) == len(clock) and np.array_equal(t, clock):
         return Aligned(values, AS_LOGGED)
@@ -98,11 +93,7 @@ class Means(NamedTuple):
 def interval_means(
     t: FloatArray, channels: Mapping[str, FloatArray], runs: Sequence[slice], period: float
 ) -> Means:
-    """Mean of each channel over successive intervals of each run.
-
-    Channels count as linear between samples, so that an interval's mean is exact even where its
-    ends fall between two of them.
-    """
+    """Mean of each channel over successive intervals of each run."""
     unused = 0
     means: dict[str, list[FloatArray]] = {name: [] for name in channels}
     for run in runs:
@@ -137,10 +128,7 @@ def shift(
 
 
 def block_bounds(t: FloatArray, runs: Sequence[slice], duration: float) -> list[int]:
-    """First samples of blocks of about a duration [s], none across a gap, and the last one's end.
-
-    A sample alone between two gaps joins the block before it.
-    """
+    """First samples of blocks of about a duration [s], none across a gap, and the end."""
     bounds = [0]
     for run in runs:
         if run.stop - run.start < 2:
@@ -252,12 +240,7 @@ def find_offset(
     largest: float = LARGEST_OFFSET,
     centred: bool = True,
 ) -> Offset | None:
-    """Find the time offset at which regressors explain a channel best.
-
-    For each lag the explained variance of the least-squares fit follows from cross-correlations
-    and running sums, so that all lags together cost a few Fourier transforms; a parabola through
-    the best lag and its neighbours refines it.
-    """
+    """Find the time offset at which regressors explain a channel best."""
     long = [run for run in runs if t[run][-1] - t[run][0] >= 4 * largest]
     if not long:
         return None

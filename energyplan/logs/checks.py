@@ -328,11 +328,7 @@ def _frames(drive: Drive, relations: Mapping[str, _Relation]) -> _Found:
 
 
 def _factors(drive: Drive) -> Iterator[tuple[float, float]]:
-    """Return by what the sides' speeds make each yaw rate that their difference makes worse [1/m].
-
-    They have opposite signs and one size if all is well, one sign where a side counts the other
-    way, and two sizes where the sides have two units.
-    """
+    """Return the sides' factors of each yaw rate that their difference makes worse [1/m]."""
     speeds = np.stack([drive.left, drive.right])
     gram = speeds @ speeds.T
     scale = np.sqrt(np.diag(gram))
@@ -389,10 +385,7 @@ _OPPOSED = 0.7  # share of the driving in which no drive turns on the spot
 
 
 def _opposed(drive: Drive) -> _Found:
-    """Without a heading, sides that go against each other as no drive does: one is mirrored.
-
-    They do so nearly all the time, or it costs less power than to go the same way.
-    """
+    """Without a heading, sides that go against each other as no drive does: one is mirrored."""
     if drive.rates or np.count_nonzero(drive.moving) < _ENOUGH:  # rates tell more
         return
     effort, driving = drive.effort, float(drive.effort[drive.moving].sum())
@@ -493,10 +486,7 @@ def _dead(drive: Drive) -> _Found:
 
 
 def _dying(drive: Drive) -> _Found:
-    """Find a sensor that shows the same for a while, though what it measures changes.
-
-    Amid others, a stretch of zeros may be one in which a side stands, or of little power.
-    """
+    """Find a sensor that shows the same for a while, though what it measures changes."""
     time = np.gradient(drive.t)
     size = np.abs(drive.difference)
     turns = size > 0.4 * float(np.quantile(size, 0.95))
@@ -588,10 +578,7 @@ def _on_the_spot(drive: Drive) -> _Found:
 def _turns_by(
     difference: FloatArray, rate: FloatArray, some: NDArray[np.bool_], others: NDArray[np.bool_]
 ) -> bool:
-    """Whether the speeds' difference makes the turns of some samples, as it does those of others.
-
-    So it does in wide arcs of a robot that never turns on the spot: both sides are about as fast.
-    """
+    """Whether the speeds' difference makes the turns of some samples as it does of others."""
     if abs(correlation(difference[some], rate[some])) < 0.7:
         return False
     if np.count_nonzero(others) < _ENOUGH:
@@ -786,10 +773,7 @@ def _steps(drive: Drive, moving: NDArray[np.bool_]) -> _Found:
 
 
 def held_periods(channels: Channels) -> dict[str, float]:
-    """Return the powers that are held, and the time after which they are read again [s].
-
-    Held readings change with a clock. Those that are steady, or have few digits, do not.
-    """
+    """Return the powers that are held, and the time after which they are read again [s]."""
     drive = Drive(channels, channels["t"], ())
     changing = np.append(False, np.diff(drive.effort) != 0.0)
     found = {}
@@ -873,11 +857,7 @@ def _descends(drive: Drive) -> bool:
 
 
 def _repeats(drive: Drive) -> _Found:
-    """Find a power that changes with every sample, but stays the same for a while in driving.
-
-    A sensor that hangs, one that drops out and one at the end of its range all repeat a reading to
-    the last bit. One that reads in steps does so all the time, or wherever the robot goes steadily.
-    """
+    """Find a power that changes with every sample, but stays the same for a while in driving."""
     t, moving = drive.t, drive.moving
     least = max(5, round(0.3 / drive.usual_step))
     turned = np.append(False, np.diff(drive.effort) != 0.0)
@@ -1018,10 +998,7 @@ def without_copies(
 
 
 def _alike(one: DriveLog, other: DriveLog) -> bool:
-    """Tell whether the shorter of two drives is part of the longer one.
-
-    Of robots that stand all readings may be the same.
-    """
+    """Tell whether the shorter of two drives is part of the longer one."""
     short, long = (_readings(log) for log in sorted((one, other), key=len))
     if not np.any(short[0]):
         return False

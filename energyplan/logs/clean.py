@@ -75,10 +75,7 @@ _ENOUGH = 20  # readings below which nothing is concluded
 
 
 def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
-    """Tell which readings stand out from those around as nothing that lasts does.
-
-    A glitch lasts one reading or two, so a median over five does not show it.
-    """
+    """Tell which readings stand out from those around as nothing that lasts does."""
     lost = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
     if channel not in _STANDS_OUT or len(known) < _ENOUGH:
@@ -104,11 +101,7 @@ _EXPECTED = 5.0
 
 
 def writes_changes(values: FloatArray) -> bool:
-    """Tell whether a logger wrote a reading only where it differs from the one before.
-
-    Such a column never repeats the reading before, though it has few values: of `n` readings, drawn
-    in any order, ``n`` times the sum of the squared shares of its values would.
-    """
+    """Tell whether a logger wrote a reading only where it differs from the one before."""
     known = np.flatnonzero(np.isfinite(values))
     readings = values[known]
     if len(readings) in (0, len(values)):

@@ -226,11 +226,7 @@ def lasts(values: FloatArray) -> bool:
 
 
 def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
-    """Way of the treads over that of the pose, on straight stretches.
-
-    Displacements over whole stretches are compared, not the lengths of paths: a pose that jitters
-    goes no further.
-    """
+    """Way of the treads over that of the pose, on straight stretches."""
     if not {"x", "y"} <= set(channels):
         return np.nan
     t = channels["t"]
@@ -539,11 +535,7 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
 def check_consistency(
     drive: Drive, known: Measures, columns: _Columns = MappingProxyType({})
 ) -> list[Check]:
-    """Compare the quantities of a log with each other and with the robot's measures.
-
-    The first ratio that is wrong bears the remedy: what explains them all. Where none is, another
-    unit may still be far more usual.
-    """
+    """Compare the quantities of a log with each other and with the robot's measures."""
     seen = _seen(drive, known)
     ratios = _ratios(seen, drive)
     wrong = [span for span, value in ratios if not span.holds(value)]

@@ -241,10 +241,7 @@ CHANNELS = (
 
 
 def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column]:
-    """Guess which name is which channel, and in which unit if it says so.
-
-    A sum is of the same of a side's other wheels or motors. Wheel rates still lack their radius.
-    """
+    """Guess which name is which channel, and in which unit if it says so."""
     every = list(names)
     others = {*taken, *_quaternions(every)}
     left = [name for name in every if name not in others]

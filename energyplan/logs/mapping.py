@@ -198,11 +198,7 @@ class NamedUnit(NamedTuple):
 
 
 def unit_in(channel: str, name: str) -> NamedUnit:
-    """Return the unit that a column's name tells, if the channel can be in it.
-
-    It stands in brackets at the end, as in ``speed [km/h]``, or is a word of the name, as in
-    ``current_mA``, ``yaw_rate_deg_s`` or ``rpm_left``.
-    """
+    """Return the unit that a column's name tells, if the channel can be in it."""
     bare, told = split_unit(name)
     if told:
         return NamedUnit(bare, known_unit(channel, told) or "")
@@ -265,10 +261,7 @@ def counting(channel: str, unit: str) -> str:
 
 
 def count_rate(t: FloatArray, counts: FloatArray, unit: str) -> FloatArray:
-    """Return how fast an encoder, or a counter of energy or charge, counts.
-
-    A counter that runs over at 8, 16 or 32 bits counts on; one that is set back begins anew.
-    """
+    """Return how fast an encoder, or a counter of energy or charge, counts."""
     rate = np.full(len(t), np.nan)
     rows = np.flatnonzero(np.isfinite(t) & np.isfinite(counts))
     if not len(rows):
@@ -570,10 +563,7 @@ def map_channels(
     names: Collection[str],
     text: Collection[str] = (),
 ) -> dict[str, Column]:
-    """Return which column serves as which channel: as told, and others by their own names.
-
-    A unit may stand after a channel's name. What is neither, nor text, is a channel of its own.
-    """
+    """Return which column serves as which channel: as told, and others by their own names."""
     wanted = parse_columns(columns, names)
     taken = {name for column in wanted.values() for name in column.names}
     left = [name for name in names if name and name not in taken]

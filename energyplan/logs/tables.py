@@ -432,10 +432,7 @@ def parts_of(path: str | Path) -> list[str]:
 
 
 def _join(tables: list[Table], error: type[InvalidInputError]) -> Table:
-    """Put the rows of several tables in one, in the order of one clock; cells of others are blank.
-
-    Columns bear the name of their file before their own.
-    """
+    """Put the rows of several tables in one, by one clock; cells of others are blank."""
     name = "+".join(table.source for table in tables)
     stems = [Path(table.source).name.partition(".")[0] for table in tables]
     if len(set(stems)) < len(stems):

@@ -191,10 +191,7 @@ def poses_free(space: Space, body: Body, poses: AnyTable) -> Flags:
 
 @njit
 def _swept_box(body: Body, centre_x: float, centre_y: float, half: float) -> Body:
-    """Return the bounding box of a body that turns by up to `half` either way about a centre.
-
-    Everything is in the frame of the middle pose; `half` is less than pi / 2.
-    """
+    """Return the bounding box of a body that turns by up to `half` either way about a centre."""
     x_min = inf
     y_min = inf
     x_max = -inf
@@ -287,10 +284,7 @@ def motion_free(
 def first_collision(
     space: Space, body: Body, vertices: AnyTable, ds: Column, dtheta: Column, longitudinal: float,
 ) -> int:  # fmt: skip
-    """Return the index of the first segment along which the body is not free, or -1.
-
-    `vertices` are the poses of the body frame at the ends of the segments, as `Path.vertices`.
-    """
+    """Return the index of the first segment along which the body is not free, or -1."""
     for k in range(len(ds)):
         if not motion_free(
             space,

@@ -41,10 +41,7 @@ def laid_out(
     surfaces: SurfaceMap | None = None,
     heights: HeightMap | None = None,
 ) -> LaidGround:
-    """Take the ground that a model knows of out of the model, as surfaces and heights.
-
-    Surfaces and heights that are given say more than the model's terms, which they replace.
-    """
+    """Take the ground that a model knows of out of the model, as surfaces and heights."""
     if not knows_ground(model):
         return LaidGround(model, surfaces, heights)
     corners = np.asarray(points, float)

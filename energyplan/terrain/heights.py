@@ -65,10 +65,7 @@ class HeightMap(ReadOnly):
         object.__setattr__(self, "origin", as_pose(self.origin, "the origin", MapError))
 
     def _locate(self, points: ArrayLike) -> tuple[NDArray[np.int_], FloatArray]:
-        """Return the node below and to the left of each point, and the place in its square.
-
-        Both are columns and rows, shape (2, ...).
-        """
+        """Return the node below and to the left of each point, and the place in its square."""
         place = to_raster(points, self.origin, self.resolution)
         last = np.array(self.heights.shape[::-1]) - 1
         if not np.all((place >= -1e-9) & (place <= last + 1e-9)):
@@ -119,11 +116,7 @@ class HeightMap(ReadOnly):
         return float(high - low)
 
     def slopes(self, path: Path) -> FloatArray:
-        """Return the mean slope along the heading in each segment of a path [rad], shape (n,).
-
-        It is the rise of the reference point (see `Path`) over the arc length, so that rises add
-        up exactly; where the robot turns on the spot, it is the slope at the middle of the turn.
-        """
+        """Return the mean slope along the heading in each segment of a path [rad], shape (n,)."""
         yaw = path.vertices[:, 2]
         point = path.points
         rise = np.diff(self.height(point))

@@ -181,11 +181,7 @@ class SurfaceMap:
         return region
 
     def raster(self, grid: OccupancyGrid, rank: ArrayLike | None = None) -> NDArray[np.intp]:
-        """Return the region at the centre of each cell of a map, shape (rows, columns).
-
-        Where a rank is given for each region, a cell that several of them share is of the one
-        whose rank is highest.
-        """
+        """Return the region at the centre of each cell of a map, shape (rows, columns)."""
         raster = np.zeros(grid.shape, np.int64)
         for k, surface in enumerate(self.surfaces, start=1):
             a, e = _rim(shapely.transform(surface.area, grid.to_cells))
@@ -227,11 +223,7 @@ class SurfaceMap:
             yield a + np.linspace(0.0, 1.0, count)[:, None] * e
 
     def shares(self, path: Path) -> FloatArray:
-        """Return how each segment of a path divides over the regions.
-
-        The crossings of the reference point's lines and arcs with the surfaces' edges are solved
-        for, so that the shares are exact to rounding.
-        """
+        """Return how each segment of a path divides over the regions."""
         out = np.zeros((len(path), len(self.surfaces) + 1))
         for k, (arc, cuts) in enumerate(_cuts(path, *self._edges)):
             regions = self.region_at(arc.points(0.5 * (cuts[:-1] + cuts[1:])))
@@ -305,11 +297,7 @@ def _cuts(path: Path, a: FloatArray, e: FloatArray) -> Iterator[tuple[_Arc, Floa
 
 @njit
 def _fill(raster: IntTable, a: FloatTable, b: FloatTable, value: int) -> None:
-    """Set the cells whose centres lie within a rim of edges from `a` to `b`, in cells.
-
-    Row by row: where the line through the row's centres has crossed the rim an odd number of times
-    it is inside, whatever holes and parts there are.
-    """
+    """Set the cells whose centres lie within a rim of edges from `a` to `b`, in cells."""
     rows, columns = raster.shape
     crossed = np.empty(columns + 1, np.bool_)
     for row in range(rows):
@@ -336,10 +324,7 @@ _INSIDE = 1e-6
 def _share(
     raster: IntTable, before: IntTable, a: FloatTable, b: FloatTable, value: int, rank: Column
 ) -> None:
-    """Set the cells that edges from `a` to `b` pass through to the higher rank on their two sides.
-
-    `before` is the raster as it was without the area that the edges bound.
-    """
+    """Set the cells that edges from `a` to `b` pass through to the higher rank beside them."""
     rows, columns = raster.shape
     for k in range(len(a)):
         left, right = (a[k], b[k]) if a[k, 0] <= b[k, 0] else (b[k], a[k])

@@ -112,12 +112,7 @@ def path_pieces(
     surfaces: SurfaceMap | None = None,
     heights: HeightMap | None = None,
 ) -> tuple[Piece, ...]:
-    """Return what a path consists of, surface by surface and slope by slope.
-
-    On slopes the path is cut into pieces, each on the mean slope along it. Lengths are those on the
-    slope, longer than in plan view; turns are those in plan view. The energy of an arc depends on
-    its size and curvature alone, so the parts of a segment need not join.
-    """
+    """Return what a path consists of, surface by surface and slope by slope."""
     cut = path if heights is None else heights.cut(path)
     slope = np.zeros(len(cut)) if heights is None else heights.slopes(cut)
     driven = replace(cut, ds=cut.ds / np.cos(slope))

@@ -125,10 +125,7 @@ class Window(NamedTuple):
 
 
 def window_of(mask: NDArray[np.bool_], row: int = 0, column: int = 0) -> Window | None:
-    """Return the least window that holds all cells that are set; None if none is.
-
-    The mask begins at a `row` and `column` of the map.
-    """
+    """Return the least window that holds all cells that are set; None if none is."""
     rows = np.flatnonzero(mask.any(axis=1))
     if len(rows) == 0:
         return None
@@ -161,11 +158,7 @@ class _Former(NamedTuple):
 
 @dataclass(eq=False)
 class Tables:
-    """What was made of a map's blocked cells, and what was made of them before they changed.
-
-    Of each table only the last one is kept, however often the map changes. Where several threads
-    ask for one at once, all get the one that was made first.
-    """
+    """What was made of a map's blocked cells, and what was made of them before they changed."""
 
     made: dict[Hashable, Any] = field(default_factory=dict)
     former: dict[Hashable, _Former] = field(default_factory=dict)
