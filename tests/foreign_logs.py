@@ -701,7 +701,7 @@ REFUSED: dict[Writer, str] = {
     names_one_too_many: "line 1 names 7 columns, but the rows have 6 cells",
     cells_missing_in_some_rows: "line 201: the row has fewer cells than the 5 names, and so have",
     no_names: "line 1 holds numbers, and no line names the columns",
-    hundredths: r"2\d\.\d V by voltage=batVoltage\[\*0.01\]",
+    hundredths: r"2\d\.\d V in .*voltage=batVoltage\[\*0.01\]",
     german: "the columns are Uhrzeit, .* say which it is with --columns v_left=NAME",
     utf16: "UTF-16 text; save it as UTF-8",
     two_recordings: "line 1503: 't' is 't', .* give each recording a file of its own",

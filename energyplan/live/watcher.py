@@ -28,6 +28,8 @@ from energyplan.live.samples import (
     read_samples,
 )
 from energyplan.logs import DriveLog
+from energyplan.logs.checks import find_checks
+from energyplan.logs.consistency import contradictions
 from energyplan.logs.mapping import Column
 from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion
@@ -42,6 +44,9 @@ _RESTART = 10
 """Samples in a row, older than one before them, that tell that the clock was set."""
 
 _BACKWARD = "time does not go forward; set aside"
+
+_CHECKED = 60.0
+"""Time driven after which what was read so far is checked as a log is [s]."""
 
 _STILL = 0.02
 """Speed of the treads below which a robot stands [m/s]."""
@@ -228,7 +233,7 @@ class _Watch:
         self._aside: Counter[str] = Counter()
         self._again: dict[str, Trouble] = {}
         self._here: _Ground | None = None
-        self._samples = 0
+        self._samples, self._unchecked = 0, list[Sample]()
         self._carries = mission is not None and (
             mission.payload > 0 or any(task.payload for task in mission.tasks)
         )
@@ -248,11 +253,15 @@ class _Watch:
                 yield from self._trouble(item)
             elif self._period:
                 yield from self._timed(item)
+                if self._clock >= _CHECKED and self._samples == len(self._unchecked):
+                    yield from self._doubts(name)
             else:
                 first.append(item)
                 if len(first) == _FIRST:
                     yield from self._release(first)
         yield from self._release(first)
+        if self._samples == len(self._unchecked):
+            yield from self._doubts(name)
         if self._looked_at < self._clock:
             yield from self._look()
         yield from self._report()
@@ -274,6 +283,24 @@ class _Watch:
             yield trouble
         else:
             self._again[trouble.reason] = replace(trouble, count=known.count + 1)
+
+    def _doubts(self, name: str) -> Iterator[Event]:
+        """Tell, once, what was read so far that contradicts itself or the robot."""
+        seen, self._unchecked = self._unchecked, []
+        known = self._prior if self._mission is None else self._mission.model
+        latest = np.maximum.accumulate([-inf, *(one.t for one in seen)])
+        seen = [one for one, before in zip(seen, latest, strict=False) if one.t > before]
+        if len(seen) < _FIRST or known is None:
+            return
+        shared = set.intersection(*(set(one.channels) for one in seen))
+        rows = [{"t": one.t, "v_left": one.v_left, "v_right": one.v_right, "power": one.power,
+                 **{key: one.channels[key] for key in shared}} for one in seen]  # fmt: skip
+        log = DriveLog({key: np.array([row[key] for row in rows]) for key in rows[0]}, name)
+        checks = find_checks(log.channels, log.power, log.runs)
+        told = {one.what: str(one) for one in checks if one.refuses}
+        vehicle = known.vehicle if isinstance(known, PowerModel) else known
+        told |= {one.what: str(one) for one in contradictions(log, vehicle)}
+        yield from (Trouble(name, text) for text in told.values())
 
     def _report(self) -> Iterator[Event]:
         """Tell what was learned, and what went wrong more than once since the last report."""
@@ -388,6 +415,8 @@ class _Watch:
         changed = ground.online.update(
             ground.t, sample.v_left, sample.v_right, sample.power, **sample.channels
         )
+        if self._samples == len(self._unchecked):
+            self._unchecked.append(sample)
         self._samples += 1
         if ground.memory is not None:
             ground.pending.append((step, sample))

@@ -539,7 +539,7 @@ def check_consistency(
     seen = _seen(drive, known)
     ratios = _ratios(seen, drive)
     wrong = [span for span, value in ratios if not span.holds(value)]
-    remedies = _explain(seen, drive, known, columns)
+    remedies = _explain(seen, drive, known, columns, bool(wrong))
     remedy = "; or ".join(text for _, text in remedies[:_NAMED]) if wrong else ""
     if wrong and not remedy:
         remedy = (
@@ -580,12 +580,14 @@ def strain(drive: Drive, known: Measures) -> float:
 
 
 def _explain(
-    seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns
+    seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns, measures: bool
 ) -> list[tuple[float, str]]:
     """Name the mistakes without which all ratios hold, by how unusual they leave them."""
-    there = {*drive.channels} | {"track", "wheelbase", "mass"}
-    swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
-    tried = [(0.1, "track and wheelbase are swapped: swap them", swapped)]
+    there, tried = {*drive.channels}, []
+    if measures:
+        there |= {"track", "wheelbase", "mass"}
+        swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
+        tried.append((0.1, "track and wheelbase are swapped: swap them", swapped))
     for one in [*_MISTAKES, *_of_speeds(seen, known, columns)]:
         mapped = columns.get(one.channels[0])
         scale = 1.0 if mapped is None or one not in _MISTAKES else mapped.conversion.factor
