@@ -24,7 +24,7 @@ CASES = {
     "charge_counter_as_current": ("", "current=BAT.CurrTot[mAh]"),
     "delay_of_nothing": ("", ""),
     "header_longer_than_rows": ("", "names 7 columns, but the rows have 6 cells"),
-    "hundredths_volts_and_amps": ("", "25.2 V by voltage=batVoltage[*0.01]"),
+    "hundredths_volts_and_amps": ("", "25.2 V in [*0.01]"),
     "inches_per_second": ("", ""),
     "mirrored_motor_no_heading": (
         "v_left=left_vel[rev/s*0.1],v_right=right_vel[rev/s*0.1]", "motor mounted in the mirror"),
