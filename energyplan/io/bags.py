@@ -34,7 +34,7 @@ from energyplan.logs import DriveLog
 from energyplan.logs.align import AS_LOGGED, Series, align
 from energyplan.logs.clean import SetAside
 from energyplan.logs.guess import guess, side_of, words
-from energyplan.logs.mapping import UNITS, Column, formula
+from energyplan.logs.mapping import RATES, UNITS, Column, counting, formula, scale_of
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
 _NAME = r"(?:yaw\([\w.\s]+\)|[A-Za-z_][\w.]*(?:\s*\[[^\[\]]+\])?)"
@@ -509,21 +509,25 @@ class BagFields:
             label for label, one in self.fields.items()
             if self.types[one.topic] not in (_JOINTS, _ODOMETRY)
         ]  # fmt: skip
-        found = {
-            channel: self.fields[one.field].changed(channel=channel, unit="")
-            for channel, one in guess(others).items() if channel in UNITS and channel != "t"
-        }  # fmt: skip
         guesses = guess(others)
-        for side in ("left", "right"):
-            channel, parts = (
-                f"p_{side}",
-                [guesses.get(f"{n}_{side}") for n in ("current", "voltage")],
+        found = {
+            channel: self.fields[one.field].model_copy(
+                update={"channel": channel, "unit": one.unit}
             )
-            if channel in found or None in parts:
+            for channel, one in guesses.items()
+            if channel in UNITS and channel != "t" and not counting(channel, one.unit)
+        }
+        for side in ("left", "right"):
+            amps, volts = (guesses.get(f"{kind}_{side}") for kind in ("current", "voltage"))
+            if f"p_{side}" in found or amps is None or volts is None:
                 continue
-            current, voltage = (self.fields[part.field] for part in parts if part is not None)
+            current, voltage = self.fields[amps.field], self.fields[volts.field]
+            factor = scale_of("current", amps.unit).factor * scale_of("voltage", volts.unit).factor
             if voltage.topic == current.topic:
-                found[channel] = current.changed(channel=channel, times=voltage.field)
+                found[f"p_{side}"] = current.changed(
+                    channel=f"p_{side}", times=voltage.field,
+                    unit="" if factor == 1.0 else f"*{factor:g}",
+                )  # fmt: skip
         return found
 
     def torques(self, sources: Mapping[str, Column]) -> str:
@@ -543,16 +547,15 @@ class BagFields:
     def wheel_rates(self, sources: Mapping[str, Column]) -> bool:
         """Tell whether the tread speeds are rates of joints, which take a wheel radius."""
         one = sources["v_left"]
-        rates = {"rate", "omega", "angular", "rpm", "joint"}
-        named = set(words(f"{one.topic}.{one.field}")) & rates if not one.plus else ()
-        return self.types[one.topic] == _JOINTS or bool(named)
+        rates = {"rate", "omega", "angular", "joint"}
+        named = set(words(f"{one.topic}.{one.field}")) & rates if not (one.plus or one.unit) else ()
+        return self.types[one.topic] == _JOINTS or one.unit in RATES or bool(named)
 
     def topic_map(self, sources: Mapping[str, Column], radius: float, name: str) -> TopicMap:
-        """Return the topic map that reads these fields."""
+        """Return the topic map that reads these fields, of wheels of a radius [m]."""
+        rolling = _SIDES if self.wheel_rates(sources) else ()
         channels = {
-            channel: [
-                one.changed(unit=f"*{radius!r}") if channel in _SIDES and radius != 1.0 else one
-            ]
+            channel: [one.changed(unit=f"{one.unit}*{radius!r}") if channel in rolling else one]
             for channel, one in sources.items()
         }
         return TopicMap(name=name, channels=channels)

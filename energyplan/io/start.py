@@ -826,7 +826,7 @@ def _start_bag(file: Path, known: Given) -> Start:
     radius = known.wheel_radius
 
     def mapped(size: float) -> TopicMap:
-        return fields.topic_map(sources, size if rates else 1.0, file.stem)
+        return fields.topic_map(sources, size, file.stem)
 
     log = read_bag(file, mapped(radius if isfinite(radius) else 1.0))
     assumed: dict[str, str] = {}

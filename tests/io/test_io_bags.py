@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from energyplan.errors import ConfigError, DriveLogError, UnknownNameError
 from energyplan.io.bags import (
+    BagFields,
     TopicMap,
     is_bag,
     read_bag,
@@ -15,6 +16,7 @@ from energyplan.io.bags import (
 from energyplan.io.logs import read_log
 from energyplan.io.tables import write_log
 from energyplan.logs.align import Series, align
+from energyplan.logs.mapping import Column
 from energyplan.power import PowerModel
 from energyplan.simulate import identification_drive
 from energyplan.vehicle import Vehicle
@@ -196,6 +198,18 @@ def test_every_channel_says_where_it_came_from_and_how(bags, kind):
     assert "velocity[*left*]" in told["as"]
     assert "angular_velocity.z, averaged from 100 Hz" in told["yaw_rate"]
     assert "interpolated from 10 Hz" in told["p_left"]
+
+
+def test_units_in_the_names_of_topics_are_kept():
+    names = ("left_wheel/rpm", "right_wheel/rpm", "bus/voltage_mv", "bus/current_ma", "bus/used_wh")
+    fields = BagFields(
+        {f"{name}.data": Column(topic=f"/{name}", field="data") for name in names},
+        {f"/{name}": "std_msgs/msg/Float64" for name in names},
+    )
+    made = fields.topic_map(fields.channels(), 0.2, "floats").channels
+    factors = {channel: sources[0].conversion.factor for channel, sources in made.items()}
+    wheel = pytest.approx(0.2 * np.pi / 30)
+    assert factors == {"v_left": wheel, "v_right": wheel, "voltage": 1e-3, "current": 1e-3}
 
 
 def test_battery_currents_change_sign_and_namespaces_match(tmp_path, drive):
