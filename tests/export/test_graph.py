@@ -7,11 +7,9 @@ import json
 import networkx as nx
 import pytest
 import shapely
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import EnergyPlanError, MapError
+from energyplan.errors import MapError
 from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.planning.graphs import Roadmap, price_edges
 from energyplan.power import PowerModel
@@ -152,30 +150,6 @@ def test_a_cost_of_zero_is_not_written(tmp_path):
     with pytest.raises(MapError, match="positive"):
         write_route_graph(graph, tmp_path / "h.geojson")
     assert not (tmp_path / "h.geojson").exists()
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
-    max_leaves=8,
-)
-
-
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(JSON, JSON, JSON, st.integers(0, 4))
-def test_any_values_end_in_a_graph_or_a_named_error(tmp_path, first, second, third, which):
-    features = json.loads(json.dumps(GOOD))
-    feature = features[which]
-    feature["properties"]["id"] = first
-    feature["properties"]["startid"] = second
-    feature["geometry"]["coordinates"] = third
-    try:
-        graph = read_route_graph(write(tmp_path / "g.geojson", features))
-    except EnergyPlanError:
-        return
-    assert graph.number_of_edges() > 0
 
 
 def test_a_graph_in_degrees_is_refused_by_what_it_is(tmp_path):

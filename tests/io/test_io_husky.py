@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from by_day import by_day
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from energyplan.errors import DriveLogError, EnergyPlanError
+from energyplan.errors import DriveLogError
 from energyplan.fit import identify
 from energyplan.io.husky import HuskyDrive, is_husky, read_husky
 from energyplan.io.logs import read_log
@@ -144,27 +142,6 @@ def test_malformed_imu_files_are_refused_with_the_line(tmp_path, model, rows, wo
     (tmp_path / "imu_00.csv").write_text("time,wz,ax\n" + rows)
     with pytest.raises(DriveLogError, match=rf"imu_00.csv, {words}"):
         read_husky(file)
-
-
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(
-    wheels=st.lists(st.lists(st.floats().map(repr), min_size=5, max_size=5), max_size=6),
-    imu=st.lists(st.lists(st.floats().map(repr), min_size=3, max_size=3), max_size=6),
-)  # fmt: skip
-def test_any_numbers_give_a_log_or_a_named_error(tmp_path, wheels, imu):
-    for name, head, rows in (
-        ("pro_00.csv", "time,curL,curR,velL,velR", wheels), ("imu_00.csv", "time,wz,ax", imu)
-    ):  # fmt: skip
-        text = [head, *(",".join(row) for row in rows)]
-        (tmp_path / name).write_text("\n".join(text) + "\n")
-    try:
-        log = read_husky(tmp_path / "pro_00.csv")
-    except EnergyPlanError as error:
-        assert "_00.csv" in str(error)
-    else:
-        assert all(np.all(np.isfinite(values)) for values in log.channels.values())
 
 
 @pytest.mark.shared

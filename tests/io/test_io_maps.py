@@ -14,13 +14,13 @@ from math import floor
 import numpy as np
 import pytest
 import shapely
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
-from energyplan.errors import ConfigError, EnergyPlanError, MapError
+from energyplan.errors import ConfigError, MapError
 from energyplan.io.documents import read_json
 from energyplan.io.geojson import read_surfaces, write_surfaces
 from energyplan.io.maps import read_map, read_site, write_map
@@ -422,11 +422,6 @@ def test_json_of_any_depth_and_size_is_refused_by_name(tmp_path, text, told):
         read_json(file, 1 << 17, ConfigError, "give another")
 
 
-FUZZ = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-
-
 # -- surfaces ---------------------------------------------------------------------------------
 
 
@@ -524,25 +519,6 @@ def test_malformed_surfaces_name_the_place(tmp_path, text, place):
     file = tmp_path / "s.geojson"
     file.write_text(text)
     with pytest.raises(MapError, match=place):
-        read_surfaces(file)
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner),
-    max_leaves=10,
-)
-
-
-@FUZZ
-@given(JSON, JSON, st.sampled_from(["Polygon", "MultiPolygon", "Point", ""]))
-def test_any_values_end_in_surfaces_or_a_named_error(tmp_path, coordinates, model, kind):
-    file = tmp_path / "s.geojson"
-    document = json.loads(collection(feature(BOX, model="quadriga:empty:marble"), feature(BOX)))
-    document["features"][1]["geometry"] = {"type": kind, "coordinates": coordinates}
-    document["features"][1]["properties"]["model"] = model
-    file.write_text(json.dumps(document))
-    with pytest.raises(EnergyPlanError):
         read_surfaces(file)
 
 

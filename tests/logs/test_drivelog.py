@@ -10,12 +10,10 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import savgol_filter
 
-from energyplan.errors import DriveLogError, EnergyPlanError, MissingChannelError
+from energyplan.errors import DriveLogError, MissingChannelError
 from energyplan.logs import DriveLog, tables
 from energyplan.logs.align import derivative, find_offset
 from energyplan.logs.mapping import UNITS, parse_columns
@@ -264,35 +262,6 @@ def test_absurdly_wide_and_long_tables_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "MAX_CELLS", 40)
     with pytest.raises(DriveLogError, match="more than 10 rows"):
         DriveLog.read(write(tmp_path, HEAD + "".join(f"{k},1,1,5\n" for k in range(11))))
-
-
-CELL = st.one_of(
-    st.floats().map(repr),
-    st.sampled_from(["", "nan", "-", '"', "1e999", "0x1", "\x00", "'", "1 2", "TRUE", "inf"]),
-    st.just("9" * 400),
-    st.text(max_size=5),
-)  # fmt: skip
-
-
-@settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(
-    header=st.one_of(st.sampled_from([HEAD.strip(), "t,v_left,v_right,power,yaw"]), st.text()),
-    rows=st.lists(st.lists(CELL, min_size=3, max_size=6), max_size=8),
-    ending=st.sampled_from(["\n", "\r\n", "\r", ",\n"]),
-)  # fmt: skip
-def test_any_text_gives_a_log_or_a_named_error(tmp_path, header, rows, ending):
-    text = ending.join([header, *(",".join(row) for row in rows)])
-    file = tmp_path / "any.csv"
-    file.write_bytes(text.encode("utf-8", "surrogatepass"))
-    try:
-        log = DriveLog.read(file)
-    except EnergyPlanError as error:
-        assert "any.csv" in str(error)
-    else:
-        assert all(np.all(np.isfinite(values)) for values in log.channels.values())
-        assert np.isfinite(log.energy)
 
 
 # -- cleaning -----------------------------------------------------------------------------------

@@ -21,13 +21,6 @@ def test_a_log_survives_the_way_through_a_frame() -> None:
         assert np.array_equal(again.channel(name), values)
 
 
-def test_the_frame_of_a_log_is_a_copy() -> None:
-    log = simulate.drive(MODEL, "figure8")
-    frame = log.to_frame()
-    frame["power"] = 0.0
-    assert log.energy > 0
-
-
 def test_frames_of_other_programs_are_read_as_files_are() -> None:
     frame = pd.DataFrame(
         {
