@@ -450,6 +450,7 @@ def _measured_twice(drive: Drive) -> _Found:
 _LONG = 5.0  # time of driving straight in which no power stays the same [s]
 _TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
 _SHARE = 0.05  # share of the samples in which it must
+_FLIPS = 0.3  # share of the steps that go back at once, of a reading with noise
 _FEW, _TOLD = 5, 5.0  # samples, and seconds, that tell a sign at least
 _DRAGGED = 1.3  # times the resistance of straight lines, which no side on the inside draws
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
@@ -497,13 +498,16 @@ def _dying(drive: Drive) -> _Found:
         active = drive.moving if rate is None else turns
         starts, counts = drive.stretches(name)
         lasts_long = np.add.reduceat(time * active, starts) > _LONG
-        if rate is None:  # without noise, or with few digits, all that is steady repeats
-            lasts_long[1:-1] &= drive.channels[name][starts[1:-1]] != 0.0
+        if rate is None:  # amid others, zeros may be of a side that stands, or of little power
+            steps = np.diff(values[drive.moving])
+            steps = steps[steps != 0.0]
+            noisy = len(steps) > _ENOUGH and np.mean(steps[1:] * steps[:-1] < 0.0) > _FLIPS
+            lasts_long[1:-1] &= noisy & (values[starts[1:-1]] != 0.0)
         for first, count in zip(starts[lasts_long], counts[lasts_long], strict=True):
             elsewhere = active.copy()
             elsewhere[first : first + count] = False
             others = values[elsewhere]
-            if rate is None:
+            if rate is None:  # without noise, or with few digits, all that is steady repeats
                 changes = len(others) >= _ENOUGH and len(np.unique(others)) > 0.5 * len(others)
             else:  # a steady turn may repeat a reading, but none that is far below all others
                 still = np.median(np.abs(values[first : first + count]))
