@@ -79,7 +79,6 @@ ENDS = "--start 1.2,2,90deg --goal 3.9,2,90deg --effort 5000"
 
 ANSWERS = {
     "start": Answer("start drive.csv --track 0.5 --wheelbase 0.475 --mass 147 --out robot.yaml"),
-    "start-list": Answer("start drive.csv", page="start, without --out"),
     "identify": Answer("identify drive.csv --vehicle quadriga:full"),
     "identify-windows": Answer("identify drive.csv --vehicle quadriga:full --method windows"),
     "identify-spin": Answer("identify --spin spin.csv --vehicle quadriga:full"),
