@@ -14,7 +14,19 @@ class EnergyPlanError(Exception):
 
 
 class InvalidInputError(EnergyPlanError, ValueError):
-    """The input is wrong; the message names the place and the remedy."""
+    """The input is wrong; the message names the place and the remedy.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong.
+    place : sequence of str and int
+        The way to the value, such as ``("tasks", 2, "pose")``.
+    """
+
+    def __init__(self, message: str, place: Sequence[str | int] = ()) -> None:
+        super().__init__(message)
+        self.place = tuple(place)
 
 
 class UnknownNameError(InvalidInputError):
@@ -64,19 +76,7 @@ class ConfigError(InvalidInputError):
 
 
 class MissionError(InvalidInputError):
-    """A mission is malformed; the message names the task or the line.
-
-    Parameters
-    ----------
-    message : str
-        What is wrong.
-    place : sequence of str and int
-        The way to the value, such as ``("tasks", 2, "pose")``.
-    """
-
-    def __init__(self, message: str, place: Sequence[str | int] = ()) -> None:
-        super().__init__(message)
-        self.place = tuple(place)
+    """A mission is malformed; the message names the task or the line."""
 
 
 class MessageError(InvalidInputError):

@@ -11,12 +11,10 @@ import builtins
 import importlib
 import inspect
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache, wraps
-from math import radians
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
@@ -32,7 +30,6 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SOURCES = {
     "BaseGeometry": "a polygon of shapely",
     "Battery": "Battery.preset(NAME)",
-    "BatteryModel": "Battery.preset(NAME)",
     "DriveLog": "DriveLog.read(FILE)",
     "EnergyCost": "EnergyCost(model)",
     "HeightMap": "read_heights(FILE)",
@@ -179,11 +176,6 @@ def _of_class(wanted: type) -> _Kind | None:
     name = wanted.__name__
     if issubclass(wanted, Path):
         return _Kind("the name of a file", lambda value: isinstance(value, os.PathLike))
-    if getattr(wanted, "_is_protocol", False):
-        members = [member for member in vars(wanted) if member[0] != "_"]
-        members += [member for member in inspect.get_annotations(wanted) if member not in members]
-        words = f"a {name}, which has {', '.join(members)}: {SOURCES.get(name, 'see its page')}"
-        return _Kind(words, lambda value: all(hasattr(value, member) for member in members))
     if wanted.__module__.partition(".")[0] != "energyplan" or name == "Pose":
         return None
     source = f": {SOURCES[name]}" if name in SOURCES else ""
@@ -293,51 +285,3 @@ def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], 
         return held  # type: ignore[return-value]
 
     return decorate
-
-
-UNITS: dict[str, dict[str, float]] = {
-    "number": {},
-    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3},
-    "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
-    "power": {"W": 1.0, "kW": 1e3},
-    "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6},
-    "resistance": {"ohm": 1.0, "mohm": 1e-3},
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
-    "mass": {"kg": 1.0, "g": 1e-3},
-    "fraction": {"%": 0.01},
-    "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
-    "temperature": {"C": 1.0},
-    "angle": {"rad": 1.0, "deg": radians(1.0)},
-}
-_BARE = {"charge": (1000.0, "Ah")}
-"""Below how much a plain number is doubted, and the unit that was meant: no robot has so little."""
-_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
-
-
-def amount(kind: str, value: Any) -> Any:
-    """Read ``5 min``, ``20 %`` or a plain number in SI units."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return _bare(kind, value)
-    if isinstance(value, bool):
-        raise ValueError("give a number")
-    if not isinstance(value, str):
-        return value
-    found = _AMOUNT.fullmatch(value)
-    units = UNITS[kind]
-    if value == "inf" or found is None:
-        return value
-    if found[2] and found[2] not in units:
-        raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
-    number = float(found[1])
-    return number * units[found[2]] if found[2] else _bare(kind, number)
-
-
-def _bare(kind: str, number: float) -> float:
-    """Return a number without a unit, which is one of SI."""
-    least, unit = _BARE.get(kind, (0.0, ""))
-    if 0.0 < number < least:
-        si = next(iter(UNITS[kind]))
-        raise ValueError(f"{number:g} has no unit, and would be {si}; write {number:g} {unit}")
-    return number

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import fields
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import field, fields
+from functools import wraps
+from math import radians
 from types import MappingProxyType
-from typing import Any, get_args
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_args
 
 import numpy as np
-from pydantic import BaseModel, ValidationInfo, field_validator
+import pydantic
+from numpy.typing import NDArray
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
+
+from energyplan.errors import InvalidInputError
+from energyplan.kinds import described, instance
 
 
 def _plain(value: Any) -> Any:
@@ -84,6 +101,136 @@ class ByValue(ReadOnly):
 
     def __hash__(self) -> int:
         return hash(tuple(map(_key, _compared(self))))
+
+
+# -- units ---------------------------------------------------------------------------------------
+
+UNITS: dict[str, dict[str, float]] = {
+    "number": {},
+    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3},
+    "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
+    "power": {"W": 1.0, "kW": 1e3},
+    "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6},
+    "resistance": {"ohm": 1.0, "mohm": 1e-3},
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
+    "mass": {"kg": 1.0, "g": 1e-3},
+    "fraction": {"%": 0.01},
+    "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
+    "temperature": {"C": 1.0},
+    "angle": {"rad": 1.0, "deg": radians(1.0)},
+}
+_BARE = {"charge": (1000.0, "Ah")}
+"""Below how much a plain number is doubted, and the unit that was meant: no robot has so little."""
+_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
+
+
+def amount(kind: str, value: Any, doubted: bool = True) -> Any:
+    """Read ``5 min``, ``20 %`` or a plain number in SI units."""
+    unit, units = "", UNITS[kind]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, str) and value != "inf":
+        found = _AMOUNT.fullmatch(value)
+        if found is None:
+            raise ValueError("give a number" + (f", in {', '.join(units)}" if units else ""))
+        value, unit = float(found[1]), found[2]
+        if unit and unit not in units:
+            raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
+    if isinstance(value, bool):
+        raise ValueError("give a number")
+    least, meant = _BARE.get(kind, (0.0, ""))
+    if doubted and not unit and isinstance(value, int | float) and 0.0 < value < least:
+        raise ValueError(
+            f"{value:g} has no unit, and would be {next(iter(units))}; write {value:g} {meant}"
+        )
+    return value * units[unit] if unit else value
+
+
+def amount_of(kind: str) -> BeforeValidator:
+    """Read a number that may carry a unit of a kind; what Python gives is in SI units."""
+    return BeforeValidator(
+        lambda value, info: amount(kind, value, doubted=info.context is not None)
+    )
+
+
+Number = Annotated[float, amount_of("number")]
+Time = Annotated[float, amount_of("time")]
+Power = Annotated[float, amount_of("power")]
+Mass = Annotated[float, amount_of("mass")]
+Length = Annotated[float, amount_of("length")]
+Fraction = Annotated[float, amount_of("fraction")]
+Amps = Annotated[float, amount_of("current")]
+Volts = Annotated[float, amount_of("voltage")]
+Ohms = Annotated[float, amount_of("resistance")]
+Coulombs = Annotated[float, amount_of("charge")]
+Celsius = Annotated[float, amount_of("temperature"), Field(allow_inf_nan=False)]
+ABOVE, FROM = Field(gt=0), Field(ge=0)
+FINITE = Field(ge=0, allow_inf_nan=False)
+
+
+def instance_of(*wanted: type) -> PlainValidator:
+    """Take an instance of one of some classes, or nothing where that is allowed."""
+
+    def check(value: Any, info: ValidationInfo) -> Any:
+        if not isinstance(value, wanted):
+            instance(value, wanted[0], info.field_name or "it")
+        return value
+
+    return PlainValidator(check)
+
+
+def _column(value: Any) -> NDArray[np.float64]:
+    try:
+        array = np.array(value, float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.ndim != 1 or not len(array) or not np.all(np.isfinite(array)):
+        raise ValueError("give a list of finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+Numbers = Annotated[NDArray[np.float64], PlainValidator(_column)]
+
+# -- one type for a file, a request and Python -----------------------------------------------------
+
+Record = TypeVar("Record")
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+def record(
+    error: type[InvalidInputError], *, eq: bool = True
+) -> Callable[[type[Record]], type[Record]]:
+    """Make a class a frozen dataclass that is checked alike from a file, a request and Python."""
+
+    def decorate(cls: type[Record]) -> type[Record]:
+        config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+        made: Any = pydantic.dataclasses.dataclass(frozen=True, eq=eq, config=config)(cls)
+        build = made.__init__
+
+        @wraps(build)
+        def checked(self: Any, *values: Any, **named: Any) -> None:
+            try:
+                build(self, *values, **named)
+            except ValidationError as problem:
+                first = problem.errors(include_url=False)[0]
+                if isinstance(own := first.get("ctx", {}).get("error"), error):
+                    raise own from None
+                place = list(first["loc"])
+                if place and isinstance(place[0], int):  # of a value without its name
+                    place[0] = fields(made)[place[0]].name
+                message = first["msg"].removeprefix("Value error, ")
+                value = ".".join(map(str, place))
+                if first["type"] != "missing":
+                    value += f" is {described(first['input'])}"
+                raise error(f"{cls.__name__.lower()}: {value}: {message}", place) from None
+
+        made.__init__ = checked
+        return made  # type: ignore[no-any-return]
+
+    return decorate
 
 
 # -- files -----------------------------------------------------------------------------------------

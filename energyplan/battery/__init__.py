@@ -3,20 +3,37 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
+import pydantic
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from energyplan import html
 from energyplan.battery._kernel import Circuit, discharge
-from energyplan.battery._tables import CHEMISTRIES, PRESETS, Chemistry, chemistry_of
+from energyplan.battery._tables import CHEMISTRIES, PRESETS, chemistry_of
 from energyplan.errors import BatteryError, UnknownNameError
-from energyplan.kinds import check_fields, checked, numbers
+from energyplan.kinds import checked, numbers
 from energyplan.path import FloatArray
-from energyplan.records import ByValue
+from energyplan.records import (
+    ABOVE,
+    FINITE,
+    FROM,
+    Amps,
+    ByValue,
+    Celsius,
+    Coulombs,
+    Fraction,
+    Number,
+    Numbers,
+    Ohms,
+    Time,
+    Volts,
+    amount,
+    record,
+)
 
 __all__ = ["Battery", "BatteryModel", "BatteryRun", "BrownOut"]
 
@@ -25,43 +42,17 @@ BrownOut = Literal["none", "voltage", "charge", "current"]
 
 @dataclass(frozen=True)
 class BatteryRun:
-    """What a power profile does to a battery.
+    """What a power profile does to a battery; after a brown-out it gives and takes nothing."""
 
-    After a brown-out the battery is off: it delivers and takes back nothing.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Time [s].
-    soc, voltage, current : ndarray, shape (n,)
-        State of charge, terminal voltage [V] and current [A], positive when discharging, at the
-        beginning of each sample.
-    lost, braked : ndarray, shape (n,)
-        Energy that the battery's resistances turned into heat since the start, and returned
-        energy that it could not take and the brake resistors had to [J].
-    brown_out : float
-        Instant at which the battery gave up [s]; infinite if it did not.
-    reason : {"none", "voltage", "charge", "current"}
-        Why: voltage below cut-off under the load, empty, or more current than it may deliver.
-    polarisation : float
-        Voltage of the RC pair at the end [V]; what a next run starts with.
-
-    Examples
-    --------
-    >>> run = Battery.preset("quadriga").simulate([0.0, 60.0, 120.0], [300.0, 300.0, 0.0])
-    >>> round(float(run.soc[-1]), 3), run.reason
-    (0.991, 'none')
-    """
-
-    t: FloatArray
-    soc: FloatArray
-    voltage: FloatArray
-    current: FloatArray
-    lost: FloatArray
-    braked: FloatArray
-    brown_out: float
-    reason: BrownOut
-    polarisation: float = 0.0
+    t: FloatArray  # time [s]
+    soc: FloatArray  # state of charge at the beginning of each sample
+    voltage: FloatArray  # terminal voltage there [V]
+    current: FloatArray  # current there [A], positive when discharging
+    lost: FloatArray  # energy that the resistances turned into heat since the start [J]
+    braked: FloatArray  # energy returned that it could not take, left to brake resistors [J]
+    brown_out: float  # instant at which the battery gave up [s]; infinite if it did not
+    reason: BrownOut  # why: cut-off voltage under the load, empty, too much current
+    polarisation: float = 0.0  # voltage of the RC pair at the end [V]
 
     @property
     def soc_end(self) -> float:
@@ -69,15 +60,9 @@ class BatteryRun:
         return float(self.soc[-1])
 
 
+@runtime_checkable
 class BatteryModel(Protocol):
-    """What a mission reads of a battery: `Battery` is one, and any class with these is another.
-
-    Examples
-    --------
-    >>> battery: BatteryModel = Battery.preset("quadriga")
-    >>> 0 <= battery.cutoff_soc < 1
-    True
-    """
+    """What a mission reads of a battery: `Battery` is one, and any class with these is another."""
 
     @property
     def cutoff_soc(self) -> float:
@@ -103,6 +88,10 @@ class BatteryModel(Protocol):
         """Return a battery of the same make that holds so much more energy [J] when full."""
 
 
+_UNITS = {"chemistry": "", "series": "", "parallel": "", "unit_capacity": "charge",
+          "unit_resistance": "resistance"}  # fmt: skip
+"""Keys of a pack of equal units, and the kinds of their amounts."""
+
 _REASONS: tuple[BrownOut, ...] = ("none", "voltage", "charge", "current")
 _REFERENCE_TEMPERATURE = 25.0
 
@@ -110,7 +99,7 @@ _REFERENCE_TEMPERATURE = 25.0
 EXAMPLE = "24 V 20 Ah lead-acid"
 """A battery in words."""
 
-_UNITS = {
+_SYMBOLS = {
     "v": ("V", 1.0), "ah": ("Ah", 1.0), "mah": ("Ah", 1e-3), "wh": ("Wh", 1.0),
     "kwh": ("Wh", 1e3), "ohm": ("ohm", 1.0), "mohm": ("ohm", 1e-3), "degc": ("degC", 1.0),
 }  # fmt: skip
@@ -119,55 +108,12 @@ _SHARE = re.compile(r"\b(usable|health)\s*:?\s*(\d+(?:\.\d+)?)\s*%")
 _AMOUNT = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*(mohm|ohm|mah|ah|kwh|wh|degc|v)\b")
 
 
-@dataclass(frozen=True)
-class _Words:
-    """What some words say of a battery."""
-
-    chemistry: Chemistry
-    counts: tuple[int, int] | None  # in series and in parallel
-    amounts: Mapping[str, float]  # by unit: V, Ah, Wh, ohm, degC; usable and health as fractions
-
-    @classmethod
-    def read(cls, words: str) -> _Words:
-        """Read them, and say all that is missing or unknown at once."""
-        rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
-        counts = _COUNTS.search(rest)
-        rest = _COUNTS.sub(" ", rest)
-        amounts = {name: float(value) / 100.0 for name, value in _SHARE.findall(rest)}
-        rest = _SHARE.sub(" ", rest)
-        for value, symbol in _AMOUNT.findall(rest):
-            unit, factor = _UNITS[symbol]
-            amounts[unit] = float(value) * factor
-        left = " ".join(_AMOUNT.sub(" ", rest).replace(",", " ").replace(" at ", " ").split())
-        kind = chemistry_of(left)
-        known = ", ".join([*PRESETS])
-        said = bool(counts or amounts)
-        _require(
-            said,
-            f"unknown battery {words!r}; give its voltage, capacity and chemistry, as in "
-            f"{EXAMPLE!r} or '7S4P 3 Ah li-ion', or a preset: {known}",
-        )
-        missing = [] if counts or "V" in amounts else ["its voltage (24 V) or counts (7S4P)"]
-        if not ("Ah" in amounts or ("Wh" in amounts and "V" in amounts)):
-            missing.append("its capacity (20 Ah)")
-        names = ", ".join(c.aliases[0] for c in CHEMISTRIES.values())
-        if kind is None and not left:
-            missing.append(f"its chemistry ({names})")
-        wrong = f"{left!r} is no chemistry; known are {names}" if kind is None and left else ""
-        lacks = f"it lacks {' and '.join(missing)}" if missing else ""
-        told = "; ".join(filter(None, (wrong, lacks)))
-        _require(not told, f"battery {words!r}: {told}; write it as {EXAMPLE!r}")
-        assert kind is not None
-        pair = (int(counts[1]), int(counts[2])) if counts else None
-        return cls(kind, pair, amounts)
-
-
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise BatteryError(message)
 
 
-@dataclass(frozen=True, eq=False)
+@record(BatteryError, eq=False)
 class Battery(ByValue, html.Readable):
     """A battery pack as an equivalent circuit (Thevenin): source, resistance, one RC pair.
 
@@ -226,61 +172,63 @@ class Battery(ByValue, html.Readable):
     """
 
     name: str
-    capacity: float
-    soc_points: FloatArray
-    ocv_points: FloatArray
-    resistance: float
-    pair_resistance: float = 0.0
-    pair_time: float = 60.0
-    peukert: float = 1.0
-    rated_current: float = np.inf
-    charge_efficiency: float = 1.0
-    cutoff_voltage: float = 0.0
-    cutoff_soc: float = 0.0
-    max_voltage: float = np.inf
-    max_discharge_current: float = np.inf
-    max_charge_current: float = np.inf
-    temperature: float = _REFERENCE_TEMPERATURE
-    derating_temperature: FloatArray = field(
+    capacity: Annotated[Coulombs, Field(gt=0, allow_inf_nan=False)]
+    soc_points: Numbers
+    ocv_points: Numbers
+    resistance: Annotated[Ohms, FINITE]
+    pair_resistance: Annotated[Ohms, FINITE] = 0.0
+    pair_time: Annotated[Time, ABOVE] = 60.0
+    peukert: Annotated[Number, Field(ge=1, lt=2)] = 1.0
+    rated_current: Annotated[Amps, ABOVE] = np.inf
+    charge_efficiency: Annotated[Fraction, Field(gt=0, le=1)] = 1.0
+    cutoff_voltage: Annotated[Volts, FROM] = 0.0
+    cutoff_soc: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
+    max_voltage: Volts = np.inf
+    max_discharge_current: Annotated[Amps, ABOVE] = np.inf
+    max_charge_current: Annotated[Amps, FROM] = np.inf
+    temperature: Celsius = _REFERENCE_TEMPERATURE
+    derating_temperature: Numbers = field(
         default_factory=lambda: np.array([_REFERENCE_TEMPERATURE])
     )
-    derating_factor: FloatArray = field(default_factory=lambda: np.array([1.0]))
-    resistance_coefficient: float = 0.0
-    health: float = 1.0
+    derating_factor: Numbers = field(default_factory=lambda: np.array([1.0]))
+    resistance_coefficient: Annotated[Number, FROM] = 0.0
+    health: Annotated[Fraction, Field(gt=0, le=1)] = 1.0
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_fields(self, BatteryError, f"battery {self.name}: ")
-        for name in ("soc_points", "ocv_points", "derating_temperature", "derating_factor"):
-            value = np.array(getattr(self, name), float)
-            _require(
-                value.ndim == 1 and len(value) > 0 and bool(np.all(np.isfinite(value))),
-                f"battery {self.name}: {name} must be a list of finite numbers",
+    also: ClassVar = ("preset", *_UNITS, "usable")  # keys of a mapping that stand for others
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _described(cls, given: Any) -> Any:
+        """Read words, or a mapping of a preset, words or equal units with what differs from it."""
+        if not isinstance(given, str | dict):
+            return given
+        given = {"preset": given} if isinstance(given, str) else dict(given)
+        if "usable" in given:
+            given["cutoff_soc"] = 1.0 - float(amount("fraction", given.pop("usable")))
+        words = given.pop("preset", None)
+        units = {key: given.pop(key) for key in _UNITS if key in given}
+        lacking = [key for key in _UNITS if key not in units and key != "unit_resistance"]
+        if (words is None) == (not units):
+            raise BatteryError(
+                f"give a preset or words, as in {EXAMPLE!r}, or chemistry, series, parallel and "
+                "unit_capacity"
             )
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        self._check_tables()
-        for name in ("capacity", "pair_time", "rated_current", "max_discharge_current"):
-            self._check(name, getattr(self, name) > 0, "positive")
-        others = ("resistance", "pair_resistance", "cutoff_voltage", "max_charge_current")
-        for name in (*others, "resistance_coefficient"):
-            self._check(name, getattr(self, name) >= 0, "0 or more")
-        for name in ("capacity", "resistance", "pair_resistance", "temperature"):
-            self._check(name, np.isfinite(getattr(self, name)), "finite")
-        self._check("peukert", 1 <= self.peukert < 2, "in [1, 2)")
-        self._check("charge_efficiency", 0 < self.charge_efficiency <= 1, "in (0, 1]")
-        self._check("cutoff_soc", 0 <= self.cutoff_soc < 1, "a fraction in [0, 1)")
-        self._check("health", 0 < self.health <= 1, "in (0, 1]")
-        top, below = self.ocv_points[-1], "below the open-circuit voltage of the full battery"
-        self._check("cutoff_voltage", self.cutoff_voltage < top, f"{below}, {top:g} V")
-        high = self.max_voltage > self.cutoff_voltage
-        self._check("max_voltage", high, "above the cut-off voltage")
+        if units and lacking:
+            raise BatteryError(
+                f"the pack lacks {', '.join(lacking)}; or say it in words, as in {EXAMPLE!r}"
+            )
+        if units:
+            units = {
+                key: amount(_UNITS[key], value) if _UNITS[key] else value
+                for key, value in units.items()
+            }
+        base = cls.from_units(given.get("name", "battery"), **units) if units else cls.of(words)
+        known = {item.name: getattr(base, item.name) for item in fields(cls)}
+        notes = () if "resistance" in given else base.notes
+        return {**known, **given, "notes": notes}
 
-    def _check(self, name: str, condition: object, remedy: str) -> None:
-        value = getattr(self, name)
-        _require(bool(condition), f"battery {self.name}: {name} is {value:g}; it must be {remedy}")
-
-    def _check_tables(self) -> None:
+    def __post_init__(self) -> None:
         soc, ocv = self.soc_points, self.ocv_points
         _require(
             len(soc) == len(ocv) >= 2
@@ -297,6 +245,11 @@ class Battery(ByValue, html.Readable):
             len(heat) == len(factor) and bool((np.diff(heat) > 0).all() and (factor > 0).all()),
             f"battery {self.name}: derating_temperature must ascend, with one positive "
             "derating_factor for each",
+        )
+        _require(
+            self.cutoff_voltage < min(ocv[-1], self.max_voltage),
+            f"battery {self.name}: cutoff_voltage is {self.cutoff_voltage:g}; it must be below the "
+            f"open-circuit voltage of the full battery, {ocv[-1]:g} V, and below max_voltage",
         )
 
     def _summaries(self) -> list[html.Summary]:
@@ -344,24 +297,9 @@ class Battery(ByValue, html.Readable):
 
     @checked(BatteryError)
     def larger(self, energy: float) -> Battery:
-        """Return a battery of the same make that holds so much more energy when full.
+        """Return a battery of the same make that holds so much more energy [J] when full.
 
         It has more strings in parallel: resistances fall and currents rise with the capacity.
-
-        Parameters
-        ----------
-        energy : float
-            How much more [J]; less where negative.
-
-        Returns
-        -------
-        Battery
-            The larger battery.
-
-        Raises
-        ------
-        BatteryError
-            If nothing would be left.
         """
         factor = 1.0 + energy / self.full_energy
         _require(
@@ -426,26 +364,10 @@ class Battery(ByValue, html.Readable):
 
     @checked(BatteryError)
     def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
-        """Energy that the battery can deliver at constant power until it gives up.
+        """Energy [J] that it delivers at constant power [W] until it gives up.
 
-        The RC pair is assumed to be settled: the discharge lasts long against its time constant.
-
-        Parameters
-        ----------
-        power : array_like, shape (...)
-            Power [W], positive.
-        soc : array_like, shape (...)
-            State of charge at the start.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Energy [J]; zero where the battery cannot deliver that power at all.
-
-        Raises
-        ------
-        BatteryError
-            If a power is not positive or `soc` is not in [0, 1].
+        Zero where it cannot deliver that power at all. The RC pair is assumed to be settled: the
+        discharge lasts long against its time constant.
         """
         load, start = np.broadcast_arrays(np.asarray(power, float), np.asarray(soc, float))
         _require(bool(np.all(load > 0)), "usable energy is asked at a power that is not positive")
@@ -613,25 +535,47 @@ class Battery(ByValue, html.Readable):
         """
         if words.strip() in PRESETS:
             return cls.preset(words.strip())
-        found = _Words.read(words)
-        kind, counts, given = found.chemistry, found.counts, found.amounts
+        rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
+        counts = _COUNTS.search(rest)
+        rest = _COUNTS.sub(" ", rest)
+        given = {name: float(value) / 100.0 for name, value in _SHARE.findall(rest)}
+        rest = _SHARE.sub(" ", rest)
+        for value, symbol in _AMOUNT.findall(rest):
+            unit, factor = _SYMBOLS[symbol]
+            given[unit] = float(value) * factor
+        left = " ".join(_AMOUNT.sub(" ", rest).replace(",", " ").replace(" at ", " ").split())
+        _require(
+            bool(counts or given),
+            f"unknown battery {words!r}; give its voltage, capacity and chemistry, as in "
+            f"{EXAMPLE!r} or '7S4P 3 Ah li-ion', or a preset: {', '.join(PRESETS)}",
+        )
+        lacks = [] if counts or "V" in given else ["its voltage (24 V) or counts (7S4P)"]
+        if not ("Ah" in given or {"Wh", "V"} <= given.keys()):
+            lacks.append("its capacity (20 Ah)")
+        names = ", ".join(c.aliases[0] for c in CHEMISTRIES.values())
+        kind = chemistry_of(left)
+        wrong = [] if kind or not left else [f"{left!r} is no chemistry; known are {names}"]
+        if not left:
+            lacks.append(f"its chemistry ({names})")
+        wrong += [f"it lacks {' and '.join(lacks)}"] if lacks else []
+        if kind is None or wrong:
+            raise BatteryError(f"battery {words!r}: {'; '.join(wrong)}; write it as {EXAMPLE!r}")
         for unit in given.keys() - {"degC"}:
             _require(given[unit] > 0, f"battery {words!r}: {given[unit]:g} {unit} is not positive")
         capacity = given["Ah"] if "Ah" in given else given["Wh"] / given["V"]
         notes: tuple[str, ...] = ()
-        if counts is None:
-            series = max(round(given["V"] / kind.voltage), 1)
-            cells, nominal = (series, 1), series * kind.voltage
-            off = nominal / given["V"] - 1.0
+        if counts is not None:
+            cells = int(counts[1]), int(counts[2])
+        else:
+            cells = max(round(given["V"] / kind.voltage), 1), 1
+            off = cells[0] * kind.voltage / given["V"] - 1.0
             _require(
                 abs(off) < 0.12,
                 f"battery {words!r}: {given['V']:g} V is no multiple of the {kind.voltage:g} V of "
-                f"one unit of {kind.name}; give the counts, as in {series}S1P",
+                f"one unit of {kind.name}; give the counts, as in {cells[0]}S1P",
             )
             if abs(off) > 0.03:
-                notes = (f"battery {words}: taken to have {series} units in series",)
-        else:
-            cells = counts
+                notes = (f"battery {words}: taken to have {cells[0]} units in series",)
         resistance = given.get("ohm")
         if resistance is not None and counts is None:
             resistance = resistance / cells[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,7 +42,7 @@ LEAD_ACID = Chemistry(
     voltage=12.0,
     typical_resistance=0.28,
     charge_rate=0.3,
-    aliases=("lead-acid", "lead acid", "leadacid", "pb", "agm", "gel", "sla", "vrla"),
+    aliases=("lead-acid", "pb", "agm", "gel", "sla", "vrla"),
     source=(
         "12 V block at 26.7 degC, specific gravity 1.265 when full: Battery Council "
         "International. Derating from 0 degC: Discover Energy, discharge longer than 60 min. "
@@ -67,17 +68,7 @@ LITHIUM_ION = Chemistry(
     voltage=3.65,
     typical_resistance=0.10,
     charge_rate=0.5,
-    aliases=(
-        "li-ion",
-        "li ion",
-        "liion",
-        "lithium-ion",
-        "lithium ion",
-        "lipo",
-        "li-po",
-        "nmc",
-        "nca",
-    ),
+    aliases=("li-ion", "lipo", "nmc", "nca"),
     source=(
         "Molicel INR-21700-P42A, mean of discharge and charge at C/32: Sunil, Pattipati, "
         "Balasingam, Piecewise Linear Approximation of Battery Open-Circuit Voltage "
@@ -102,7 +93,7 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
     voltage=3.2,
     typical_resistance=0.06,
     charge_rate=0.5,
-    aliases=("lifepo4", "lfp", "lithium iron phosphate", "life"),
+    aliases=("lifepo4", "lfp", "life"),
     source=(
         "Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
         "Derating: Canbat on its CLI100-12, 80 % at 0 degC and 70 % at -20 degC; X2Power tells "
@@ -117,9 +108,13 @@ CHEMISTRIES = {c.name: c for c in (LEAD_ACID, LITHIUM_ION, LITHIUM_IRON_PHOSPHAT
 
 
 def chemistry_of(name: str) -> Chemistry | None:
-    """Return the chemistry of a name or alias in any case; None where there is none."""
-    told = name.strip().lower()
-    return next((c for c in CHEMISTRIES.values() if told in (c.name, *c.aliases)), None)
+    """Return the chemistry of a name or alias, however it is written; None where there is none."""
+
+    def plain(text: str) -> str:
+        return re.sub(r"[-_\s]", "", text).lower()
+
+    named = (c for c in CHEMISTRIES.values() if plain(name) in map(plain, (c.name, *c.aliases)))
+    return next(named, None)
 
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -45,7 +45,7 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
 
 def number(option: str, kind: str, text: str) -> float:
     """Return the amount that an option gives, such as ``50%`` or ``90deg``."""
-    from energyplan.kinds import UNITS, amount
+    from energyplan.records import UNITS, amount
 
     try:
         return float(amount(kind, text))

@@ -489,7 +489,7 @@ def mission(
     """
     from energyplan.errors import MissionError
     from energyplan.io.documents import load
-    from energyplan.io.mission import MissionReader
+    from energyplan.io.mission import build
     from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
@@ -506,7 +506,7 @@ def mission(
         return
     if fail is not None:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
-    asked = _with_effort(MissionReader(document, file.parent, anywhere=True).mission(), effort)
+    asked = _with_effort(build(document, file.parent), effort)
     warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"):
         result = evaluate(asked)
@@ -530,7 +530,7 @@ def _robots(
     """Share the tasks of a mission between its robots."""
     from energyplan.io.fleet import fleet_from
     from energyplan.mission import Fleet, evaluate_fleet
-    from energyplan.output import documents, text
+    from energyplan.output import documents
 
     name, instant = _failure(fail) if fail else ("", 0.0)
     asked = fleet_from(file, folder)
@@ -539,10 +539,10 @@ def _robots(
     with progress("evaluating the mission"):
         report = evaluate_fleet(asked)
         after = evaluate_fleet(report.after_failure(name, instant)) if name else None
-    document, lines = documents.fleet(report), text.fleet(report)
+    document, lines = documents.fleet(report), str(report).splitlines()
     if after is not None:
         document["after_failure"] = {"robot": name, "time": instant, **documents.fleet(after)}
-        lines += [f"if {name} fails at {instant:g} s:", *text.fleet(after)]
+        lines += [f"if {name} fails at {instant:g} s:", *str(after).splitlines()]
     answer(document, lines, json=json)
     verdict(report.feasible and (after is None or after.feasible), strict)
 

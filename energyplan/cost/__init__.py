@@ -205,39 +205,18 @@ class EnergyCost(SteadyDriving):
 
     @checked()
     def per_metre(self, curvature: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
-        """Return the energy per metre on arcs.
+        """Return the energy per metre [J/m] on arcs of a curvature [1/m], positive to the left.
 
-        Parameters
-        ----------
-        curvature : array_like, shape (...)
-            Curvature [1/m], positive to the left.
-        speed : array_like, shape (...), optional
-            Speed of the reference point [m/s]; that of this cost where not given. It may exceed
-            `admissible_speed`.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Energy per metre of the reference point's path [J/m].
+        The speed of the reference point may be given [m/s], and exceed `admissible_speed`.
         """
         return self._per_unit(np.ones(np.shape(curvature)), curvature, speed)
 
     @checked()
     def per_radian(self, radius: ArrayLike = 0.0, rate: ArrayLike | None = None) -> FloatArray:
-        """Return the energy per radian of a turn to the left.
+        """Return the energy per radian [J/rad] of a turn to the left.
 
-        Parameters
-        ----------
-        radius : array_like, shape (...)
-            Signed distance of the reference point per radian [m]: 0 for a spin, ``+-C`` for
-            pivots of a vehicle with symmetric tread ICRs.
-        rate : array_like, shape (...), optional
-            Yaw rate [rad/s]; that of this cost where not given.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Energy per radian [J/rad].
+        The radius is the signed distance of the reference point per radian [m]: 0 for a spin,
+        ``+-C`` for pivots. The yaw rate may be given [rad/s].
         """
         return self._per_unit(radius, np.ones(np.shape(radius)), rate)
 
@@ -256,21 +235,9 @@ class EnergyCost(SteadyDriving):
     def lower_bound(self, point: tuple[float, float] = (0.0, 0.0)) -> LowerBound:
         """Return coefficients ``(a, beta)`` of ``E >= a length + beta |turn|`` for any motion.
 
-        Parameters
-        ----------
-        point : tuple of float
-            Body coordinates of the point whose path is measured [m]; the body's origin where not
-            given.
-
-        Returns
-        -------
-        LowerBound
-            With the largest ``a``, that of the cheapest straight line unless a turn moves the
-            point for less.
-
-        References
-        ----------
-        docs/theory, section 5.
+        The length is that of the path of a body point [m], and ``a`` the largest there is: that
+        of the cheapest straight line unless a turn moves the point for less (docs/theory, section
+        5).
         """
         return lower_bound(self._element_energy, self.icr, point)
 

@@ -10,13 +10,13 @@ import re
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import reduce
 from math import isfinite, radians
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
+from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
@@ -122,7 +122,7 @@ _EXTRA = ("extra_forbidden", "unexpected_keyword_argument")
 NO_CONFIGURATION = "that is no configuration"
 
 Loc = tuple[int | str, ...]
-M = TypeVar("M", bound=BaseModel)
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -145,13 +145,14 @@ class Document:
         where = f"{self.source}, line {self.lines.get(known, 1)}" if self.lines else self.source
         return self.error(f"{where}{f', {name}' if name else ''}: {problem}")
 
-    def check(self, schema: type[M], loc: Loc = (), context: Any = None) -> M:
-        """Return the document as checked by a pydantic model."""
+    def check(self, schema: type[T], loc: Loc = (), context: Any = None) -> T:
+        """Return what stands at a place, checked by a pydantic model, dataclass or annotation."""
         try:
-            return schema.model_validate(self.data, context=context)
+            value = reduce(lambda held, key: held[key], loc, self.data)
+            return TypeAdapter(schema).validate_python(value, context=context or {})
         except ValidationError as problem:
             every = problem.errors(include_url=False)
-            places = [self._keys_of(one) for one in every]
+            places = [self._keys_of(one, value) for one in every]
             # Where one of several kinds may stand, what is wrong within the kind that stands there.
             depth = len(places[0])
             which = max(
@@ -186,11 +187,10 @@ class Document:
                 )
             elif not own and not isinstance(first["input"], dict | list):
                 message = f"{message}, not {str(first['input'])[:60]!r}"
-            raise self.fail((*loc, *place, *own), message + self._another_kind(schema)) from None
+            raise self.fail((*loc, *place, *own), message + self.another_kind(schema)) from None
 
-    def _keys_of(self, problem: ErrorDetails) -> Loc:
-        """Return where in the document a problem is, without the names of kinds that may stand."""
-        here: Any = self.data
+    def _keys_of(self, problem: ErrorDetails, here: Any) -> Loc:
+        """Return where in a value a problem is, without the names of kinds that may stand."""
         found: list[int | str] = []
         *_, last = problem["loc"] or ("",)
         for part in problem["loc"]:
@@ -209,16 +209,15 @@ class Document:
         """What the file seems to be, by its keys."""
         return next((kind for kind, keys in _TELLING.items() if keys <= {*self.data}), None)
 
-    def _another_kind(self, schema: type[BaseModel]) -> str:
+    def another_kind(self, schema: Any) -> str:
         """Say what else the file seems to be, if anything."""
-        strange = set(self.data) - set(schema.model_fields)
+        strange = {*self.data} - {*_fields(schema)}
         kinds = [kind for kind, keys in _TELLING.items() if keys & strange and keys <= {*self.data}]
         return f"; this file seems to be {kinds[0]}" if kinds else ""
 
 
-def _keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+def _keys(here: Any, loc: Loc) -> list[str]:
     """Return the keys that a mapping may have."""
-    here: Any = schema
     for part in loc[:-1]:
         field = _fields(here).get(str(part))
         found = [] if field is None else [field.annotation]
@@ -228,9 +227,11 @@ def _keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
     return list(_fields(here))
 
 
-def _fields(schema: Any) -> dict[str, FieldInfo]:
-    """Return the fields of a pydantic model or dataclass; none of anything else."""
-    return getattr(schema, "__pydantic_fields__", {})
+def _fields(schema: Any) -> dict[str, Any]:
+    """Return the fields of a pydantic model or dataclass by the keys of a mapping."""
+    known = getattr(schema, "__pydantic_fields__", {}).items()
+    own = {name: one for name, one in known if one.init is not False}
+    return own | dict.fromkeys(getattr(schema, "also", ()))
 
 
 def load(path: str | Path, error: type[InvalidInputError]) -> Document:

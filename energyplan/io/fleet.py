@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.errors import MissionError
 from energyplan.io.documents import Checked, Document, Loc, load
-from energyplan.io.mission import MissionReader
+from energyplan.io.mission import build
 from energyplan.kinds import checked
 from energyplan.mission import Fleet, Robot
 
@@ -103,7 +103,7 @@ def fleet_from(document: Document, folder: Path) -> Fleet:
         }  # fmt: skip
         lines = _lines(document, k, able, set(extra))
         own = Document(document.source, data, lines, MissionError)
-        mission = MissionReader(own, folder, anywhere=True).mission()
+        mission = build(own, folder)
         if robots:  # one map, so that routes are planned once for all
             mission = replace(mission, map=robots[0].mission.map)
         robots.append(Robot(robot.name, mission))

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
@@ -26,8 +25,9 @@ from energyplan.io.bags import is_bag, opened_bag
 from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file
 from energyplan.io.geojson import read_obstacles, read_surfaces
-from energyplan.kinds import amount, checked
+from energyplan.kinds import checked
 from energyplan.path import Pose
+from energyplan.records import amount_of
 from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid, from_raster
 from energyplan.terrain.heights import HeightMap
@@ -655,9 +655,7 @@ class SiteFile(Checked, BaseModel):
     keepout: str | None = None  # a second map: the robot stays out of its occupied cells
     costmap: str | None = None  # a map of soft costs
     speed_mask: str | None = None  # a mask of Nav2's speed filter: see `read_speed_mask`
-    clearance: Annotated[
-        float, BeforeValidator(partial(amount, "length")), Field(ge=0, allow_inf_nan=False)
-    ] = 0.0  # [m]
+    clearance: Annotated[float, amount_of("length"), Field(ge=0, allow_inf_nan=False)] = 0.0  # [m]
 
 
 PARTS: dict[str, Callable[[Path], Any]] = {

@@ -8,6 +8,7 @@ energy at its bound.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
@@ -127,86 +128,30 @@ class Timeline:
 
 @dataclass(frozen=True)
 class MissionReport(html.Readable):
-    """Which tasks can be done, in which order, with what energy.
-
-    Parameters
-    ----------
-    mission : Mission
-        The mission.
-    tasks : tuple of TaskReport
-        One for each task, in the order of the mission.
-    order : tuple of str
-        Names of the stops in the order of their visits, chargers included.
-    energy, energy_upper : float
-        Energy of the whole mission, expected and at the bound [J].
-    soc_end, soc_end_lower : float
-        State of charge at the end, expected and at the bound.
-    feasible : bool
-        Whether every required task is reachable and the mission ends where it must.
-    end : str
-        Where it ends.
-    duration : float
-        How long it takes [s].
-    proven : bool
-        Whether, for a free order, no better one exists on the routes known.
-    gap : float
-        Fraction of the energy that a better order could save at most; nan if one might do more
-        tasks, or if nothing is known.
-    timeline : Timeline
-        The mission over time.
-    paths : tuple of Path
-        The drives.
-    trajectories : tuple of Trajectory
-        The same, timed, each from time 0; without those in which the robot stays where it is.
-    route : tuple of Stop
-        The stops with their times, from the start to the end.
-    uncertainty : tuple of Doubt
-        Standard deviation of the energy by source, the largest first. It is taken between the
-        charges where the largest margin is needed; without charges that is the whole mission. The
-        squares add up to the variance.
-    legs : tuple of LegReport
-        The drives from stop to stop with the charge along them.
-    chargers : tuple of ChargerReport
-        How each charger is used.
-    warnings : tuple of str
-        What to know before trusting the figures, such as a temperature without data.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import energyplan as ep
-    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
-    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
-    >>> mission = ep.Mission(
-    ...     model, hall, ep.Battery.preset("quadriga"), (1, 2, 0),
-    ...     (ep.Task("look", (4, 2, 0), dwell=60.0, power=20.0),),
-    ...     planning_effort=1000, coefficient_spread=0.05,
-    ... )
-    >>> report = ep.evaluate(mission)
-    >>> report.headline, report.task("look").verdict
-    ('the task can be done', 'reachable')
-    """
+    """Which tasks can be done, in which order, with what energy."""
 
     mission: Mission
-    tasks: tuple[TaskReport, ...]
-    order: tuple[str, ...]
-    energy: float
-    energy_upper: float
-    soc_end: float
-    soc_end_lower: float
-    feasible: bool
-    end: str
-    duration: float
-    proven: bool
+    tasks: tuple[TaskReport, ...]  # one for each task, in the order of the mission
+    order: tuple[str, ...]  # names of the stops in the order of their visits, chargers included
+    energy: float  # energy of the whole mission, expected [J]
+    energy_upper: float  # the same at the bound [J]
+    soc_end: float  # state of charge at the end, expected
+    soc_end_lower: float  # the same at the bound
+    feasible: bool  # whether every required task is reachable and it ends where it must
+    end: str  # where it ends
+    duration: float  # how long it takes [s]
+    proven: bool  # whether, for a free order, no better one exists on the routes known
     timeline: Timeline
-    paths: tuple[Path, ...]
-    trajectories: tuple[Trajectory, ...] = ()
-    route: tuple[Stop, ...] = ()
+    paths: tuple[Path, ...]  # the drives
+    trajectories: tuple[Trajectory, ...] = ()  # timed, each from 0; without those that stay
+    route: tuple[Stop, ...] = ()  # the stops with their times, from the start to the end
+    # Largest first, taken between the charges where the largest margin is needed; without charges
+    # that is the whole mission. The squares add up to the variance.
     uncertainty: tuple[Doubt, ...] = ()
     legs: tuple[LegReport, ...] = ()
     chargers: tuple[ChargerReport, ...] = ()
-    gap: float = np.nan
-    warnings: tuple[str, ...] = ()
+    gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
+    warnings: tuple[str, ...] = ()  # what to know before trusting the figures
 
     @property
     def headline(self) -> str:
@@ -273,7 +218,7 @@ class MissionReport(html.Readable):
             for task in map(self.task, self.table["name"])
         ]  # fmt: skip
         times = [
-            (_clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
+            (clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
              f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
             for one in self.timetable
         ]  # fmt: skip
@@ -306,13 +251,7 @@ class MissionReport(html.Readable):
         return [html.Summary(title, (), (), self.warnings), *self.tables]
 
     def task(self, name: str) -> TaskReport:
-        """Return the report of the named task.
-
-        Raises
-        ------
-        UnknownNameError
-            If the mission has no such task.
-        """
+        """Return the report of the named task."""
         known = {task.name: task for task in self.tasks}
         if name not in known:
             raise UnknownNameError("task", name, known)
@@ -332,7 +271,7 @@ class MissionReport(html.Readable):
         return pd.DataFrame([[getattr(t, c) for c in columns] for t in rows], columns=list(columns))
 
 
-def _clock(seconds: float) -> str:
+def clock(seconds: float) -> str:
     """Return a time as hours, minutes and seconds."""
     whole = round(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
@@ -462,8 +401,10 @@ class Evaluation:
         progress: Callable[[str], None] | None,
         legs: Legs,
         taken: Mapping[int, Sequence[tuple[float, float]]] | None = None,
+        tasks: Sequence[int] | None = None,
     ) -> None:
         self.mission = mission
+        self.tasks = range(len(mission.tasks)) if tasks is None else tasks
         self.legs = legs
         self.walk = Walk(self.legs, taken)
         self.progress = progress
@@ -520,7 +461,7 @@ class Evaluation:
         """Do the tasks that can be done."""
         walk, state = self.walk, self.walk.start
         given = self.mission.order == "given"
-        found = best_stops(walk, progress=self.progress)
+        found = best_stops(walk, tasks=self.tasks, progress=self.progress)
         self.proven, self.gap = found.proven, found.gap
         turns = [state] * len(self.mission.tasks)  # where the robot is when a task has its turn
         for at, (stop, hurried) in enumerate(zip(found.stops, found.hurried, strict=True)):
@@ -532,7 +473,7 @@ class Evaluation:
             else:
                 state = self._do(state, stop - 1, hurried)
                 turns[stop:] = [state] * len(turns[stop:])
-        for k in range(len(self.mission.tasks)):
+        for k in self.tasks:
             if k not in self.attempts and given:
                 earlier = tuple(d for d in self.done if d < k)
                 self.attempts[k] = _Try(turns[k], attempt(walk, turns[k], k), earlier)
@@ -697,19 +638,13 @@ class Evaluation:
 
     def _charge_first(self, tasks: Sequence[int]) -> list[Remedy]:
         """Tell the state of charge with which to leave so that the task can be done."""
-        if self.mission.soc >= 1:
-            return []
         levels = np.arange(np.ceil(100 * self.mission.soc) + 1, 101) / 100
         remedies = [Remedy("charge", float(level), "1") for level in levels]
-        low, high = 0, len(levels) - 1
-        if high < 0 or not self._works(tasks, remedies[high]):
+        last = len(remedies) - 1
+        if last < 0 or not self._works(tasks, remedies[last]):
             return []
-        while low < high:
-            middle = (low + high) // 2
-            low, high = (
-                (low, middle) if self._works(tasks, remedies[middle]) else (middle + 1, high)
-            )
-        return [remedies[high]]
+        least = bisect_left(remedies, True, 0, last, key=lambda remedy: self._works(tasks, remedy))
+        return [remedies[least]]
 
     def _larger_battery(self, tasks: Sequence[int], safe: State) -> list[Remedy]:
         """Tell how much more the battery has to hold, in whole watt-hours, or to deliver.

@@ -201,10 +201,27 @@ def shared(
     """
     n = len(worth)
     own = [range(n)] * len(problems) if own is None else own
+    tours = _tours(problems, worth, own)
     chances = np.random.default_rng(0).random((_SHARES, 3 + n + len(problems)))
-    stops, counts = share(_tours(problems, worth, own), chances)
-    given = [list(map(int, row[:count])) for row, count in zip(stops, counts, strict=True)]
-    return given, sorted(set(range(n)) - {task for tasks in given for task in tasks})
+    open_to_all = chances.copy()
+    open_to_all[:, 3 + n :] = 1.0
+
+    def price(given: list[list[int]]) -> tuple[float, float]:
+        """Price what is given by the search for each robot's order, with its charges."""
+        energy, done = 0.0, 0.0
+        for problem, mine, tasks in zip(problems, given, own, strict=True):
+            part = problem.in_turn([list(tasks).index(task) for task in mine])
+            found = solve(replace(part, given=len(mine) > EXACT), _NARROW)
+            energy += found.energy
+            done += float(sum(worth[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
+        return round(-done, 6), energy
+
+    tried = []
+    for drawn in (open_to_all, chances):
+        stops, counts = share(tours, drawn)
+        tried.append([list(map(int, row[:k])) for row, k in zip(stops, counts, strict=True)])
+    best = min(tried if len(problems) > 1 else tried[:1], key=price)
+    return best, sorted(set(range(n)) - {task for tasks in best for task in tasks})
 
 
 def _tours(

@@ -15,9 +15,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from energyplan import html
 from energyplan.errors import MissionError
 from energyplan.kinds import checked
-from energyplan.mission.evaluation import Evaluation, Stop, StopKind
+from energyplan.mission.evaluation import Evaluation, Stop, clock
 from energyplan.mission.legs import Legs, Routes, State, Walk
 from energyplan.mission.order import EXACT, Matrix, Order, attempt, finish, shared
 from energyplan.mission.types import Charger, Mission, Task
@@ -178,7 +179,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class FleetReport:
+class FleetReport(html.Readable):
     """Who does what and charges when."""
 
     fleet: Fleet  # the fleet
@@ -189,6 +190,42 @@ class FleetReport:
     proven: bool  # whether no better assignment exists, on the routes as planned
     gap: float
     feasible: bool  # whether all required tasks are done and each robot ends where it must
+
+    @property
+    def sentence(self) -> str:
+        """How many tasks are done, and whether that can be bettered."""
+        count = len(self.fleet.tasks)
+        quality = "no better assignment exists" if self.proven else "a better one may exist"
+        return (
+            f"{count - len(self.left_out)} of {count} tasks are done: "
+            f"{'feasible' if self.feasible else 'not feasible'}; {quality}"
+        )
+
+    def _summaries(self) -> list[html.Summary]:
+        robots = [
+            (one.name, len(one.tasks), *(html.number(e / 3600) for e in (one.energy,
+             one.energy_upper)), f"{one.duration / 60:.1f}", f"{one.waiting / 60:.1f}",
+             f"{100 * one.soc_end:.0f} %", f"{100 * one.soc_end_lower:.0f} %")
+            for one in self.robots
+        ]  # fmt: skip
+        times = [
+            (one.name, clock(stop.arrival), stop.kind, stop.name,
+             f"{(stop.departure - stop.arrival) / 60:.1f}", f"{100 * stop.soc:.0f} %")
+            for one in self.robots
+            for stop in one.route[1:]
+        ]  # fmt: skip
+        left = [(task.name, ", ".join(task.reasons)) for task in self.left_out]
+        found = (
+            html.Summary("Robots", (
+                "robot", "tasks", "energy [Wh]", "at most [Wh]", "minutes", "waiting [min]",
+                "charge left", "at least"
+            ), robots),
+            html.Summary("Timetable", (
+                "robot", "time", "what", "where", "minutes", "charge after"
+            ), times),
+            html.Summary("Not assigned", ("task", "why, for each robot that could do it"), left),
+        )  # fmt: skip
+        return [html.Summary(self.sentence, (), ()), *(one for one in found if one.rows)]
 
     def robot(self, name: str) -> RobotReport:
         """Return what a robot does."""
@@ -236,12 +273,7 @@ class _Sharing:
 
     def __init__(self, fleet: Fleet, progress: Callable[[str], None] | None) -> None:
         self.fleet, self.progress, self.routes = fleet, progress, Routes()
-        self.walks = []
-        for robot in fleet.robots:
-            legs = Legs(robot.mission, progress, self.routes)
-            # a share is planned as the whole is, so that routes are planned once
-            mission = replace(robot.mission, planning_time=legs.planning_time)
-            self.walks.append(Walk(Legs(mission, progress, self.routes)))
+        self.walks = [Walk(Legs(robot.mission, progress, self.routes)) for robot in fleet.robots]
         self.names = [task.name for task in fleet.tasks]
         self.own = [
             [self.names.index(task.name) for task in robot.mission.tasks] for robot in fleet.robots
@@ -340,55 +372,37 @@ class _Sharing:
     def _evaluated(
         self, r: int, tasks: Sequence[int], full: Mapping[int, Sequence[tuple[float, float]]]
     ) -> _Share:
-        walk, name = self.walks[r], self.fleet.robots[r].name
-        if not tasks:
-            last = finish(walk, walk.start)
-            return self._told(
-                name, walk, walk.start if last is None else last, (), last is not None
-            )
-        mission = walk.mission
-        mine = tuple(mission.tasks[self.own[r].index(task)] for task in tasks)
-        part = replace(mission, tasks=mine, order="free" if len(mine) <= EXACT else "given")
-        taken = {1 + len(mine) + charger: stays for charger, stays in full.items()}
-        found = Evaluation(part, self.progress, Legs(part, self.progress, self.routes), taken)
+        walk, own = self.walks[r], self.own[r]
+        legs = walk.legs.under(
+            replace(walk.mission, order="free" if len(tasks) <= EXACT else "given")
+        )
+        taken = {legs.chargers[charger]: stays for charger, stays in full.items()}
+        numbers = [own.index(task) for task in tasks]
+        found = Evaluation(legs.mission, self.progress, legs, taken, numbers)
         state = found.go()
         last = finish(found.walk, state)
-        lost = frozenset(task for k, task in enumerate(tasks) if k not in found.done)
         end = state if last is None else last
-        found.end = end
         first, *rest = found.route(end)
-        first = replace(first, soc_lower=found.walk.start.worst.soc)
-        told = self._told(name, found.walk, end, (first, *rest), last is not None)
-        return replace(told, lost=lost, proven=found.proven)
-
-    def _told(
-        self, name: str, walk: Walk, end: State, route: tuple[Stop, ...], ended: bool
-    ) -> _Share:
-        """Return what one robot does, from where it ends."""
-        legs, start = walk.legs, walk.start
-        if not route:
-            stops: list[tuple[State, StopKind]] = [(start, "start"), (end, "end")]
-            route = tuple(
-                Stop(legs.names[s.node], kind, legs.poses[s.node], s.time, s.time,
-                     s.expected.soc, s.worst.soc)
-                for s, kind in stops
-            )  # fmt: skip
-        at = [(s.goal - legs.chargers[0], s) for s in end.pieces if s.goal in legs.chargers]
-        stays = tuple((c, float(s.t[0]), float(s.t[-1])) for c, s in at if s.kind == "charge")
-        waited = sum((float(s.t[-1] - s.t[0]) for _, s in at if s.kind == "wait"), 0.0)
+        at = [(s.goal - legs.chargers.start, s) for s in end.pieces if s.goal in legs.chargers]
         report = RobotReport(
-            name=name,
-            tasks=tuple(stop.name for stop in route if stop.kind == "task"),
-            route=route,
+            name=self.fleet.robots[r].name,
+            tasks=tuple(stop.name for stop in rest if stop.kind == "task"),
+            route=(replace(first, soc_lower=found.walk.start.worst.soc), *rest),
             energy=end.total.mean,
             energy_upper=end.total.upper(walk.quantile),
             soc_end=end.expected.soc,
             soc_end_lower=end.worst.soc,
             duration=end.time - walk.mission.time,
-            waiting=waited,
+            waiting=sum(float(s.t[-1] - s.t[0]) for _, s in at if s.kind == "wait"),
             end=end,
         )
-        return _Share(report, frozenset(), stays, ended, True)
+        return _Share(
+            report,
+            frozenset(own[k] for k in numbers if k not in found.done),
+            tuple((c, float(s.t[0]), float(s.t[-1])) for c, s in at if s.kind == "charge"),
+            last is not None,
+            found.proven,
+        )
 
     def _why(self, name: str) -> tuple[str, ...]:
         """Return for each robot that could do a task why it cannot, were there nothing else."""

@@ -4,39 +4,49 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial, wraps
+from functools import cached_property
 from math import inf, isfinite, sqrt
-from types import MappingProxyType
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    Literal,
-    NamedTuple,
-    TypeVar,
-    dataclass_transform,
-)  # fmt: skip
+from types import MappingProxyType, NoneType
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pydantic
 from numpy.typing import ArrayLike
-from pydantic import BeforeValidator, ConfigDict, PlainValidator, ValidationError, ValidationInfo
+from pydantic import BeforeValidator, Field, PlainValidator, SkipValidation, ValidationInfo
 from pydantic_core import ArgsKwargs
 
 from energyplan import html
-from energyplan.battery import BatteryModel
-from energyplan.errors import InvalidInputError, MissionError
-from energyplan.kinds import amount, check_fields, checked, described
+from energyplan.battery import Battery, BatteryModel
+from energyplan.errors import MissionError
+from energyplan.kinds import checked, described
 from energyplan.path import Pose, as_pose
 from energyplan.planning.problem import free_beside, nearest_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
-from energyplan.records import ReadOnly
-from energyplan.terrain import OccupancyGrid, Site, knows_ground, laid_out, on_laid_ground
+from energyplan.records import (
+    ABOVE,
+    FINITE,
+    Fraction,
+    Length,
+    Mass,
+    Number,
+    Power,
+    ReadOnly,
+    Time,
+    amount,
+    instance_of,
+    record,
+)
+from energyplan.terrain import (
+    HeightMap,
+    OccupancyGrid,
+    Site,
+    SurfaceMap,
+    knows_ground,
+    laid_out,
+    on_laid_ground,
+)
 from energyplan.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from energyplan.terrain import HeightMap, SurfaceMap
 
 RemedyKind = Literal[
     "charge", "capacity", "strings", "reserve", "speed", "cheapest_speed", "window", "drop"
@@ -77,29 +87,7 @@ def require(condition: object, message: str, *place: str | int) -> None:
         raise MissionError(message, place)
 
 
-def checked_pose(value: ArrayLike, whose: str, *place: str | int) -> Pose:
-    """Return three finite numbers as a pose; `place` leads to it."""
-    try:
-        return as_pose(value, f"{whose}: the pose")
-    except InvalidInputError as error:
-        raise MissionError(str(error), place) from None
-
-
 # -- what a file, a request and Python may give ---------------------------------------------------
-
-Record = TypeVar("Record")
-
-
-def amount_of(kind: str) -> BeforeValidator:
-    """Read a number that may carry a unit of a kind."""
-    return BeforeValidator(partial(amount, kind))
-
-
-Number = Annotated[float, amount_of("number")]
-Time = Annotated[float, amount_of("time")]
-Power = Annotated[float, amount_of("power")]
-Mass = Annotated[float, amount_of("mass")]
-Fraction = Annotated[float, amount_of("fraction")]
 
 
 class Uncertain(NamedTuple):
@@ -155,40 +143,17 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
 Place = Annotated[Pose, PlainValidator(_pose)]
 
 
-@dataclass_transform(frozen_default=True)
-def record(cls: type[Record]) -> type[Record]:
-    """Make a class a frozen dataclass that is checked alike from a file, a request and Python."""
-    made: Any = pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
-    build = made.__init__
-
-    @wraps(build)
-    def checked(self: Any, *values: Any, **named: Any) -> None:
-        try:
-            build(self, *values, **named)
-        except ValidationError as problem:
-            first = problem.errors(include_url=False)[0]
-            if isinstance(own := first.get("ctx", {}).get("error"), MissionError):
-                raise own from None
-            names = [one.name for one in fields(made)]
-            place = tuple(names[part] if isinstance(part, int) else part for part in first["loc"])
-            message = first["msg"].removeprefix("Value error, ")
-            value = ".".join(map(str, place))
-            if first["type"] != "missing":
-                value += f" is {described(first['input'])}"
-            raise MissionError(f"{cls.__name__.lower()}: {value}: {message}", place) from None
-
-    made.__init__ = checked
-    return made  # type: ignore[no-any-return]
-
-
 LONGEST = 1e8
 """Longest time that a task may take [s]: three years."""
 
 LARGEST = 1e12
 """Largest instant [s], power [W] or prize of a task."""
 
+Name = Annotated[str, Field(min_length=1)]
+_UP_TO_LARGEST = Field(ge=0, le=LARGEST)
 
-@record
+
+@record(MissionError)
 class Task:
     """Something to be done at a place.
 
@@ -225,16 +190,16 @@ class Task:
     True
     """
 
-    name: str
+    name: Name
     pose: Place
-    dwell: Time = 0.0
-    power: Power = 0.0
-    payload: Mass = 0.0
-    prize: Number = 1.0
+    dwell: Annotated[Time, Field(ge=0, le=LONGEST)] = 0.0
+    power: Annotated[Power, _UP_TO_LARGEST] = 0.0
+    payload: Annotated[Mass, Field(allow_inf_nan=False)] = 0.0
+    prize: Annotated[Number, _UP_TO_LARGEST] = 1.0
     required: bool = True
     window: tuple[Time, Time] = (0.0, inf)
-    power_spread: Power | None = None
-    dwell_spread: Time | None = None
+    power_spread: Annotated[Power, _UP_TO_LARGEST] | None = None
+    dwell_spread: Annotated[Time, Field(ge=0, le=LONGEST)] | None = None
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -253,26 +218,15 @@ class Task:
         return values if isinstance(given, dict) else ArgsKwargs(given.args, values)
 
     def __post_init__(self) -> None:
-        label = f"task {self.name!r}"
-        require(self.name, "a task has no name; give each its own", "name")
-        for key in ("dwell", "power", "prize", "power_spread", "dwell_spread"):
-            value = getattr(self, key)
-            unset = value is None and key.endswith("_spread")
-            most = LONGEST if key.startswith("dwell") else LARGEST
-            require(
-                unset or 0 <= value <= most, f"{label}: {key} is {value}; give 0 to {most:g}", key
-            )
-        require(np.isfinite(self.payload), f"{label}: payload is {self.payload}", "payload")
         require(
-            len(self.window) == 2
-            and 0 <= self.window[0] <= self.window[1]
-            and self.window[0] <= LARGEST,
-            f"{label}: the window {self.window} is empty; give earliest and latest start [s]",
+            0 <= self.window[0] <= self.window[1] and self.window[0] <= LARGEST,
+            f"task {self.name!r}: the window {self.window} is empty; give earliest and latest "
+            "start [s]",
             "window",
         )
 
 
-@record
+@record(MissionError)
 class Charger:
     """A place where the battery is charged.
 
@@ -298,27 +252,13 @@ class Charger:
     0.95
     """
 
-    name: str
+    name: Name
     pose: Place
-    power: Power
-    until: Fraction = 0.95
-
-    def __post_init__(self) -> None:
-        label = f"charger {self.name!r}"
-        require(self.name, "a charger has no name; give each its own", "name")
-        require(
-            0 < self.power <= LARGEST,
-            f"{label}: power is {self.power}; give watts > 0, up to {LARGEST:g}",
-            "power",
-        )
-        require(
-            0 < self.until <= 1,
-            f"{label}: until is {self.until}; give a state of charge in (0, 1]",
-            "until",
-        )
+    power: Annotated[Power, Field(gt=0, le=LARGEST)]
+    until: Annotated[Fraction, Field(gt=0, le=1)] = 0.95
 
 
-@record
+@record(MissionError)
 class Spreads:
     """Standard deviations of what a mission takes as a number.
 
@@ -327,24 +267,15 @@ class Spreads:
     all its uncertainty counts as that of the capacity.
     """
 
-    soc: Fraction = 0.02
-    capacity: Fraction = 0.025  # capacity of the battery, relative
-    health: Fraction = 0.05  # health of the battery, absolute
-    temperature: Number = 3.0  # temperature of the battery [K]
-    power: Fraction = 0.1  # power of each tool, relative
-    dwell: Fraction = 0.1  # duration of each task, relative
-    run: Fraction = USUAL_RUN_SPREAD
-    speed: Fraction = 0.05  # time of all driving from run to run, relative
-    waiting: Fraction = 1.0  # waiting at each task, relative
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            require(
-                np.isfinite(value) and value >= 0,
-                f"the spread of {item.name} is {value}; give 0 or more",
-                "spreads", item.name,
-            )  # fmt: skip
+    soc: Annotated[Fraction, FINITE] = 0.02
+    capacity: Annotated[Fraction, FINITE] = 0.025  # capacity of the battery, relative
+    health: Annotated[Fraction, FINITE] = 0.05  # health of the battery, absolute
+    temperature: Annotated[Number, FINITE] = 3.0  # temperature of the battery [K]
+    power: Annotated[Fraction, FINITE] = 0.1  # power of each tool, relative
+    dwell: Annotated[Fraction, FINITE] = 0.1  # duration of each task, relative
+    run: Annotated[Fraction, FINITE] = USUAL_RUN_SPREAD
+    speed: Annotated[Fraction, FINITE] = 0.05  # time of all driving from run to run, relative
+    waiting: Annotated[Fraction, FINITE] = 1.0  # waiting at each task, relative
 
     @classmethod
     def none(cls) -> Spreads:
@@ -352,11 +283,56 @@ class Spreads:
         return cls(**dict.fromkeys((item.name for item in fields(cls)), 0.0))
 
 
-OrderRule = Literal["given", "free"]
-ReturnRule = Literal["start", "charger", "any"]
+_BATTERY = pydantic.TypeAdapter(Battery)
 
 
-@dataclass(frozen=True, eq=False)
+def _battery(value: Any, info: ValidationInfo) -> Any:
+    """Read a battery that a file describes; anything with what a `BatteryModel` has is one."""
+    if info.context is not None and isinstance(value, str | dict):
+        return _BATTERY.validate_python(value, context=info.context)
+    if not isinstance(value, Battery | BatteryModel):
+        raise MissionError(f"battery is {described(value)}; give a battery: Battery.preset(NAME)")
+    return value
+
+
+def _reserve(value: Any, info: ValidationInfo) -> Any:
+    """Read a reserve as a state of charge; an energy is one of the full battery's."""
+    if not isinstance(value, str) or value.strip()[-1:] in {*"%.0123456789"}:
+        return amount("fraction", value)  # a number without a unit is a fraction
+    try:
+        energy = float(amount("energy", value))
+    except ValueError as problem:
+        raise ValueError(f"{problem}; give a fraction, a percentage or an energy") from None
+    battery = info.data.get("battery")
+    whole = np.inf if battery is None else battery.full_energy
+    if energy >= whole:
+        raise MissionError(
+            f"the reserve of {energy / 3600:.0f} Wh is above the battery's capacity of "
+            f"{whole / 3600:.0f} Wh"
+        )
+    return energy / whole
+
+
+def _speed(value: Any) -> Any:
+    try:
+        return value if value is None or value == "cheapest" else amount("speed", value)
+    except ValueError as problem:
+        raise ValueError(f"{problem}, or 'cheapest'") from None
+
+
+def _spreads(value: Any) -> Any:
+    return Spreads.none() if value == "none" else value
+
+
+_OPEN = {
+    "soc": ("fraction", False, False), "waiting": ("time", True, False),
+    "capacity": ("charge", True, True), "health": ("fraction", False, True),
+    "temperature": ("temperature", False, True),
+}  # fmt: skip
+"""What may be a distribution: its kind, whether its spread is relative, and is the battery's."""
+
+
+@record(MissionError, eq=False)
 class Mission(ReadOnly, html.Readable):
     """Tasks to do with one battery.
 
@@ -448,34 +424,69 @@ class Mission(ReadOnly, html.Readable):
     0.2
     """
 
-    model: PowerModel
-    map: OccupancyGrid
-    battery: BatteryModel
-    start: Pose
-    tasks: tuple[Task, ...]
-    chargers: tuple[Charger, ...] = ()
-    surfaces: SurfaceMap | None = None
-    payload: float = 0.0
-    payload_models: Mapping[str, Mapping[float, PowerModel]] = field(default_factory=dict)
-    soc: float = 1.0
-    reserve: float = 0.2
-    confidence: float = 0.95
-    coefficient_spread: float = 0.0
-    order: OrderRule = "given"
-    return_to: ReturnRule = "any"
-    home: Pose | None = None
-    time: float = 0.0
-    speed: float | Literal["cheapest"] | None = None
+    model: Annotated[PowerModel, instance_of(PowerModel)]
+    map: Annotated[OccupancyGrid, instance_of(OccupancyGrid, Site)]
+    battery: Annotated[BatteryModel, PlainValidator(_battery)]
+    start: Place
+    tasks: Annotated[tuple[Task, ...], Field(max_length=1000)]
+    chargers: Annotated[tuple[Charger, ...], Field(max_length=100)] = ()
+    surfaces: Annotated[SurfaceMap | None, instance_of(SurfaceMap, NoneType)] = None
+    payload: Annotated[Mass, FINITE] = 0.0
+    payload_models: Annotated[Mapping[str, Mapping[float, PowerModel]], SkipValidation] = field(
+        default_factory=dict
+    )
+    soc: Annotated[Fraction, Field(ge=0, le=1)] = 1.0
+    reserve: Annotated[float, BeforeValidator(_reserve), Field(ge=0, lt=1)] = 0.2
+    confidence: Annotated[Fraction, Field(ge=0.5, lt=1)] = 0.95
+    coefficient_spread: Annotated[Fraction, FINITE] = 0.0
+    order: Literal["given", "free"] = "given"
+    return_to: Literal["start", "charger", "any"] = "any"
+    home: Place | None = None
+    time: Annotated[Time, FINITE] = 0.0
+    speed: Annotated[
+        Annotated[float, ABOVE] | Literal["cheapest"] | None, BeforeValidator(_speed)
+    ] = None
     objective: Literal["energy", "length"] = "energy"
     planner: str = "lattice"
-    planning_time: float | None = None
-    planning_effort: int | None = None
+    planning_time: Annotated[Time, ABOVE] | None = None
+    planning_effort: Annotated[int, ABOVE] | None = None
     name: str = "mission"
-    heights: HeightMap | None = None
-    spreads: Spreads = field(default_factory=Spreads)
-    waiting: float = 0.0
-    clearance: float = 0.0
+    heights: Annotated[HeightMap | None, instance_of(HeightMap, NoneType)] = None
+    spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)
+    waiting: Annotated[Time, FINITE] = 0.0
+    clearance: Annotated[Length, FINITE] = 0.0
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
+
+    also: ClassVar = ("vehicle", "places", "keepout", "costmap")  # keys of a file alone
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _distributions(cls, given: Any) -> Any:
+        """Part numbers of a file that are distributions into means, and spreads of the mission."""
+        if not isinstance(given, dict):
+            return given
+        given, spreads = dict(given), dict[str, float]()
+        battery = given.get("battery")
+        if isinstance(battery, dict):
+            battery = given["battery"] = dict(battery)
+        for key, (kind, relative, inside) in _OPEN.items():
+            where = battery if inside else given
+            if not isinstance(where, dict) or not isinstance(where.get(key), dict):
+                continue
+            place = ("battery", key) if inside else (key,)
+            try:
+                where[key], spread = uncertain(kind, where[key])
+            except ValueError as problem:
+                raise MissionError(str(problem), place) from None
+            if relative and where[key] <= 0:
+                told = f"a {key} of {where[key]:g} has no spread; give a mean above 0"
+                raise MissionError(told, place)
+            spreads[key] = (spread or 0.0) / (where[key] if relative else 1.0)
+        known = given.get("spreads", {})
+        if spreads and (known == "none" or isinstance(known, dict)):
+            known = vars(Spreads.none()) if known == "none" else known
+            given["spreads"] = {**known, **spreads}
+        return given
 
     def __post_init__(self) -> None:
         place: object = self.map
@@ -484,12 +495,7 @@ class Mission(ReadOnly, html.Readable):
             if place.costmap is not None:
                 told = "the costmap of the site does not count: routes are those of least energy"
                 object.__setattr__(self, "notes", (told,))
-        check_fields(self, MissionError)
-        object.__setattr__(self, "tasks", tuple(self.tasks))
-        object.__setattr__(self, "chargers", tuple(self.chargers))
-        object.__setattr__(self, "start", checked_pose(self.start, "start", "start"))
-        home = self.start if self.home is None else checked_pose(self.home, "home", "home")
-        object.__setattr__(self, "home", home)
+        object.__setattr__(self, "home", self.start if self.home is None else self.home)
         for key, by_payload in self.payload_models.items():
             require(
                 isinstance(by_payload, Mapping),
@@ -534,13 +540,6 @@ class Mission(ReadOnly, html.Readable):
             seen.add(name)
 
     def _check_numbers(self) -> None:
-        for key, low, high, end in (("soc", 0, 1, "]"), ("reserve", 0, 1, ")"),
-                                    ("confidence", 0.5, 1, ")")):  # fmt: skip
-            value = getattr(self, key)
-            require(
-                low <= value < high or (value == high and end == "]"),
-                f"{key} is {value}; give a fraction in [{low}, {high}{end}", key,
-            )  # fmt: skip
         require(
             self.reserve < self.soc,
             f"the reserve {self.reserve:g} is not below the state of charge {self.soc:g}; charge "
@@ -560,18 +559,6 @@ class Mission(ReadOnly, html.Readable):
                 f"{self.reserve:g}",
                 "chargers", k, "until",
             )  # fmt: skip
-        for key in ("coefficient_spread", "payload", "time", "waiting", "clearance"):
-            value = getattr(self, key)
-            require(np.isfinite(value) and value >= 0, f"{key} is {value}; give 0 or more", key)
-        for key in ("planning_time", "planning_effort", "speed"):
-            value = getattr(self, key)
-            if key == "speed" and value == "cheapest":
-                continue
-            require(value is None or value > 0, f"{key} is {value}; give more than 0", key)
-        for key, kinds in (("objective", ("energy", "length")), ("order", ("given", "free")),
-                           ("return_to", ("start", "charger", "any"))):  # fmt: skip
-            value = getattr(self, key)
-            require(value in kinds, f"{key} is {value!r}; choose {', '.join(kinds)}", key)
         require(
             self.return_to != "charger" or self.chargers,
             "the mission must end at a charger but has none; list one, or return to the start",
@@ -674,7 +661,7 @@ class Mission(ReadOnly, html.Readable):
         payload: float | None = None,
         model: PowerModel | None = None,
     ) -> Mission:
-        """Return what is left of the mission when it is under way.
+        """Return what is left of the mission when it is under way, with `home` where it began.
 
         Parameters
         ----------
@@ -684,23 +671,10 @@ class Mission(ReadOnly, html.Readable):
             State of charge now.
         done : iterable of str
             Names of the tasks that are done or given up.
-        time : float, optional
-            Time now [s]; that of the start where not given.
-        payload : float, optional
-            Payload now [kg]; worked out from the tasks done where not given.
+        time, payload : float, optional
+            Time [s] and payload [kg] now; those at the start, and worked out from the tasks done.
         model : PowerModel, optional
-            The model as corrected since the start (by `OnlineIdentifier`, for one). It takes the
-            place of the mission's own, and the models with payload are scaled alike.
-
-        Returns
-        -------
-        Mission
-            The rest, with `home` where this mission began.
-
-        Raises
-        ------
-        MissionError
-            If a task is unknown, or all are done.
+            The model as corrected since the start; models with payload are scaled alike.
         """
         names = set(done)
         unknown = names - {task.name for task in self.tasks}
@@ -709,7 +683,7 @@ class Mission(ReadOnly, html.Readable):
         carried = self.payload + sum(t.payload for t in self.tasks if t.name in names)
         mission = replace(
             self,
-            start=checked_pose(pose, "pose"),
+            start=pose,  # type: ignore[arg-type]
             soc=soc,
             tasks=left,
             payload=carried if payload is None else payload,

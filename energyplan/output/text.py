@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from energyplan.fit.identification import InternalFriction
     from energyplan.io.start import Start
     from energyplan.live import Event
-    from energyplan.mission import FleetReport, MissionReport
+    from energyplan.mission import MissionReport
     from energyplan.physics.design import Design
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
@@ -130,36 +130,6 @@ def mission(report: MissionReport) -> list[str]:
     """Return what ``energyplan mission`` prints."""
     tables = [line for one in report.tables for line in one.text().splitlines()]
     return [report.sentence, *(f"warning: {warning}" for warning in report.warnings), *tables]
-
-
-def fleet(report: FleetReport) -> list[str]:
-    """Return what ``energyplan mission`` prints of several robots."""
-    count = len(report.fleet.tasks)
-    done = count - len(report.left_out)
-    if report.proven:
-        quality = "no better assignment exists"
-    elif math.isfinite(report.gap):
-        quality = f"at most {100 * report.gap:.0f} % of its energy could be saved"
-    else:
-        quality = "how much could be saved is not known"
-    lines = [
-        f"{done} of {count} tasks are done: {'feasible' if report.feasible else 'not feasible'}; "
-        f"{quality}"
-    ]
-    for robot in report.robots:
-        lines.append(
-            f"{robot.name}: {number(robot.energy / 3600)} Wh, at most "
-            f"{number(robot.energy_upper / 3600)} Wh; {robot.duration:.0f} s; state of charge at "
-            f"the end {100 * robot.soc_end:.0f} %, at least {100 * robot.soc_end_lower:.0f} %"
-        )
-        lines += [
-            f"  {stop.arrival:.0f} s {stop.kind}: {stop.name}"
-            + (f" until {stop.departure:.0f} s" if stop.departure > stop.arrival else "")
-            for stop in robot.route[1:]
-        ]
-    for task in report.left_out:
-        lines.append(f"{task.name}: not assigned ({', '.join(task.reasons)})")
-    return lines
 
 
 def design(result: Design) -> list[str]:

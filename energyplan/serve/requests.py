@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import json
-import secrets
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -90,55 +88,18 @@ class CheckRequest(_Asked):
 
 
 A = TypeVar("A", bound=BaseModel)
-_MARK = secrets.token_hex(8)  # stands for a list in the text that is left
-_PIECE = 1 << 15  # of a long list that is read at once, so that other threads get their turn [byte]
 
 
 def request_of(kind: type[A], body: bytes) -> A:
     """Read what is asked."""
     try:
-        return kind.model_validate(_document(body))
+        return kind.model_validate_json(body)
     except ValidationError as error:
         places = [
             f"{'.'.join(str(part) for part in found['loc'])}: {found['msg']}"
             for found in error.errors(include_url=False, include_context=False, include_input=False)
         ]
         raise InvalidInputError("; ".join(places[:20])) from None
-    except (ValueError, RecursionError) as error:
-        raise InvalidInputError(f"the body is no JSON: {str(error)[:200]}") from None
-
-
-def _document(body: bytes) -> Any:
-    """Return what JSON holds; long lists of numbers are read piece by piece, into arrays."""
-    long: list[FloatArray] = []
-    kept, done = [], 0
-    while (start := body.find(b"[", done)) >= 0 and (end := body.find(b"]", start)) >= 0:
-        kept.append(body[done:start])
-        done = end + 1
-        if end - start < 2 * _PIECE or body.find(b"[", start + 1, end) >= 0:
-            kept.append(body[start:done])
-            continue
-        pieces, here = [], start + 1
-        while here < end:
-            comma = body.find(b",", here + _PIECE, end)
-            comma = end if comma < 0 else comma
-            piece = body[here:comma]
-            if piece.translate(None, b"0123456789+-.eE, \t\r\n"):
-                raise ValueError("a long list holds numbers alone")
-            pieces.append(np.asarray(_json(b"[%b]" % piece)))
-            here = comma + 1
-        long.append(np.concatenate(pieces))
-        kept.append(b'{"%b":%d}' % (_MARK.encode(), len(long) - 1))
-    text = b"".join((*kept, body[done:]))
-    return _json(text, lambda one: long[one[_MARK]] if _MARK in one else one)
-
-
-def _json(text: bytes, hook: Any = None) -> Any:
-    return json.loads(text, parse_constant=_refused, object_hook=hook)
-
-
-def _refused(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")
 
 
 class MissionRequest(_Asked):
@@ -180,7 +141,7 @@ class DiagnoseRequest(IdentifyRequest):
     holdout: list[Name] = Field(min_length=1, max_length=100)
 
 
-LARGEST = {"POST": 8 * 2**20, "PUT": 64 * 2**20}
+LARGEST = {"POST": 6 * 2**20, "PUT": 64 * 2**20}
 """Largest body of a request [byte]."""
 DEADLINE = 30.0
 """Time in which the body of a request must come [s]."""

@@ -258,10 +258,10 @@ def test_a_run_continues_where_the_last_one_ended():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"capacity": -1.0}, "capacity is -1; it must be positive"),
+        ({"capacity": -1.0}, "capacity is -1.0: Input should be greater than 0"),
         ({"capacity": np.nan}, "capacity"),
         ({"resistance": -0.1}, "resistance"),
-        ({"peukert": 0.9}, r"peukert is 0.9; it must be in \[1, 2\)"),
+        ({"peukert": 0.9}, "peukert is 0.9: Input should be greater than or equal to 1"),
         ({"health": 0.0}, "health"),
         ({"cutoff_soc": 1.0}, "cutoff_soc"),
         ({"cutoff_voltage": 11.0}, "below the open-circuit voltage"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 from worlds import tiny
 
 from energyplan.mission import Charger, Mission, Spreads, Task, evaluate
-from energyplan.mission.order import OrderProblem, solve
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
@@ -113,45 +111,3 @@ def test_energies_that_cancel_do_not_blow_the_power_up() -> None:
     bound = -np.diff(line.soc_lower[there])[moving] / step
     assert bound.max() < 1.35 * fall.max()
     assert report.energy_upper > report.energy
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_orders_without_chargers_are_the_best_of_all(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    n = 6
-    points = random.uniform(0, 10, (n + 2, 2))
-    matrix = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    change = np.round(random.uniform(-2, 3, n), 1)
-    prize, required = random.uniform(0, 3, n), random.random(n) < 0.3
-    service = random.uniform(0, 2, n)
-    budget = float(random.uniform(12, 45))
-
-    def energy(load: float) -> np.ndarray:
-        return matrix * (1.0 + 0.05 * max(load, 0.0))
-
-    problem = OrderProblem(
-        energy=energy, finish=lambda load: energy(load)[:, -1], time=matrix,
-        finish_time=matrix[:, -1], service=service, service_time=np.zeros(n), payload=2.0,
-        payload_change=change, prize=prize, required=required,
-        window=np.tile([0.0, np.inf], (n, 1)), budget=budget, capacity=np.zeros(0),
-        charge_power=np.zeros(0),
-    )  # fmt: skip
-    best = (-1.0, np.inf)
-    for count in range(n + 1):
-        for order in permutations(range(n), count):
-            load, node, spent, good = 2.0, 0, 0.0, True
-            for k in order:
-                spent += energy(load)[node, k + 1] + service[k]
-                load += change[k]
-                node, good = k + 1, good and spent <= budget and load >= -1e-3
-            total = spent + energy(load)[node, -1]
-            if good and total <= budget:
-                worth = round(float(problem.worth[list(order)].sum()), 9)
-                if (-worth, total) < (-best[0], best[1]):
-                    best = (worth, total)
-    found = solve(problem)
-    assert found is not None
-    assert found.proven
-    assert sum(problem.worth[s - 1] for s in found.stops) == pytest.approx(max(best[0], 0.0))
-    if best[0] >= 0:
-        assert found.energy == pytest.approx(best[1])

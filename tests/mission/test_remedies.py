@@ -197,11 +197,3 @@ def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypat
 def test_a_remedy_for_another_mission_is_refused() -> None:
     with pytest.raises(MissionError, match="no task is called 'x'"):
         troubled()["far"].with_remedy(Remedy("drop", task="x"))
-
-
-def test_a_remedy_tells_its_amount_rounded() -> None:
-    assert "2 Wh" in str(Remedy("capacity", 1.9 * 3600.0, "J"))
-    assert "0.75 m/s" in str(Remedy("speed", 0.75, "m/s"))
-    assert "15 %" in str(Remedy("reserve", 0.15, "1"))
-    assert "90 s later" in str(Remedy("window", 90.2, "s", "x"))
-    assert "'x'" in str(Remedy("drop", task="x"))
