@@ -66,20 +66,3 @@ def test_motions_follow_poses_through_a_gap():
     led = follow(setting, found.poses, 10_000, ds, dtheta)
     assert led.last == len(found.poses) - 1
     assert np.isfinite(drive(setting, begin, ds, dtheta, led.motions, np.inf))
-
-
-def test_poses_follow_no_gap_that_is_too_narrow():
-    setting, begin, end = straight_gap(0.56)
-    found = bidirectional_search(setting, setting.body, begin, end, CELL, HEADINGS, TESTS)
-    assert len(found.poses) == 0
-
-
-def test_a_pose_with_nowhere_to_go_is_known_to_be_closed_in():
-    cells = np.ones((200, 400), bool)
-    cells[60:140, 40:140] = False
-    cells[60:140, 260:360] = False
-    setting = CompiledProblem(gap(0.72, 0.1, 0.02)).setting
-    setting = setting._replace(space=OccupancyGrid(cells, 0.01).space)
-    ends = Pose(0.9, 1.0, 0.0), Pose(3.1, 1.0, 0.0)
-    found = bidirectional_search(setting, setting.body, *ends, 0.02, 64, 100_000)
-    assert found.tests < 100_000 and len(found.poses) == 0
