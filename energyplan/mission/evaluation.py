@@ -41,16 +41,16 @@ class TaskReport:
     verdict: Verdict
     reason: Reason  # why not
     reachable_alone: bool  # whether it would be reachable as the mission's only task
-    energy: float  # [J]
-    energy_upper: float  # [J]
+    energy: float  # energy that it takes with the way there, as expected [J]
+    energy_upper: float  # the same at the bound [J]
     soc_after: float  # expected state of charge when it is done
     shortfall: float = 0.0  # missing energy, with the route to a safe place and the reserve [J]
     remedy: str = ""  # what would make the task reachable
     detail: str = ""  # why not, in one sentence with figures
     start: float = np.nan  # when it begins [s]
     remedies: tuple[Remedy, ...] = ()  # the remedies that a program can apply
-    arrival: float = np.nan  # when the robot gets there and leaves [s]
-    departure: float = np.nan  # when the robot gets there and leaves [s]
+    arrival: float = np.nan  # when the robot gets there [s]
+    departure: float = np.nan  # when it leaves [s]
     soc_lower: float = np.nan  # state of charge at the bound when it is done
     start_upper: float = np.nan  # when it begins at the latest, at the confidence asked [s]
 
@@ -62,35 +62,35 @@ class Stop:
     name: str  # the place
     kind: StopKind  # what it stops for
     pose: Pose  # where [m], [rad]
-    arrival: float  # when it gets there and leaves [s]
-    departure: float  # when it gets there and leaves [s]
-    soc: float  # state of charge on leaving, expected and at the bound
-    soc_lower: float  # state of charge on leaving, expected and at the bound
+    arrival: float  # when it gets there [s]
+    departure: float  # when it leaves [s]
+    soc: float  # state of charge on leaving, as expected
+    soc_lower: float  # the same at the bound
 
 
 @dataclass(frozen=True, eq=False)
 class LegReport:
     """A drive from one stop to the next."""
 
-    start: str  # the places
-    goal: str  # the places
+    start: str  # where it begins
+    goal: str  # where it ends
     departure: float  # when it begins [s]
     energy: float  # energy, as expected [J]
     trajectory: Trajectory  # the drive, from time 0
-    soc: FloatArray  # (n,): state of charge at each of its samples, expected and at the bound
-    soc_lower: FloatArray  # (n,): state of charge at each of its samples, expected and at the bound
+    soc: FloatArray  # (n,): state of charge at each of its samples, as expected
+    soc_lower: FloatArray  # (n,): the same at the bound
 
 
 @dataclass(frozen=True)
 class Activity:
     """A line of a mission's timetable."""
 
-    start: float  # when it begins and ends [s]
-    end: float  # when it begins and ends [s]
+    start: float  # when it begins [s]
+    end: float  # when it ends [s]
     kind: Literal["drive", "wait", "work", "charge"]  # what the robot does
     place: str  # where; of a drive, from where to where
-    soc_start: float  # state of charge as expected, before and after
-    soc_end: float  # state of charge as expected, before and after
+    soc_start: float  # state of charge before it, as expected
+    soc_end: float  # state of charge after it, as expected
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Doubt:
 
     source: str  # what is not known
     energy: float  # standard deviation that it alone gives the energy [J]
-    saving: float  # [J]
+    saving: float  # margin that would be freed if it were known [J]
 
 
 @dataclass(frozen=True)
@@ -117,13 +117,13 @@ class Timeline:
     """The mission over time; arrays of one shape."""
 
     t: FloatArray  # (n,): time [s]
-    x: FloatArray  # (n,): pose [m], [rad]
-    y: FloatArray  # (n,): pose [m], [rad]
-    yaw: FloatArray  # (n,): pose [m], [rad]
+    x: FloatArray  # (n,): pose [m]
+    y: FloatArray  # (n,): pose [m]
+    yaw: FloatArray  # (n,): pose [rad]
     power: FloatArray  # (n,): power at the battery from each time to the next [W]
-    soc: FloatArray  # (n,): state of charge
-    soc_lower: FloatArray  # (n,): state of charge
-    soc_upper: FloatArray  # (n,): state of charge
+    soc: FloatArray  # (n,): state of charge, as expected
+    soc_lower: FloatArray  # (n,): the same at the bound
+    soc_upper: FloatArray  # (n,): as far above what is expected as the bound is below
 
 
 @dataclass(frozen=True)

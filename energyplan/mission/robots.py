@@ -21,24 +21,20 @@ from energyplan.kinds import checked
 from energyplan.mission.evaluation import Evaluation, Stop, clock
 from energyplan.mission.legs import Legs, Routes, State, Walk
 from energyplan.mission.order import EXACT, Matrix, Order, attempt, finish, shared
-from energyplan.mission.types import Charger, Mission, Task
+from energyplan.mission.types import Charger, Mission, Name, Task
 from energyplan.path import Pose
-from energyplan.records import ReadOnly
+from energyplan.records import ReadOnly, record
 
 _ROUNDS = 4
 """Rounds of sharing and planning."""
 
 
-@dataclass(frozen=True)
+@record(MissionError)
 class Robot:
     """One of several robots."""
 
-    name: str  # its name
+    name: Name
     mission: Mission
-
-    def __post_init__(self) -> None:
-        if not self.name:
-            raise MissionError("a robot has no name; give each its own", ("name",))
 
 
 @dataclass(frozen=True)
@@ -137,10 +133,10 @@ class RobotReport:
     name: str  # its name
     tasks: tuple[str, ...]  # what it does, in this order
     route: tuple[Stop, ...]  # its timetable
-    energy: float  # energy that it takes, expected and at the confidence asked [J]
-    energy_upper: float  # energy that it takes, expected and at the confidence asked [J]
-    soc_end: float  # state of charge at the end, expected and at the bound
-    soc_end_lower: float  # state of charge at the end, expected and at the bound
+    energy: float  # energy that it takes, as expected [J]
+    energy_upper: float  # the same at the confidence asked [J]
+    soc_end: float  # state of charge at the end, as expected
+    soc_end_lower: float  # the same at the bound
     duration: float  # time from its start to its end [s]
     waiting: float  # time of it spent waiting for chargers [s]
     end: State  # where it ends, with all that it did
@@ -185,8 +181,8 @@ class FleetReport(html.Readable):
     fleet: Fleet  # the fleet
     robots: tuple[RobotReport, ...]  # what each robot does
     left_out: tuple[LeftOut, ...]  # tasks that nobody does
-    energy: float  # energy of all robots [J]
-    energy_upper: float  # energy of all robots [J]
+    energy: float  # energy of all robots, as expected [J]
+    energy_upper: float  # sum of their energies at the confidence asked [J]
     proven: bool  # whether no better assignment exists, on the routes as planned
     gap: float
     feasible: bool  # whether all required tasks are done and each robot ends where it must

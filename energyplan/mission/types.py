@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import inf, isfinite, sqrt
 from types import MappingProxyType, NoneType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -90,32 +90,28 @@ def require(condition: object, message: str, *place: str | int) -> None:
 # -- what a file, a request and Python may give ---------------------------------------------------
 
 
-class Uncertain(NamedTuple):
-    """A number, and its standard deviation if it has one."""
+def uncertain(kind: str, value: Any) -> tuple[float, float | None]:
+    """Read a number, or a distribution as mean and standard deviation.
 
-    value: float
-    spread: float | None = None
-
-
-def uncertain(kind: str, value: Any) -> Uncertain:
-    """Read a number, or a distribution: ``{mean, std}``, or ``{low, high}`` for a uniform one."""
+    Such a one is ``{mean, std}``, or ``{low, high}`` where it is uniform.
+    """
     if not isinstance(value, dict):
         number = amount(kind, value)
         if not isinstance(number, int | float):
             raise ValueError("give a number, {mean: ..., std: ...} or {low: ..., high: ...}")
-        return Uncertain(float(number))
-    parts = {key: uncertain(kind, part).value for key, part in value.items()}
+        return float(number), None
+    parts = {key: uncertain(kind, part)[0] for key, part in value.items()}
     if parts.keys() == {"mean", "std"}:
-        found = Uncertain(parts["mean"], parts["std"])
+        mean, spread = parts["mean"], parts["std"]
     elif parts.keys() == {"low", "high"}:
         low, high = parts["low"], parts["high"]
-        found = Uncertain(0.5 * (low + high), (high - low) / sqrt(12.0))
+        mean, spread = 0.5 * (low + high), (high - low) / sqrt(12.0)
     else:
         keys = ", ".join(map(str, value))
         raise ValueError(f"a distribution has mean and std, or low and high, not {keys}")
-    if not (isfinite(found.value) and isfinite(found.spread or 0.0)) or (found.spread or 0.0) < 0:
+    if not (isfinite(mean) and isfinite(spread)) or spread < 0:
         raise ValueError(f"the distribution {value} has no mean or a negative spread")
-    return found
+    return mean, spread
 
 
 def _pose(value: Any, info: ValidationInfo) -> Pose:
