@@ -580,12 +580,13 @@ def strain(drive: Drive, known: Measures) -> float:
 
 
 def _explain(
-    seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns, measures: bool
+    seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns, wrong: bool
 ) -> list[tuple[float, str]]:
     """Name the mistakes without which all ratios hold, by how unusual they leave them."""
-    there, tried = {*drive.channels}, []
-    if measures:
-        there |= {"track", "wheelbase", "mass"}
+    # Where nothing is wrong, measures and batteries of any size are believed.
+    there, tried = {*drive.channels} - {"voltage"}, []
+    if wrong:
+        there = {*drive.channels, "track", "wheelbase", "mass"}
         swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
         tried.append((0.1, "track and wheelbase are swapped: swap them", swapped))
     for one in [*_MISTAKES, *_of_speeds(seen, known, columns)]:
