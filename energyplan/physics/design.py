@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -240,8 +241,9 @@ def design(
     probe = question.gram(options[-1].trajectory, 100.0)
     timeless = bool(np.allclose(probe, early[-1], rtol=1e-9))
     while True:
+        now = question.criterion(gram)
         worth = [
-            (question.gain(gram, found) / option.trajectory.duration, k, found)
+            ((question.criterion(found) - now) / option.trajectory.duration, k, found)
             for k, option in enumerate(options)
             if clock + option.trajectory.duration <= duration
             for more in [early[k] if timeless else question.gram(option.trajectory, clock)]
@@ -412,11 +414,8 @@ class _Question:
                 found.append(Separation(true.label, other.label, max(left, 0.0) / 2))
         return tuple(found)
 
-    def gain(self, before: FloatArray, after: FloatArray) -> float:
-        """Return what a manoeuvre adds to the criterion."""
-        return self._criterion(after) - self._criterion(before)
-
-    def _criterion(self, gram: FloatArray) -> float:
+    def criterion(self, gram: FloatArray) -> float:
+        """Return what drives tell: how well explanations separate, or parameters are narrowed."""
         if len(self.explanations) > 1:
             odds = np.array([pair.log_odds for pair in self.separations(gram)])
             # Concave, so that a pair which is told apart makes room for the others.
@@ -436,9 +435,7 @@ class _Question:
 
 
 def _sentence(names: Sequence[str], pairs: Sequence[Separation]) -> str:
-    counts: dict[str, int] = {}
-    for name in names:
-        counts[name] = counts.get(name, 0) + 1
+    counts = Counter(names)
     what = "; ".join(name if n == 1 else f"{name}, {n} times" for name, n in counts.items())
     open_pairs = {frozenset((p.true, p.other)) for p in pairs if p.log_odds < SETTLED}
     text = f"{what[0].upper()}{what[1:]}."
