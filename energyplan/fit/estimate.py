@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -196,7 +196,6 @@ _SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding frictio
 _KEPT = 0.1  # of friction and resistance in a step, at least
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
 _SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better
-_PROMISED = 2.0  # by which a still shorter step is to lower that logarithm, to be tried
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
 
@@ -366,20 +365,18 @@ class Problem:
             for one in starts
         ]
         best = min(begun, key=lambda one: one.misfit)
-        values, gain, instead = best.step(best.least), np.inf, _instead(best.promised)
+        onto, part, gain = best.step(best.least) - best.values, 1.0, np.inf
         for _ in range(rounds - 1):
-            if min(gain, best.promised) < _SETTLED and best.promised < _PROMISED:
+            if min(gain, part * best.promised) < _SETTLED:
                 break
-            if np.allclose(values, best.values, rtol=1e-4):
-                break
-            here = self._tried(terms, values, errors)
+            here = self._tried(terms, best.values + part * onto, errors)
+            if here.misfit >= best.misfit:
+                here = self._tried(terms, here.rest, errors)
             if here.misfit < best.misfit:
-                gain = best.misfit - here.misfit
-                best, values, instead = here, here.step(here.least), _instead(here.promised)
-            else:
-                part = next(instead, 0.0)
+                gain, part, best = best.misfit - here.misfit, 1.0, here
                 onto = best.step(best.least) - best.values
-                values = here.rest if part is None else best.values + part * onto
+            else:
+                part *= _SHORTER
         self.memory |= by_name(terms, best.values)
         return replace(best.design, ended=best.values) if rounds > 1 else best.design
 
@@ -435,14 +432,6 @@ class Problem:
         for _ in range(2):
             errors = fit(design, errors).errors + self.floor
         return errors
-
-
-def _instead(promised: float) -> Iterator[float | None]:
-    """Yield what to try where a step has led to nothing better."""
-    part = _SHORTER
-    yield from (None, None, part, None)
-    while (part := _SHORTER * part) * promised > _PROMISED:
-        yield from (part, None)
 
 
 # -- the yaw rate up to which contacts hold, from the power of both sides --------------------------
