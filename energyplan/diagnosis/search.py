@@ -371,8 +371,9 @@ class Search:
                 place = min(place, len(parts) - usual)
                 parts.insert(place, late)
                 gains.insert(place, gain)
-            problem = one.problem.starting_from(by_name(terms_of(one.parts), one.fit.values))
-            explanations.append(EffectSet(tuple(parts), float(probability), problem, tuple(gains)))
+            explanations.append(
+                EffectSet(tuple(parts), float(probability), one.problem, tuple(gains))
+            )
         # Variants of the same effects are one explanation: that of the best of them.
         joined: dict[frozenset[str], EffectSet] = {}
         for new in explanations:
@@ -400,7 +401,6 @@ class Search:
     def _of_all(self, one: EffectSet) -> Problem:
         """Return whole drives with what an explanation says of their means, or of excerpts."""
         few, whole = one.problem, self.whole.delayed(one.problem.drives[0].late)
-        whole = whole.starting_from(few.memory)
         others = [part for part in one.parts if part.effect.acts != "change"]
         if len(others) == len(one.parts):
             return whole

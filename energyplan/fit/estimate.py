@@ -243,16 +243,13 @@ class _Tried:
 class Problem:
     """Drives, vehicle, and the columns of terms on them."""
 
-    def __init__(
-        self, drives: Sequence[Drive], vehicle: Vehicle, memory: Mapping[str, float] | None = None
-    ) -> None:
+    def __init__(self, drives: Sequence[Drive], vehicle: Vehicle) -> None:
         both = all(drive.between is not None for drive in drives)
         self.drives = tuple(
             drive if both or drive.between is None else replace(drive, between=None)
             for drive in drives
         )
         self.vehicle = vehicle
-        self.memory = dict(memory or {})
         mean_square = np.mean(np.concatenate([drive.power**2 for drive in self.drives]))
         self.floor = np.full(len(SCALES), FLOOR**2 * float(mean_square))
         gaps = [drive.between * drive.slides for drive in self.drives if drive.between is not None]
@@ -262,7 +259,7 @@ class Problem:
 
     def on(self, drives: Sequence[Drive]) -> Problem:
         """Return the problem on other drives."""
-        return Problem(drives, self.vehicle, self.memory)
+        return Problem(drives, self.vehicle)
 
     def without_transitions(self) -> Problem:
         """Return the drives, each throughout in the state that it was in for longer."""
@@ -296,10 +293,6 @@ class Problem:
         elif len(some) == len(self.drives):
             return self
         return self.on(some)
-
-    def starting_from(self, known: Mapping[str, float]) -> Problem:
-        """Return the drives, for fits that begin with these coefficients, by name of their term."""
-        return Problem(self.drives, self.vehicle, known)
 
     @cached_property
     def of_totals(self) -> Problem:
@@ -359,12 +352,9 @@ class Problem:
         """Return the design of some terms: Gauss-Newton where they are not linear."""
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return self.design_about(terms, np.zeros(len(terms)))
-        starts = self._starts(terms, errors) if start is None else [start]
-        begun = [
-            self._tried(terms, np.array([one.get(term.name, 0.0) for term in terms]), errors)
-            for one in starts
-        ]
-        best = min(begun, key=lambda one: one.misfit)
+        start = self._start(terms, errors) if start is None else start
+        values = np.array([start.get(term.name, 0.0) for term in terms])
+        best = self._tried(terms, values, errors)
         onto, part, gain = best.step(best.least) - best.values, 1.0, np.inf
         for _ in range(rounds - 1):
             if min(gain, part * best.promised) < _SETTLED:
@@ -377,7 +367,6 @@ class Problem:
                 onto = best.step(best.least) - best.values
             else:
                 part *= _SHORTER
-        self.memory |= by_name(terms, best.values)
         return replace(best.design, ended=best.values) if rounds > 1 else best.design
 
     def _tried(
@@ -398,15 +387,6 @@ class Problem:
             values, design, gram, float(misfit) + about.odds, float(misfit - hoped), least, paid,
             loss,
         )  # fmt: skip
-
-    def _starts(
-        self, terms: Sequence[Term], errors: FloatArray | None
-    ) -> list[Mapping[str, float]]:
-        """Return coefficients to start from: found before, or of a fit without losses, too."""
-        if {term.name for term in terms} <= set(self.memory):
-            return [self.memory]
-        plain = self._start(terms, errors)
-        return [plain, self.memory] if self.memory else [plain]
 
     def _start(self, terms: Sequence[Term], errors: FloatArray | None) -> dict[str, float]:
         """Return coefficients of a fit without losses."""
@@ -464,7 +444,7 @@ def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
     edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
     # In the slowest class steering drifts about a straight, and no sensor is sure which way.
     drifting = [replace(drive, drift=float(edges[0]), fields={}) for drive in problem.drives]
-    problem = Problem(drifting, vehicle, problem.memory)
+    problem = Problem(drifting, vehicle)
     if problem.drives[0].equations == 1:
         return _of_totals(problem, usual)
     terms = [*PAPER, *usual]
