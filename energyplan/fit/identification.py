@@ -32,9 +32,9 @@ from energyplan.fit.doubts import (
     usual_terms,
 )
 from energyplan.fit.drive import Drive, check_long_enough
-from energyplan.fit.estimate import joint_fit, problem_of
+from energyplan.fit.estimate import Problem, joint_fit, problem_of
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
-from energyplan.fit.regressors import is_lossy, linearise_drive
+from energyplan.fit.regressors import is_lossy
 from energyplan.fit.solvers import (
     HUBER_TUNING,
     Bounds,
@@ -95,7 +95,8 @@ class PowerRegression:
 
     def __init__(self, drives: Sequence[Drive], model: PowerModel) -> None:
         self._start = model
-        self._drives = [replace(drive, between=None) for drive in drives]
+        self._problem = Problem(drives, model.vehicle).of_totals
+        self._drives = self._problem.drives
         self._measured = np.concatenate([drive.power for drive in drives])
         self.pieces = pieces_of(drives)
         self._linear = not any(is_lossy(drive, model.terms) for drive in drives)
@@ -110,13 +111,12 @@ class PowerRegression:
 
     def _linearise(self, model: PowerModel) -> tuple[FloatArray, FloatArray]:
         """Target and design of the linear problem at a model's coefficients."""
-        parts = [
-            linearise_drive(drive, model.vehicle, model.terms, model.coefficients)
-            for drive in self._drives
-        ]
-        jacobian = np.concatenate([part.columns[:, 0] for part in parts])
-        power = np.concatenate([part.power[:, 0] for part in parts])
-        return self._measured - power + jacobian @ model.coefficients, jacobian
+        about = self._problem.tables(model.terms, model.coefficients)
+        target, design = (
+            np.concatenate([part[:, 0] for part in parts])
+            for parts in (about.targets, about.columns)
+        )
+        return target, design
 
     def solve(self, method: Method, bounds: Bounds) -> PowerModel:
         """Return the model with the coefficients that minimise the method's sum."""
