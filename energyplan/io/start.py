@@ -857,16 +857,18 @@ def _finish(
     drive = Drive(log.channels, log.power, log.runs)
     robot = build_vehicle(file, log, drive, known)
     found = [one for one in find_checks(log.channels, log.power, log.runs) if one.refuses]
-    checks = check_consistency(drive, known_measures(known), columns)
-    told = {one.what for one in checks}  # with the measures, which tell more
+    compared = check_consistency(drive, known_measures(known), columns)
+    told = {one.what for one in compared}  # with the measures, which tell more
+    doubts = [one for one in compared if not (one.ok or isfinite(one.value))]
+    checks = [one for one in compared if one not in doubts]
     checks += [one for one in found if one.what not in told]
     project = Project(
         name=robot.vehicle.name, vehicle=robot.vehicle, columns=columns, topics=topics,
         log=file.name, defaults={**assumed, **robot.assumed},
     )  # fmt: skip
-    refusing = {str(check) for check in found}
-    notes = (*map(str, log.set_aside), *(w for w in log.warnings if w not in refusing))
-    return Start(project, tuple(checks), notes)
+    known_already = (*map(str, found), *(one.what for one in doubts))
+    warnings = (one for one in log.warnings if not one.startswith(known_already))
+    return Start(project, tuple(checks), (*map(str, log.set_aside), *map(str, doubts), *warnings))
 
 
 class Signed(NamedTuple):

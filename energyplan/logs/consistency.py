@@ -555,7 +555,7 @@ def check_consistency(
     cost = sum(span.strain(value) for span, value in ratios)
     unusual = [text for saved, text in remedies if saved < cost - _DOUBT]
     if weighed and unusual and not wrong:
-        made.append(Check(_UNUSUAL, "; or ".join(unusual[:_NAMED]), "trust"))
+        made.append(Check(_UNUSUAL, "; or ".join(unusual[:_NAMED])))
     return made
 
 
