@@ -109,7 +109,7 @@ def without(count: int, begin: int = 0) -> None:
         ]
         errors += [b.error for b in both]
         told, taken = (1 - getattr(both[0], key) / getattr(both[1], key)
-                       for key in ("energy_told", "energy_taken"))  # fmt: skip
+                       for key in ("energy_predicted", "energy_measured"))  # fmt: skip
         savings.append(told - taken)
         print(
             f"pair {k}: errors {100 * both[0].error:+.2f} % {100 * both[1].error:+.2f} %, saving "
@@ -148,9 +148,9 @@ def hidden(count: int, single: bool, begin: int = 0) -> None:
             continue
         first, last = made.rounds[0], made.rounds[-1]
         found = ", ".join(e.name for e in first.effects) or first.note or "-"
-        saved = 1 - last.energy_taken / first.energy_taken
+        saved = 1 - last.energy_measured / first.energy_measured
         low, high = last.energy_interval or (-np.inf, np.inf)
-        half = (high - low) / (2 * last.energy_told)
+        half = (high - low) / (2 * last.energy_predicted)
         rows.append(Hidden(k, label, first.error, last.error, half, found, saved))
         print(rows[-1].line(), flush=True)
     table(rows)
@@ -233,14 +233,14 @@ def routes(count: int, begin: int = 0) -> None:
         first, last = made.rounds[0], made.rounds[-1]
         rows.append((fork.name, first, last))
         print(f"{k}: {fork.name}: error {100 * first.error:+.1f} % -> {100 * last.error:+.1f} %, "
-              f"taken {first.energy_taken:.0f} J, then {last.energy_taken:.0f} J "
+              f"taken {first.energy_measured:.0f} J, then {last.energy_measured:.0f} J "
               f"({100 * less(first, last):+.1f} % less), found "
               f"{', '.join(e.name for e in first.effects) or first.note}", flush=True)  # fmt: skip
     print("\n| map | error before | after | first route [J] | second route [J] | takes less |\n"
           "|---|---|---|---|---|---|")  # fmt: skip
     for name, first, last in rows:
         print(f"| {name} | {100 * first.error:+.1f} % | {100 * last.error:+.1f} % | "
-              f"{first.energy_taken:.0f} | {last.energy_taken:.0f} | "
+              f"{first.energy_measured:.0f} | {last.energy_measured:.0f} | "
               f"{100 * less(first, last):.1f} % |")  # fmt: skip
     saved = np.array([less(first, last) for _, first, last in rows])
     print(f"\nthe second route takes less in {100 * np.mean(saved > 0):.0f} % of {len(saved)}, "
@@ -249,7 +249,7 @@ def routes(count: int, begin: int = 0) -> None:
 
 def less(first: Round, last: Round) -> float:
     """Return how much less one route took than another, as a fraction."""
-    return 1 - last.energy_taken / first.energy_taken
+    return 1 - last.energy_measured / first.energy_measured
 
 
 PAIRS = (

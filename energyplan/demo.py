@@ -278,7 +278,7 @@ def _driven(demo: _Demo) -> None:
         f"the ground is rougher above y = {border['offset']} m. The error of "
         f"the first prediction is {100 * first.error:+.1f} %. A "
         "designed drive shows why; the route of the second round takes "
-        f"{100 * (1 - last.energy_taken / first.energy_taken):.0f} % less than the first one."
+        f"{100 * (1 - last.energy_measured / first.energy_measured):.0f} % less than the first one."
     )
     page.summaries(result.tables)
     rough = box(-2.0, border["offset"], 11.0, 3.6)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
-NEW_KEYS = {"energy_told": "energy_predicted", "energy_taken": "energy_measured"}
-"""Keys of the last release, beside which an answer has the new ones."""
+OLD_KEYS = {"energy_predicted": "energy_told", "energy_measured": "energy_taken"}
+"""Keys that an answer also has by their names of the last release."""
 NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
 _ESCAPED = {
@@ -53,8 +53,8 @@ def warn(text: str) -> None:
 def _both_names(value: Any) -> Any:
     """Return an answer with the energies of a drive by their names of the last release, too."""
     if isinstance(value, dict):
-        new = {NEW_KEYS[key]: value[key] for key in value if key in NEW_KEYS}
-        return {key: _both_names(one) for key, one in value.items()} | new
+        old = {OLD_KEYS[key]: value[key] for key in value if key in OLD_KEYS}
+        return {key: _both_names(one) for key, one in value.items()} | old
     return [_both_names(one) for one in value] if isinstance(value, list) else value
 
 

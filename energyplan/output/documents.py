@@ -233,7 +233,7 @@ def _leg(leg: LegReport, trajectory: bool) -> Document:
 
 def driven(result: Driven, secret: bool = False) -> Document:
     """Return what ``energyplan drive --json`` prints; what was taken not by term if `secret`."""
-    keys = "energy_told energy_taken error arrived tracking_error heading_error final_error"
+    keys = "energy_predicted energy_measured error arrived tracking_error heading_error final_error"
     return {
         **picked(result, keys),
         "duration": plain(result.trajectory.duration),
@@ -247,7 +247,7 @@ def driven(result: Driven, secret: bool = False) -> Document:
 
 def loop(result: Loop) -> Document:
     """Return what ``energyplan close-the-loop --json`` prints."""
-    keys = "energy_told energy_interval energy_taken error overhead effects length note"
+    keys = "energy_predicted energy_interval energy_measured error overhead effects length note"
     return {
         "rounds": [
             picked(now, keys)

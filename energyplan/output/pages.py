@@ -368,8 +368,8 @@ def loop_page(result: Loop, problem: PlanningProblem) -> Page:
     page.paragraph(
         f"The predicted energy was {_off(first.error)} what was measured in the first "
         f"round{later}. "
-        f"The first drive took {number(first.energy_taken)} J, the last one "
-        f"{number(last.energy_taken)} J.",
+        f"The first drive took {number(first.energy_measured)} J, the last one "
+        f"{number(last.energy_measured)} J.",
         "lead",
     )
     page.pictures(loop_pictures(result, problem))

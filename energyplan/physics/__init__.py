@@ -6,7 +6,7 @@ a drive log. `close_loop` plans, drives, diagnoses and plans again. The extra ``
 installs the engine.
 """
 
-from energyplan.physics.driving import Driven, Sensors, Tracking, drive, energy_told
+from energyplan.physics.driving import Driven, Sensors, Tracking, drive, energy_predicted
 from energyplan.physics.engine import Engine, Run, State
 from energyplan.physics.loop import EngineDrives, Loop, Round, close_loop
 from energyplan.physics.robot import EFFECTS, Border, Effect, Ground, Robot, draw_effects, switch_on
@@ -29,6 +29,6 @@ __all__ = [
     "close_loop",
     "draw_effects",
     "drive",
-    "energy_told",
+    "energy_predicted",
     "switch_on",
 ]  # fmt: skip

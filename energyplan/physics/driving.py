@@ -234,33 +234,39 @@ class Driven(html.Readable):
 
     trajectory: Trajectory  # what was asked
     run: Run  # what happened
-    told: dict[str, float]  # energy that the power model predicts for the trajectory, by term [J]
-    taken: dict[str, float]  # energy that the battery delivered, by the term that stands for it [J]
+    predicted: dict[
+        str, float
+    ]  # energy that the power model predicts for the trajectory, by term [J]
+    measured: dict[
+        str, float
+    ]  # energy that the battery delivered, by the term that stands for it [J]
     arrived: bool  # whether the robot stands at the end of the trajectory
     tracking_error: float
     heading_error: float
     final_error: float  # distance from the end of the trajectory [m]
 
     @property
-    def energy_told(self) -> float:
+    def energy_predicted(self) -> float:
         """Energy that the model predicts [J]."""
-        return sum(self.told.values())
+        return sum(self.predicted.values())
 
     @property
-    def energy_taken(self) -> float:
+    def energy_measured(self) -> float:
         """Energy that the battery delivered [J]."""
         return self.run.taken
 
     @property
     def error(self) -> float:
-        """Predicted over taken energy, minus one."""
-        return self.energy_told / self.energy_taken - 1.0
+        """Predicted over measured energy, minus one."""
+        return self.energy_predicted / self.energy_measured - 1.0
 
     @property
     def terms(self) -> list[tuple[str, float, float]]:
-        """Rows of term, predicted energy [J] and energy taken [J]; the largest first."""
-        names = dict.fromkeys([*self.told, *self.taken])
-        rows = [(name, self.told.get(name, 0.0), self.taken.get(name, 0.0)) for name in names]
+        """Rows of term, predicted energy [J] and measured energy [J]; the largest first."""
+        names = dict.fromkeys([*self.predicted, *self.measured])
+        rows = [
+            (name, self.predicted.get(name, 0.0), self.measured.get(name, 0.0)) for name in names
+        ]
         rows = [row for row in rows if row[1] or row[2]]
         return sorted(rows, key=lambda row: -max(abs(row[1]), abs(row[2])))
 
@@ -271,14 +277,14 @@ class Driven(html.Readable):
             f"{np.degrees(self.heading_error):.1f} deg off on the way"
         )
         title = (
-            f"energy predicted: {html.number(self.energy_told, 5)} J, measured: "
-            f"{html.number(self.energy_taken, 5)} J ({100 * self.error:+.2f} %)"
+            f"energy predicted: {html.number(self.energy_predicted, 5)} J, measured: "
+            f"{html.number(self.energy_measured, 5)} J ({100 * self.error:+.2f} %)"
         )
         header = ("term", "predicted [J]", "measured [J]")
         return [html.Summary(title, header, self.terms, [note])]
 
 
-def energy_told(
+def energy_predicted(
     trajectory: Trajectory, model: PowerModel, ground: Ground | None = None
 ) -> dict[str, float]:
     """Return the energy of a trajectory by term, as a power model predicts it [J]."""
@@ -302,13 +308,13 @@ def drive(
     gains = tracking or Tracking()
     tracker = Tracker(trajectory, model.vehicle, gains)
     start = Pose(*(float(value) for value in trajectory.poses[0]))
-    told = energy_told(trajectory, model, ground)
+    predicted = energy_predicted(trajectory, model, ground)
     run = Engine(robot, ground, start).drive(tracker, longest=2 * trajectory.duration + 60.0)
     wanted = np.array([tracker.reference(float(t))[:3] for t in run.t])
     apart = np.hypot(run.x - wanted[:, 0], run.y - wanted[:, 1])
     turned = np.abs(wrap_angle(run.yaw - wanted[:, 2]))
     return Driven(
-        trajectory, run, told, run.energy,
+        trajectory, run, predicted, run.energy,
         bool(apart[-1] <= gains.position and turned[-1] <= gains.angle),
         float(apart.max()), float(turned.max()), float(apart[-1]),
     )  # fmt: skip

@@ -26,7 +26,7 @@ from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.design import Explanation, design
-from energyplan.physics.driving import Driven, Sensors, drive, energy_told
+from energyplan.physics.driving import Driven, Sensors, drive, energy_predicted
 from energyplan.physics.engine import require_mujoco
 from energyplan.physics.robot import Ground, Robot
 from energyplan.planning import Plan, PlanningProblem, plan
@@ -78,7 +78,7 @@ class Steered(NamedTuple):
 def asked_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
     """Return what the model and the ground of a problem say that a trajectory takes [J]."""
     ground = Ground(problem.surfaces, problem.heights)
-    return sum(energy_told(trajectory, problem.cost.model, ground).values())
+    return sum(energy_predicted(trajectory, problem.cost.model, ground).values())
 
 
 def ratio(
@@ -188,9 +188,9 @@ Progress = Callable[[float, str], None]
 class Round:
     """One round of the loop: plan, drive, diagnose."""
 
-    energy_told: float  # energy that the model of this round predicts, before the drive [J]
+    energy_predicted: float  # energy that the model of this round predicts, before the drive [J]
     energy_interval: tuple[float, float] | None  # its 95 % interval [J]
-    energy_taken: float  # energy that was measured [J]
+    energy_measured: float  # energy that was measured [J]
     plan: Plan  # the route of this round
     model: PowerModel  # the model that predicted
     effects: tuple[Found, ...]  # what the diagnosis of all drives so far found, this one included
@@ -208,7 +208,7 @@ class Round:
     @property
     def error(self) -> float:
         """Predicted over measured energy, minus one."""
-        return self.energy_told / self.energy_taken - 1.0
+        return self.energy_predicted / self.energy_measured - 1.0
 
     @property
     def within(self) -> bool:
@@ -216,7 +216,7 @@ class Round:
         if self.energy_interval is None:
             return False
         low, high = self.energy_interval
-        return high - low <= SHARP * self.energy_told and low <= self.energy_taken <= high
+        return high - low <= SHARP * self.energy_predicted and low <= self.energy_measured <= high
 
 
 @dataclass(frozen=True)
@@ -230,8 +230,9 @@ class Loop(html.Readable):
     def _summaries(self) -> list[html.Summary]:
         rows = [
             (
-                k, r.energy_told, " to ".join(map(html.number, r.energy_interval or ())) or "-",
-                r.energy_taken, f"{100 * r.error:+.1f} %", r.length,
+                k, r.energy_predicted,
+                " to ".join(map(html.number, r.energy_interval or ())) or "-",
+                r.energy_measured, f"{100 * r.error:+.1f} %", r.length,
                 ", ".join(
                     f"{html.words(e.name)} {html.quantity(e.value, e.std_error, e.unit)}"
                     for e in r.effects
@@ -257,7 +258,7 @@ class Loop(html.Readable):
             return "was right"
         last = self.rounds[-1]
         low, high = last.energy_interval or (np.nan, np.nan)
-        if low <= last.energy_taken <= high:
+        if low <= last.energy_measured <= high:
             return "holds the energy taken, but is too wide to count as right; drive more rounds"
         return "was still wrong"
 

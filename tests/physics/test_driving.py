@@ -45,7 +45,7 @@ def test_energy_taken_is_the_energy_told(driven: Driven) -> None:
     assert driven.arrived
     assert driven.tracking_error < 0.03
     assert abs(driven.error) < 0.015
-    assert driven.energy_taken == pytest.approx(sum(driven.taken.values()), rel=1e-9)
+    assert driven.energy_measured == pytest.approx(sum(driven.measured.values()), rel=1e-9)
 
 
 def any_route(seed: int) -> tuple[ep.Trajectory, ep.PowerModel]:
@@ -74,7 +74,7 @@ def fought(made: Driven) -> float:
     run, asked = made.run, made.trajectory
     straight = np.abs(np.interp(run.t, asked.t, asked.omega)) < 0.01
     braking = np.minimum(run.shaft_left, 0.0) + np.minimum(run.shaft_right, 0.0)
-    return -float(braking[straight].sum()) * run.period / made.energy_taken
+    return -float(braking[straight].sum()) * run.period / made.energy_measured
 
 
 LIGHT, USUAL, HEAVY = 3, 1, 10
@@ -90,7 +90,7 @@ def test_robots_of_any_size_follow_without_hunting(seed: int) -> None:
     assert made.tracking_error < 0.15 * model.vehicle.icr.half_track
     # Stops return what starts took; motors that push against each other returned a half and more.
     kinetic = 0.5 * model.vehicle.mass * float(np.square(asked.v).max())
-    assert fought(made) < 0.03 + 2 * kinetic / made.energy_taken
+    assert fought(made) < 0.03 + 2 * kinetic / made.energy_measured
 
 
 def test_motors_that_share_no_load_push_against_each_other() -> None:
@@ -108,9 +108,9 @@ def test_an_effect_takes_what_its_term_tells(driven: Driven) -> None:
     told = MODEL.with_term(term("viscous_loss"), 80.0)
     made = drive(driven.trajectory, Robot.from_model(told), told)
     assert abs(made.error) < 0.015
-    assert made.taken["viscous_loss"] == pytest.approx(made.told["viscous_loss"], rel=0.03)
+    assert made.measured["viscous_loss"] == pytest.approx(made.predicted["viscous_loss"], rel=0.03)
     ignorant = drive(driven.trajectory, Robot.from_model(told), MODEL)
-    share = made.taken["viscous_loss"] / made.energy_taken
+    share = made.measured["viscous_loss"] / made.energy_measured
     assert ignorant.error == pytest.approx(-share, abs=0.015)
 
 
@@ -123,14 +123,14 @@ def test_a_surface_under_the_wheels_is_felt() -> None:
     ground = Ground(SurfaceMap([Surface(box(-50, -50, 50, 50), slick)]))
     made = drive(trajectory(), Robot.from_model(MODEL), MODEL, ground=ground)
     bare = drive(trajectory(), Robot.from_model(slick), slick)
-    assert made.energy_taken == pytest.approx(bare.energy_taken, rel=0.005)
-    assert made.energy_told == pytest.approx(bare.energy_told, rel=1e-9)
+    assert made.energy_measured == pytest.approx(bare.energy_measured, rel=0.005)
+    assert made.energy_predicted == pytest.approx(bare.energy_predicted, rel=1e-9)
 
 
 def test_sensors(driven: Driven) -> None:
     run = driven.run
     clean = Sensors(power_noise=0.0, speed_noise=0.0).log(run)
-    assert clean.energy == pytest.approx(driven.energy_taken, rel=0.005)
+    assert clean.energy == pytest.approx(driven.energy_measured, rel=0.005)
     assert np.allclose(np.diff(clean.t), 0.05)
     rough = Sensors(speed_step=1 / 127, current_step=0.1, unsigned=True, measured="battery")
     log = rough.log(run)
@@ -148,7 +148,7 @@ def test_sensors(driven: Driven) -> None:
 def test_hotel_load_is_in_the_log_and_in_the_energy(driven: Driven) -> None:
     made = drive(driven.trajectory, Robot.from_model(MODEL.with_term(HOTEL, 40.0)), MODEL)
     more = 40.0 * made.run.period * len(made.run.t)
-    assert made.energy_taken - driven.energy_taken == pytest.approx(more, rel=1e-6)
+    assert made.energy_measured - driven.energy_measured == pytest.approx(more, rel=1e-6)
     assert Sensors(power_noise=0.0).log(made.run).power[0] >= 40.0 - 1e-6
 
 
@@ -210,8 +210,8 @@ def test_command(tmp_path: File, capsys: pytest.CaptureFixture[str]) -> None:
     told = json.loads(out)
     assert code == 0
     assert told["arrived"] is True
-    assert {"energy_told", "energy_taken", "tracking_error"} <= set(told)
-    assert ep.DriveLog.read(log).energy == pytest.approx(told["energy_taken"], rel=0.01)
+    assert {"energy_predicted", "energy_measured", "tracking_error"} <= set(told)
+    assert ep.DriveLog.read(log).energy == pytest.approx(told["energy_measured"], rel=0.01)
     code, out, _ = run_command([*base, "--hidden", "4", "--truth", str(truth)], capsys)
     assert code == 0
     assert all("taken" not in row for row in json.loads(out)["terms"])

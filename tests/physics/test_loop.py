@@ -19,7 +19,7 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
-from energyplan.physics.driving import energy_told
+from energyplan.physics.driving import energy_predicted
 from energyplan.physics.loop import (
     NORMAL,
     SPEED_SHARE,
@@ -124,14 +124,14 @@ def test_the_second_route_takes_less() -> None:
     assert first.driven.arrived and last.driven.arrived
     assert first.error < -0.1
     assert abs(last.error) < 0.03
-    assert last.energy_taken < 0.9 * first.energy_taken
+    assert last.energy_measured < 0.9 * first.energy_measured
     document = documents.loop(made)
     assert set(document["rounds"][0]) >= {
-        "energy_told", "energy_interval", "energy_taken", "effects", "length",
+        "energy_predicted", "energy_interval", "energy_measured", "effects", "length",
     }  # fmt: skip
     assert text.loop(made)[0].startswith("round 1")
     for interval, words in (((0.0, 2.0), "is too wide"), ((2.0, 3.0), "was still wrong")):
-        told = (interval[0] * last.energy_taken, interval[1] * last.energy_taken)
+        told = (interval[0] * last.energy_measured, interval[1] * last.energy_measured)
         other = replace(made, rounds=(first, replace(last, energy_interval=told)), closed=False)
         assert words in text.loop(other)[-1]
     assert "round" in loop_page(made, problem).html()
@@ -230,7 +230,7 @@ def test_what_a_controller_takes_that_steers_otherwise_is_not_carried_over() -> 
     asked = ep.Trajectory(log.t, *pose, motion.v, motion.omega / 1.1)
     problem = believed(PROBLEM, MODEL, 0.5)
     alike = ratio(Steered(asked, log, ICR), MODEL, problem, None)
-    assert alike == pytest.approx(log.energy / sum(energy_told(asked, MODEL).values()))
+    assert alike == pytest.approx(log.energy / sum(energy_predicted(asked, MODEL).values()))
     assert alike > 1.02
     other = replace(ICR, longitudinal=0.1 * ICR.half_track)
     told = ratio(Steered(asked, log, other), MODEL, problem, None)

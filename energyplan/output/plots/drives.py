@@ -105,13 +105,15 @@ def rounds(loop: Loop) -> Figure:
     drawn = style.figure(size=(style.WIDTH, 2.8))
     ax = drawn.axes[0]
     at = np.arange(1, len(loop.rounds) + 1)
-    predicted = np.array([now.energy_told for now in loop.rounds]) / 1e3
-    spans = [now.energy_interval or (now.energy_told, now.energy_told) for now in loop.rounds]
+    predicted = np.array([now.energy_predicted for now in loop.rounds]) / 1e3
+    spans = [
+        now.energy_interval or (now.energy_predicted, now.energy_predicted) for now in loop.rounds
+    ]
     ends = np.array(spans).T / 1e3
     away = np.maximum([predicted - ends[0], ends[1] - predicted], 0.0)
     ax.errorbar(at - 0.05, predicted, yerr=away, fmt="none", color=style.BLUE, capsize=5, lw=1.2)
     ax.plot(at - 0.05, predicted, "s", ms=5, color=style.BLUE, label="predicted")
-    measured = [now.energy_taken / 1e3 for now in loop.rounds]
+    measured = [now.energy_measured / 1e3 for now in loop.rounds]
     ax.plot(at + 0.05, measured, "o", ms=5, color=style.RED, label="measured")
     ax.set_xticks(at)
     ax.set_xlim(0.5, len(at) + 0.5)
