@@ -93,7 +93,7 @@ def test_no_search_gains_by_a_corner_of_a_surface_that_only_the_raster_knows(cos
     )
     query = CompiledProblem(problem)
     cheaper = 0
-    for _ in range(300):
+    for _ in range(100):
         pose = Pose(*rng.uniform((3, 2, -3), (8, 8, 3)))
         turn = Path(pose, [cost.icr.centre[1]], [1.0], cost.icr.longitudinal).subdivide(1.0, 0.01)
         motions = query.of_centre(turn.ds, turn.dtheta)
@@ -104,7 +104,7 @@ def test_no_search_gains_by_a_corner_of_a_surface_that_only_the_raster_knows(cos
         searched += query.worth(turn.end) - query.worth(turn.start)
         assert searched >= query.value(turn) * (1 - 1e-3)
         cheaper += query.value(turn) < 0.5 * EnergyCost(cost.model).energy(turn)
-    assert cheaper > 30
+    assert cheaper > 10
 
 
 @pytest.mark.parametrize("cost", [EnergyCost(MODEL), LOPSIDED])
