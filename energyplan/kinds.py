@@ -243,9 +243,13 @@ def instance(
 ) -> None:
     """Check that a value is of a class: quick, for what is called by the million."""
     if not isinstance(value, wanted):
-        kind = _of_class(wanted)
-        words = kind.words if kind else SOURCES.get(wanted.__name__, f"a {wanted.__name__}")
-        raise error(f"{name} is {described(value)}; give {words}")
+        raise error(f"{name} is {described(value)}; give {wanted_words(wanted)}")
+
+
+def wanted_words(wanted: type) -> str:
+    """Return what to give where an instance of a class is wanted."""
+    kind = _of_class(wanted)
+    return kind.words if kind else SOURCES.get(wanted.__name__, f"a {wanted.__name__}")
 
 
 def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:

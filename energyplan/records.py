@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import described, instance
+from energyplan.kinds import described, wanted_words
 
 
 def _plain(value: Any) -> Any:
@@ -173,9 +173,9 @@ FINITE = Field(ge=0, allow_inf_nan=False)
 def instance_of(*wanted: type) -> PlainValidator:
     """Take an instance of one of some classes, or nothing where that is allowed."""
 
-    def check(value: Any, info: ValidationInfo) -> Any:
+    def check(value: Any) -> Any:
         if not isinstance(value, wanted):
-            instance(value, wanted[0], info.field_name or "it")
+            raise ValueError(f"give {wanted_words(wanted[0])}")
         return value
 
     return PlainValidator(check)
@@ -222,6 +222,8 @@ def record(
                 if place and isinstance(place[0], int):  # of a value without its name
                     place[0] = fields(made)[place[0]].name
                 message = first["msg"].removeprefix("Value error, ")
+                if first["type"] == "tuple_type":
+                    message = "give a list"
                 value = ".".join(map(str, place))
                 if first["type"] != "missing":
                     value += f" is {described(first['input'])}"

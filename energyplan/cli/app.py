@@ -60,10 +60,9 @@ def misuse(error: typer.TyperException) -> str:
 
 
 class Command(TyperCommand):
-    """A command that looks at its outputs before it begins, and takes lists and a project.
+    """A command that looks at its outputs before it begins, and takes a project.
 
     An option whose metavar ends with dots takes all that follows it, up to the next option.
-    ``--project`` gives the options ``--vehicle``, ``--columns`` and ``--topics`` their value.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -87,14 +86,12 @@ class Command(TyperCommand):
                 current = name if name in lists else None
                 if current is None or joined:
                     spread.append(word)
+                elif not args[k + 1 :] or args[k + 1].startswith("-"):
+                    raise InvalidInputError(f"{word} is given without a value")
             elif current is not None:
                 spread += [current, word]
             else:
                 spread.append(word)
-            follows = args[k + 1 :]
-            bare = current is not None and word == current
-            if bare and (not follows or follows[0].startswith("-")):
-                raise InvalidInputError(f"{word} is given without a value")
         return super().parse_args(ctx, spread)
 
     def invoke(self, ctx: Any) -> Any:

@@ -178,10 +178,9 @@ def identify(
     from energyplan.output import documents, text
 
     vehicle = read_vehicle(robot.vehicle)
-    for name, given, needed in (("--motor-constant", motor_constant, hoisted),
-                                ("--angle", angle, spin)):  # fmt: skip
-        if given is not None and not needed:
-            mode = "--hoisted" if name == "--motor-constant" else "--spin"
+    for name, given, mode, chosen in (("--motor-constant", motor_constant, "--hoisted", hoisted),
+                                      ("--angle", angle, "--spin", spin)):  # fmt: skip
+        if given is not None and not chosen:
             raise InvalidInputError(f"{name} goes with {mode}; give both or neither")
     if spin and (hoisted or terms):
         raise InvalidInputError("--spin finds the tread ICRs alone; leave other options out")

@@ -126,8 +126,6 @@ Speed = Annotated[
         "as fast as its motors go."
     ),
 ]
-
-
 MapFile = Annotated[Path, Option("--map", help="YAML file of a map, or of a site.")]
 MaybeSite = Annotated[
     Path | None, Option("--map", help="A map's or a site's file, whose ground is driven on.")

@@ -283,11 +283,11 @@ _BATTERY = pydantic.TypeAdapter(Battery)
 
 
 def _battery(value: Any, info: ValidationInfo) -> Any:
-    """Read a battery that a file describes; anything with what a `BatteryModel` has is one."""
-    if info.context is not None and isinstance(value, str | dict):
+    """Read a battery in words or by its parts; anything with what a `BatteryModel` has is one."""
+    if isinstance(value, str | dict):
         return _BATTERY.validate_python(value, context=info.context)
     if not isinstance(value, Battery | BatteryModel):
-        raise MissionError(f"battery is {described(value)}; give a battery: Battery.preset(NAME)")
+        raise MissionError(f"battery is {described(value)}; give a Battery, or words")
     return value
 
 
