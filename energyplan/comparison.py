@@ -49,8 +49,7 @@ class Comparison(html.Readable):
     @property
     def spent(self) -> tuple[Spent, Spent]:
         """What is compared: what the route of least energy takes, and the shortest one."""
-        best, shortest = self.energy_optimal, self.shortest
-        return _spent(best, self.driven), _spent(shortest, self.driven)
+        return _spent(self.energy_optimal, self.driven), _spent(self.shortest, self.driven)
 
     def _summaries(self) -> list[html.Summary]:
         plans, spent = (self.energy_optimal, self.shortest), self.spent

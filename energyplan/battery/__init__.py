@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -183,7 +183,7 @@ class Battery(ByValue, html.Readable):
     charge_efficiency: Annotated[Fraction, Field(gt=0, le=1)] = 1.0
     cutoff_voltage: Annotated[Volts, FROM] = 0.0
     cutoff_soc: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
-    max_voltage: Volts = np.inf
+    max_voltage: Annotated[Volts, ABOVE] = np.inf
     max_discharge_current: Annotated[Amps, ABOVE] = np.inf
     max_charge_current: Annotated[Amps, FROM] = np.inf
     temperature: Celsius = _REFERENCE_TEMPERATURE
@@ -203,30 +203,31 @@ class Battery(ByValue, html.Readable):
         """Read words, or a mapping of a preset, words or equal units with what differs from it."""
         if not isinstance(given, str | dict):
             return given
-        given = {"preset": given} if isinstance(given, str) else dict(given)
+        told = {"preset": given} if isinstance(given, str) else given
+        given = {key: value for key, value in told.items() if value is not None}
         if "usable" in given:
-            given["cutoff_soc"] = 1.0 - float(amount("fraction", given.pop("usable")))
+            usable = amount("fraction", given.pop("usable"))
+            _require(isinstance(usable, int | float), "usable is no fraction; give one, as 80 %")
+            given["cutoff_soc"] = 1.0 - usable
         words = given.pop("preset", None)
-        units = {key: given.pop(key) for key in _UNITS if key in given}
+        units = {
+            key: amount(kind, given.pop(key)) if kind else given.pop(key)
+            for key, kind in _UNITS.items()
+            if key in given
+        }
         lacking = [key for key in _UNITS if key not in units and key != "unit_resistance"]
-        if (words is None) == (not units):
-            raise BatteryError(
-                f"give a preset or words, as in {EXAMPLE!r}, or chemistry, series, parallel and "
-                "unit_capacity"
-            )
-        if units and lacking:
-            raise BatteryError(
-                f"the pack lacks {', '.join(lacking)}; or say it in words, as in {EXAMPLE!r}"
-            )
-        if units:
-            units = {
-                key: amount(_UNITS[key], value) if _UNITS[key] else value
-                for key, value in units.items()
-            }
+        _require(
+            (words is None) != (not units),
+            f"give a preset or words, as in {EXAMPLE!r}, or chemistry, series, parallel and "
+            "unit_capacity",
+        )
+        _require(
+            not (units and lacking),
+            f"the pack lacks {', '.join(lacking)}; or say it in words, as in {EXAMPLE!r}",
+        )
         base = cls.from_units(given.get("name", "battery"), **units) if units else cls.of(words)
-        known = {item.name: getattr(base, item.name) for item in fields(cls)}
         notes = () if "resistance" in given else base.notes
-        return {**known, **given, "notes": notes}
+        return {**vars(base), "notes": notes, **given}
 
     def __post_init__(self) -> None:
         soc, ocv = self.soc_points, self.ocv_points

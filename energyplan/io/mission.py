@@ -77,10 +77,7 @@ _MODELS = dict[str, dict[float, str]]
 
 
 def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
-    """Build a mission from a document; whatever goes wrong gets its place in the file.
-
-    A file may name what lies beside it, a person whatever lies `anywhere`.
-    """
+    """Build a mission from a document, which names files beside it, or `anywhere`."""
 
     def at(loc: Loc, read: Callable[..., T], *given: Any) -> T:
         try:
@@ -101,26 +98,19 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     def named(read: Callable[[Path], T], preset: Callable[[str], T]) -> Callable[[str], T]:
         return lambda name: read(file(name)) if _is_yaml(name) else preset(name)
 
-    data = dict(document.data)
+    def weighed(model: PowerModel) -> PowerModel:
+        # a model from level ground says nothing about slopes; the wheel loads tell the weight
+        return with_weight(model) if hills else model
+
+    optional = ("vehicle", *PARTS)
+    given = {k: v for k, v in document.data.items() if k != "places"}
+    data = {k: v for k, v in given.items() if v is not None or k not in optional}
     for key, value in data.items():
-        if key in ("map", "model", "vehicle", *PARTS) and not isinstance(value, str):
+        if key in ("map", "model", *optional) and not isinstance(value, str):
             told = f"{described(value)} is no name of a file or preset; give one"
             raise document.fail((key,), told + document.another_kind(Mission))
-    places = document.check(dict[str, Place], ("places",)) if data.pop("places", None) else {}
-    read_named = named(read_model, PowerModel.preset)
-    if "model" in data:
-        model = at(("model",), read_named, data["model"])
-        if "vehicle" in data:
-            vehicle = at(("vehicle",), named(read_vehicle, Vehicle.preset), data.pop("vehicle"))
-            model = replace(model, vehicle=vehicle.with_icr(model.vehicle.icr))
-        data["model"] = model
-    if isinstance(data.get("battery"), str) and _is_yaml(data["battery"]):
-        data["battery"] = at(("battery",), lambda name: read_battery(file(name)), data["battery"])
-    heavy: dict[str, dict[float, PowerModel]] = {}
-    if "payload_models" in data:
-        for name, models in document.check(_MODELS, ("payload_models",)).items():
-            loc = "payload_models", name
-            heavy[name] = {load: at(loc, read_named, one) for load, one in models.items()}
+    places = document.check(dict[str, Place], ("places",)) if "places" in document.data else {}
+    hills, known = False, set[str]()
     if "map" in data:
         found = at(("map",), lambda name: read_site(file(name), inside=not anywhere), data["map"])
         parts = {
@@ -129,25 +119,30 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
             if key in data
         }
         site = replace(found, **parts)
-        if site.heights is not None:
-            # models from level ground say nothing about slopes; the wheel loads tell the weight
-            grounds = None if site.surfaces is None else with_weights(site.surfaces)
-            site = replace(site, surfaces=grounds)
-            if isinstance(data.get("model"), PowerModel):
-                data["model"] = with_weight(data["model"])
-            heavy = {
-                name: {load: with_weight(one) for load, one in models.items()}
-                for name, models in heavy.items()
-            }
+        hills = site.heights is not None
+        if hills and site.surfaces is not None:
+            site = replace(site, surfaces=with_weights(site.surfaces))
         data["map"] = site
-        grounds = site.surfaces
-        known = {s.model.name for s in (grounds.surfaces if grounds else ())}
-        known |= {data["model"].name} if "model" in data else set()
-        for name in heavy.keys() - known:
-            raise document.fail(
-                ("payload_models", name),
-                f"the mission has no such model; it has {', '.join(sorted(known))}",
-            )
+        known = {one.model.name for one in (site.surfaces.surfaces if site.surfaces else ())}
+    read_named = named(read_model, PowerModel.preset)
+    if "model" in data:
+        model = at(("model",), read_named, data["model"])
+        if "vehicle" in data:
+            vehicle = at(("vehicle",), named(read_vehicle, Vehicle.preset), data.pop("vehicle"))
+            model = replace(model, vehicle=vehicle.with_icr(model.vehicle.icr))
+        data["model"] = weighed(model)
+        known |= {data["model"].name}
+    if isinstance(data.get("battery"), str) and _is_yaml(data["battery"]):
+        data["battery"] = at(("battery",), lambda name: read_battery(file(name)), data["battery"])
+    heavy: dict[str, dict[float, PowerModel]] = {}
+    if "payload_models" in data:
+        for name, models in document.check(_MODELS, ("payload_models",)).items():
+            loc = "payload_models", name
+            heavy[name] = {mass: weighed(at(loc, read_named, one)) for mass, one in models.items()}
+            if "map" in data and name not in known:
+                raise document.fail(
+                    loc, f"the mission has no such model; it has {', '.join(sorted(known))}"
+                )
     data = {"name": Path(document.source).stem, **data, "payload_models": heavy}
     return replace(document, data=data).check(Mission, context={"places": places})
 

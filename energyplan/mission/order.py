@@ -216,11 +216,11 @@ def shared(
             done += float(sum(worth[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
         return round(-done, 6), energy
 
-    tried = []
-    for drawn in (open_to_all, chances):
-        stops, counts = share(tours, drawn)
-        tried.append([list(map(int, row[:k])) for row, k in zip(stops, counts, strict=True)])
-    best = min(tried if len(problems) > 1 else tried[:1], key=price)
+    tried = [
+        [list(map(int, row[:k])) for row, k in zip(*share(tours, drawn), strict=True)]
+        for drawn in ((open_to_all, chances) if len(problems) > 1 else (open_to_all,))
+    ]
+    best = min(tried, key=price)
     return best, sorted(set(range(n)) - {task for tasks in best for task in tasks})
 
 

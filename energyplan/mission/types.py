@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 from numpy.typing import ArrayLike
-from pydantic import BeforeValidator, Field, PlainValidator, SkipValidation, ValidationInfo
+from pydantic import BeforeValidator, Field, PlainValidator, ValidationInfo
 from pydantic_core import ArgsKwargs
 
 from energyplan import html
@@ -34,6 +34,7 @@ from energyplan.records import (
     ReadOnly,
     Time,
     amount,
+    amount_of,
     instance_of,
     record,
 )
@@ -91,10 +92,7 @@ def require(condition: object, message: str, *place: str | int) -> None:
 
 
 def uncertain(kind: str, value: Any) -> tuple[float, float | None]:
-    """Read a number, or a distribution as mean and standard deviation.
-
-    Such a one is ``{mean, std}``, or ``{low, high}`` where it is uniform.
-    """
+    """Read a number, ``{mean, std}`` or a uniform ``{low, high}``, as mean and deviation."""
     if not isinstance(value, dict):
         number = amount(kind, value)
         if not isinstance(number, int | float):
@@ -428,8 +426,8 @@ class Mission(ReadOnly, html.Readable):
     chargers: Annotated[tuple[Charger, ...], Field(max_length=100)] = ()
     surfaces: Annotated[SurfaceMap | None, instance_of(SurfaceMap, NoneType)] = None
     payload: Annotated[Mass, FINITE] = 0.0
-    payload_models: Annotated[Mapping[str, Mapping[float, PowerModel]], SkipValidation] = field(
-        default_factory=dict
+    payload_models: Annotated[Mapping[str, Mapping[float, PowerModel]], instance_of(Mapping)] = (
+        field(default_factory=dict)
     )
     soc: Annotated[Fraction, Field(ge=0, le=1)] = 1.0
     reserve: Annotated[float, BeforeValidator(_reserve), Field(ge=0, lt=1)] = 0.2
@@ -445,7 +443,7 @@ class Mission(ReadOnly, html.Readable):
     objective: Literal["energy", "length"] = "energy"
     planner: str = "lattice"
     planning_time: Annotated[Time, ABOVE] | None = None
-    planning_effort: Annotated[int, ABOVE] | None = None
+    planning_effort: Annotated[int, amount_of("number"), ABOVE] | None = None
     name: str = "mission"
     heights: Annotated[HeightMap | None, instance_of(HeightMap, NoneType)] = None
     spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)

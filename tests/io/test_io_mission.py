@@ -134,7 +134,7 @@ def test_a_reserve_without_a_unit_is_a_fraction_as_text_too(tmp_path, reserve):
 
 
 def test_payload_models(tmp_path):
-    text = GOOD.replace("surfaces: warehouse_surfaces.geojson\n", "") + (
+    text = GOOD.replace("surfaces: warehouse_surfaces.geojson", "surfaces:") + (
         "payload: 64 kg\npayload_models:\n  quadriga:empty:concrete: {64: quadriga:full:concrete}\n"
     )
     mission = read_mission(written(tmp_path, text))
@@ -173,6 +173,9 @@ def test_examples_are_read(name):
         ("temperature: 10", "capacity: 200", 5, "200 has no unit, and would be C; write 200 Ah"),
         ("temperature: 10", "capacity: '200'", 5, "200 has no unit"),
         ("reserve: 20 %", "reserve: '20'", 26, "reserve: Input should be less than 1"),
+        ("temperature: 10", "usable: [1]", 5, "battery: usable is no fraction"),
+        ("temperature: 10", "notes: 5", 5, "battery.notes"),
+        ("\nplaces:", "\nplaces: 0\nothers:", 9, "places: Input should be a valid dictionary"),
         ("temperature: 10", "helth: 80 %", 5, "battery.helth: there is no such key"),
         ("temperature: 10", "temperature: cold", 5, "battery.temperature: give a number"),
         ("preset: quadriga", "chemistry: agm, series: 2", 5, "the pack lacks parallel, unit_cap"),

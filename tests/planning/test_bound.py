@@ -560,13 +560,6 @@ def test_what_is_kept_with_a_map_changes_no_bound():
 # -- dear surfaces ---------------------------------------------------------------------------------
 
 
-def two_grounds(area, cheap="quadriga:empty:marble", grid=None):
-    """A hall of concrete with marble in `area`, and the problem of crossing it."""
-    grid = OccupancyGrid(np.zeros((100, 200), bool), 0.1) if grid is None else grid
-    surfaces = SurfaceMap((Surface(area, PowerModel.preset(cheap)),))
-    return PlanningProblem(grid, COST, (2.0, 5.0, 0.0), (18.0, 5.0, 0.0), surfaces)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_cells_that_an_edge_of_a_surface_crosses_are_of_no_certain_ground(seed):
     rng = np.random.default_rng(seed)
