@@ -166,7 +166,7 @@ def plan(
     """
     from energyplan.planning.bound import lower_bound
     from energyplan.planning.ready import compile_planning, prepare
-    from energyplan.planning.search.tight_ends import between_clear_ends, checked_ends
+    from energyplan.planning.search.narrow.ends import between_clear_ends, checked_ends
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name

@@ -26,7 +26,7 @@ from energyplan.path import Pose
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.space.closure import check_configurations
+from energyplan.planning.search.narrow.infeasible import check_configurations
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.planning.space.motions import KernelProblem, drive, steering_cost

@@ -9,7 +9,7 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound import prepare_bound
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.search.tight_ends import surely_has_room
+from energyplan.planning.search.narrow.ends import surely_has_room
 from energyplan.planning.space.compiled import compiled
 from energyplan.planning.space.cost_to_go import regions_for
 
@@ -19,8 +19,8 @@ PLANNING = tuple(f"energyplan.{of}." for of in ("planning", "terrain", "cost", "
 
 EXACT = ("energyplan.steering.polygon",)
 SURFACES = ("energyplan.planning.bound.surfaces", "energyplan.terrain.surfaces")
-TIGHT = ("energyplan.planning.search.tight_ends",)
-CLOSED = ("energyplan.planning.space.closure",)
+TIGHT = ("energyplan.planning.search.narrow.ends",)
+CLOSED = ("energyplan.planning.search.narrow.infeasible",)
 """Where the kernels are that are needed for costs that are not static, for surfaces, for ends
 without room, and for ends that nothing seems to join."""
 

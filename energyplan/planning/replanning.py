@@ -30,7 +30,7 @@ from energyplan.planning.driven import Plan
 from energyplan.planning.problem import KEPT, PlanningProblem
 from energyplan.planning.ready import compile_planning
 from energyplan.planning.search import planner as lattice
-from energyplan.planning.search.tight_ends import between_clear_ends, checked_ends
+from energyplan.planning.search.narrow.ends import between_clear_ends, checked_ends
 from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.terrain import OccupancyGrid
 

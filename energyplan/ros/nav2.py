@@ -42,7 +42,7 @@ from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.planning.ready import compile_planning
 from energyplan.planning.replanning import replan
-from energyplan.planning.search.tight_ends import checked_ends
+from energyplan.planning.search.narrow.ends import checked_ends
 from energyplan.power import PowerModel
 from energyplan.ros.messages import (
     Factory,

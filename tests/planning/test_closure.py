@@ -14,15 +14,16 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.space import closure as closing
-from energyplan.planning.space.closure import (
+from energyplan.planning.search.narrow import infeasible
+from energyplan.planning.search.narrow.infeasible import (
     SETTINGS,
     chain_between,
-    closure,
     look_closer,
+    prove,
 )
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.cost_to_go import HEADINGS, RIM, places_for
+from energyplan.planning.space.configurations import HEADINGS
+from energyplan.planning.space.cost_to_go import RIM, places_for
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body, poses_free
 
@@ -66,12 +67,12 @@ def drawn(seed: int, spare: float) -> PlanningProblem:
     return PlanningProblem(made[0], robot(length * scale, width * scale), *made[1:])
 
 
-def looked(problem: PlanningProblem, tested: bool = True) -> closing.Closure:
+def looked(problem: PlanningProblem, tested: bool = True) -> infeasible.Proof:
     """Return what is known of the ways of a problem, with or without the poses that were tested."""
     kernel, budget = CompiledProblem(problem).setting, Budget(effort=10**7)
     if tested:
-        return closure(kernel, budget)
-    closer = closing._Closer(kernel, budget)
+        return prove(kernel, budget)
+    closer = infeasible._Prover(kernel, budget)
     closer.tested[:] = 0
     closer.known[:] = 0
     return closer.found()

@@ -16,14 +16,8 @@ from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.search.follow import chain_along, motions_along, poses_along
 from energyplan.planning.space import cost_to_go as guide
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.cost_to_go import (
-    HEADINGS,
-    RIM,
-    cost_to_go,
-    places_for,
-    reached,
-    regions_for,
-)
+from energyplan.planning.space.configurations import HEADINGS
+from energyplan.planning.space.cost_to_go import RIM, cost_to_go, places_for, reached, regions_for
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle

@@ -21,7 +21,7 @@ from energyplan.errors import (
 )
 from energyplan.path import Path
 from energyplan.planning import PLANNERS, PlanningProblem, plan
-from energyplan.planning.space.closure import check_configurations, none_found
+from energyplan.planning.search.narrow.infeasible import check_configurations, none_found
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.power import PowerModel

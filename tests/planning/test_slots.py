@@ -9,7 +9,7 @@ from by_day import by_day
 from energyplan.cost import EnergyCost
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.search.slots import shrinkage, shrunken
+from energyplan.planning.search.narrow.shrunken import shrinkage, shrunken
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle

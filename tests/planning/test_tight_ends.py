@@ -14,7 +14,7 @@ from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.budget import UNLIMITED
-from energyplan.planning.search.tight_ends import SETTINGS, spin_room, tight, ways_out
+from energyplan.planning.search.narrow.ends import SETTINGS, spin_room, tight, ways_out
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid

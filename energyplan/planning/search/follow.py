@@ -8,20 +8,20 @@ gaps are passed that a lattice meets by chance only.
 
 from __future__ import annotations
 
-from math import atan2, cos, floor, hypot, inf, pi, sin
+from math import atan2, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
+from energyplan.compilation import Floats, FloatTable, Ints, njit
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
+from energyplan.planning.search.narrow.grid import Followed, through_passage
 from energyplan.planning.space.compiled import Segments
-from energyplan.planning.space.configurations import grown
+from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.cost_to_go import (
-    HEADINGS,
     RIM,
     CostToGo,
     Places,
@@ -31,23 +31,8 @@ from energyplan.planning.space.cost_to_go import (
     to_and_fro,
 )
 from energyplan.planning.space.motions import KernelProblem, join, pose_at, surface_at, turn_prices
-from energyplan.planning.space.queues import angle_between, pop, push, slot_of
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
-from energyplan.terrain.collision import Body, pose_free
-
-BLOCKED = 2
-"""What is known of a pose that is not free; else the end from which it was reached, 0 or 1."""
-
-BITS = 20
-"""Bits of a place's number along either axis."""
-
-NEIGHBOURS = 10
-"""Neighbours of a pose: eight places, and two headings."""
-
-STEP_I = np.array([1, 1, 0, -1, -1, -1, 0, 1, 0, 0])
-STEP_J = np.array([0, 1, 1, 1, 0, -1, -1, -1, 0, 0])
-STEP_H = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, -1])
-"""Steps to them."""
+from energyplan.terrain.collision import pose_free
 
 
 class Settings(NamedTuple):
@@ -58,226 +43,9 @@ class Settings(NamedTuple):
     beyond: tuple[int, ...] = (8, 20)  # poses that a short search leads further
     # its lattices' scales, expansions
     across: tuple[tuple[float, int], ...] = ((1.0, 600), (0.25, 1500))
-    cell: float = 0.125  # cells of the bidirectional search over those of the route [1]
-    spare: tuple[float, ...] = (0.5, 0.0)  # how much larger the body is in it [cells]
-    wide: float = 3.0  # how much larger it is where it has room [its cells]
-    most: int = 20_000  # poses tested at most, and motions along them
-    aside: float = 4.0  # factor on the length of a step to the side [1]
-    tight: float = 3.0  # factor on the length of a step where the body has no room [1]
-    longest: int = 64  # poses that a motion along them leads further at most
-    halvings: int = 8  # how often the way between two poses is halved until it is free
 
 
 SETTINGS = Settings()
-
-
-class Passage(NamedTuple):
-    """Poses through a passage."""
-
-    poses: FloatTable  # (n, 3): from one end to the other
-    tests: int  # poses that were tested
-
-
-@njit
-def bidirectional_search(
-    setting: KernelProblem,
-    wide: Body,
-    begin: Pose,
-    end: Pose,
-    cell: float,
-    headings: int,
-    most: int,
-) -> Passage:
-    """Return free poses that lead from one pose to another, step by step on a grid."""
-    turn = 2.0 * pi / headings
-    size = 16
-    while size < 4 * most:
-        size *= 2
-    table = np.empty(size, np.int32)
-    for k in range(size):
-        table[k] = -1
-    # the two ends, and those tested
-    capacity = most + 2
-    key = np.empty(capacity, np.int64)
-    side = np.empty(capacity, np.int64)
-    parent = np.empty(capacity, np.int32)
-    done = np.empty(capacity, np.bool_)
-    narrow = np.empty(capacity, np.bool_)
-    g = np.empty(capacity)
-    heap_f = np.empty((2, NEIGHBOURS * capacity))
-    heap_node = np.empty((2, NEIGHBOURS * capacity), np.int32)
-    sizes = np.zeros(2, np.int64)
-    half = 1 << (BITS - 1)
-    steps_i = STEP_I
-    steps_j = STEP_J
-    steps_h = STEP_H
-    for who in range(2):
-        i = floor((end.x - begin.x) / cell + 0.5) if who == 1 else 0
-        j = floor((end.y - begin.y) / cell + 0.5) if who == 1 else 0
-        h = floor((end.yaw - begin.yaw) / turn + 0.5) % headings if who == 1 else 0
-        key[who] = ((i + half) << BITS | (j + half)) * headings + h
-        side[who] = who
-        parent[who] = -1
-        done[who] = False
-        narrow[who] = True
-        g[who] = 0.0
-        slot = slot_of(table, key, key[who])
-        if table[slot] >= 0:
-            # both ends are one place of the grid
-            return Passage(_chain(parent, key, 0, 1, begin, end, cell, headings), 0)
-        table[slot] = who
-        sizes[who] = push(heap_f[who], heap_node[who], 0, 0.0, who)
-    count = 2
-    who = 1
-    while True:
-        who = 1 - who
-        while sizes[who] > 0 and done[heap_node[who, 0]]:
-            sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
-        if sizes[who] == 0:
-            return Passage(np.empty((0, 3)), count - 2)
-        node = int(heap_node[who, 0])
-        sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
-        done[node] = True
-        h = int(key[node] % headings)
-        j = int(key[node] // headings & ((1 << BITS) - 1))
-        i = int(key[node] // headings >> BITS)
-        along = cos(begin.yaw + h * turn)
-        across = sin(begin.yaw + h * turn)
-        for k in range(NEIGHBOURS):
-            to_h = (h + steps_h[k]) % headings
-            to_key = ((i + steps_i[k]) << BITS | (j + steps_j[k])) * headings + to_h
-            slot = slot_of(table, key, to_key)
-            other = int(table[slot])
-            if other >= 0 and side[other] == 1 - who:
-                first = node if who == 0 else other
-                second = other if who == 0 else node
-                found = _chain(parent, key, first, second, begin, end, cell, headings)
-                return Passage(found, count - 2)
-            if other >= 0 and (side[other] == BLOCKED or done[other]):
-                continue
-            x = begin.x + (i + steps_i[k] - half) * cell
-            y = begin.y + (j + steps_j[k] - half) * cell
-            yaw = begin.yaw + to_h * turn
-            if other < 0:
-                if count == capacity:
-                    return Passage(np.empty((0, 3)), most)
-                other = count
-                count += 1
-                table[slot] = other
-                key[other] = to_key
-                done[other] = False
-                g[other] = inf
-                side[other] = BLOCKED
-                if not pose_free(setting.space, setting.body, x, y, yaw):
-                    continue
-                side[other] = who
-                narrow[other] = not pose_free(setting.space, wide, x, y, yaw)
-            step = setting.reach * turn
-            if steps_h[k] == 0:
-                ahead = abs(along * steps_i[k] + across * steps_j[k])
-                aside = abs(along * steps_j[k] - across * steps_i[k])
-                step = cell * (ahead + SETTINGS.aside * aside)
-            if narrow[other]:
-                step *= SETTINGS.tight
-            if g[node] + step < g[other]:
-                g[other] = g[node] + step
-                parent[other] = node
-                goal = end if who == 0 else begin
-                left = 2.0 * SETTINGS.aside * hypot(goal.x - x, goal.y - y)
-                left += 2.0 * setting.reach * angle_between(goal.yaw, yaw)
-                sizes[who] = push(heap_f[who], heap_node[who], sizes[who], g[other] + left, other)
-
-
-@njit
-def _chain(
-    parent: ShortInts,
-    key: Ints,
-    first: int,
-    second: int,
-    begin: Pose,
-    end: Pose,
-    cell: float,
-    headings: int,
-) -> FloatTable:
-    """Return the poses from the begin to a node, and from another one to the end."""
-    before = 0
-    node = first
-    while node >= 0:
-        before += 1
-        node = int(parent[node])
-    count = before
-    node = second
-    while node >= 0:
-        count += 1
-        node = int(parent[node])
-    half = 1 << (BITS - 1)
-    poses = np.empty((count, 3))
-    node = first
-    for k in range(count):
-        if k == before:
-            node = second
-        at = before - 1 - k if k < before else k
-        cells = key[node] // headings
-        poses[at, 0] = begin.x + ((cells >> BITS) - half) * cell
-        poses[at, 1] = begin.y + ((cells & ((1 << BITS) - 1)) - half) * cell
-        poses[at, 2] = begin.yaw + (key[node] % headings) * (2.0 * pi / headings)
-        node = int(parent[node])
-    poses[count - 1, :] = end
-    return poses
-
-
-class Followed(NamedTuple):
-    """How far motions along poses lead."""
-
-    last: int  # the furthest pose that is reached
-    motions: int  # number of motions to it
-    tried: int  # pairs of poses that were tried
-
-
-@njit
-def follow(
-    setting: KernelProblem, poses: FloatTable, limit: int, ds: Floats, dtheta: Floats
-) -> Followed:
-    """Write motions along poses, each as far along them as one is free."""
-    part_ds = np.empty(MAX_SEGMENTS)
-    part_dtheta = np.empty(MAX_SEGMENTS)
-    last = len(poses) - 1
-    at = 0
-    written = 0
-    tried = 0
-    here = pose_at(poses, 0)
-    far = SETTINGS.longest
-    while at < last and tried < limit and written + MAX_SEGMENTS <= len(ds):
-        # so many poses further, or that part of the way to the next one
-        far = min(4 * far, SETTINGS.longest)
-        part = 1.0
-        moved = False
-        while not moved and part > 0.5**SETTINGS.halvings and tried < limit:
-            to = min(at + far, last)
-            turn = pi - (pi - (poses[to, 2] - here.yaw)) % (2.0 * pi)
-            there = Pose(
-                here.x + part * (poses[to, 0] - here.x),
-                here.y + part * (poses[to, 1] - here.y),
-                here.yaw + part * turn,
-            )
-            tried += 1
-            cost, n = join(setting, here, there, inf, part_ds, part_dtheta)
-            if cost < inf:
-                moved = True
-                for s in range(n):
-                    ds[written + s] = part_ds[s]
-                    dtheta[written + s] = part_dtheta[s]
-                written += n
-                here = there
-                if part == 1.0:
-                    at = to
-            elif far > 1:
-                far //= 2
-            else:
-                part *= 0.5
-        if not moved:
-            break
-    return Followed(at, written, tried)
 
 
 class Tracked(NamedTuple):
@@ -341,28 +109,7 @@ def _across(
         search.run(budget, most)
         if search.found:
             return search.segments()
-    cell = to_go.places.spacing * SETTINGS.cell
-    return _threaded(setting, part.start, part.goal, cell, budget)
-
-
-def _threaded(
-    setting: KernelProblem, begin: Pose, end: Pose, cell: float, budget: Budget
-) -> Segments | None:
-    """Return motions along free poses that lie close together, if there are such."""
-    for part in SETTINGS.spare:
-        most = int(min(SETTINGS.most, budget.left / UNITS.pose))
-        spare, wide = (grown(setting.body, much * cell) for much in (part, SETTINGS.wide))
-        tested = setting._replace(body=spare)
-        found = bidirectional_search(tested, wide, begin, end, cell, 2 * HEADINGS, most)
-        budget.spend(UNITS.pose * found.tests)
-        if len(found.poses):
-            ds, dtheta = np.empty((2, SETTINGS.most))
-            limit = int(min(budget.left / UNITS.follow, SETTINGS.most))
-            led = follow(setting, found.poses, limit, ds, dtheta)
-            budget.spend(UNITS.follow * led.tried)
-            if led.last == len(found.poses) - 1:
-                return Segments(ds[: led.motions], dtheta[: led.motions])
-    return None
+    return through_passage(setting, part.start, part.goal, to_go.places.spacing, budget)
 
 
 @njit

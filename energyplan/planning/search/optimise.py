@@ -566,10 +566,6 @@ class Refiner:
                 break
 
 
-TURN = 400
-"""Attempts at a path before the next one gets its turn."""
-
-
 SAME = 1e-9
 """Part of the cost by which two paths that are entered differ, or are one: rounding."""
 
@@ -615,7 +611,7 @@ class Portfolio:
         def turn(entrant: Refiner, first: bool, own: Budget) -> None:
             if first:
                 entrant.shortcut(own)
-            entrant.polish(own, enough=enough, most=TURN)
+            entrant.polish(own, enough=enough, most=SETTINGS.trials)
 
         fresh, self._fresh = self._fresh, []
         leading = self._kept[: SETTINGS.leading] if self._grown else []

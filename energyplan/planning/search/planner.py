@@ -37,20 +37,20 @@ from energyplan.planning.problem import PlanningProblem, is_length, objective_we
 from energyplan.planning.search.follow import follow_route
 from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, joined, lattice_for
 from energyplan.planning.search.lattice import SETTINGS as LATTICE
+from energyplan.planning.search.narrow.ends import Ends, ways_out
+from energyplan.planning.search.narrow.infeasible import (
+    Proof,
+    check_configurations,
+    check_proof,
+    none_found,
+    none_in_time,
+    prove,
+)
+from energyplan.planning.search.narrow.shrunken import passage_work, path_through_passages
 from energyplan.planning.search.optimise import SAME, Portfolio, Refiner
 from energyplan.planning.search.optimise import SETTINGS as PORTFOLIO
 from energyplan.planning.search.routes import cheapest_routes
-from energyplan.planning.search.slots import path_through_slots, slot_work
 from energyplan.planning.search.stops import least_driven, stops_of
-from energyplan.planning.search.tight_ends import Ends, ways_out
-from energyplan.planning.space.closure import (
-    Closure,
-    check_closer,
-    check_configurations,
-    closure,
-    none_found,
-    none_in_time,
-)
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import (
     CostToGo,
@@ -76,7 +76,7 @@ class Paths:
         self.ends = Ends(query)
         self._to_go: CostToGo | None = None
         self.bounding = Bounding(query)
-        self._through_slots = False
+        self._through_passages = False
         self.kept = 0.0
         self._furthest: list[tuple[float, float]] = []
 
@@ -121,18 +121,18 @@ class Paths:
         # where the poses tested do not join start and goal, a search among them is in vain
         setting = self.ends.between(self.setting)
         tested = self.to_go.places is places_for(setting)
-        closed = None if tested else self._closed(setting)
+        proof = None if tested else self._prove(setting)
         # the exact motion from end to end is straighter than any route
         motions, cost = joined(setting, setting.start, setting.goal)
         direct = self._enter_all([motions] if cost < np.inf else [])
         if self._enter_way() or direct:
             return
         routes = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage))
-        if self._enter_all(routes) or self._enter_slots():
+        if self._enter_all(routes) or self._enter_passages():
             return
         # between ends without room there may be a way where no pose beside them is free
-        if closed is not None and (self.ends.moved or self.query.ends_have_margin):
-            check_closer(self.query, setting, closed)
+        if proof is not None and (self.ends.moved or self.query.ends_have_margin):
+            check_proof(self.query, setting, proof)
         self._search_first(plain, finest, tested)
 
     def _search_first(self, plain: Ends, finest: float, tested: bool) -> None:
@@ -184,20 +184,20 @@ class Paths:
         self._furthest.append((tracked.x, tracked.y))
         return self._enter(tracked.motions)
 
-    def _enter_slots(self) -> bool:
-        """Enter a way through slots that no pose tested shows; tell whether one is found."""
+    def _enter_passages(self) -> bool:
+        """Enter a way through narrow passages, if one is found; tell whether there is."""
         setting = self.ends.between(self.setting)
         self.budget.beside(lambda: regions_for(setting, enlarged=True))
-        way = path_through_slots(setting, None, np.inf, self.budget.part(SHARES.aside))
-        self._through_slots = self._enter(way)
-        return self._through_slots
+        way = path_through_passages(setting, None, np.inf, self.budget.part(SHARES.aside))
+        self._through_passages = self._enter(way)
+        return self._through_passages
 
-    def _closed(self, setting: KernelProblem) -> Closure:
+    def _prove(self, setting: KernelProblem) -> Proof:
         """Look closer at what the poses tested leave open."""
-        self.budget.beside(lambda: compile_kernels(Closure.__module__))
-        found = closure(setting, self.budget.part(SHARES.stage))
+        self.budget.beside(lambda: compile_kernels(Proof.__module__))
+        found = prove(setting, self.budget.part(SHARES.stage))
         if found.proven:
-            check_closer(self.query, setting, found)
+            check_proof(self.query, setting, found)
         return found
 
     def _move_ends(self, ends: Ends) -> None:
@@ -227,8 +227,8 @@ class Paths:
         if searching.over or self.done:
             return
         works = self.bounding.work(self.cost, self.kept)
-        if not self._through_slots:
-            works += slot_work(setting, self.to_go, self.cost, searching, self._enter)
+        if not self._through_passages:
+            works += passage_work(setting, self.to_go, self.cost, searching, self._enter)
         self._together(searching, works)
         self.portfolio.run(searching, self.enough)
 
@@ -395,10 +395,6 @@ def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
     return _with_fewer_motions(query, _with_wide_arcs(query, min(paths, key=query.value)))
 
 
-_ROUNDING = 1e-9
-"""Distance [m] or angle [rad] up to which two count as one."""
-
-
 def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
     """Return a path of the same cost in which a single spin stands for pivots that end in place."""
     ahead, lateral = query.middle
@@ -411,10 +407,10 @@ def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
             y + ahead * np.sin(yaw) + lateral * np.cos(yaw),
         ])  # fmt: skip
         away = np.hypot(*(centre[first + 2 :] - centre[first]).T)
-        for last in (np.flatnonzero(away <= _ROUNDING) + first + 2)[::-1]:
+        for last in (np.flatnonzero(away <= SAME) + first + 2)[::-1]:
             turn = float(dtheta[first:last].sum())
             # turning back and forth is not what a spin does
-            if np.abs(dtheta[first:last]).sum() > abs(turn) + _ROUNDING:
+            if np.abs(dtheta[first:last]).sum() > abs(turn) + SAME:
                 continue
             fewer = Path(
                 path.start,

@@ -19,8 +19,8 @@ from energyplan.path import Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.search.follow import chain_from, motions_along
 from energyplan.planning.space.compiled import Segments
+from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.cost_to_go import (
-    HEADINGS,
     RIM,
     STEPS,
     CostToGo,

@@ -26,6 +26,7 @@ from energyplan.compilation import (
 from energyplan.path import Pose
 from energyplan.planning.space.compiled import MARGIN
 from energyplan.planning.space.configurations import (
+    HEADINGS,
     FreeSpace,
     free_space,
     grown,
@@ -42,10 +43,6 @@ from energyplan.planning.space.queues import (
 )
 from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import Window, tables_of
-
-HEADINGS = 64
-"""Headings of a place: as many as a word has bits."""
-
 
 RIM = 2
 """Empty rows and columns about the places, so that no neighbour is off the map."""
@@ -715,7 +712,7 @@ def cost_at_start(to_go: CostToGo, kernel: KernelProblem) -> float:
     return float(to_go.distance[node]) if node >= 0 else np.inf
 
 
-def cost_through_slots(
+def cost_through_passages(
     kernel: KernelProblem, known: float, closed: Sequence[Pose] = ()
 ) -> CostToGo:
     """Return the distance to go where the body may be free, between the poses tested as well."""

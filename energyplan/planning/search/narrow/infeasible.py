@@ -1,4 +1,4 @@
-"""Whether there is a way at all, and what can be said for certain if none was found.
+"""Infeasibility proofs: whether there is a way at all, and what is certain if none was found.
 
 Where the poses that were tested do not join start and goal, what they leave open is looked at
 closer, along one way after the other that may lead through. So it is proven that no way exists, or
@@ -17,9 +17,9 @@ from energyplan.compilation import Ints, Words, njit
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import MARGIN, CompiledProblem
-from energyplan.planning.space.configurations import grown, shrunk
+from energyplan.planning.space.configurations import HEADINGS, grown, shrunk
 from energyplan.planning.space.cost_to_go import (
-    HEADINGS,
+    NEIGHBOURS,
     RIM,
     CostToGo,
     Places,
@@ -32,9 +32,6 @@ from energyplan.planning.space.cost_to_go import (
 from energyplan.planning.space.motions import KernelProblem
 from energyplan.planning.space.queues import STEP_COLUMNS, STEP_ROWS
 from energyplan.terrain.collision import Body, Space, pose_free
-
-NEIGHBOURS = 8
-"""Neighbours of a place from which one gets to it."""
 
 
 class Settings(NamedTuple):
@@ -252,7 +249,7 @@ def look_closer(
     return Looked(may, free, tests)
 
 
-class Closure(NamedTuple):
+class Proof(NamedTuple):
     """What is known of ways from start to goal."""
 
     proven: bool  # whether there certainly is none
@@ -260,12 +257,12 @@ class Closure(NamedTuple):
     reached: NDArray[np.int64]  # places that the start leads to
 
 
-def closure(kernel: KernelProblem, budget: Budget) -> Closure:
-    """Find out whether ways from start to goal are closed."""
-    return _Closer(kernel, budget).found()
+def prove(kernel: KernelProblem, budget: Budget) -> Proof:
+    """Try to prove that no way leads from start to goal."""
+    return _Prover(kernel, budget).found()
 
 
-class _Closer:
+class _Prover:
     """The free configurations of a problem, and what looking closer made of them."""
 
     def __init__(self, kernel: KernelProblem, budget: Budget) -> None:
@@ -289,15 +286,15 @@ class _Closer:
                 words[place] |= bit
         self.body = grown(kernel.body, -MARGIN * space.resolution)
 
-    def found(self) -> Closure:
+    def found(self) -> Proof:
         """Return what is known in the end."""
         for words, proven in ((self.may, True), (self.free, False)):
             reached = self._closed(words)
             if reached is not None:
-                return Closure(proven, self.resolution, np.flatnonzero(reached))
+                return Proof(proven, self.resolution, np.flatnonzero(reached))
             if self.budget.over:
                 break
-        return Closure(False, np.inf, np.empty(0, np.int64))
+        return Proof(False, np.inf, np.empty(0, np.int64))
 
     def _chain(self, words: Words) -> Chain:
         (start, begin), (goal, end) = self.ends
@@ -369,19 +366,19 @@ def check_configurations(query: CompiledProblem, to_go: CostToGo) -> None:
     raise _none(query, away.places, homes, CANNOT, certainty="proven")
 
 
-def check_closer(query: CompiledProblem, setting: KernelProblem, closed: Closure) -> None:
+def check_proof(query: CompiledProblem, setting: KernelProblem, proof: Proof) -> None:
     """Check that looking closer left a way from start to goal."""
-    if len(closed.reached) == 0:
+    if len(proof.reached) == 0:
         return
     places = places_for(setting, enlarged=True)
-    if closed.proven:
-        raise _none(query, places, closed.reached, CANNOT, certainty="proven")
+    if proof.proven:
+        raise _none(query, places, proof.reached, CANNOT, certainty="proven")
     why = (
-        f"none leads over poses {1e3 * closed.resolution:.2g} mm apart, though one might through a "
+        f"none leads over poses {1e3 * proof.resolution:.2g} mm apart, though one might through a "
         "gap that leaves less room than that (finer cells of the map, or a smaller clearance, may "
         "show one)"
     )
-    raise _none(query, places, closed.reached, why, resolution=closed.resolution)
+    raise _none(query, places, proof.reached, why, resolution=proof.resolution)
 
 
 def _none(

@@ -1,9 +1,9 @@
-"""Ways through slots that the free configurations tested do not show.
+"""Narrow passages that the free configurations tested do not show.
 
 Where a body passes with a centimetre to spare, hardly any of the poses tested is free, and no
 lattice comes by. A shrunken body passes easily, and its way is found at once. Then it grows back to
 its size a little at a time, and each time the poses of the way that are in its way move aside.
-Where they cannot the slot is closed, and the next way is sought.
+Where they cannot the passage is closed, and the next way is sought.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from energyplan.planning.search.follow import motions_along
 from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import Segments
-from energyplan.planning.space.configurations import grown
+from energyplan.planning.space.configurations import HEADINGS, grown
 from energyplan.planning.space.cost_to_go import (
-    HEADINGS,
     CostToGo,
     cost_at_start,
-    cost_through_slots,
+    cost_through_passages,
     regions_for,
 )
 from energyplan.planning.space.motions import KernelProblem
@@ -52,35 +51,35 @@ class Settings(NamedTuple):
 SETTINGS = Settings()
 
 
-def slot_work(
+def passage_work(
     setting: KernelProblem,
     known: CostToGo,
     cost: float,
     budget: Budget,
     enter: Callable[[Segments | None], object],
 ) -> list[Work]:
-    """Return the search for a way through slots shorter than those known, where it may pay."""
+    """Return the search for a shorter way through narrow passages, where it may pay."""
     units = SHARES.aside * budget.left
     if units < max(SETTINGS.least, SETTINGS.guides * known.work / UNITS.nodes):
         return []
 
     def run(own: Budget) -> Segments | None:
         own.beside(lambda: regions_for(setting, enlarged=True))
-        return path_through_slots(setting, known, cost, own)
+        return path_through_passages(setting, known, cost, own)
 
     return [Work(run, units, enter)]
 
 
-def path_through_slots(
+def path_through_passages(
     setting: KernelProblem, known: CostToGo | None, cost: float, budget: Budget
 ) -> Segments | None:
-    """Return the shortest way through slots that fits, if one is found."""
+    """Return the shortest way through narrow passages that fits, if one is found."""
     limit = np.inf if known is None else SETTINGS.gain * cost_at_start(known, setting)
     by = shrinkage(setting)
     thin = shrunken(setting, by)
     closed: list[Pose] = []
     for _ in range(SETTINGS.ways):
-        to_go = cost_through_slots(setting, limit, closed)
+        to_go = cost_through_passages(setting, limit, closed)
         budget.spend(to_go.work / UNITS.nodes)
         if budget.over or not cost_at_start(to_go, setting) < limit:
             return None
