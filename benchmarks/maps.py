@@ -28,8 +28,8 @@ from energyplan.io.maps import read_map
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.planning.bound import prepare_bound
-from energyplan.planning.ready import compile_planning
 from energyplan.planning.replanning import replan
+from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.cost_to_go import places_for
 from energyplan.power import PowerModel

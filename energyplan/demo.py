@@ -38,7 +38,7 @@ from energyplan.path import Pose
 from energyplan.physics import Effect, EngineDrives, Robot, close_loop
 from energyplan.physics.engine import require_mujoco
 from energyplan.planning import PlanningProblem
-from energyplan.planning.ready import kernels
+from energyplan.planning.search.planner import kernels
 from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle

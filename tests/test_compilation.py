@@ -280,7 +280,7 @@ import shapely
 import energyplan as ep
 from numba.core import event
 from energyplan.compilation import KERNELS, _numba_type
-from energyplan.planning import ready
+from energyplan.planning.search import planner
 from energyplan.power import HOTEL
 from energyplan.reach import energy_map
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
@@ -322,7 +322,7 @@ KINDS = {
 }
 late = []
 at_rest = []
-original = ready.compile_kernels
+original = planner.compile_kernels
 
 
 def watched(*modules):
@@ -332,7 +332,7 @@ def watched(*modules):
     return made
 
 
-ready.compile_kernels = watched
+planner.compile_kernels = watched
 event.register("numba:compile", Listener())
 for planner, name in WAYS:
     kind = KINDS[name]()

@@ -62,7 +62,7 @@ def _complete(kind: str) -> Callable[[str], list[str]]:
     def complete(incomplete: str) -> list[str]:
         from energyplan.io.bags import TOPIC_MAPS
         from energyplan.power.presets import MODEL_PRESETS
-        from energyplan.vehicle.presets import VEHICLE_PRESETS
+        from energyplan.vehicle import VEHICLE_PRESETS
 
         known = {"vehicle": VEHICLE_PRESETS, "model": MODEL_PRESETS, "topics": TOPIC_MAPS}
         try:

@@ -165,8 +165,8 @@ def plan(
     (1808, True)
     """
     from energyplan.planning.bound import lower_bound
-    from energyplan.planning.ready import compile_planning, prepare
     from energyplan.planning.search.narrow.ends import between_clear_ends, checked_ends
+    from energyplan.planning.search.planner import compile_planning, prepare
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name

@@ -34,8 +34,8 @@ from energyplan.errors import (
 from energyplan.path import FloatArray, Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.ready import compile_planning
 from energyplan.planning.search import planner as lattice
+from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.space.compiled import compiled
 from energyplan.planning.space.prices import Prices
 from energyplan.terrain import SurfaceMap, path_price

@@ -28,9 +28,9 @@ from energyplan.planning.budget import Budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import KEPT, PlanningProblem
-from energyplan.planning.ready import compile_planning
 from energyplan.planning.search import planner as lattice
 from energyplan.planning.search.narrow.ends import between_clear_ends, checked_ends
+from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.terrain import OccupancyGrid
 

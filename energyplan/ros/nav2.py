@@ -40,9 +40,9 @@ from energyplan.mission import evaluate
 from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
-from energyplan.planning.ready import compile_planning
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.narrow.ends import checked_ends
+from energyplan.planning.search.planner import compile_planning
 from energyplan.power import PowerModel
 from energyplan.ros.messages import (
     Factory,

@@ -21,7 +21,7 @@ from worlds import cluttered, free_poses
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
 from energyplan.planning import Budget, Plan, PlanningProblem, plan
-from energyplan.planning.ready import prepare
+from energyplan.planning.search.planner import prepare
 from energyplan.power import PowerModel
 from energyplan.terrain import Surface, SurfaceMap
 

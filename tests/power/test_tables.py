@@ -11,7 +11,7 @@ import pytest
 from energyplan import PowerModel, Vehicle
 from energyplan.power.effects import catalogue
 from energyplan.power.presets import MODEL_PRESETS
-from energyplan.vehicle.presets import VEHICLE_PRESETS
+from energyplan.vehicle import VEHICLE_PRESETS
 
 PAGE = Path(__file__).parents[2] / "docs" / "tables.md"
 

@@ -19,17 +19,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from math import remainder
 
 import numpy as np
 
 from energyplan import steering
-from energyplan.compilation import compile_kernels
+from energyplan.compilation import KERNELS, compile_kernels
+from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, PlanningError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
-from energyplan.planning.bound import Bounding
+from energyplan.planning.bound import Bounding, prepare_bound
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
@@ -37,7 +39,7 @@ from energyplan.planning.problem import PlanningProblem, is_length, objective_we
 from energyplan.planning.search.follow import follow_route
 from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, joined, lattice_for
 from energyplan.planning.search.lattice import SETTINGS as LATTICE
-from energyplan.planning.search.narrow.ends import Ends, ways_out
+from energyplan.planning.search.narrow.ends import Ends, surely_has_room, ways_out
 from energyplan.planning.search.narrow.infeasible import (
     Proof,
     check_configurations,
@@ -471,3 +473,50 @@ def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
     found = Path(path.start, ds, dtheta, path.longitudinal)
     free = problem.terrain.obstacles.path_free(found, problem.robot)
     return found if free and query.value(found) < query.value(path) else path
+
+
+PLANNING = tuple(f"energyplan.{of}." for of in ("planning", "terrain", "cost", "steering.kernels",
+                                                "limits"))  # fmt: skip
+"""What the names of the kernels begin with that planning and driving a plan may call."""
+
+EXACT = ("energyplan.steering.polygon",)
+SURFACES = ("energyplan.planning.bound.surfaces", "energyplan.terrain.surfaces")
+TIGHT = ("energyplan.planning.search.narrow.ends",)
+CLOSED = ("energyplan.planning.search.narrow.infeasible",)
+"""Where the kernels are that are needed for costs that are not static, for surfaces, for ends
+without room, and for ends that nothing seems to join."""
+
+
+def kernels(
+    cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
+) -> tuple[str, ...]:
+    """Return the modules whose kernels planning may call."""
+    import_module("energyplan.planning.driven")
+    static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
+    left_out = CLOSED + (() if surfaces else SURFACES) + (() if tight else TIGHT)
+    found = {name.rpartition(".")[0] for name in KERNELS if name.startswith(PLANNING)}
+    return (*sorted(found.difference(left_out)), *(() if static else EXACT))
+
+
+def compile_planning(problem: PlanningProblem, *, tight: bool | None = None) -> None:
+    """Compile the kernels of planning, or load them, so that no time limit pays for it."""
+    surfaces = problem.surfaces is not None
+    if tight is None:
+        compile_kernels(*kernels(problem.cost, surfaces=surfaces))
+        query = compiled(problem)
+        tight = not all(surely_has_room(query, end) for end in (problem.start, problem.goal))
+        if not tight:
+            return
+    compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=tight))
+
+
+def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:
+    """Make what is made once for a map, so that no time limit pays for it.
+
+    These are the distances to obstacles, the surface in each cell, the free configurations of the
+    footprint and how they join, and the outlines for the lower bound. All are kept with the map.
+    """
+    query = compiled(problem)
+    if guided:
+        regions_for(query.leading.setting)
+    prepare_bound(query)
