@@ -469,6 +469,17 @@ def a_counter_that_overflows(at: At, folder: Path) -> Path:
     return csv(house.rename(columns={"t": "t_ms"}), folder / "overflow.csv")
 
 
+def files_of_controllers(at: At, folder: Path) -> Path:
+    """A file for each side's motor controller, and one for the battery."""
+    for side, speed, power, late in (("left", at.left, at.p_left, 0.0),
+                                     ("right", at.right, at.p_right, 0.003)):  # fmt: skip
+        amps = np.round(10 * power / at.volts, 3)
+        csv({"t": at.t + late, "speed": speed / at.robot.radius, "current_dA": amps},
+            folder / f"{side}.csv")  # fmt: skip
+    pack = csv({"t": at.t[::5], "voltage": at.volts[::5]}, folder / "pack.csv")
+    return Path(f"{folder}/left.csv+{folder}/right.csv+{pack}")
+
+
 # -- logs that are to be refused, or doubted ------------------------------------------------------
 
 
@@ -692,7 +703,7 @@ READ: tuple[Writer, ...] = (
     date_and_time_of_day, aligned_by_spaces, newest_first, units_in_names, rostopic_echo,
     flattened_messages, days, motors_in_the_mirror, rates_beside_a_blank_gyroscope,
     energy_counter, energy_counter_beside_the_current, speed_and_yaw_rate, signals_with_units,
-    knots,
+    knots, files_of_controllers,
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {

@@ -257,8 +257,9 @@ def _take_project(ctx: typer.Context, value: Path | None) -> Path | None:
 
         project = read_project(value)
         ctx.meta[_PROJECT] = value
-        given = {"vehicle": True, "columns": project.columns, "topics": project.topics}
+        given = {"columns": project.columns, "topics": project.topics}
         values = {name: str(value) for name, there in given.items() if there}
+        values |= dict.fromkeys(("vehicle", "like"), str(value))
         ctx.default_map = {**(ctx.default_map or {}), **values}
     return value
 

@@ -101,7 +101,7 @@ def start(
         numbers |= {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if numbers[key] is None}
     known: Any = {key: value for key, value in numbers.items() if value is not None}
     vehicle = None if like is None else read_vehicle(like)
-    given = Given(**known, name=name, like=vehicle, columns=columns)
+    given = Given(**known, name=name, like=vehicle, columns=opt.columns_of(columns))
     with progress("looking into the log"):
         result = run(log, given)
     written = result.sound or accept
@@ -356,7 +356,7 @@ def watch(
     Learns the robot's model, says when the ground changes, and evaluates the rest of the mission.
     One line for each event; with --json each is a JSON document. Ctrl-C ends it.
     """
-    from energyplan.io.config import read_columns, read_model, read_vehicle, write_model
+    from energyplan.io.config import read_model, read_vehicle, write_model
     from energyplan.io.logs import read_drives
     from energyplan.io.mission import read_mission
     from energyplan.live import Ended, Learned, follow, lines_of
@@ -371,17 +371,16 @@ def watch(
     if former and not model:
         raise InvalidInputError("--former goes with the --model that was identified from it")
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
-    settings = Settings(every)
     wanted = read_mission(mission) if mission else None
-    mapping = read_columns(columns) if columns and columns.endswith(opt.YAML) else columns
     source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
     learned: Any = None
     known = read_drives(former, str(model), columns) if former else []
     try:
         with _until_interrupted(source) as lines:
             found = events(
-                lines, prior, wanted, columns=mapping, name=log, settings=settings, former=known
-            )
+                lines, prior, wanted, columns=opt.columns_of(columns), name=log,
+                settings=Settings(every), former=known,
+            )  # fmt: skip
             for k, event in enumerate(found):
                 if k == 0:
                     warn_with_answer()
@@ -396,6 +395,8 @@ def watch(
         give_up_stdout()  # whoever read has seen enough
         if out and learned is not None:
             write_model(learned, out)
+    if out and learned is None:
+        warn(f"nothing was learned: {out} is not written")
 
 
 def _wait() -> bool:

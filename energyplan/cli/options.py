@@ -56,6 +56,13 @@ def number(option: str, kind: str, text: str) -> float:
         ) from None
 
 
+def columns_of(value: str | None) -> Any:
+    """Return the value of ``--columns``, or the columns of the project's file that it names."""
+    from energyplan.io.config import read_columns
+
+    return read_columns(value) if value and value.endswith(YAML) else value
+
+
 def _complete(kind: str) -> Callable[[str], list[str]]:
     """Return the completion of an option that names a preset or a file."""
 

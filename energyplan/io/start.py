@@ -20,7 +20,7 @@ from energyplan.io.logs import read_log
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
 from energyplan.logs.checks import find_checks, grows, mirrored_side
-from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
+from energyplan.logs.clean import ANY, POWER_WAYS, RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
     Check,
     Drive,
@@ -77,7 +77,7 @@ class Given:
     width: float = nan  # of the footprint [m]
     name: str = ""  # what to call the robot
     like: Vehicle | None = None  # a vehicle to take the rest from
-    columns: str | None = None  # columns that are known, as for `DriveLog.read`
+    columns: str | Mapping[str, Column] | None = None  # those that are known
     counts_per_revolution: float = nan  # what an encoder counts while the wheel turns once
 
     def __post_init__(self) -> None:
@@ -394,6 +394,8 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 
 def _start_table(file: Path, known: Given) -> Start:
     table = read_table(file, DriveLogError)
+    some = {name: np.where(np.abs(v) < ANY[1], v, nan) for name, v in table.columns.items()}
+    table = replace(table, columns=some)
     columns = parse_columns(known.columns, (*table.columns, *table.text))
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
@@ -868,7 +870,25 @@ def _finish(
     )  # fmt: skip
     known_already = (*map(str, found), *(one.what for one in doubts))
     warnings = (one for one in log.warnings if not one.startswith(known_already))
-    return Start(project, tuple(checks), (*map(str, log.set_aside), *map(str, doubts), *warnings))
+    notes = (*map(str, log.set_aside), *map(str, doubts), *warnings)
+    return Start(
+        project,
+        tuple(replace(one, remedy=_named(one.remedy, columns)) for one in checks),
+        tuple(_named(note, columns) for note in notes),
+    )
+
+
+def _named(remedy: str, columns: Mapping[str, Column]) -> str:
+    """Name the columns that a remedy is about, in the units that they are read in."""
+
+    def named(told: re.Match[str]) -> str:
+        channel, unit = told.groups()
+        one = columns.get(channel)
+        if one is None or (one.unit and unit[0] != "-"):
+            return told[0]
+        return f"{channel}={one.written}[{one.negative().unit if unit[0] == '-' else unit}]"
+
+    return re.sub(r"(\w+)=NAME\[([^]]+)\]", named, remedy)
 
 
 class Signed(NamedTuple):
@@ -890,7 +910,7 @@ def read_signed(file: Path, columns: Mapping[str, Column]) -> Signed:
         except UnfitLogError as problem:
             turned = tuple(name for name in problem.check.turned if name in made)
             if not turned or done & set(turned):
-                raise
+                raise UnfitLogError(_named(str(problem), made), problem.check) from None
         else:
             side = mirrored_side(Drive(log.channels, log.power, log.runs))
             if not side or side in done:

@@ -6,7 +6,8 @@ import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from math import isfinite, nan
+from itertools import chain
+from math import isfinite, isnan, nan
 from pathlib import Path
 from typing import BinaryIO
 
@@ -14,7 +15,7 @@ from energyplan.errors import DriveLogError
 from energyplan.kinds import instance
 from energyplan.logs.clean import ANY, LIMITS, needed_channels
 from energyplan.logs.mapping import Column, map_channels
-from energyplan.logs.tables import cut
+from energyplan.logs.tables import cut, find_dialect, head_ends, reads
 from energyplan.mission import MissionReport
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -170,7 +171,11 @@ def _limit(raw: bytes, file: Path, number: int) -> None:
 
 
 def _text(raw: bytes) -> str:
-    return raw.decode("utf-8", "replace").rstrip("\r\n")
+    try:
+        text = raw.decode()
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", "replace")
+    return text.rstrip("\r\n")
 
 
 @dataclass(frozen=True)
@@ -202,6 +207,7 @@ class _Table:
     columns: Mapping[str, Column]
     power: tuple[str, ...]
     needed: tuple[str, ...]
+    first: int  # how many lines come before the readings
 
 
 def read_samples(
@@ -210,43 +216,50 @@ def read_samples(
     needed: Collection[str] = (),
     name: str = "log",
 ) -> Iterator[Header | Sample | Trouble]:
-    """Read samples from lines, the first of which names the columns."""
+    """Read samples from lines, of which one before the readings names the columns."""
     table: _Table | None = None
-    fresh = True  # whether the next line may name the columns
-    for line in lines:
+    head: list[Line] = []  # up to the first readings
+    fresh = False  # whether the next line may name the columns anew
+    for line in chain(lines, [None]):
         if isinstance(line, Restart):
             yield Trouble(name, f"{line.reason}; it is read from its beginning")
-            fresh = True
+            head, fresh = [], True
             continue
-        instance(line, Line, "a line")
-        if not line.text.strip():
-            continue
-        readings = [] if table is None else map(_number, cut(line.text, table.separator))
-        if table is None or (fresh and not any(isfinite(value) for value in readings)):
-            table, fresh = _table(line, columns, needed, name), False
+        if line is not None:
+            instance(line, Line, "a line")
+            if table is not None and fresh and line.text.strip():
+                fresh = False
+                if not any(isfinite(_number(cell)) for cell in cut(line.text, table.separator)):
+                    table = None
+            if table is None:
+                head.append(line)
+            elif line.text.strip():
+                yield _sample(line, table, f"line {line.number}")
+        texts = [one.text for one in head]
+        ended = line is None or "\0" in line.text or head_ends(texts)
+        if table is None and ended and any(text.strip() for text in texts):
+            table = _table(head, columns, needed, name)
             yield Header(tuple(table.columns), table.power == ("voltage", "current"))
-            continue
-        fresh = False
-        yield _sample(line, table, f"line {line.number}")
+            rows = (one for one in head[table.first :] if one.text.strip())
+            yield from (_sample(one, table, f"line {one.number}") for one in rows)
+            head = []
 
 
 def _table(
-    line: Line,
+    head: list[Line],
     columns: str | Mapping[str, str | Column] | None,
     needed: Collection[str],
     label: str,
 ) -> _Table:
-    text = line.text.removeprefix("\ufeff")
-    place = f"{label}, line {line.number}"
-    separator = max(",;\t", key=text.count)
-    names = tuple(cell.strip() for cell in cut(text, separator))
-    if not line.whole:
-        raise DriveLogError(f"{place} is cut off; it must name the columns")
-    if "\0" in text or all(isfinite(_number(cell)) for cell in names):
-        raise DriveLogError(f"{place} names no columns; put a line of column names first")
-    if len(set(names)) < len(names):
-        twice = next(one for one in names if names.count(one) > 1)
-        raise DriveLogError(f"{place} names the column {twice!r} twice")
+    if not any(one.whole for one in head):
+        raise DriveLogError(f"{label}, line {head[-1].number} is cut off; it must name the columns")
+    if any("\0" in one.text for one in head):
+        raise DriveLogError(
+            f"{label} is no text in UTF-8, as a log must be that is followed; identify reads others"
+        )
+    lines = ["" if one is not head[-1] and reads(one.text) else one.text for one in head]
+    dialect = find_dialect("\n".join(lines).encode(), True, label, DriveLogError)
+    names = tuple(dialect.names)
     chosen = map_channels(columns, names)
     for channel, column in chosen.items():
         for source in column.names:
@@ -267,7 +280,8 @@ def _table(
             f"{label}: the model needs {', '.join(missing)}; map a column to it, such as "
             f"{missing[0]}=NAME, or give a model without it"
         )
-    return _Table(names, separator, chosen, basic[3:], (*basic, *needed))
+    first = dialect.line - 1
+    return _Table(names, dialect.separator, chosen, basic[3:], (*basic, *needed), first)
 
 
 def _number(cell: str) -> float:
@@ -305,6 +319,7 @@ def _sample(line: Line, table: _Table, place: str) -> Sample | Trouble:
             known[channel] = value
         elif channel in table.needed:
             beyond = f"beyond {low:g} to {high:g} {unit}" if isfinite(value) else "no number"
+            beyond += ", nor an instant by ISO 8601" if channel == "t" and isnan(value) else ""
             return Trouble(place, f"{channel} is {beyond}; set aside")
     power = [known.pop(channel) for channel in table.power]
     return Sample(

@@ -15,7 +15,7 @@ from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError
 from energyplan.kinds import described
-from energyplan.logs.align import derivative, gap_limit
+from energyplan.logs.align import Series, align, derivative, gap_limit
 from energyplan.path import FloatArray
 from energyplan.records import Checked
 
@@ -50,8 +50,8 @@ UNITS: dict[str, dict[str, float]] = {
     "p_left": _POWER,
     "p_right": _POWER,
     "power": _POWER,
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "current": {"A": 1.0, "mA": 1e-3, **_CHARGE},
+    "voltage": {"V": 1.0, "mV": 1e-3, "cV": 1e-2, "dV": 0.1},
+    "current": {"A": 1.0, "mA": 1e-3, "cA": 1e-2, "dA": 0.1, **_CHARGE},
     "yaw": _ANGLE,
     "slope": _ANGLE,
     "yaw_rate": RATES,
@@ -174,7 +174,7 @@ _ANYWHERE = {
 """Words that are units wherever in a name they stand; others are only at its end."""
 
 
-_CAPITALS = {"kW", "mW", "mV", "mA", "mWh", "kWh", "mAh", "degC", "degF"}
+_CAPITALS = re.compile("[kmcdnu\u00b5][VAW]h?|deg[CF]")
 """Units that hold a capital after a small letter."""
 
 
@@ -182,7 +182,7 @@ def split_words(name: str) -> list[str]:
     """Split a name at signs, and where small letters turn to capitals."""
     found: list[str] = []
     for part in re.split(r"[^A-Za-z0-9\u00b0\u00b5^]+", name):
-        if part in _CAPITALS:
+        if _CAPITALS.fullmatch(part):
             found.append(part)
             continue
         spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", part)
@@ -388,10 +388,23 @@ class Column(Checked):
 
     def over(self, t: FloatArray | None, reading: Callable[[str], FloatArray]) -> FloatArray:
         """Return the channel over time [s], as `value`; of a counter, its rate."""
-        kind = self.counts
-        if not kind or t is None:
+        if t is None:
             return np.asarray(self.value(reading))
-        return np.asarray(self.value(reading, lambda name: count_rate(t, reading(name), kind)))
+        kind = self.counts
+
+        def beside(name: str) -> FloatArray:
+            """Bring what stands in other rows than the first column, as of another file, there."""
+            values = reading(name)
+            own, rows = (np.isfinite(t) & np.isfinite(one) for one in (values, reading(self.field)))
+            few = min(np.count_nonzero(own), np.count_nonzero(rows)) < 2
+            if few or np.any(own & rows) or np.any(np.diff(t[own]) < 0):
+                return values
+            found = np.full(len(t), np.nan)
+            found[rows] = align(Series(t[own], values[own]), t[rows]).values
+            return found
+
+        rate = (lambda name: count_rate(t, beside(name), kind)) if kind else None
+        return np.asarray(self.value(beside, rate))
 
     def matches(self, topic: str) -> bool:
         """Tell whether a bag's topic is meant."""

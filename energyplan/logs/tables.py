@@ -82,7 +82,7 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     lines = [text[a:b].rstrip("\r\n") for a, b in zip(starts, stops, strict=True)]
     for number, line in enumerate(lines[:2], 1):
         if "\0" in line:
-            raise error(f"{file}, line {number} holds a NUL byte; this is no text file")
+            raise error(f"{file}, line {number} holds a NUL byte; save it as text in UTF-8")
     separator, place = _layout(lines)
     first_row = cut(lines[place], separator)
     try:
@@ -159,6 +159,23 @@ def _layout(lines: Sequence[str]) -> _Layout:
     # Nothing fits: line 1 is taken for the names, so that the complaint names its fault.
     counts = {mark: len(cut(lines[0], mark)) for mark in _SEPARATORS}
     return _Layout(max(counts, key=lambda mark: counts[mark]), 0)
+
+
+def reads(line: str) -> bool:
+    """Whether a line holds readings, whatever separates them."""
+    marks = (*_SEPARATORS, _SPACES)
+    return not _COMMENT.match(line) and any(_reads(cut(line, mark)) for mark in marks)
+
+
+def head_ends(lines: Sequence[str]) -> bool:
+    """Whether the last of lines holds readings of columns that one before it names, if any do."""
+    if not lines or not reads(lines[-1]):
+        return len(lines) == _LOOKED_AT
+    named = [line for line in lines[:-1] if line.strip() and not reads(line)]
+    return len(lines) == _LOOKED_AT or not named or any(
+        len(_uncommented(cut(line, mark))) == len(cut(lines[-1], mark)) > 1
+        for mark in (*_SEPARATORS, _SPACES) for line in named
+    )  # fmt: skip
 
 
 def _names_row(rows: list[list[str]], width: int) -> int | None:

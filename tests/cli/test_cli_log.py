@@ -17,6 +17,11 @@ def test_start_without_a_project_checks_a_log_all_the_same(tmp_path: Path, run: 
     told = run("start", table, "--track", 0.5, "--wheelbase", 0.475, "--mass", 147)
     assert told.code == 0
     assert "v_left" in told.out and "give --out PROJECT.yaml" in told.out
+    project = tmp_path / "robot.yaml"
+    with table.open("a") as rows:
+        rows.write("300" + (len(log.channels) - 1) * ",1e308")  # whose square is no number
+    assert run("start", table, "--like", "quadriga", "--out", project).code == 0
+    assert "assumed mass" not in run("start", table, "--project", project).out
     table.write_text("t,velL,velR,note\n0,1,1,start\n1,1,1,go\n")
     told = run("start", table)
     assert told.code == 2

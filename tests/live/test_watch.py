@@ -199,7 +199,8 @@ def test_a_file_that_begins_anew_may_bring_its_header_or_not() -> None:
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (["0,0.5,0.5,80"], "names no columns"),
+        (["0,0.5,0.5,80"], "no line names the columns"),
+        (["t,v_left\0"], "no text in UTF-8"),
         (["t,v_left,power", "0,1,2"], "the channel 'v_right' is missing"),
         (["t,v_left,v_right", "0,1,2"], "power is missing"),
         (["t,t,v_left,v_right,power"], "names the column 't' twice"),
@@ -213,9 +214,9 @@ def test_a_log_of_no_use_is_refused(rows: list[str], message: str) -> None:
 
 def test_columns_units_and_separators_are_as_in_any_log() -> None:
     plain = told([HEADER, *steady(100)])[-1]
-    rows = ["zeit;links [km/h];rechts;u;i;text"]
+    rows = ["# rover 7", "zeit;links;rechts;u;i;text", "ms;km/h;m/s;V;;", "", "0;1"]
     rows += [f"{20 * k};1,8;0,5;20,0;-4,0;x" for k in range(100)]
-    columns = "t=zeit[ms],v_left=links [km/h],v_right=rechts,voltage=u,current=i[-A]"
+    columns = "t=zeit [ms],v_left=links [km/h],v_right=rechts [m/s],voltage=u [V],current=i[-A]"
     other = told(rows, columns=columns, prior=MARBLE.battery_side())[-1]
     assert other.samples == plain.samples == 100
     assert other.models[0].coefficients[:2] == pytest.approx(plain.models[0].coefficients, rel=1e-2)

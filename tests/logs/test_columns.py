@@ -94,8 +94,9 @@ def test_what_a_name_says_of_its_unit_is_believed() -> None:
     found = parse_columns("v_left=speed [km/h],v_right=plain[mm/s]", names)
     assert found["v_left"].conversion.factor == pytest.approx(1 / 3.6)
     assert found["v_right"].field == "plain"
-    steps = parse_columns("current=bus_current_10mA", ["bus_current_10mA"])
-    assert steps["current"].conversion.factor == pytest.approx(0.01)
+    for name, factor in (("bus_current_10mA", 0.01), ("current_dA", 0.1)):
+        steps = parse_columns(f"current={name}", [name])
+        assert steps["current"].conversion.factor == pytest.approx(factor)
     with pytest.raises(DriveLogError, match="wheel radius"):
         parse_columns("v_left=w [rpm]", ["w [rpm]"])
 
