@@ -471,11 +471,10 @@ def a_counter_that_overflows(at: At, folder: Path) -> Path:
 
 def files_of_controllers(at: At, folder: Path) -> Path:
     """A file for each side's motor controller, and one for the battery."""
-    for side, speed, power, late in (("left", at.left, at.p_left, 0.0),
-                                     ("right", at.right, at.p_right, 0.003)):  # fmt: skip
+    sides = {"left": (at.t, at.left, at.p_left), "right": (at.t + 0.003, at.right, at.p_right)}
+    for name, (t, speed, power) in sides.items():
         amps = np.round(10 * power / at.volts, 3)
-        csv({"t": at.t + late, "speed": speed / at.robot.radius, "current_dA": amps},
-            folder / f"{side}.csv")  # fmt: skip
+        csv({"t": t, "speed": speed / at.robot.radius, "current_dA": amps}, folder / f"{name}.csv")
     pack = csv({"t": at.t[::5], "voltage": at.volts[::5]}, folder / "pack.csv")
     return Path(f"{folder}/left.csv+{folder}/right.csv+{pack}")
 

@@ -482,26 +482,18 @@ class Battery(ByValue, html.Readable):
         capacity = unit_capacity * parallel
         resistance = unit_resistance * series / parallel
         return cls(
-            name=name,
-            capacity=capacity,
-            soc_points=np.array(kind.soc),
-            ocv_points=series * np.array(kind.ocv),
-            resistance=resistance,
-            pair_resistance=pair_share * resistance,
-            pair_time=pair_time,
-            peukert=kind.peukert,
-            rated_current=capacity / rated_time,
-            charge_efficiency=kind.charge_efficiency,
-            cutoff_voltage=series * kind.cutoff_voltage,
-            cutoff_soc=cutoff_soc,
+            name=name, capacity=capacity, soc_points=np.array(kind.soc),
+            ocv_points=series * np.array(kind.ocv), resistance=resistance,
+            pair_resistance=pair_share * resistance, pair_time=pair_time, peukert=kind.peukert,
+            rated_current=capacity / rated_time, charge_efficiency=kind.charge_efficiency,
+            cutoff_voltage=series * kind.cutoff_voltage, cutoff_soc=cutoff_soc,
             max_voltage=series * kind.max_voltage,
             max_discharge_current=discharge_rate * capacity / 3600.0,
             max_charge_current=(charge_rate or kind.charge_rate) * capacity / 3600.0,
             derating_temperature=np.array(kind.temperature),
             derating_factor=np.array(kind.capacity_factor),
-            resistance_coefficient=kind.resistance_coefficient,
-            notes=notes,
-        )
+            resistance_coefficient=kind.resistance_coefficient, notes=notes,
+        )  # fmt: skip
 
     @classmethod
     @checked(BatteryError)

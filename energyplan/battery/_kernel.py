@@ -14,8 +14,7 @@ import numpy as np
 
 from energyplan.compilation import Column, FloatTable, njit
 
-_MAX_STEP = 1e-3
-"""Largest change of the state of charge in one sub-step."""
+_MAX_STEP = 1e-3  # largest change of the state of charge in one sub-step
 
 NONE, VOLTAGE, CHARGE, CURRENT = 0, 1, 2, 3
 """Why a battery gave up: it did not, voltage cut-off, empty, current limit."""

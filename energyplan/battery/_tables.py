@@ -12,15 +12,15 @@ class Chemistry:
     """What all batteries of one chemistry have in common."""
 
     name: str  # identifier
-    soc: tuple[float, ...]  # [V]
-    ocv: tuple[float, ...]  # [V]
-    temperature: tuple[float, ...]  # [degC]
-    capacity_factor: tuple[float, ...]  # [degC]
-    resistance_coefficient: float  # [1/K]
-    peukert: float  # peukert exponent
+    soc: tuple[float, ...]  # states of charge at which the open-circuit voltage is known
+    ocv: tuple[float, ...]  # open-circuit voltage of one unit at each [V]
+    temperature: tuple[float, ...]  # temperatures at which the derating is known [degC]
+    capacity_factor: tuple[float, ...]  # capacity at each, over that at 25 degC
+    resistance_coefficient: float  # rise of the resistance with each kelvin below 25 degC [1/K]
+    peukert: float  # Peukert exponent
     charge_efficiency: float  # charge stored over charge supplied
-    cutoff_voltage: float  # voltage of one unit at which discharging and charging must end [V]
-    max_voltage: float  # voltage of one unit at which discharging and charging must end [V]
+    cutoff_voltage: float  # voltage of one unit at which discharging must end [V]
+    max_voltage: float  # voltage of one unit at which charging must end [V]
     voltage: float  # nominal voltage of one unit [V]
     typical_resistance: float  # of a unit, times its capacity [ohm Ah]; others have half or twice
     charge_rate: float  # largest charging current over the capacity [1/h]
@@ -34,24 +34,16 @@ LEAD_ACID = Chemistry(
     ocv=(11.89, 12.06, 12.24, 12.45, 12.65),
     temperature=(-20.0, -18.0, 0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0),
     capacity_factor=(0.40, 0.45, 0.84, 0.88, 0.90, 0.94, 0.99, 1.0, 1.03, 1.04, 1.05),
-    resistance_coefficient=0.01,
-    peukert=1.1,
-    charge_efficiency=0.90,
-    cutoff_voltage=10.5,
-    max_voltage=14.4,
-    voltage=12.0,
-    typical_resistance=0.28,
-    charge_rate=0.3,
+    resistance_coefficient=0.01, peukert=1.1, charge_efficiency=0.90, cutoff_voltage=10.5,
+    max_voltage=14.4, voltage=12.0, typical_resistance=0.28, charge_rate=0.3,
     aliases=("lead-acid", "pb", "agm", "gel", "sla", "vrla"),
-    source=(
-        "12 V block at 26.7 degC, specific gravity 1.265 when full: Battery Council "
-        "International. Derating from 0 degC: Discover Energy, discharge longer than 60 min. "
-        "Below: X2Power's comparison of sealed lead-acid with lithium, 45 % at 0 degF; manuals of "
-        "starter batteries agree (Westfalia, 40 % at -18 degC; 40 % at -20 degC). Peukert "
-        "exponent: the middle of 1.05 to 1.15, usual for AGM blocks. The resistance "
-        "coefficient is that of the acid's conductivity, a round figure."
-    ),
-)
+    source="12 V block at 26.7 degC, specific gravity 1.265 when full: Battery Council "
+    "International. Derating from 0 degC: Discover Energy, discharge longer than 60 min. "
+    "Below: X2Power's comparison of sealed lead-acid with lithium, 45 % at 0 degF; manuals of "
+    "starter batteries agree (Westfalia, 40 % at -18 degC; 40 % at -20 degC). Peukert "
+    "exponent: the middle of 1.05 to 1.15, usual for AGM blocks. The resistance "
+    "coefficient is that of the acid's conductivity, a round figure.",
+)  # fmt: skip
 """Valve-regulated lead-acid, one 12 V block of six cells."""
 
 LITHIUM_ION = Chemistry(
@@ -60,23 +52,15 @@ LITHIUM_ION = Chemistry(
     ocv=(2.5061, 2.8981, 3.1461, 3.3231, 3.4218, 3.5737, 3.7017, 4.0637, 4.1009, 4.1932),
     temperature=(-20.0, -10.0, 0.0, 25.0, 60.0),
     capacity_factor=(0.60, 0.75, 0.80, 1.0, 1.0),
-    resistance_coefficient=0.015,
-    peukert=1.0,
-    charge_efficiency=0.99,
-    cutoff_voltage=2.8,
-    max_voltage=4.2,
-    voltage=3.65,
-    typical_resistance=0.10,
-    charge_rate=0.5,
+    resistance_coefficient=0.015, peukert=1.0, charge_efficiency=0.99, cutoff_voltage=2.8,
+    max_voltage=4.2, voltage=3.65, typical_resistance=0.10, charge_rate=0.5,
     aliases=("li-ion", "lipo", "nmc", "nca"),
-    source=(
-        "Molicel INR-21700-P42A, mean of discharge and charge at C/32: Sunil, Pattipati, "
-        "Balasingam, Piecewise Linear Approximation of Battery Open-Circuit Voltage "
-        "Characteristics Using Dynamic Programming (IEEE TIM 2025). Derating: specification of "
-        "Samsung SDI INR18650-15L, section 7.5, at a high current, so on the safe side. "
-        "Resistance coefficient: a round figure, to be replaced by that of the cell at hand."
-    ),
-)
+    source="Molicel INR-21700-P42A, mean of discharge and charge at C/32: Sunil, Pattipati, "
+    "Balasingam, Piecewise Linear Approximation of Battery Open-Circuit Voltage "
+    "Characteristics Using Dynamic Programming (IEEE TIM 2025). Derating: specification of "
+    "Samsung SDI INR18650-15L, section 7.5, at a high current, so on the safe side. "
+    "Resistance coefficient: a round figure, to be replaced by that of the cell at hand.",
+)  # fmt: skip
 """Lithium-ion with a nickel-rich cathode, one cell."""
 
 LITHIUM_IRON_PHOSPHATE = Chemistry(
@@ -85,22 +69,14 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
     ocv=(2.0102, 2.4177, 2.7405, 2.9299, 3.0872, 3.1942, 3.2772, 3.3511, 3.418, 3.5981),
     temperature=(-20.0, 0.0, 25.0, 40.0),
     capacity_factor=(0.70, 0.80, 1.0, 1.0),
-    resistance_coefficient=0.02,
-    peukert=1.0,
-    charge_efficiency=0.99,
-    cutoff_voltage=2.5,
-    max_voltage=3.65,
-    voltage=3.2,
-    typical_resistance=0.06,
-    charge_rate=0.5,
+    resistance_coefficient=0.02, peukert=1.0, charge_efficiency=0.99, cutoff_voltage=2.5,
+    max_voltage=3.65, voltage=3.2, typical_resistance=0.06, charge_rate=0.5,
     aliases=("lifepo4", "lfp", "life"),
-    source=(
-        "Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
-        "Derating: Canbat on its CLI100-12, 80 % at 0 degC and 70 % at -20 degC; X2Power tells "
-        "70 % at 0 degF. No charging below 0 degC. Resistance coefficient: a round figure, to "
-        "be replaced by that of the cell at hand."
-    ),
-)
+    source="Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
+    "Derating: Canbat on its CLI100-12, 80 % at 0 degC and 70 % at -20 degC; X2Power tells "
+    "70 % at 0 degF. No charging below 0 degC. Resistance coefficient: a round figure, to "
+    "be replaced by that of the cell at hand.",
+)  # fmt: skip
 """Lithium iron phosphate, one cell."""
 
 CHEMISTRIES = {c.name: c for c in (LEAD_ACID, LITHIUM_ION, LITHIUM_IRON_PHOSPHATE)}

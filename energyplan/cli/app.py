@@ -22,8 +22,7 @@ from energyplan.errors import InvalidInputError
 
 _PROJECT, _ARGUMENTS = "energyplan.project", "energyplan.given"
 """Where the context of a command keeps the project's file, and the arguments as they were given."""
-_OF_PROJECT = {"vehicle", "columns", "topics"}
-"""Options that a project gives their value."""
+_OF_PROJECT = {"vehicle", "columns", "topics"}  # options that a project gives their value
 
 
 def misuse(error: typer.TyperException) -> str:

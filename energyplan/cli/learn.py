@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from energyplan.logs import DriveLog
     from energyplan.power import Term
 
-_POLL = 0.2
-"""Time between two looks at a file that does not grow [s]."""
+_POLL = 0.2  # time between two looks at a file that does not grow [s]
 _QUESTIONS = {
     "track": "Distance of the left from the right wheels' contact points [m]",
     "wheelbase": "Distance of the front from the rear wheels' contact points [m]",
@@ -359,7 +358,7 @@ def watch(
     from energyplan.io.config import read_model, read_vehicle, write_model
     from energyplan.io.logs import read_drives
     from energyplan.io.mission import read_mission
-    from energyplan.live import Ended, Learned, follow, lines_of
+    from energyplan.live import Learned, follow, lines_of
     from energyplan.live import watch as events
     from energyplan.live.watcher import Settings
     from energyplan.output import documents, text
@@ -384,17 +383,15 @@ def watch(
             for k, event in enumerate(found):
                 if k == 0:
                     warn_with_answer()
+                if isinstance(event, Learned):
+                    learned = event.model
+                    if out:
+                        write_model(learned, out)
                 line = jsonlib.dumps(documents.event(event), allow_nan=False) if json else ""
                 say(line or "\n".join(text.event(event)))
                 sys.stdout.flush()
-                if isinstance(event, Learned | Ended):
-                    learned = event.model if isinstance(event, Learned) else learned
-                    if out and learned is not None:
-                        write_model(learned, out)
     except BrokenPipeError:
         give_up_stdout()  # whoever read has seen enough
-        if out and learned is not None:
-            write_model(learned, out)
     if out and learned is None:
         warn(f"nothing was learned: {out} is not written")
 

@@ -77,8 +77,7 @@ __all__ = [
     "diagnose",
 ]
 
-_SHOWN = 8
-"""Most explanations that are reported."""
+_SHOWN = 8  # most explanations that are reported
 
 _POSSIBLE = 1e-3
 """Probability over that of the best explanation, from which on another one is reported."""

@@ -533,8 +533,7 @@ def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[Part, ...
     return tuple(kept)
 
 
-_TELLING = 0.1
-"""Share of the error that a channel must explain to be called a reason."""
+_TELLING = 0.1  # share of the error that a channel must explain to be called a reason
 
 
 @dataclass(frozen=True)

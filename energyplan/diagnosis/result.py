@@ -238,8 +238,7 @@ def _spanned(error: Residual, interval: ErrorInterval, key: str, scale: float = 
 
 # -- what to do next, in sentences -----------------------------------------------------------------
 
-_MEAN_OF_NORMAL = (2 / pi) ** 0.5
-"""Mean size of a normal variable over its standard deviation."""
+_MEAN_OF_NORMAL = (2 / pi) ** 0.5  # mean size of a normal variable over its standard deviation
 
 _NO_DIFFERENCE_KNOWN = 2  # training drives that do not show how much runs differ
 

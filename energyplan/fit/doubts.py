@@ -80,8 +80,7 @@ def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residua
 
 # -- what logs tell about a model's coefficients: linearisation and identifiability ----------------
 
-_NO_DATA = 0.01
-"""A regressor below this fraction of its size in common manoeuvres counts as zero."""
+_NO_DATA = 0.01  # A regressor below this fraction of its size in common manoeuvres counts as zero
 
 COLLINEAR = 0.02
 """Smallest singular value of the regressors, each of unit size: below, they are one another's

@@ -812,8 +812,7 @@ def of_equations(value: Sides | FloatArray, drive: Drive) -> FloatArray:
 
 # -- drives parted into what to learn from and what to judge by ------------------------------------
 
-_JUDGED = 0.4
-"""Share of the driving that is judged by."""
+_JUDGED = 0.4  # share of the driving that is judged by
 
 _CUT = 2.0 * BLOCK / _JUDGED
 """Length from which a drive is cut [s]: both parts are then long enough by themselves."""

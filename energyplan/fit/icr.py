@@ -18,11 +18,9 @@ from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.vehicle import TreadICR
 
-_LEAST_TURNING = 1.0
-"""Yaw that a log must have turned through in all for an ICR to be told [rad]."""
+_LEAST_TURNING = 1.0  # yaw that a log must have turned through in all for an ICR to be told [rad]
 
-_WINDOW = 200
-"""Samples over which the noise of increments is judged."""
+_WINDOW = 200  # samples over which the noise of increments is judged
 
 _LARGEST_ERROR = 0.25
 """Standard error of a slip track over it; beyond, what wheelbase and track predict is better."""

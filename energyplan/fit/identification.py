@@ -67,8 +67,7 @@ from energyplan.vehicle import TreadICR, Vehicle
 Method = Literal["lad", "simplex", "huber", "windows"]
 Loss = Callable[[FloatArray], float]
 
-_IDLE = 0.01
-"""Size of a regressor, over its usual one, below which a sample says nothing about it."""
+_IDLE = 0.01  # size of a regressor, over its usual one, below which a sample says nothing about it
 
 
 def telling(design: FloatArray) -> NDArray[np.bool_]:
@@ -248,11 +247,9 @@ def _density_at_zero(residual: FloatArray, sigma: float, independent: float) -> 
 
 # -- how well a model predicts the energy of driving that it was not fitted to ---------------------
 
-_FEWEST = 4
-"""Drives from which on whole ones are left out."""
+_FEWEST = 4  # drives from which on whole ones are left out
 _STRETCHES = 5
-_LEAST = 0.1
-"""Share of the usual power that what is left out counts as taking at least."""
+_LEAST = 0.1  # share of the usual power that what is left out counts as taking at least
 
 
 @dataclass(frozen=True)
@@ -459,8 +456,7 @@ def _smooth(values: FloatArray) -> FloatArray:
 
 ICRChoice = Literal["auto", "symmetric", "asymmetric", "vehicle"]
 
-_SHORTEST = 1.0
-"""Shortest drive worth a look [s]."""
+_SHORTEST = 1.0  # shortest drive worth a look [s]
 
 _LARGEST_ICR_ERROR = 0.1
 """Error of an ICR, over half the slip track, beyond which symmetry is the better guess."""

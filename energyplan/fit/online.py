@@ -67,8 +67,7 @@ TICK = 0.25
 LONGEST = 32
 """Ticks in the longest window; the others are a half, a quarter and an eighth of it."""
 
-_UNEXCITED = 0.01
-"""Share of the usual excitation below which a sample tells nothing."""
+_UNEXCITED = 0.01  # share of the usual excitation below which a sample tells nothing
 
 _BEST_OF_FOUR = 1.7
 """Mean of the largest of the windows' statistics, over the number of coefficients."""
@@ -284,8 +283,7 @@ _TYPICAL = {"N": 0.7, "W": 0.15, "kg": 0.7}
 _FRICTION = 0.5  # the same of what does not grow with the vehicle
 _NOISE = 0.07  # of the power, by kilogram of the vehicle, where nothing is known [W/kg]
 _NOISE_MEMORY = 120.0
-_CORRELATION_TIME = 0.5
-"""Of the residual, until the drive shows its own [s]."""
+_CORRELATION_TIME = 0.5  # of the residual, until the drive shows its own [s]
 
 _FEWEST = 3  # former runs that tell what the rest of a run keeps
 _SHARES = 21  # values of that share
@@ -293,8 +291,7 @@ _DRAWS = 200  # of the Bayesian bootstrap
 _EXACT = 1e-6  # relative error that is none
 _IDLE = 0.1  # share of the usual power, up to which a part of a run tells nothing
 
-_RAMP_TIME = 0.15
-"""Time constant of the filter that accelerations of single samples come from [s]."""
+_RAMP_TIME = 0.15  # time constant of the filter that accelerations of single samples come from [s]
 
 
 @dataclass(frozen=True)

@@ -28,17 +28,14 @@ HUBER_TUNING = 1.345
 _BAND = 1000
 """Least rows that a reduced linear program holds; up to twice as many are solved as they are."""
 
-_SAMPLED = 8
-"""One row in so many leads near the solution of all."""
+_SAMPLED = 8  # one row in so many leads near the solution of all
 
 _REACH = 12.0
 """Rows of a band, over the root of coefficients times rows: four standard errors of that lead."""
 
-_ROUNDING = 1e-12
-"""Residual over the largest target that is zero but for rounding."""
+_ROUNDING = 1e-12  # residual over the largest target that is zero but for rounding
 
-_FEW_WRONG = 0.1
-"""Share of the band, up to which rows with another sign than expected join it."""
+_FEW_WRONG = 0.1  # share of the band, up to which rows with another sign than expected join it
 
 
 @dataclass(frozen=True)

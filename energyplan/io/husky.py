@@ -64,7 +64,7 @@ def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -
     """
     train = HuskyDrive()
     table = read_table(wheels, DriveLogError)
-    t, current_left, current_right, left, right = (_bounded(table, name) for name in WHEEL_COLUMNS)
+    t, current_left, current_right, left, right = map(table.column, WHEEL_COLUMNS)
     channels = {"t": t, "v_left": left, "v_right": right}
     aside: list[SetAside] = []
     for name, current, speed in (
@@ -118,12 +118,6 @@ def _without(log: DriveLog, times: FloatArray) -> DriveLog:
     return replace(log, channels={name: values[kept] for name, values in log.channels.items()})
 
 
-def _bounded(table: Table, name: str) -> FloatArray:
-    """Return a column without readings so large that they would overflow."""
-    values = table.column(name)
-    return np.where(np.abs(values) < 1e12, values, np.nan)
-
-
 def _note(aside: list[SetAside], table: Table, chosen: NDArray[np.bool_], reason: str) -> None:
     """Count samples."""
     some = np.flatnonzero(chosen)
@@ -143,7 +137,7 @@ def _inertial(
     imu: Table, t: FloatArray, difference: FloatArray, warnings: list[str]
 ) -> dict[str, FloatArray]:
     """Yaw rate and forward acceleration at the times of the wheel samples; NaN where unknown."""
-    clock, rate, forward = (_bounded(imu, name) for name in ("time", "wz", "ax"))
+    clock, rate, forward = map(imu.column, ("time", "wz", "ax"))
     bad = ~(np.isfinite(clock) & np.isfinite(rate) & np.isfinite(forward))
     if np.any(bad) or len(clock) < 3 or np.any(np.diff(clock) <= 0):
         k = int(np.argmax(bad if np.any(bad) else np.append(False, np.diff(clock) <= 0)))

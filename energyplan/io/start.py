@@ -20,7 +20,7 @@ from energyplan.io.logs import read_log
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
 from energyplan.logs.checks import find_checks, grows, mirrored_side
-from energyplan.logs.clean import ANY, POWER_WAYS, RECORDING, join_rows, possible, total_power
+from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
     Check,
     Drive,
@@ -394,8 +394,6 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 
 def _start_table(file: Path, known: Given) -> Start:
     table = read_table(file, DriveLogError)
-    some = {name: np.where(np.abs(v) < ANY[1], v, nan) for name, v in table.columns.items()}
-    table = replace(table, columns=some)
     columns = parse_columns(known.columns, (*table.columns, *table.text))
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}

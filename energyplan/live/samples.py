@@ -15,7 +15,7 @@ from energyplan.errors import DriveLogError
 from energyplan.kinds import instance
 from energyplan.logs.clean import ANY, LIMITS, needed_channels
 from energyplan.logs.mapping import Column, map_channels
-from energyplan.logs.tables import cut, find_dialect, head_ends, reads
+from energyplan.logs.tables import LOOKED_AT, cut, find_dialect, reads
 from energyplan.mission import MissionReport
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -235,9 +235,9 @@ def read_samples(
                 head.append(line)
             elif line.text.strip():
                 yield _sample(line, table, f"line {line.number}")
-        texts = [one.text for one in head]
-        ended = line is None or "\0" in line.text or head_ends(texts)
-        if table is None and ended and any(text.strip() for text in texts):
+        if table is not None or not any(one.text.strip() for one in head):
+            continue
+        if line is None or reads(line.text) or "\0" in line.text or len(head) == LOOKED_AT:
             table = _table(head, columns, needed, name)
             yield Header(tuple(table.columns), table.power == ("voltage", "current"))
             rows = (one for one in head[table.first :] if one.text.strip())
@@ -257,8 +257,8 @@ def _table(
         raise DriveLogError(
             f"{label} is no text in UTF-8, as a log must be that is followed; identify reads others"
         )
-    lines = ["" if one is not head[-1] and reads(one.text) else one.text for one in head]
-    dialect = find_dialect("\n".join(lines).encode(), True, label, DriveLogError)
+    text = "\n".join(one.text for one in head)
+    dialect = find_dialect(text.encode(), True, label, DriveLogError)
     names = tuple(dialect.names)
     chosen = map_channels(columns, names)
     for channel, column in chosen.items():

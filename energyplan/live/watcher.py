@@ -37,22 +37,17 @@ from energyplan.path import FloatArray, Pose, wrap_angle
 from energyplan.power import PowerModel
 from energyplan.vehicle import Vehicle
 
-_FIRST = 20
-"""Samples that tell the time between samples."""
+_FIRST = 20  # samples that tell the time between samples
 
-_RESTART = 10
-"""Samples in a row, older than one before them, that tell that the clock was set."""
+_RESTART = 10  # samples in a row, older than one before them, that tell that the clock was set
 
 _BACKWARD = "time does not go forward; set aside"
 
-_CHECKED = 60.0
-"""Time driven after which what was read so far is checked as a log is [s]."""
+_CHECKED = 60.0  # time driven after which what was read so far is checked as a log is [s]
 
-_STILL = 0.02
-"""Speed of the treads below which a robot stands [m/s]."""
+_STILL = 0.02  # speed of the treads below which a robot stands [m/s]
 
-_FACING = 0.6
-"""Largest difference of heading at which a robot is at a task's pose [rad]."""
+_FACING = 0.6  # largest difference of heading at which a robot is at a task's pose [rad]
 
 
 @dataclass(frozen=True)

@@ -195,9 +195,8 @@ class DriveLog(ReadOnly, html.Readable):
         wanted = parse_columns(columns, names)
         if others:
             wanted = map_channels(wanted, names, table.text)
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is out of range anyway
-            t = wanted["t"].value(table.column) if "t" in wanted else None
-            channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
+        t = wanted["t"].value(table.column) if "t" in wanted else None
+        channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
         log = cls.from_columns(channels, table.source, table.place)
         used = {name for column in wanted.values() for name in column.names}
         unread = ", ".join([name for name in table.text if others and name not in used][:10])

@@ -22,23 +22,13 @@ if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog
 
 LIMITS = {
-    "t": (-1e11, 1e11, "s"),
-    "v_left": (-20.0, 20.0, "m/s"),
-    "v_right": (-20.0, 20.0, "m/s"),
-    "p_left": (-5e4, 5e4, "W"),
-    "p_right": (-5e4, 5e4, "W"),
-    "power": (-1e5, 1e5, "W"),
-    "voltage": (0.0, 1500.0, "V"),
-    "current": (-2000.0, 2000.0, "A"),
-    "x": (-1e8, 1e8, "m"),
-    "y": (-1e8, 1e8, "m"),
-    "yaw": (-1e6, 1e6, "rad"),
-    "yaw_rate": (-20.0, 20.0, "rad/s"),
-    "slope": (-1.2, 1.2, "rad"),
-    "accel_x": (-200.0, 200.0, "m/s^2"),
-    "temperature": (-100.0, 300.0, "degC"),
-    "payload": (0.0, 1e5, "kg"),
-}
+    "t": (-1e11, 1e11, "s"), "v_left": (-20.0, 20.0, "m/s"), "v_right": (-20.0, 20.0, "m/s"),
+    "p_left": (-5e4, 5e4, "W"), "p_right": (-5e4, 5e4, "W"), "power": (-1e5, 1e5, "W"),
+    "voltage": (0.0, 1500.0, "V"), "current": (-2000.0, 2000.0, "A"), "x": (-1e8, 1e8, "m"),
+    "y": (-1e8, 1e8, "m"), "yaw": (-1e6, 1e6, "rad"), "yaw_rate": (-20.0, 20.0, "rad/s"),
+    "slope": (-1.2, 1.2, "rad"), "accel_x": (-200.0, 200.0, "m/s^2"),
+    "temperature": (-100.0, 300.0, "degC"), "payload": (0.0, 1e5, "kg"),
+}  # fmt: skip
 """Range in which a reading is possible at all, by channel."""
 ANY = (-1e30, 1e30, "in its unit")
 """The same of other channels."""
@@ -93,11 +83,9 @@ def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
 RECORDING = 20
 """Rows from which a stretch counts as a recording of its own."""
 
-_TOGETHER = 0.8
-"""Share of a channel's rows that hold the others too, from which rows are whole."""
+_TOGETHER = 0.8  # share of a channel's rows that hold the others too, from which rows are whole
 
-_EXPECTED = 5.0
-"""Repeated readings that must be expected, were readings written whatever they are."""
+_EXPECTED = 5.0  # repeated readings that must be expected, were readings written whatever they are
 
 
 def writes_changes(values: FloatArray) -> bool:

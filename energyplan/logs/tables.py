@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError, MissingDependencyError
+from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess
 from energyplan.logs.mapping import ROW, is_unit, scale_of, split_unit, time_unit
 from energyplan.path import FloatArray
@@ -30,11 +31,9 @@ if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is r
 
 MAX_COLUMNS = 4096
 """Widest table that is read."""
-_MAX_HEADER = 1 << 18
-"""Longest header line that is read [bytes]."""
-_UNNAMED = "unnamed column "
-"""How a column without a name is called, before its number."""
-_LOOKED_AT = 80  # lines that tell how the others are written
+_MAX_HEADER = 1 << 18  # longest header line that is read [bytes]
+_UNNAMED = "unnamed column "  # how a column without a name is called, before its number
+LOOKED_AT = 80  # lines that tell how the others are written
 _SEPARATORS = (",", ";", "\t", "|")
 _SPACES = r"\s+"
 _COMMENT = re.compile(r"\s*(#+|//|%%|\*\*)\s*")
@@ -75,8 +74,8 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     ends = [match.end() for match in re.finditer(r"\r\n|\n|\r", text[: _MAX_HEADER * 2])]
     if (ends[0] if ends else len(text)) > _MAX_HEADER:
         raise error(f"{file}, line 1 is longer than {_MAX_HEADER >> 10} KiB; it must name columns")
-    starts = [0, *ends][:_LOOKED_AT]
-    stops = [*ends, len(text)][:_LOOKED_AT]
+    starts = [0, *ends][:LOOKED_AT]
+    stops = [*ends, len(text)][:LOOKED_AT]
     if not whole and len(starts) > 1 and stops[-1] == len(text):
         starts, stops = starts[:-1], stops[:-1]  # the last line is cut
     lines = [text[a:b].rstrip("\r\n") for a, b in zip(starts, stops, strict=True)]
@@ -165,17 +164,6 @@ def reads(line: str) -> bool:
     """Whether a line holds readings, whatever separates them."""
     marks = (*_SEPARATORS, _SPACES)
     return not _COMMENT.match(line) and any(_reads(cut(line, mark)) for mark in marks)
-
-
-def head_ends(lines: Sequence[str]) -> bool:
-    """Whether the last of lines holds readings of columns that one before it names, if any do."""
-    if not lines or not reads(lines[-1]):
-        return len(lines) == _LOOKED_AT
-    named = [line for line in lines[:-1] if line.strip() and not reads(line)]
-    return len(lines) == _LOOKED_AT or not named or any(
-        len(_uncommented(cut(line, mark))) == len(cut(lines[-1], mark)) > 1
-        for mark in (*_SEPARATORS, _SPACES) for line in named
-    )  # fmt: skip
 
 
 def _names_row(rows: list[list[str]], width: int) -> int | None:
@@ -347,7 +335,7 @@ class Columns:
                 self._text[label] = f"{place}: {label!r} is {str(series.iloc[k])[:40]!r}"
                 self._numbers[label].clear()
             else:
-                self._numbers[label].append(values)
+                self._numbers[label].append(np.where(np.abs(values) < ANY[1], values, np.nan))
         self.rows += len(frame)
 
     def table(self, file: Path, error: type[InvalidInputError]) -> Table:

@@ -48,8 +48,7 @@ DERIVED = {
 _NEEDS = {"since_start": {"t"}, "displacement": {"x", "y"}}
 """Channels of a drive that derived signals are worked out from, sample after sample."""
 
-_SINCE = 2.0
-"""Time after which a tread's start is long past [s]."""
+_SINCE = 2.0  # time after which a tread's start is long past [s]
 
 
 def described(name: str) -> Described:

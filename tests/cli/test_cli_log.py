@@ -15,8 +15,7 @@ def test_start_without_a_project_checks_a_log_all_the_same(tmp_path: Path, run: 
     log = simulate.drive(PowerModel.preset("quadriga:full:marble"), "spiral", rate=10.0, seed=3)
     table = write_log(log, tmp_path / "drive.csv")
     told = run("start", table, "--track", 0.5, "--wheelbase", 0.475, "--mass", 147)
-    assert told.code == 0
-    assert "v_left" in told.out and "give --out PROJECT.yaml" in told.out
+    assert told.code == 0 and "v_left" in told.out and "give --out PROJECT.yaml" in told.out
     project = tmp_path / "robot.yaml"
     with table.open("a") as rows:
         rows.write("300" + (len(log.channels) - 1) * ",1e308")  # whose square is no number

@@ -214,7 +214,7 @@ def test_a_log_of_no_use_is_refused(rows: list[str], message: str) -> None:
 
 def test_columns_units_and_separators_are_as_in_any_log() -> None:
     plain = told([HEADER, *steady(100)])[-1]
-    rows = ["# rover 7", "zeit;links;rechts;u;i;text", "ms;km/h;m/s;V;;", "", "0;1"]
+    rows = ["# rover 7", "zeit;links;rechts;u;i;text", "ms;km/h;m/s;V;;", ""]
     rows += [f"{20 * k};1,8;0,5;20,0;-4,0;x" for k in range(100)]
     columns = "t=zeit [ms],v_left=links [km/h],v_right=rechts [m/s],voltage=u [V],current=i[-A]"
     other = told(rows, columns=columns, prior=MARBLE.battery_side())[-1]
