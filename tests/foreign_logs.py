@@ -123,9 +123,9 @@ def four_motors(at: At, folder: Path) -> Path:
     names = tuple(f"wheel_{wheel}_speed_radps" for wheel in ("fl", "fr", "rl", "rr"))
     left, right = 1e3 * at.p_left / at.volts, 1e3 * at.p_right / at.volts
     return csv({
-        "Time": at.t, **at.wheels(1.0, names), "motor_fl_current_mA": 0.6 * left,
-        "motor_fr_current_mA": 0.45 * right, "motor_rl_current_mA": 0.4 * left,
-        "motor_rr_current_mA": 0.55 * right, "vbat_mV": 1e3 * at.volts, "imu_wz": at.yaw_rate,
+        "Time": at.t, **at.wheels(1.0, names), "current_fl_wheel_mA": 0.6 * left,
+        "current_fr_wheel_mA": 0.45 * right, "current_rl_wheel_mA": 0.4 * left,
+        "current_rr_wheel_mA": 0.55 * right, "vbat_mV": 1e3 * at.volts, "imu_wz": at.yaw_rate,
     }, folder / "motors.csv")  # fmt: skip
 
 
@@ -706,7 +706,7 @@ READ: tuple[Writer, ...] = (
 )  # fmt: skip
 """Logs from which the right coefficients must come."""
 REFUSED: dict[Writer, str] = {
-    sides_in_letters: r"power_b and power_a could each .* 'p_left=power_b,p_right=power_a'",
+    sides_in_letters: r"power_a and power_b could each .* 'p_left=power_a,p_right=power_b'",
     charge_counter: r"only ever grows .* 'current=BAT.CurrTot\[mAh\]'",
     names_one_too_many: "line 1 names 7 columns, but the rows have 6 cells",
     cells_missing_in_some_rows: "line 201: the row has fewer cells than the 5 names, and so have",

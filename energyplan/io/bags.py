@@ -400,7 +400,10 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
         raise
     except unsound as problem:
         first = (str(problem).splitlines() or [""])[0] or type(problem).__name__
-        raise DriveLogError(f"{file} is no sound bag: {first}; record or copy it again") from None
+        raise DriveLogError(
+            f"{file} is no sound bag: {first}; copy it again, or mend one that was cut by rosbag "
+            "reindex, ros2 bag reindex or mcap recover"
+        ) from None
 
 
 def _check_beginning(file: Path) -> None:

@@ -286,11 +286,6 @@ def find_offset(
         a, b, c = explained[best - 1 : best + 2]
         shift = 0.5 * float(a - c) / float(a - 2 * b + c) if a - 2 * b + c < 0 else 0.0
     return Offset(
-        channel,
-        (best - lags + shift) * step,
-        float(explained[best]),
-        float(explained[lags]),
-        int(np.sign(weights[best, 0])),
-        count * step,
-        step,
-    )
+        channel, (best - lags + shift) * step, float(explained[best]), float(explained[lags]),
+        int(np.sign(weights[best, 0])), count * step, step,
+    )  # fmt: skip

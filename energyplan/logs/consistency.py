@@ -378,18 +378,13 @@ def _ratios(seen: Mapping[str, float], drive: Drive) -> list[tuple[_Range, float
         force = _ROUGH_FORCE
         weight = _DENSITY.usual * track * (wheelbase if isfinite(wheelbase) else track) * GRAVITY
     found = [
-        (_STEP, seen["step"]),
-        (_TOP_SPEED, seen["top_speed"]),
-        (_DISTANCE, seen["distance"]),
-        (_ROTATION, seen["rotation"]),
-        (_TURNING, seen["slip_track"] / geometric),
-        (_ASPECT, wheelbase / track),
-        (_DENSITY, mass / (wheelbase * track)),
-        (force, seen["force"] / weight),
-        (_ELECTRIC, seen["electric"]),
+        (_STEP, seen["step"]), (_TOP_SPEED, seen["top_speed"]), (_DISTANCE, seen["distance"]),
+        (_ROTATION, seen["rotation"]), (_TURNING, seen["slip_track"] / geometric),
+        (_ASPECT, wheelbase / track), (_DENSITY, mass / (wheelbase * track)),
+        (force, seen["force"] / weight), (_ELECTRIC, seen["electric"]),
         (_WHOLE_VOLTAGE if "voltage" in drive.whole else _VOLTAGE, seen["voltage"]),
         (_INERTIA, seen.get("inertia", nan) / mass),
-    ]
+    ]  # fmt: skip
     return [(span, value) for span, value in found if isfinite(value)]
 
 

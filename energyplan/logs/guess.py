@@ -55,6 +55,7 @@ _ELECTRIC = ("power", "voltage", "current")
 _TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "v_left": "speed"}
 
 
+_ROLLING = {"wheel", "wheels", "track", "tread"}  # words of a speed, where nothing else is said
 _WHOLE = {"curr"}  # no abbreviation of a quantity and a side
 _ROTATIONS = {"orientation", "rotation", "quat", "quaternion"}
 _NO_PLACE = {
@@ -103,13 +104,16 @@ def _score(channel: str, name: str) -> float:
     told = words(name)
     said = set(told)
     has = {kind: bool(said & names) for kind, names in _WORDS.items()}
+    last = told[-1:]
     for quantity, kind in _TOLD_BY_UNIT.items():
-        has[kind] = has[kind] or unit_in(quantity, name).unit != ""
+        unit = unit_in(quantity, name).unit
+        has[kind] = has[kind] or unit != ""
+        last = told[-2:-1] if [unit.lower()] == told[-1:] else last
     if "v" in said and said & _BATTERY:
         has["voltage"], has["speed"] = True, bool(said & (_WORDS["speed"] - {"v", "w"}))
     # Of several quantities, as where topics are named for one, the name ends with its own.
-    ends = [kind for kind in ("speed", *_ELECTRIC) if told[-1:] and told[-1] in _WORDS[kind]]
-    if len(ends) == 1 and len(told[-1]) > 1:
+    ends = [kind for kind in ("speed", *_ELECTRIC) if _WORDS[kind] & {*last} - _ROLLING]
+    if len(ends) == 1 and len(last[0]) > 1:
         has |= {kind: kind in ends for kind in ("speed", *_ELECTRIC)}
     if name.strip() == channel:
         return 10.0
@@ -129,7 +133,8 @@ def _score(channel: str, name: str) -> float:
         electric = has["power"] or has["voltage"] or has["current"]
         if quantity == "v":
             bare = said <= _WORDS[side] | _MEASURED and not electric
-            return 0.0 if electric else 2.0 * has["speed"] or 1.0 * bare
+            sure = 0.5 * bool(said & _WORDS["speed"] - _ROLLING)
+            return 0.0 if electric else (1.5 + sure) * has["speed"] or 1.0 * bare
         own = 0.5 * bool(said & {"motor", "phase", "iq"})  # a motor's, not what it draws
         return (2.0 - own) * has[kinds[quantity]]
     if sided and not (said & {"x", "y"}):

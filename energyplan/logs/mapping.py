@@ -187,7 +187,8 @@ def split_words(name: str) -> list[str]:
             continue
         spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", part)
         found += re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", spaced).split()
-    return found
+    plain = found[1:] and found[-1] == "data"  # as messages call it that hold one number alone
+    return found[:-1] if plain else found
 
 
 class NamedUnit(NamedTuple):

@@ -512,8 +512,8 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     suffix = _SUFFIXES.get(file.suffix.lower())
     if file.is_dir():
         raise error(
-            f"{str(file)!r} is a folder; give a .csv, .csv.gz or .parquet file in it, or several "
-            "as one drive, as in odom.csv+battery.csv"
+            f"{str(file)!r} is a folder; give a .csv, .parquet, .mcap or .db3 file in it, or "
+            "several as one drive, as in odom.csv+battery.csv"
         )
     if suffix is None and file.suffix.lower() in _OTHERS:
         raise error(f"{file} is {_OTHERS[file.suffix.lower()]}")

@@ -201,7 +201,7 @@ def test_every_channel_says_where_it_came_from_and_how(bags, kind):
 
 
 def test_units_in_the_names_of_topics_are_kept():
-    names = ("left_wheel/rpm", "right_wheel/rpm", "bus/voltage_mv", "bus/current_ma", "bus/used_wh")
+    names = ("left_wheel/rpm", "right_wheel/rpm", "power/voltage_mv", "power/current_dA", "in_wh")
     fields = BagFields(
         {f"{name}.data": Column(topic=f"/{name}", field="data") for name in names},
         {f"/{name}": "std_msgs/msg/Float64" for name in names},
@@ -209,7 +209,7 @@ def test_units_in_the_names_of_topics_are_kept():
     made = fields.topic_map(fields.channels(), 0.2, "floats").channels
     factors = {channel: sources[0].conversion.factor for channel, sources in made.items()}
     wheel = pytest.approx(0.2 * np.pi / 30)
-    assert factors == {"v_left": wheel, "v_right": wheel, "voltage": 1e-3, "current": 1e-3}
+    assert factors == {"v_left": wheel, "v_right": wheel, "voltage": 1e-3, "current": 0.1}
 
 
 def test_battery_currents_change_sign_and_namespaces_match(tmp_path, drive):
