@@ -342,6 +342,15 @@ def test_a_force_limit_below_friction_is_named():
         profile(Path(START, [1.0, 0.0], [0.0, 1.0]), PAPER, vehicle=weak)
 
 
+@pytest.mark.parametrize("force", [290.0, 310.0])
+def test_a_force_limit_beside_friction_makes_no_drive_crawl(force):
+    """The drive that knows no such limit keeps it where it is driven evenly slower."""
+    arc = Path(START, [3.0], [3.0])
+    free, bound = (profile(arc, HOTEL, vehicle=with_motor(force=f)) for f in (np.inf, force))
+    slower = check(free, HOTEL, with_motor(force=force)).max_speed_scale
+    assert bound.duration < free.duration / slower
+
+
 def test_errors_name_the_remedy():
     path = Path(START, [1.0], [0.0])
     with pytest.raises(InfeasibleMotionError, match="takes 2 s at least"):
