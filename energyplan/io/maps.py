@@ -18,7 +18,7 @@ import shapely
 import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError, EnergyPlanError, MapError
 from energyplan.io.bags import is_bag, opened_bag
@@ -26,7 +26,7 @@ from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file
 from energyplan.io.geojson import read_obstacles, read_surfaces
 from energyplan.kinds import checked
-from energyplan.path import Pose
+from energyplan.path import Pose, as_pose
 from energyplan.records import amount_of
 from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid, from_raster
@@ -61,6 +61,9 @@ def _lower(value: Any) -> Any:
     return value.lower() if isinstance(value, str) else value
 
 
+Origin = Annotated[Pose, AfterValidator(lambda at: as_pose([*at], "the origin"))]
+
+
 class _MapHeader(Checked, BaseModel):
     """What a map_server YAML says."""
 
@@ -68,7 +71,7 @@ class _MapHeader(Checked, BaseModel):
 
     image: str = Field(min_length=1)
     resolution: float = Field(gt=0)
-    origin: tuple[float, float, float]
+    origin: Origin
     negate: int | bool = False
     occupied_thresh: float = Field(ge=0, le=1)
     free_thresh: float = Field(ge=0, le=1)
@@ -171,7 +174,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
             # images start with the top row, maps with the bottom one
             occupied=values[::-1] == LETHAL,
             resolution=header.resolution,
-            origin=Pose(*header.origin),
+            origin=header.origin,
             unknown=((values < 0) | ~(free | (values == LETHAL)))[::-1],
             unknown_is_free=unknown_is_free,
         )
@@ -191,7 +194,7 @@ def read_costmap(path: str | Path) -> CostMap:
     else:
         costs = np.maximum(_values(file, header), 0) / LETHAL
     try:
-        return CostMap(costs[::-1], header.resolution, Pose(*header.origin))
+        return CostMap(costs[::-1], header.resolution, header.origin)
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
 
@@ -221,7 +224,7 @@ def read_speed_mask(path: str | Path) -> tuple[SpeedLimit, ...]:
         boxes = shapely.box(first, row, last + 1, row + 1)
         area = shapely.transform(
             shapely.union_all(boxes),
-            lambda at: from_raster(at, Pose(*header.origin), header.resolution),
+            lambda at: from_raster(at, header.origin, header.resolution),
         )
         relative = header.type == 1
         limits.append(SpeedLimit(area, limit / 100 if relative else limit, relative))
@@ -528,7 +531,7 @@ class _Image(Checked, BaseModel):
 
     image: str = Field(min_length=1)
     resolution: float = Field(gt=0)
-    origin: tuple[float, float, float]
+    origin: Origin
     min_height: float
     max_height: float
 
@@ -546,9 +549,8 @@ def _from_image(file: Path) -> _Raster:
     heights = (
         told.min_height + (told.max_height - told.min_height) * values.astype(np.float64) / 65535
     )
-    corner = Pose(*told.origin)
-    centre = from_raster((0.5, 0.5), corner, told.resolution)
-    return _Raster(heights, told.resolution, Pose(float(centre[0]), float(centre[1]), corner.yaw))
+    x, y = from_raster((0.5, 0.5), told.origin, told.resolution).tolist()
+    return _Raster(heights, told.resolution, Pose(x, y, told.origin.yaw))
 
 
 def _decoded(file: Path, form: str) -> tuple[NDArray[np.generic], Mapping[int, Any]]:

@@ -47,7 +47,7 @@ from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
 from energyplan.mission import Routes, evaluate
 from energyplan.output import documents
-from energyplan.path import Pose, Trajectory
+from energyplan.path import Trajectory, as_pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import planners as known_planners
 from energyplan.reach import energy_map, energy_of_charge
@@ -268,7 +268,8 @@ def _routes(service: _Service) -> APIRouter:
                    **more: Any) -> PlanningProblem:  # fmt: skip
         cost = service.cost(asked.model, battery)
         place: Any = store.site(asked)  # of which a problem takes the parts
-        return PlanningProblem(place, cost, Pose(*asked.start), Pose(*goal), **more)
+        ends = as_pose(asked.start, "start"), as_pose(goal, "goal")
+        return PlanningProblem(place, cost, *ends, **more)
 
     def planned(
         run: Callable[..., Any], document: Callable[[Any], Document], job: Job, asked: PlanRequest

@@ -96,7 +96,7 @@ def request_of(kind: type[A], body: bytes) -> A:
         return kind.model_validate_json(body)
     except ValidationError as error:
         places = [
-            f"{'.'.join(str(part) for part in found['loc'])}: {found['msg']}"
+            f"{'.'.join(str(part) for part in found['loc']) or 'the body'}: {found['msg']}"
             for found in error.errors(include_url=False, include_context=False, include_input=False)
         ]
         raise InvalidInputError("; ".join(places[:20])) from None

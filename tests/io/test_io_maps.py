@@ -337,6 +337,7 @@ def test_images_outside_the_folder_are_refused(tmp_path, name):
         ({"origin": "[0, 0]"}, "origin"),
         ({"origin": "[1e300, 0, 0]"}, "origin"),
         ({"origin": "[0, 0, .inf]"}, "origin"),
+        ({"origin": "[0, 0, 90]"}, r"line \d+, origin: .* in degrees"),
         ({"mode": "quaternary"}, "mode"),
         ({"free_thresh": 0.9}, "free_thresh"),
         ({"occupied_thresh": 7}, "occupied_thresh"),

@@ -310,6 +310,7 @@ def test_no_name_leaves_the_data_folder(client: TestClient, name: str) -> None:
         ({"map": "none.yaml"}, 404, "no file"),
         ({"start": [2, 2]}, 422, "start"),
         ({"start": [2, 2, "x"]}, 422, "start"),
+        ({"start": [2, 2, 90]}, 422, "in degrees"),
         ({"time_limit": 1e9}, 422, "time_limit"),
         ({"time_limit": 0}, 422, "time_limit"),
         ({"effort": 10**12}, 422, "effort"),
@@ -329,7 +330,8 @@ def test_bad_requests_are_told_what_is_wrong(
 
 
 def test_other_bodies_are_refused(client: TestClient) -> None:
-    assert client.post("/api/plan", content=b"{", headers=_JSON).status_code == 422
+    broken = client.post("/api/plan", content=b"{", headers=_JSON)
+    assert broken.status_code == 422 and "the body: Invalid JSON" in broken.json()["detail"]
     assert client.post("/api/plan", content=b"a=1").status_code == 415
     large = client.post("/api/plan", content=b"", headers={**_JSON, "Content-Length": "999999999"})
     assert large.status_code == 413
