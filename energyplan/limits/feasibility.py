@@ -155,11 +155,6 @@ class FeasibilityReport(html.Readable):
         return self._scale.factor
 
     @property
-    def any_speed_feasible(self) -> bool:
-        """True if some speed along the same path is feasible."""
-        return self.max_speed_scale > 0
-
-    @property
     def reason(self) -> str:
         """What is wrong and whether driving slower helps, in one sentence."""
         return self._scale.reason

@@ -174,8 +174,7 @@ class Reach:
                 if not np.any((share > 1.0 + 1e-3) & ((up < 1e8) | (down < 1e8))):
                     return rate
             # Beside the top a cell has next to no share for a while: it must be able to recover.
-            more = np.sqrt(np.minimum(share, 1e9))
-            bound = np.abs(gain) * np.where(over, share * (1 - 1e-7), more)
+            bound = np.abs(gain) * np.where(over, share * (1 - 1e-7), np.minimum(share, 1e9) ** 0.5)
             rises = gain >= 0
             change = over | ((share > 1.0) & (np.where(rises, up, down) < 1e8))
             up = np.where(change & rises, bound, up)

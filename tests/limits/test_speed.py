@@ -336,28 +336,23 @@ def test_a_slope_slows_the_climb_and_not_the_descent():
 def test_a_force_limit_below_friction_is_named():
     weak = with_motor(force=200.0)
     profile(Path(START, [1.0], [0.0]), PAPER, vehicle=weak)
-    with pytest.raises(
-        InfeasibleMotionError, match=r"spinning on the spot .* force .* limit of 200"
-    ):
+    with pytest.raises(InfeasibleMotionError, match=r"on the spot .* force .* limit of 200"):
         profile(Path(START, [1.0, 0.0], [0.0, 1.0]), PAPER, vehicle=weak)
 
 
-@pytest.mark.parametrize("force", [290.0, 310.0])
-def test_a_force_limit_beside_friction_makes_no_drive_crawl(force):
+def test_a_force_limit_beside_friction_makes_no_drive_crawl():
     """The drive that knows no such limit keeps it where it is driven evenly slower."""
     arc = Path(START, [3.0], [3.0])
-    free, bound = (profile(arc, HOTEL, vehicle=with_motor(force=f)) for f in (np.inf, force))
-    slower = check(free, HOTEL, with_motor(force=force)).max_speed_scale
+    free, bound = (profile(arc, HOTEL, vehicle=with_motor(force=f)) for f in (np.inf, 310.0))
+    slower = check(free, HOTEL, with_motor(force=310.0)).max_speed_scale
     assert bound.duration < free.duration / slower
 
 
 def test_errors_name_the_remedy():
     path = Path(START, [1.0], [0.0])
-    with pytest.raises(InfeasibleMotionError, match="takes 2 s at least"):
-        profile(path, PAPER, duration=0.5)
     longer = Path(START, [1.3], [0.0])
     least = profile(longer, PAPER).duration
-    with pytest.raises(InfeasibleMotionError, match="at least"):
+    with pytest.raises(InfeasibleMotionError, match=f"takes {least:.6g} s at least"):
         profile(longer, PAPER, duration=0.999 * least)
     assert profile(longer, PAPER, duration=1.001 * least).duration > least
     with pytest.raises(InvalidInputError, match="nothing limits the speed"):

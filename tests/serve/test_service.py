@@ -123,8 +123,7 @@ def test_a_trajectory_is_checked(client: TestClient) -> None:
     assert told.status_code == 200, told.text
     assert isinstance(told.json()["feasible"], bool)
     short = client.post("/api/check", json={"model": MODEL, **columns, "x": [0.0]})
-    assert short.status_code == 422
-    assert "different lengths" in short.json()["detail"]
+    assert (short.status_code, "different lengths" in short.text) == (422, True)
 
 
 def test_a_range_holds_the_places_that_plans_reach(client: TestClient) -> None:
@@ -330,8 +329,7 @@ def test_bad_requests_are_told_what_is_wrong(
 
 
 def test_other_bodies_are_refused(client: TestClient) -> None:
-    broken = client.post("/api/plan", content=b"{", headers=_JSON)
-    assert broken.status_code == 422 and "the body: Invalid JSON" in broken.json()["detail"]
+    assert "the body: Invalid" in client.post("/api/plan", content=b"{", headers=_JSON).text
     assert client.post("/api/plan", content=b"a=1").status_code == 415
     large = client.post("/api/plan", content=b"", headers={**_JSON, "Content-Length": "999999999"})
     assert large.status_code == 413
@@ -345,14 +343,11 @@ _JSON = {"Content-Type": "application/json"}
 def test_a_token_is_asked_for(folder: Path) -> None:
     with TestClient(create_app(folder, token="secret")) as client:
         assert client.get("/api/health").status_code == 401
-        wrong = {"Authorization": "Bearer secreT"}
-        assert client.get("/api/health", headers=wrong).status_code == 401
-        for right in ("Bearer secret", "bearer secret"):
-            known = {"Authorization": right}
-            assert client.get("/api/health", headers=known).status_code == 200
-        for wrong_form in ("secret", "Basic secret"):
-            known = {"Authorization": wrong_form}
-            assert client.get("/openapi.json", headers=known).status_code == 401
+        for code, *given in ((200, "Bearer secret", "bearer secret"),
+                             (401, "Bearer secreT", "secret", "Basic secret")):  # fmt: skip
+            for path in ("/api/health", "/openapi.json"):
+                answers = [client.get(path, headers={"Authorization": one}) for one in given]
+                assert {answer.status_code for answer in answers} == {code}
 
 
 def test_uploads_replace_nothing(client: TestClient, folder: Path) -> None:
