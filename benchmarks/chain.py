@@ -23,7 +23,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import EnergyPlanError
 from energyplan.limits.feasibility import check
 from energyplan.path import Path, Pose, Trajectory
-from energyplan.planning.driven import counted, drive_path
+from energyplan.planning.driven import drive_path, priced_models
 
 
 def arcs_from_stop_to_stop(trajectory: Trajectory) -> bool:
@@ -68,7 +68,7 @@ def main() -> None:
             print(f"case {k}: {error}")
             continue
         spans.append(time.perf_counter() - start)
-        report = check(told.trajectory, counted(cost).model)
+        report = check(told.trajectory, priced_models(cost).model)
         accepted += report.feasible
         alone = fine_energy(told.trajectory, model.vehicle, case.size, battery=cost.battery)
         error = max(abs(told.energy - alone), abs(report.energy - alone)) / abs(alone)

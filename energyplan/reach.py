@@ -320,7 +320,7 @@ def energy_map(
         home = compiled(replace(problem, start=target, goal=target))
         ways = _search(_reversed(priced(home.setting)), lattice, energy - lowest, effort)
         # what climbing is worth on the way out comes back on the way home, but for the two ends
-        level = there.worth(target) - there.worth(problem.start)
+        level = there.height_potential(target) - there.height_potential(problem.start)
         energies = (table + _table(ways, lattice, spacing, home.setting)).min(axis=0) + level
         complete = min(complete, ways.frontier + lowest)
     if upper is not None:
@@ -384,9 +384,9 @@ def _rise(query: CompiledProblem, spacing: float) -> FloatArray:
         return rise
     scale = spacing / query.grid.resolution
     size = np.array(query.grid.shape[::-1])
-    start = query.worth(query.problem.start)
+    start = query.height_potential(query.problem.start)
     for row, column in np.ndindex(rows, columns):
         middle = np.minimum(np.array([column + 0.5, row + 0.5]) * scale, size)
         x, y = query.grid.to_world(middle).tolist()
-        rise[row, column] = query.worth(Pose(x, y, 0.0)) - start
+        rise[row, column] = query.height_potential(Pose(x, y, 0.0)) - start
     return rise

@@ -346,7 +346,7 @@ def check(
     from energyplan.limits.feasibility import check as run
     from energyplan.output import documents
     from energyplan.path import Trajectory
-    from energyplan.planning.driven import counted, drive_path
+    from energyplan.planning.driven import drive_path, priced_models
 
     cost, ground, hills = priced_ground(drive, read_site(map_file) if map_file else None)
     limits = read_vehicle(vehicle) if vehicle else None
@@ -362,7 +362,7 @@ def check(
             f"{trajectory} is a trajectory, whose speeds are given; leave --speed out, or give a "
             "path of x,y,yaw"
         )
-    law, ground = counted(cost, ground)
+    law, ground = priced_models(cost, ground)
     report = run(found, law, limits, surfaces=ground, heights=hills)
     answer(documents.feasibility(report), report, json=json)
     verdict(report.feasible, strict)

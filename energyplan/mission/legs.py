@@ -215,7 +215,7 @@ class Legs:
         turn = np.abs(wrap_angle(poses[:, None, 2] - poses[None, :, 2]))
         # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin
         ways = np.maximum(self._ways - 2.0 * np.hypot(*cost.icr.centre), 0.0)
-        height = np.array([query.worth(pose) for pose in self.poses])
+        height = np.array([query.height_potential(pose) for pose in self.poses])
         return np.asarray(
             query.least.metre * ways + query.least.radian * turn + height[None, :] - height[:, None]
         )

@@ -63,24 +63,24 @@ def drive_path(
     period: float = 0.05,
 ) -> DrivenPath:
     """Time a path as its cost assumes, and integrate what driving it takes."""
-    model, surfaces = counted(cost, surfaces)
+    model, surfaces = priced_models(cost, surfaces)
     vehicle = cost.vehicle if vehicle is None else vehicle
     if cost.speed is not None:
         vehicle = vehicle.up_to(cost.speed)
-    asked = vehicle.tracking_tolerance if tolerance is None else tolerance
-    smooth, within = corner_rounding(asked)
+    allowed = vehicle.tracking_tolerance if tolerance is None else tolerance
+    smooth, within = corner_rounding(allowed)
     corners: FloatArray = np.full(max(len(path) - 1, 0), smooth)
     if grid is not None:
         corners *= _free_about(path, vehicle if body is None else body, grid, within)
 
     def driven(objective: Literal["time", "energy"], smooth: FloatArray) -> DrivenPath:
-        made = profile(
+        timed = profile(
             path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
             period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
         )  # fmt: skip
-        drive = Drive(made, Ground(model, surfaces, heights), cost.channels)
+        drive = Drive(timed, Ground(model, surfaces, heights), cost.channels)
         return DrivenPath(
-            trajectory=made,
+            trajectory=timed,
             energy=drive.energy(),
             breakdown=drive.breakdown(),
             speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
@@ -128,21 +128,21 @@ def _free_about(
     return np.asarray(blocked[last] == blocked[first])
 
 
-class Counted(NamedTuple):
+class PricedModels(NamedTuple):
     """Power models whose power is the energy that a cost counts."""
 
     model: PowerModel
     surfaces: SurfaceMap | None
 
 
-def counted(cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Counted:
+def priced_models(cost: EnergyCost, surfaces: SurfaceMap | None = None) -> PricedModels:
     """Return the cost's model and the surfaces; at the battery if the cost counts there."""
     if not cost.battery:
-        return Counted(cost.model, surfaces)
+        return PricedModels(cost.model, surfaces)
     if surfaces is not None:
-        grounds = (replace(s, model=s.model.battery_side()) for s in surfaces.surfaces)
-        surfaces = replace(surfaces, surfaces=tuple(grounds))
-    return Counted(cost.model.battery_side(), surfaces)
+        changed = (replace(s, model=s.model.battery_side()) for s in surfaces.surfaces)
+        surfaces = replace(surfaces, surfaces=tuple(changed))
+    return PricedModels(cost.model.battery_side(), surfaces)
 
 
 def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
@@ -158,7 +158,7 @@ def stops_count(problem: PlanningProblem) -> bool:
     weights = {name for name, weight in problem.weights.items() if weight > 0}
     if problem.cost.speed is None or weights != {"energy"} or problem.softened:
         return False
-    found = counted(problem.cost, problem.surfaces)
+    found = priced_models(problem.cost, problem.surfaces)
     models = [found.model]
     if found.surfaces is not None:
         models += [surface.model for surface in found.surfaces.surfaces]

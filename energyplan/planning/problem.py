@@ -318,14 +318,14 @@ def nearest_free(
     return None
 
 
-class Beside(NamedTuple):
+class MovedStart(NamedTuple):
     """A free pose beside one that touches an obstacle, and what there is to say of it."""
 
     pose: Pose
     note: str
 
 
-def free_beside(grid: OccupancyGrid, vehicle: Vehicle, start: Pose) -> Beside | None:
+def free_beside(grid: OccupancyGrid, vehicle: Vehicle, start: Pose) -> MovedStart | None:
     """Return the nearest free pose within `MOVED` of a start that touches an obstacle, if any."""
     if not grid.inside(start[:2]) or bool(grid.footprint_free(start, vehicle)):
         return None
@@ -333,7 +333,7 @@ def free_beside(grid: OccupancyGrid, vehicle: Vehicle, start: Pose) -> Beside | 
     if near is None:
         return None
     by = float(np.hypot(near.x - start.x, near.y - start.y))
-    return Beside(
+    return MovedStart(
         near,
         f"the footprint touches an obstacle at the start: the plan starts {by:.3f} m beside it, at "
         f"the nearest free pose ({near.x:.3f}, {near.y:.3f}); up to {MOVED:g} m is taken for an "

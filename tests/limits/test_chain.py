@@ -13,7 +13,7 @@ from energyplan.errors import InvalidInputError
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
 from energyplan.path import Path, Pose, Trajectory
-from energyplan.planning.driven import counted
+from energyplan.planning.driven import priced_models
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
 from energyplan.vehicle import MotorLimits
@@ -184,7 +184,7 @@ def test_no_drive_from_stop_to_stop_takes_less_than_the_infimum_over_all_speeds(
         case = random_case(rng)
         model = replace(case.model, vehicle=case.vehicle)
         cost = EnergyCost(model, battery=bool(k % 3))
-        law = counted(cost).model
+        law = priced_models(cost).model
         least = least_energy(case.path, cost)
         objective = ("time", "energy")[k % 2]
         made = profile(case.path, law, vehicle=case.vehicle, objective=objective)

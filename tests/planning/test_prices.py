@@ -101,7 +101,7 @@ def test_no_search_gains_by_a_corner_of_a_surface_that_only_the_raster_knows(cos
         for k in range(len(turn)):
             centre = query.centre(Pose(*at[k]))
             searched += motion_cost(query.setting, centre, motions.ds[k], motions.dtheta[k])
-        searched += query.worth(turn.end) - query.worth(turn.start)
+        searched += query.height_potential(turn.end) - query.height_potential(turn.start)
         assert searched >= query.value(turn) * (1 - 1e-3)
         cheaper += query.value(turn) < 0.5 * EnergyCost(cost.model).energy(turn)
     assert cheaper > 10

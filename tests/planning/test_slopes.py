@@ -168,7 +168,7 @@ def test_prices_are_those_of_the_models(icr, back):
     ground = hills(3, 0.25)
     query = CompiledProblem(PlanningProblem(HALL, cost, (2, 2, 0), (12, 9, 0), heights=ground))
     setting, static = query.setting, query.steering
-    worth = query.worth(Pose(3, 4, 0.2)) / ground.height(
+    worth = query.height_potential(Pose(3, 4, 0.2)) / ground.height(
         (3 + icr.longitudinal * np.cos(0.2), 4 + icr.longitudinal * np.sin(0.2))
     )
     errors = []
@@ -258,7 +258,7 @@ def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
         yard, at_battery(), (2, 2, 0), (8, 7, np.pi / 2), heights=hills(seed, 1.2)
     )
     query = CompiledProblem(problem)
-    worth = query.worth(Pose(3, 4, 0)) / float(problem.heights.height((3, 4)))
+    worth = query.height_potential(Pose(3, 4, 0)) / float(problem.heights.height((3, 4)))
     least = exhaustive(problem, worth) + query.potential(problem.goal)
     found = plan(problem, effort=10_000)
     assert found.lower_bound <= found.energy <= least * (1 + 1e-9)

@@ -32,11 +32,11 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
         return 0.0
     from scipy import ndimage  # slow to import, and rarely needed
 
-    dear = query.least_prices.metre_excess()
-    if dear.max() <= 1e-9 * query.least.metre:
+    excess = query.least_prices.metre_excess()
+    if excess.max() <= 1e-9 * query.least.metre:
         return 0.0
     grid = query.grid
-    per_metre = np.append(dear, 0.0)[certain_regions(query, surfaces)]
+    per_metre = np.append(excess, 0.0)[certain_regions(query, surfaces)]
     # clearance of a cell's centre [m]; a point of the cell has up to half a diagonal more
     clearance = grid.space.clearance * grid.resolution + sqrt(0.5) * grid.resolution
     clear = clearance >= radius

@@ -126,7 +126,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
     aside = headings_aside()
     factors = to_and_fro()
     bits = _headings_of_facings()
-    beside = halfway(places.columns + 2 * RIM)
+    midway = halfway(places.columns + 2 * RIM)
     along = _steps_along()
     room = 4 * most + 2 * SETTINGS.spare
     node_of = np.empty(room, np.int32)
@@ -209,7 +209,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
                 if along[b, k] == 0:
                     continue
                 ahead = along[b, k] > 0
-                there, common = _stepped(places, beside, place, arc, k, stride)
+                there, common = _stepped(places, midway, place, arc, k, stride)
                 if common & bits[b] == 0:
                     continue
                 m = 0
@@ -258,7 +258,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
 
 @njit
 def _stepped(
-    places: Places, beside: IntTable, place: int, arc: np.uint64, k: int, stride: int
+    places: Places, midway: IntTable, place: int, arc: np.uint64, k: int, stride: int
 ) -> tuple[int, np.uint64]:
     """Return where a step of so many places leads, and the headings that are free all along it."""
     across = places.columns + 2 * RIM
@@ -276,7 +276,7 @@ def _stepped(
         if arc == 0:
             break
         if k >= 8:
-            arc &= places.masks[there + beside[k, 0]] | places.masks[there + beside[k, 1]]
+            arc &= places.masks[there + midway[k, 0]] | places.masks[there + midway[k, 1]]
         there += step
         arc &= places.masks[there]
     return there, arc

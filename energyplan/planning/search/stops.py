@@ -54,12 +54,12 @@ class Stops(NamedTuple):
 
 def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops:
     """Return what stops take of a path."""
-    told = _driven(query, path, budget)
-    if told is None:
+    drive = _driven(query, path, budget)
+    if drive is None:
         return Stops(np.inf, 0.0, 0.0)
-    still = (told.trajectory.v == 0.0) & (told.trajectory.omega == 0.0)
-    extra = told.energy - query.problem.terrain.price(path, query.problem.cost).energy
-    return Stops(told.energy, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
+    still = (drive.trajectory.v == 0.0) & (drive.trajectory.omega == 0.0)
+    extra = drive.energy - query.problem.terrain.price(path, query.problem.cost).energy
+    return Stops(drive.energy, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
 
 
 def _driven(query: CompiledProblem, path: Path, budget: Budget) -> DrivenPath | None:
@@ -99,8 +99,8 @@ def least_driven(
         return best
     looked = [query.of_centre(path.ds, path.dtheta), *others]
     if extra > SETTINGS.most * abs(least) and path.turning > 0:
-        dear = _with_dear_turns(query.setting, extra / path.turning)
-        looked[1:1] = _searched(dear, to_go, budget)
+        expensive = _with_expensive_turns(query.setting, extra / path.turning)
+        looked[1:1] = _searched(expensive, to_go, budget)
     for motions in looked:
         for factor in SETTINGS.prices:
             if budget.over:
@@ -111,13 +111,13 @@ def least_driven(
     return best
 
 
-def _with_dear_turns(setting: KernelProblem, per_radian: float) -> KernelProblem:
+def _with_expensive_turns(setting: KernelProblem, per_radian: float) -> KernelProblem:
     """Return a problem in which turning costs so much more [J/rad]."""
     angle = np.linspace(0.0, 2 * np.pi, DIRECTIONS + 1)
-    turned = np.abs(np.sin(angle)) / setting.half_track
+    sideways = np.abs(np.sin(angle)) / setting.half_track
     steering = setting.steering
     return setting._replace(
-        prices=setting.prices + per_radian * turned,
+        prices=setting.prices + per_radian * sideways,
         steering=steering._replace(per_radian=steering.per_radian + per_radian),
         least_radian=setting.least_radian + per_radian,
     )

@@ -143,24 +143,23 @@ class CompiledProblem:
         by_class = kept.reshape(len(self.costs), 1, -1, DIRECTIONS + 1)
         return np.ascontiguousarray((by_class + soft[:, None]).reshape(-1, DIRECTIONS + 1))
 
-    def worth(self, pose: Pose) -> float:
+    def height_potential(self, pose: Pose) -> float:
         """Return what the height at a pose is worth; only differences mean something."""
         if self.terrain.heights is None:
             return 0.0
         point = point_ahead(pose, self.problem.cost.icr.longitudinal)
-        return self._priced.worth * float(self.terrain.height_at(point))
+        return self._priced.height_price * float(self.terrain.height_at(point))
 
     def potential(self, goal: Pose) -> float:
         """Return what the height of a goal above the start adds to the cost of every path."""
-        return self.worth(goal) - self.worth(self.problem.start)
+        return self.height_potential(goal) - self.height_potential(self.problem.start)
 
     @cached_property
     def least_prices(self) -> LeastPrices:
         """What motions cost at least on any ground and slope."""
-        sloping = self.steepest > _prices.FLAT
-        steepest = self.steepest if sloping else 0.0
-        radius = self.problem.least_radius
-        return least_prices(self.objective, steepest, self._priced.worth, self.middle[1], radius)
+        steepest = self.steepest if self.steepest > _prices.FLAT else 0.0
+        height, radius = self._priced.height_price, self.problem.least_radius
+        return least_prices(self.objective, steepest, height, self.middle[1], radius)
 
     @property
     def least(self) -> Minorant:
@@ -243,8 +242,8 @@ class CompiledProblem:
         A cell that surfaces share is of the dearest, so that no search gains by what is not there:
         it would turn in a corner of the cheaper one that only the raster knows.
         """
-        dear = self._priced.kept.reshape(len(self.costs), -1).mean(axis=1)
-        surface = self.terrain.dearest(dear)
+        mean = self._priced.kept.reshape(len(self.costs), -1).mean(axis=1)
+        surface = self.terrain.dearest(mean)
         if self._levels > 1 and self.problem.costmap is not None:
             level = np.round(self.problem.costmap.over(self.grid) * (self._levels - 1))
             return np.asarray(surface * np.uint8(self._levels) + level.astype(np.uint8), np.uint8)

@@ -138,7 +138,7 @@ class Priced(NamedTuple):
     """Prices less what the rise is worth; the rows are classes of surface and slopes."""
 
     kept: FloatArray  # (classes * BINS, rays): what the kernels interpolate
-    worth: float  # the price of height that was taken off
+    height_price: float  # the price of height that was taken off
 
 
 def priced(
@@ -156,10 +156,10 @@ def _priced(
     steep = np.linspace(-steepest, steepest, (BINS - 1) * SETTINGS.finer + 1)[:, None]
     fine = np.array([objective.motion(ds, dtheta, k, steep) for k in range(len(objective.costs))])
     rise = np.broadcast_to(steep * ds, fine.shape)
-    worth = potential(fine, np.broadcast_to(travel, fine.shape), rise)
-    fine = fine - worth * rise
+    height_price = potential(fine, np.broadcast_to(travel, fine.shape), rise)
+    fine = fine - height_price * rise
     kept = np.ascontiguousarray(fine[:, :: SETTINGS.finer])
-    return Priced(kept.reshape(-1, len(ds)), worth)
+    return Priced(kept.reshape(-1, len(ds)), height_price)
 
 
 def potential(prices: FloatArray, travel: FloatArray, rise: FloatArray) -> float:
@@ -290,7 +290,7 @@ class LeastPrices:
 
     objective: Prices  # what the objective makes of motions
     steepest: float  # steepest slope, as rise over run
-    worth: float  # price of height, which is taken off [J/m for energy]
+    height_price: float  # price of height, which is taken off [J/m for energy]
     lateral: float  # how far to the left of the path's reference point the centre lies [m]
     radius: float  # of the tightest arcs; to and fro on these stands for tighter turns [m]
     _kept: _Kept
@@ -311,7 +311,7 @@ class LeastPrices:
 
         def sloping(steep: FloatArray) -> FloatArray:
             price = self.objective.floor(ds, turn, ground, steep)
-            return np.asarray(price - self.worth * steep * ds)
+            return np.asarray(price - self.height_price * steep * ds)
 
         steep = np.linspace(-self.steepest, self.steepest, SETTINGS.slopes)[:, None]
         values = sloping(steep)
@@ -371,13 +371,13 @@ class LeastPrices:
 def least_prices(
     objective: Prices,
     steepest: float = 0.0,
-    worth: float = 0.0,
+    height_price: float = 0.0,
     lateral: float | None = None,
     radius: float = 0.0,
 ) -> LeastPrices:
     """Return the infima of prices; what they come to is remembered with the cost."""
     centre = objective.cost.icr.centre[1] if lateral is None else lateral
     weights = tuple(sorted(objective_weights(objective.objective).items()))
-    key = "least", steepest, worth, centre, radius, weights
+    key = "least", steepest, height_price, centre, radius, weights
     known = remembered(objective.cost, objective.surfaces, key, lambda: _Kept({}, {}))
-    return LeastPrices(objective, steepest, worth, centre, radius, known)
+    return LeastPrices(objective, steepest, height_price, centre, radius, known)

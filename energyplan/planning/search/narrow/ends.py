@@ -363,10 +363,10 @@ class CheckedEnds(NamedTuple):
 
 def checked_ends(problem: PlanningProblem) -> CheckedEnds:
     """Move a start that just touches an obstacle; check that both footprints are free."""
-    beside = free_beside(problem.terrain.obstacles, problem.without_clearance.robot, problem.start)
-    notes = [] if beside is None else [beside.note]
-    if beside is not None:
-        problem = replace(problem, start=beside.pose)
+    moved = free_beside(problem.terrain.obstacles, problem.without_clearance.robot, problem.start)
+    notes = [] if moved is None else [moved.note]
+    if moved is not None:
+        problem = replace(problem, start=moved.pose)
     if problem.ends_clear:
         return CheckedEnds(problem, problem, tuple(notes))
     bare = problem.without_clearance

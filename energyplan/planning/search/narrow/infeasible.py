@@ -40,8 +40,8 @@ class Settings(NamedTuple):
     safe: float = 1e-5  # shrinkage of a body that is in the way for certain, above rounding [cells]
     finest: float = 2.5e-3  # distance between poses down to which it is looked closer [m]
     part: float = 0.1  # that distance at least [cells]
-    beside: int = 1  # places about an unknown step that are looked at as well
-    turned: int = 2  # headings about it
+    places: int = 1  # places about an unknown step that are looked at as well
+    headings: int = 2  # headings about it
 
 
 SETTINGS = Settings()
@@ -323,8 +323,8 @@ class _Prover:
                 continue
             bits = _turned(headings[k] | headings[k + 1])
             for middle in (one, two):
-                for row in range(-SETTINGS.beside, SETTINGS.beside + 1):
-                    for column in range(-SETTINGS.beside, SETTINGS.beside + 1):
+                for row in range(-SETTINGS.places, SETTINGS.places + 1):
+                    for column in range(-SETTINGS.places, SETTINGS.places + 1):
                         at = middle + row * self.across + column
                         left = bits & int(self.places.masks[at]) & ~int(self.known[at])
                         if left:
@@ -347,7 +347,7 @@ class _Prover:
 def _turned(bits: int) -> int:
     """Return these headings and those next to them."""
     every = (1 << HEADINGS) - 1
-    for _ in range(SETTINGS.turned):
+    for _ in range(SETTINGS.headings):
         bits |= (bits << 1 | bits >> (HEADINGS - 1) | bits >> 1 | bits << (HEADINGS - 1)) & every
     return bits
 
