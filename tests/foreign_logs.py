@@ -172,7 +172,10 @@ def words_for_nothing(at: At, folder: Path) -> Path:
              "missing", "--", "1.#QNAN", "1.#INF")  # fmt: skip
     for k, word in enumerate(words):
         cells.loc[30 + 17 * k, ("power", "v_left", "yaw_rate")[k % 3]] = word
-    return csv(cells, folder / "words.csv")
+    cells.iloc[0] = "nan"
+    file = csv(cells, folder / "words.csv")
+    file.write_bytes(file.read_bytes() + bytes(99))  # as after a loss of power
+    return file
 
 
 def two_recordings(at: At, folder: Path) -> Path:

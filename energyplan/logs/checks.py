@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError, NotIdentifiableError
-from energyplan.logs.align import Offset, derivative, find_offset, gap_limit
+from energyplan.logs.align import Offset, derivative, find_offset, gap_limit, time_weights
 from energyplan.logs.consistency import (
     Channels,
     Check,
@@ -488,7 +488,7 @@ def _dead(drive: Drive) -> _Found:
 
 def _dying(drive: Drive) -> _Found:
     """Find a sensor that shows the same for a while, though what it measures changes."""
-    time = np.gradient(drive.t)
+    time = time_weights(drive.t, drive.runs)
     size = np.abs(drive.difference)
     turns = size > 0.4 * float(np.quantile(size, 0.95))
     electric = ["p_left", "p_right"] if drive.sides else ["power", "current"]
@@ -742,11 +742,9 @@ def power_regressors(channels: Channels, runs: Sequence[slice]) -> list[FloatArr
     t, left, right = channels["t"], channels["v_left"], channels["v_right"]
     mean, difference = left + right, right - left
     return [
-        np.abs(left) + np.abs(right),
-        np.abs(difference),
-        mean * derivative(t, mean, runs, 0.5),
-        difference * derivative(t, difference, runs, 0.5),
-    ]
+        np.abs(left) + np.abs(right), np.abs(difference),
+        mean * derivative(t, mean, runs, 0.5), difference * derivative(t, difference, runs, 0.5),
+    ]  # fmt: skip
 
 
 def _step(values: FloatArray, usual: float) -> float:

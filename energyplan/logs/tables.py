@@ -170,7 +170,8 @@ def _names_row(rows: list[list[str]], width: int) -> int | None:
     """Return the row that names the columns: the last of words alone before the readings."""
     told = [(k, row) for k, row in enumerate(rows) if len(_uncommented(row)) == width]
     reading = next((k for k, row in told if not _is_comment(row) and _reads(row)), len(rows))
-    before = [(k, row) for k, row in told if k < reading and not any(map(_is_value, row))]
+    before = [(k, row) for k, row in told if k < reading and not any(map(_is_value, row))
+              and not all(cell.strip().lower() in _NO_NUMBER for cell in row)]  # fmt: skip
     plain = [(k, row) for k, row in before if not _is_comment(row)]
     some = plain or before
     if not some:
@@ -547,7 +548,8 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Table:
 
     data = _bytes(file, error)
     dialect = find_dialect(data[:_AHEAD], len(data) < _AHEAD, file, error)
-    data, names = data[dialect.start :], dialect.names
+    # Zeros at the end are what a file system leaves that lost its power.
+    data, names = data[dialect.start :].rstrip(b"\0"), dialect.names
     if max(map(len, io.BytesIO(data)), default=0) > MAX_LINE:
         raise error(
             f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"

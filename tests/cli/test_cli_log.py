@@ -23,8 +23,7 @@ def test_start_without_a_project_checks_a_log_all_the_same(tmp_path: Path, run: 
     assert "assumed mass" not in run("start", table, "--project", project).out
     table.write_text("t,velL,velR,note\n0,1,1,start\n1,1,1,go\n")
     told = run("start", table)
-    assert told.code == 2
-    assert "nothing seems to be power" in told.err and "note" in told.err
+    assert told.code == 2 and "nothing seems to be power" in told.err and "note" in told.err
 
 
 def test_topic_maps_are_chosen_by_name(tmp_path: Path, run: Run) -> None:
@@ -39,5 +38,4 @@ def test_topic_maps_are_chosen_by_name(tmp_path: Path, run: Run) -> None:
         made.write(connection, 10**9, b"")
     for topics, words in (("jackal", ("'jackal'", "/rosout")), ("tractor", ("tractor", "warthog"))):
         told = run("identify", file, "--vehicle", "jackal", "--topics", topics)
-        assert told.code == 2
-        assert all(word in told.err for word in words)
+        assert told.code == 2 and all(word in told.err for word in words)
