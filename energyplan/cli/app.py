@@ -47,7 +47,7 @@ def misuse(error: typer.TyperException) -> str:
         message = (
             message.partition(" (Possible")[0] + ", before a command; give it after the command"
         )
-    for word, following in pairwise([*words, ""]):
+    for word, following in [*pairwise([*words, ""])][::-1]:  # what is given last counts
         name, joined, value = word.partition("=")
         if name in names:
             given = value if joined else following

@@ -50,6 +50,7 @@ LUMA = (0.212656, 0.715158, 0.072186)
 MOVINGAI_FREE = b".GS"
 """Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
 
+Origin = Annotated[Pose, AfterValidator(lambda at: as_pose([*at], "the origin"))]
 
 _BROKEN = (
     OSError, SyntaxError, ValueError, EOFError, OverflowError, TypeError, KeyError, IndexError,
@@ -59,9 +60,6 @@ _BROKEN = (
 
 def _lower(value: Any) -> Any:
     return value.lower() if isinstance(value, str) else value
-
-
-Origin = Annotated[Pose, AfterValidator(lambda at: as_pose([*at], "the origin"))]
 
 
 class _MapHeader(Checked, BaseModel):

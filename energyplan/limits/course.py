@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from energyplan.errors import InvalidInputError
+from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.vehicle import TreadICR
 
@@ -36,6 +36,7 @@ class Settings(NamedTuple):
     rungs: int = 96  # steady rates among which the cheapest is looked for
     rounds: int = 40  # how often warm windows are slowed down
     damping: float = 0.5  # part of a window's warmth that one round takes
+    samples: float = 5e6  # of a trajectory at most
     margin: float = 1e-6  # part of the continuous power that is left where all is slowed
 
 
@@ -189,10 +190,12 @@ class Course:
         clock = np.append(0.0, np.cumsum(time))
         t, rate, run, at = clock[keep], rate[keep], points.run[keep], points.at[keep]
         shape = np.column_stack([points.forward, points.turn])[keep]
+        if not t[-1] <= SETTINGS.samples * period:
+            raise InfeasibleMotionError(f"it takes {t[-1]:.3g} s, too long to sample; drive faster")
         step = np.diff(t)
-        bent = points.bent[keep[:-1]]
-        pieces = np.where(bent, 1.0, np.maximum(np.ceil(step / period - 1e-9), 1)).astype(int)
-        pieces[step <= 0] = 0
+        pieces = np.ceil(step / period - 1e-9).astype(int)
+        pieces[points.bent[keep[:-1]]] = 1
+        pieces = np.where(step > 0, pieces.clip(1), 0)
         k = np.repeat(np.arange(len(step)), pieces)
         part = (np.arange(len(k)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[k]
         # A phase begins on its own run, which is that of the point at its end.

@@ -436,7 +436,7 @@ class Mission(ReadOnly, html.Readable):
     order: Literal["given", "free"] = "given"
     return_to: Literal["start", "charger", "any"] = "any"
     home: Place | None = None
-    time: Annotated[Time, FINITE] = 0.0
+    time: Annotated[Time, _UP_TO_LARGEST] = 0.0
     speed: Annotated[
         Annotated[float, ABOVE] | Literal["cheapest"] | None, BeforeValidator(_speed)
     ] = None
@@ -447,7 +447,7 @@ class Mission(ReadOnly, html.Readable):
     name: str = "mission"
     heights: Annotated[HeightMap | None, instance_of(HeightMap, NoneType)] = None
     spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)
-    waiting: Annotated[Time, FINITE] = 0.0
+    waiting: Annotated[Time, Field(ge=0, le=LONGEST)] = 0.0
     clearance: Annotated[Length, FINITE] = 0.0
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 

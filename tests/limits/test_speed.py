@@ -349,8 +349,7 @@ def test_a_force_limit_beside_friction_makes_no_drive_crawl():
 
 
 def test_errors_name_the_remedy():
-    path = Path(START, [1.0], [0.0])
-    longer = Path(START, [1.3], [0.0])
+    path, longer = (Path(START, [length], [0.0]) for length in (1.0, 1.3))
     least = profile(longer, PAPER).duration
     with pytest.raises(InfeasibleMotionError, match=f"takes {least:.6g} s at least"):
         profile(longer, PAPER, duration=0.999 * least)
@@ -360,8 +359,9 @@ def test_errors_name_the_remedy():
     with pytest.raises(InvalidInputError, match="motor limit acceleration is 0"):
         MotorLimits(speed=1.0, acceleration=0.0)
     assert profile(path, PAPER, lateral_acceleration=0.0).duration == pytest.approx(2.0)
-    with pytest.raises(InfeasibleMotionError, match="limit of 0"):
-        profile(Path(START, [1.0], [1.0]), PAPER, lateral_acceleration=0.0)
+    for most, told in ((0.0, "limit of 0"), (1e-30, "too long to sample")):
+        with pytest.raises(InfeasibleMotionError, match=told):
+            profile(Path(START, [1.0], [1.0]), PAPER, lateral_acceleration=most)
     for more, message in (
         ({"objective": "length"}, "objective"), ({"period": 0.0}, "period"),
         ({"smooth": -1.0}, "smooth"), ({"start_speed": -0.1}, "start_speed is -0.1"),
