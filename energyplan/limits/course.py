@@ -36,7 +36,6 @@ class Settings(NamedTuple):
     rungs: int = 96  # steady rates among which the cheapest is looked for
     rounds: int = 40  # how often warm windows are slowed down
     damping: float = 0.5  # part of a window's warmth that one round takes
-    samples: float = 5e6  # of a trajectory at most
     margin: float = 1e-6  # part of the continuous power that is left where all is slowed
 
 
@@ -190,21 +189,19 @@ class Course:
         clock = np.append(0.0, np.cumsum(time))
         t, rate, run, at = clock[keep], rate[keep], points.run[keep], points.at[keep]
         shape = np.column_stack([points.forward, points.turn])[keep]
-        if not t[-1] <= SETTINGS.samples * period:
+        if not t[-1] <= 5e6 * period:
             raise InfeasibleMotionError(f"it takes {t[-1]:.3g} s, too long to sample; drive faster")
         step = np.diff(t)
-        pieces = np.ceil(step / period - 1e-9).astype(int)
-        pieces[points.bent[keep[:-1]]] = 1
-        pieces = np.where(step > 0, pieces.clip(1), 0)
+        pieces = np.where(points.bent[keep[:-1]], 1, np.ceil(step / period - 1e-9).clip(1))
+        pieces = np.where(step > 0, pieces, 0).astype(int)
         k = np.repeat(np.arange(len(step)), pieces)
         part = (np.arange(len(k)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[k]
         # A phase begins on its own run, which is that of the point at its end.
         inside = part > 0
         since = part * step[k]
         first, last = rate[k], rate[k + 1]
-        gone = since * (first + 0.5 * part * (last - first))
         begin = np.where(run[k] == run[k + 1], at[k], 0.0)
-        places = np.where(inside, begin + gone, at[k])
+        places = np.where(inside, begin + since * (first + 0.5 * part * (last - first)), at[k])
         on = np.where(inside, run[k + 1], run[k])
         rates = first + part * (last - first)
         shapes = np.where(inside[:, None], shape[k + 1], shape[k])
