@@ -97,7 +97,7 @@ def planner() -> Figure:
     query = compiled(problem).leading
     budget = Budget(effort=50_000)
     to_go = cost_to_go(query.setting)
-    route = cheapest_route(to_go, query.setting, np.zeros(1, bool), 50_000).chain
+    route = cheapest_route(to_go, query.setting, np.ones(1), 50_000).chain
     cells = poses_along(to_go.places, query.setting, route)
     ways = cheapest_routes(query.setting, to_go, budget)
     followed = [query.path(way) for way in ways]

@@ -17,9 +17,9 @@ from energyplan.planning.budget import Budget
 from energyplan.planning.search.narrow import infeasible
 from energyplan.planning.search.narrow.infeasible import (
     SETTINGS,
+    Prover,
     chain_between,
     look_closer,
-    prove,
 )
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS
@@ -71,8 +71,8 @@ def looked(problem: PlanningProblem, tested: bool = True) -> infeasible.Proof:
     """Return what is known of the ways of a problem, with or without the poses that were tested."""
     kernel, budget = CompiledProblem(problem).setting, Budget(effort=10**7)
     if tested:
-        return prove(kernel, budget)
-    closer = infeasible._Prover(kernel, budget)
+        return Prover(kernel, budget).found()
+    closer = Prover(kernel, budget)
     closer.tested[:] = 0
     closer.known[:] = 0
     return closer.found()

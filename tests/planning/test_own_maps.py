@@ -35,16 +35,9 @@ def test_the_script_makes_these_files(tmp_path):
     spec.loader.exec_module(script)
     script.main(tmp_path)
     made = sorted(file.name for file in tmp_path.iterdir())
-    assert made == sorted(
-        [
-            *(
-                f"{n}{end}"
-                for n in (*CASES, "yard")
-                for end in (".yaml", ".png", "_surfaces.geojson")
-            ),
-            "yard_heights.asc",
-        ]
-    )
+    ends = (".yaml", ".png", "_surfaces.geojson")
+    maps = [f"{name}{end}" for name in (*CASES, "yard") for end in ends]
+    assert made == sorted([*maps, "yard_heights.asc"])
     for name in made:
         if name.endswith(".png"):
             # another release of the image library may compress otherwise
@@ -91,3 +84,10 @@ def test_the_shorter_way_costs_more(name):
         [f"{one.length:.1f} m", f"{np.degrees(one.turning):.0f} deg", f"{one.energy:.0f} J"]
         for one in (best, other)
     ]
+
+
+def test_another_route_is_taken_where_motions_do_not_lead_on_along_one():
+    grid = read_map(FOLDER / "orchard.yaml")
+    ends = (9.4423, 14.4485, -0.438), (-0.0498, 22.7499, 2.9284)  # beside trees, and behind them
+    problem = PlanningProblem(grid, EnergyCost(PowerModel.preset("quadriga:empty:concrete")), *ends)
+    assert grid.path_free(plan(problem, effort=5_000).path, problem.robot)

@@ -15,7 +15,7 @@ from energyplan.errors import (
 from energyplan.path import Path
 from energyplan.planning import Candidate, Planner, PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.search.follow import motions_along
+from energyplan.planning.search.follow import follow_route
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.space.compiled import CompiledProblem
@@ -55,7 +55,7 @@ def test_where_turning_is_dear_the_way_with_few_turns_is_found():
     problem = slalom(15.0)
     setting = CompiledProblem(problem).setting
     to_go = cost_to_go(setting)
-    short = motions_along(setting, to_go, Budget())
+    short = follow_route(setting, to_go, Budget()).motions
     found = cheapest_routes(setting, to_go, Budget(effort=6000))
     best = min(refined(problem, way) for way in found)
     assert best < 0.9 * refined(problem, short)

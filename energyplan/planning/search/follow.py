@@ -12,7 +12,6 @@ from math import atan2, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.compilation import Floats, FloatTable, Ints, njit
 from energyplan.path import FloatArray, Pose
@@ -56,21 +55,8 @@ class Tracked(NamedTuple):
     y: float  # the place that they lead to [m]
 
 
-def motions_along(
-    setting: KernelProblem,
-    to_go: CostToGo,
-    budget: Budget,
-    chain: NDArray[np.int64] | None = None,
-) -> Segments | None:
-    """Return motions along a route; None where they do not lead to the goal."""
-    return follow_route(setting, to_go, budget, chain).motions
-
-
 def follow_route(
-    setting: KernelProblem,
-    to_go: CostToGo,
-    budget: Budget,
-    chain: NDArray[np.int64] | None = None,
+    setting: KernelProblem, to_go: CostToGo, budget: Budget, chain: Ints | None = None
 ) -> Tracked:
     """Find motions along the way to go."""
     chain = chain_along(to_go, setting) if chain is None else chain

@@ -36,17 +36,17 @@ from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
 from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
-from energyplan.planning.search.follow import follow_route
+from energyplan.planning.search.follow import Tracked, follow_route
 from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, joined, lattice_for
 from energyplan.planning.search.lattice import SETTINGS as LATTICE
 from energyplan.planning.search.narrow.ends import Ends, surely_has_room, ways_out
 from energyplan.planning.search.narrow.infeasible import (
     Proof,
+    Prover,
     check_configurations,
     check_proof,
     none_found,
     none_in_time,
-    prove,
 )
 from energyplan.planning.search.narrow.shrunken import passage_work, path_through_passages
 from energyplan.planning.search.optimise import SAME, Portfolio, Refiner
@@ -80,7 +80,7 @@ class Paths:
         self.bounding = Bounding(query)
         self._through_passages = False
         self.kept = 0.0
-        self._furthest: list[tuple[float, float]] = []
+        self._stuck: list[Tracked] = []
 
     @property
     def bound(self) -> float:
@@ -129,7 +129,7 @@ class Paths:
         direct = self._enter_all([motions] if cost < np.inf else [])
         if self._enter_way() or direct:
             return
-        routes = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage))
+        routes = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage), self._stuck)
         if self._enter_all(routes) or self._enter_passages():
             return
         # between ends without room there may be a way where no pose beside them is free
@@ -166,7 +166,7 @@ class Paths:
             done = "free poses join start and goal, but motions along them do not yet"
         else:
             done = "the free poses that were tested do not join start and goal"
-        near = [*self._furthest, *(one.nearest for one in searched)]
+        near = [*((one.x, one.y) for one in self._stuck), *(one.nearest for one in searched)]
         raise none_in_time(self.query, self.budget, done, near)
 
     def _enter(self, way: Segments | None) -> bool:
@@ -183,7 +183,8 @@ class Paths:
     def _enter_way(self) -> bool:
         """Enter the path along the shortest route, if it can be followed; tell whether it can."""
         tracked = follow_route(self.ends.between(self.setting), self.to_go, self.budget)
-        self._furthest.append((tracked.x, tracked.y))
+        if tracked.motions is None:
+            self._stuck.append(tracked)
         return self._enter(tracked.motions)
 
     def _enter_passages(self) -> bool:
@@ -197,7 +198,7 @@ class Paths:
     def _prove(self, setting: KernelProblem) -> Proof:
         """Look closer at what the poses tested leave open."""
         self.budget.beside(lambda: compile_kernels(Proof.__module__))
-        found = prove(setting, self.budget.part(SHARES.stage))
+        found = Prover(setting, self.budget.part(SHARES.stage)).found()
         if found.proven:
             check_proof(self.query, setting, found)
         return found
@@ -222,7 +223,7 @@ class Paths:
         searching = self.budget.part(SHARES.stage)
         self.kept = SHARES.aside * self.budget.left
         setting = self.ends.between(self.setting)
-        routes = partial(cheapest_routes, setting, self.to_go)
+        routes = partial(cheapest_routes, setting, self.to_go, stuck=self._stuck)
         routing = Work(routes, SHARES.stage * searching.left, self._enter_all)
         comparing = self._compared(SHARES.aside * searching.left)
         do_together(searching, [*self.portfolio.turns(self.enough), routing, comparing])
@@ -501,13 +502,10 @@ def kernels(
 def compile_planning(problem: PlanningProblem, *, tight: bool | None = None) -> None:
     """Compile the kernels of planning, or load them, so that no time limit pays for it."""
     surfaces = problem.surfaces is not None
-    if tight is None:
-        compile_kernels(*kernels(problem.cost, surfaces=surfaces))
-        query = compiled(problem)
-        tight = not all(surely_has_room(query, end) for end in (problem.start, problem.goal))
-        if not tight:
-            return
-    compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=tight))
+    compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=bool(tight)))
+    ends = problem.start, problem.goal
+    if tight is None and not all(surely_has_room(compiled(problem), end) for end in ends):
+        compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=True))
 
 
 def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:

@@ -8,16 +8,17 @@ is room it takes long steps.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import atan2, ceil, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Flags, Ints, IntTable, ShortInts, Words, njit
+from energyplan.compilation import Floats, Ints, IntTable, ShortInts, Words, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
-from energyplan.planning.search.follow import chain_from, motions_along
+from energyplan.planning.search.follow import Tracked, chain_from, follow_route
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.cost_to_go import (
@@ -29,6 +30,7 @@ from energyplan.planning.space.cost_to_go import (
     headings_aside,
     middle_of,
     node_at,
+    place_of,
     to_and_fro,
 )
 from energyplan.planning.space.motions import (
@@ -58,6 +60,7 @@ class Settings(NamedTuple):
     near: float = 12.0  # distance to the goal from which the cost-to-go leads on [cells]
     weight: float = 1.1  # factor on the heuristic: a little above 1 the search is soon through
     again: float = 1.4  # factor on the price of a step where a route found before passes
+    blocked: float = 8.0  # the same where no motions led on along one
     most: int = 4  # routes that are sought at most
     spare: int = 1024  # room for the states that one leads to
     states: int = 100_000  # states that are expanded at most
@@ -74,42 +77,54 @@ class Route(NamedTuple):
     looked: int  # states that were expanded
 
 
-def places_near(places: Places, chain: Ints, within: float) -> NDArray[np.bool_]:
-    """Return the places within a distance of a way."""
+def _penalised(
+    penalties: Floats, places: Places, homes: NDArray[np.integer], within: float, factor: float
+) -> Floats:
+    """Return the factors on the prices of steps, raised within a distance of some places."""
     across = places.columns + 2 * RIM
-    passed = np.zeros(len(places.masks), bool)
     far = ceil(within / places.spacing)
     aside = np.arange(-far, far + 1)
     near = np.hypot(aside[:, None], aside) * places.spacing <= within
-    steps = (aside[:, None] * across + aside)[near]
-    homes = np.unique(places.home[chain])
-    about = (homes[:, None] + steps).ravel()
-    passed[about[(about >= 0) & (about < len(passed))]] = True
-    return passed
+    about = (np.unique(homes)[:, None] + (aside[:, None] * across + aside)[near]).ravel()
+    raised = np.broadcast_to(penalties, len(places.masks)).copy()
+    about = about[(about >= 0) & (about < len(raised))]
+    raised[about] = np.maximum(raised[about], factor)
+    return raised
 
 
-def cheapest_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[Segments]:
-    """Return motions along the ways that are cheapest by their length and turns."""
+def cheapest_routes(
+    setting: KernelProblem, to_go: CostToGo, budget: Budget, stuck: Sequence[Tracked] = ()
+) -> list[Segments]:
+    """Return motions along the cheapest ways; each avoids the former and where one was stuck."""
     ways: list[Segments] = []
-    passed = np.zeros(1, bool)
+    places, reach, penalties = to_go.places, setting.reach, np.ones(1)
+    blocked = [place_of(places, setting.space, one.x, one.y) for one in stuck]
     for _ in range(SETTINGS.most):
         most = int(min(SHARES.stage * budget.left / UNITS.state, SETTINGS.states))
         if most < 1:
             break
-        found = cheapest_route(to_go, setting, passed, most)
+        if blocked:
+            penalties = _penalised(penalties, places, np.array(blocked), reach, SETTINGS.blocked)
+        found = cheapest_route(to_go, setting, penalties, most)
         budget.spend(UNITS.state * found.looked)
-        way = motions_along(setting, to_go, budget, found.chain)
-        if way is None:
+        if len(found.chain) == 0:
             break
-        ways.append(way)
+        tracked = follow_route(setting, to_go, budget, found.chain)
+        if tracked.motions is not None:
+            ways.append(tracked.motions)
+            homes = places.home[found.chain]
+            penalties = _penalised(penalties, places, homes, reach, SETTINGS.again)
+        elif ways:
+            break
+        else:
+            blocked.append(place_of(places, setting.space, tracked.x, tracked.y))
         if UNITS.state * found.looked > SHARES.aside * budget.left:
             break
-        passed = passed | places_near(to_go.places, found.chain, setting.reach)
     return ways
 
 
 @njit
-def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most: int) -> Route:
+def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int) -> Route:
     """Return the nodes along the way that is cheapest by its length and its turns."""
     places = to_go.places
     space = setting.space
@@ -222,8 +237,8 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, passed: Flags, most:
                     toward = atan2(STEP_ROWS[k], STEP_COLUMNS[k]) + space.yaw
                     here = Pose(here.x, here.y, toward if ahead else toward + pi)
                     paid = motion_cost(setting, here, length if ahead else -length, 0.0)
-                if passed.size > 1 and passed[there]:
-                    paid *= SETTINGS.again
+                if penalties.size > 1:
+                    paid *= penalties[there]
                 gg += paid
             if gg >= least:
                 continue

@@ -111,9 +111,6 @@ def bidirectional_search(
     heap_node = np.empty((2, NEIGHBOURS * capacity), np.int32)
     sizes = np.zeros(2, np.int64)
     half = 1 << (BITS - 1)
-    steps_i = STEP_I
-    steps_j = STEP_J
-    steps_h = STEP_H
     for who in range(2):
         i = floor((end.x - begin.x) / cell + 0.5) if who == 1 else 0
         j = floor((end.y - begin.y) / cell + 0.5) if who == 1 else 0
@@ -147,8 +144,8 @@ def bidirectional_search(
         along = cos(begin.yaw + h * turn)
         across = sin(begin.yaw + h * turn)
         for k in range(NEIGHBOURS):
-            to_h = (h + steps_h[k]) % headings
-            to_key = ((i + steps_i[k]) << BITS | (j + steps_j[k])) * headings + to_h
+            to_h = (h + STEP_H[k]) % headings
+            to_key = ((i + STEP_I[k]) << BITS | (j + STEP_J[k])) * headings + to_h
             slot = slot_of(table, key, to_key)
             other = int(table[slot])
             if other >= 0 and side[other] == 1 - who:
@@ -158,8 +155,8 @@ def bidirectional_search(
                 return Passage(found, count - 2)
             if other >= 0 and (side[other] == BLOCKED or done[other]):
                 continue
-            x = begin.x + (i + steps_i[k] - half) * cell
-            y = begin.y + (j + steps_j[k] - half) * cell
+            x = begin.x + (i + STEP_I[k] - half) * cell
+            y = begin.y + (j + STEP_J[k] - half) * cell
             yaw = begin.yaw + to_h * turn
             if other < 0:
                 if count == capacity:
@@ -176,9 +173,9 @@ def bidirectional_search(
                 side[other] = who
                 narrow[other] = not pose_free(setting.space, wide, x, y, yaw)
             step = setting.reach * turn
-            if steps_h[k] == 0:
-                ahead = abs(along * steps_i[k] + across * steps_j[k])
-                aside = abs(along * steps_j[k] - across * steps_i[k])
+            if STEP_H[k] == 0:
+                ahead = abs(along * STEP_I[k] + across * STEP_J[k])
+                aside = abs(along * STEP_J[k] - across * STEP_I[k])
                 step = cell * (ahead + SETTINGS.aside * aside)
             if narrow[other]:
                 step *= SETTINGS.tight

@@ -257,12 +257,7 @@ class Proof(NamedTuple):
     reached: NDArray[np.int64]  # places that the start leads to
 
 
-def prove(kernel: KernelProblem, budget: Budget) -> Proof:
-    """Try to prove that no way leads from start to goal."""
-    return _Prover(kernel, budget).found()
-
-
-class _Prover:
+class Prover:
     """The free configurations of a problem, and what looking closer made of them."""
 
     def __init__(self, kernel: KernelProblem, budget: Budget) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work
-from energyplan.planning.search.follow import motions_along
+from energyplan.planning.search.follow import follow_route
 from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import Segments
@@ -83,7 +83,7 @@ def path_through_passages(
         budget.spend(to_go.work / UNITS.nodes)
         if budget.over or not cost_at_start(to_go, setting) < limit:
             return None
-        way = motions_along(thin, to_go, budget)
+        way = follow_route(thin, to_go, budget).motions
         if way is None:
             search = Search(thin, to_go, lattice_for(setting), WEIGHT)
             search.run(budget, SETTINGS.expansions, cost)
