@@ -1,16 +1,16 @@
 """Numba's kernels: compiled for the types of their annotations, and kept on disk.
 
 A kernel's annotations are its one signature, so what must be compiled is known before anything
-runs, and `compile_kernels` does so before a clock starts. Machine code lies in a folder that a
-digest of all its sources names: Numba's own cache looks at the file of the function alone, and
-would hand out old machine code after an edit of a kernel that this one calls.
+runs, and `compile_kernels` does so before a clock starts. Machine code is kept under a digest of
+all its sources: Numba's own cache looks at the file of the function alone, and would hand out old
+machine code after an edit of a kernel that this one calls.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -31,6 +31,8 @@ from numba.core import caching, config, event, sigutils
 from numba.core.registry import CPUDispatcher
 from numba.np import numpy_support
 from numpy.typing import NDArray
+
+from energyplan.sources import ROOT, kernels_of, module_of, source_digest, sources
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -73,8 +75,7 @@ FEW = 4
 """Kernels up to which another process does not pay."""
 
 _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
-_ROOT = Path(__file__).parent
-_IMPORT = re.compile(r"^[ \t]*from energyplan([.\w]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+_OPTIONS = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
 
 
 class KernelCacheWarning(UserWarning):
@@ -95,33 +96,35 @@ def cache_folder() -> Path:
 
 
 @cache
-def source_digest(file: Path) -> str:
-    """Return a digest of a module, all modules of the package that it imports, and the compiler."""
-    found: dict[Path, bytes] = {}
-    pending = [file]
-    while pending:
-        if (source := pending.pop()) not in found:
-            found[source] = source.read_bytes()
-            pending += _imported(found[source].decode())
-    options = [getattr(config, name, None) for name in ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")]
-    versions = [sys.version, *map(version, ("numba", "llvmlite", "numpy")), options]
-    digest = hashlib.sha256(str(versions).encode())
-    for source in sorted(found):
-        digest.update(f"{source.name}:{len(found[source])}:".encode() + found[source])
-    return digest.hexdigest()[:24]
+def kernel_digests() -> dict[str, str]:
+    """Return digests of the sources of all kernels of this package, by module and name.
+
+    They are kept on disk under a digest of all modules, since it takes a while to find them.
+    """
+    everything = hashlib.sha256()
+    for file in sources():
+        everything.update(f"{file.relative_to(ROOT)}:".encode() + file.read_bytes())
+    kept = cache_folder() / f"{everything.hexdigest()[:24]}.json"
+    with suppress(OSError, ValueError):
+        return dict(json.loads(kept.read_text(encoding="utf-8")))
+    found = {
+        f"{module_of(file)}.{name}": source_digest(file, name)
+        for file in sources()
+        for name in kernels_of(file)
+    }
+    with suppress(OSError):
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=kept.parent, delete=False) as made:
+            json.dump(found, made)
+        Path(made.name).replace(kept)
+    return found
 
 
 @cache
-def _imported(text: str) -> tuple[Path, ...]:
-    """Return the files of this package that a source names in its import statements."""
-    files = list[Path]()
-    for match in _IMPORT.finditer(text):
-        base = _ROOT.joinpath(*match[1].split("."))
-        names = re.findall(r"(\w+)(?: as \w+)?", match[2])
-        for place in (base, *(base / name for name in names)):
-            candidates = place.with_suffix(".py"), place / "__init__.py"
-            files += [c for c in candidates if c.is_file() and c != _ROOT / "__init__.py"]
-    return tuple(files)
+def _compiler() -> str:
+    """Return what decides machine code beside the sources."""
+    options = [getattr(config, name, None) for name in ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")]
+    return repr([sys.version, *map(version, ("numba", "llvmlite", "numpy")), options, _OPTIONS])
 
 
 class _Locator(caching.UserWideCacheLocator):
@@ -129,7 +132,18 @@ class _Locator(caching.UserWideCacheLocator):
 
     def __init__(self, function: Callable[..., object], file: str) -> None:
         super().__init__(function, file)
-        self._cache_path = str(cache_folder() / source_digest(Path(file)))
+        self._cache_path = str(cache_folder() / "kernels")
+        name = f"{function.__module__}.{function.__qualname__}"
+        made_of = kernel_digests().get(name) or source_digest(Path(file), function.__qualname__)
+        self._digest = hashlib.sha256(f"{name}:{made_of}:{_compiler()}".encode()).hexdigest()[:24]
+
+    def get_source_stamp(self) -> str:
+        """Return the digest of all that the machine code depends on."""
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        """Return the same digest, for the names of files."""
+        return self._digest
 
     @classmethod
     def from_function(cls, function: Callable[..., object], file: str) -> _Locator | None:
@@ -190,8 +204,7 @@ class Kernel(CPUDispatcher):
     """A function that is compiled for the types of its annotations, whatever it is called with."""
 
     def __init__(self, function: Callable[..., object]) -> None:
-        options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
-        super().__init__(function, targetoptions=options)
+        super().__init__(function, targetoptions=dict(_OPTIONS))
         self.name = f"{function.__module__}.{function.__qualname__}"
 
     @cached_property
@@ -271,12 +284,7 @@ def _numba_type(annotation: Any) -> Any:
 
 def kernel_modules() -> list[str]:
     """Return the names of all modules of this package that define kernels."""
-    names = []
-    for file in sorted(_ROOT.rglob("*.py")):
-        if re.search(r"^@njit$", file.read_text(encoding="utf-8"), re.MULTILINE):
-            inside = file.relative_to(_ROOT.parent).with_suffix("")
-            names.append(".".join(inside.parts).removesuffix(".__init__"))
-    return names
+    return [module_of(file) for file in sources() if kernels_of(file)]
 
 
 class Preparation(NamedTuple):

@@ -79,23 +79,93 @@ def test_an_edit_two_calls_away_changes_what_runs(copy: Path, tmp_path: Path) ->
     assert run(CALL, path=copy, **kept).stdout.split()[0] == "41.0"
 
 
-def test_the_digest_follows_imports_of_every_form(copy: Path) -> None:
-    package = copy / "energyplan"
-    lines = (
-        "from energyplan.deep import deep",
-        "from energyplan import deep",
-        "from energyplan import (\n    errors,\n    deep as other,\n)",
-        "def later():\n    from energyplan.deep import deep",
-        "from energyplan import errors",
-    )
-    code = "from pathlib import Path\nfrom energyplan.compilation import source_digest\n"
-    code += f"small, deep = (Path({str(package)!r}, name) for name in ('small.py', 'deep.py'))\n"
-    code += f"for line in {lines!r}:\n    small.write_text(line + '\\n')\n    found = []\n"
-    code += "    for text in ('a = 1', 'a = 2'):\n        deep.write_text(text)\n"
-    code += "        source_digest.cache_clear()\n        found.append(source_digest(small))\n"
-    code += "    print(found[0] != found[1])"
-    found = run(code, path=copy)
-    assert found.stdout.split() == ["True"] * 4 + ["False"], found.stderr
+DIGEST = """
+from pathlib import Path
+import energyplan
+from energyplan import sources
+root = Path(energyplan.__file__).parent
+def digest(outer, deep):
+    (root / "small.py").write_text(outer)
+    (root / "deep.py").write_text(deep)
+    sources._definitions.cache_clear()
+    return sources.source_digest(root / "small.py", "outer")
+"""
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from energyplan.deep import deep\n",
+        "from energyplan.deep import deep as other\ndeep = other\n",
+        "from energyplan import deep\n",
+        "from energyplan import (\n    errors,\n    deep as other,\n)\ndeep = other\n",
+        "from energyplan.middle import deep\n",
+        "def deep(x: float) -> float:\n    from energyplan.deep import deep\n    return deep(x)\n",
+    ],
+)
+def test_the_digest_follows_imports_of_every_form(copy: Path, line: str) -> None:
+    small = line + "def outer(x: float) -> float:\n    return deep(x)\n"
+    deep = "def deep(x: float) -> float:\n    return x + {}\n"
+    code = f"first, second = (digest({small!r}, {deep!r}.format(k)) for k in (1, 2))\n"
+    found = run(DIGEST + code + "print(first != second)", path=copy)
+    assert found.stdout.split() == ["True"], found.stderr
+
+
+DEEP = """
+STEP = 1.0
+OTHER = 2.0
+TABLE = [0.0]
+TABLE[0] = STEP
+
+
+class Pair(NamedTuple):
+    low: float
+    high: float
+
+
+@njit
+def deep(pair: Pair) -> float:
+    return pair.low + STEP
+
+
+def other() -> str:
+    return "a word"
+"""
+
+
+@pytest.mark.parametrize(
+    ("former", "new", "counts"),
+    [
+        ("STEP = 1.0", "STEP = 1.5", True),
+        ("TABLE[0] = STEP", "TABLE[0] = 2.0", True),
+        ("high: float", "high: int", True),
+        ("pair.low + STEP", "pair.high + STEP", True),
+        ("OTHER = 2.0", "OTHER = 2.5", False),
+        ("a word", "another word", False),
+        ("    low: float", '    """What it is."""\n\n    low: float  # [m]', False),
+        ("    return pair.low", '    """Say what it does."""\n    return pair.low', False),
+        ("STEP = 1.0", "\n\n# why\nSTEP = 1.0", False),
+    ],
+)
+def test_the_digest_has_what_is_used_and_nothing_else(
+    copy: Path, former: str, new: str, counts: bool
+) -> None:
+    assert former in DEEP
+    outer = "from energyplan.deep import deep, other\ndef outer(x):\n    return deep(x)\n"
+    code = f"print(digest({outer!r}, {DEEP!r}) != digest({outer!r}, {DEEP.replace(former, new)!r}))"
+    found = run(DIGEST + code, path=copy)
+    assert found.stdout.split() == [str(counts)], found.stderr
+
+
+def test_a_message_of_an_error_recompiles_nothing(copy: Path) -> None:
+    code = "from energyplan.compilation import kernel_digests\nprint(len(kernel_digests()))\n"
+    code += "print(hash(tuple(sorted(kernel_digests().items()))))"
+    for file in ("errors", "kinds", "vehicle", "records"):
+        place = copy / "energyplan" / f"{file}.py"
+        first = run(code, path=copy, PYTHONHASHSEED="0").stdout.split()
+        place.write_text(place.read_text() + "\n\ndef later() -> None:\n    pass\n")
+        assert first[:1] > ["200"]
+        assert run(code, path=copy, PYTHONHASHSEED="0").stdout.split() == first
 
 
 def test_a_damaged_file_is_a_miss(copy: Path, tmp_path: Path) -> None:
