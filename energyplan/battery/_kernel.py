@@ -25,16 +25,16 @@ class Circuit(NamedTuple):
 
     capacity: float  # charge [C]
     resistance: float  # series resistance [ohm]
-    pair_resistance: float
-    pair_time: float  # resistance [ohm] and time constant [s] of the resistance-capacitance pair
-    peukert: float  # peukert's exponent, and the current above which it counts [A]
-    rated: float  # peukert's exponent, and the current above which it counts [A]
+    pair_resistance: float  # resistance of the resistance-capacitance pair [ohm]
+    pair_time: float  # time constant of the pair [s]
+    peukert: float  # Peukert's exponent
+    rated: float  # current above which Peukert's exponent applies [A]
     efficiency: float  # fraction of the charge that charging keeps
-    least_voltage: float  # voltage [V] and state of charge at which it cuts off
-    least_charge: float  # voltage [V] and state of charge at which it cuts off
+    least_voltage: float  # voltage at which it cuts off [V]
+    least_charge: float  # state of charge at which it cuts off
     most_voltage: float  # largest voltage [V]
-    most_current: float  # largest discharge and charge current [A]
-    most_charging: float  # largest discharge and charge current [A]
+    most_current: float  # largest discharge current [A]
+    most_charging: float  # largest charge current [A]
 
 
 @njit

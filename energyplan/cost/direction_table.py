@@ -127,8 +127,8 @@ class DirectionTable:
 class Corners:
     """Corners of the elements ``(x, y)`` that one joule can pay for, mixtures included [m]."""
 
-    left: FloatArray  # (m, 2): corners that turn left, and right
-    right: FloatArray  # (m, 2): corners that turn left, and right
+    left: FloatArray  # (m, 2): corners that turn left [m]
+    right: FloatArray  # (m, 2): corners that turn right [m]
     error: float  # how much the energy of a mixture may exceed the least one, as a fraction
 
 

@@ -16,8 +16,8 @@ class StaticSteering(NamedTuple):
     """A cost that two numbers describe: ``a max(|ds|, C |dtheta|) + beta |dtheta|``."""
 
     half_track: float  # half the slip track ``C`` [m]
-    longitudinal: float  # the point midway between the tread ICRs, in the body frame [m]
-    lateral: float  # the point midway between the tread ICRs, in the body frame [m]
+    longitudinal: float  # x of the point midway between the tread ICRs, in the body frame [m]
+    lateral: float  # y of that point [m]
     per_metre: float  # cost of straight driving, ``a`` [J/m]
     per_radian: float  # cost of turning within the slip track, ``a C + beta`` [J/rad]
 
@@ -26,12 +26,12 @@ class PolygonSteering(NamedTuple):
     """A cost whose cheapest elements are mixtures of the corners of a polygon."""
 
     half_track: float  # half the slip track [m]
-    longitudinal: float  # the point midway between the tread ICRs, in the body frame [m]
-    lateral: float  # the point midway between the tread ICRs, in the body frame [m]
-    ahead: float  # cost of driving straight by half the slip track, forwards and backwards [J]
-    behind: float  # cost of driving straight by half the slip track, forwards and backwards [J]
-    left: FloatTable  # (3, m): corners that turn left and right
-    right: FloatTable  # (3, m): corners that turn left and right
+    longitudinal: float  # x of the point midway between the tread ICRs, in the body frame [m]
+    lateral: float  # y of that point [m]
+    ahead: float  # cost of driving straight forwards by half the slip track [J]
+    behind: float  # cost of driving straight backwards by half the slip track [J]
+    left: FloatTable  # (3, m): corners that turn left: ``ds/dtheta``, J/rad, slope to the next
+    right: FloatTable  # (3, m): corners that turn right, likewise
 
 
 def polygon_steering(table: DirectionTable, corners: Corners, icr: TreadICR) -> PolygonSteering:

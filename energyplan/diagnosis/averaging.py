@@ -71,8 +71,8 @@ class Averaged:
 class _Windows:
     """Means of plain totals over the longest windows."""
 
-    run: NDArray[np.intp]  # (w,): run and block of each window
-    block: NDArray[np.intp]  # (w,): run and block of each window
+    run: NDArray[np.intp]  # (w,): run of each window
+    block: NDArray[np.intp]  # (w,): block of each window
     time: FloatArray  # (w,): time that a window stands for [s]
     power: FloatArray  # (w,): measured power [W]
 

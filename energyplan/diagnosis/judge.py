@@ -141,8 +141,8 @@ _LEAST_OFFSET = 0.01  # centre of mass that is as good as centred [m]
 class MassCentre:
     """Centre of mass in the body frame."""
 
-    forward: float  # offset [m]
-    left: float  # offset [m]
+    forward: float  # x in the body frame [m]
+    left: float  # y in the body frame [m]
     covariance: FloatArray  # (2, 2): of both [m^2], allowing for correlation within blocks
     improvement: float
     improvement_error: float
@@ -399,8 +399,8 @@ _CHANCE = 0.01  # chance that none is there, from which on it is not named
 class WheelFight:
     """The moment that contacts hold on straights, as one that costs as much at any time."""
 
-    size: float  # friction that it uses
-    std_error: float  # friction that it uses
+    size: float  # friction coefficient of a steady moment that costs as much
+    std_error: float  # standard error of that coefficient
     share: float  # share of the drives' energy that it costs
     p_value: float  # chance that another drive as long pays nothing for it, from blocks
     model: PowerModel  # the model with the term

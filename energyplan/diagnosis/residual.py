@@ -46,8 +46,8 @@ class Dependence:
     explained_variance: float
     std_error: float  # standard error of that share
     p_value: float  # adjusted for the number of signals tried
-    knots: tuple[float, ...] = ()  # the fitted shape
-    values: tuple[float, ...] = ()  # the fitted shape
+    knots: tuple[float, ...] = ()  # values of the signal at the corners of the fitted shape
+    values: tuple[float, ...] = ()  # the fitted shape at the knots, in the carrier's unit
 
 
 def signals(drives: Sequence[Drive]) -> list[str]:

@@ -25,10 +25,10 @@ Verdict = Literal["effect_found", "no_effect", "unexplained"]
 class ErrorInterval:
     """95 % intervals of an error on the hold-out drives, from resampled blocks."""
 
-    rmse: tuple[float, float]  # lower and upper end [W]
-    mae: tuple[float, float]  # lower and upper end [W]
-    bias: tuple[float, float]  # lower and upper end [W]
-    energy_error: tuple[float, float]
+    rmse: tuple[float, float]  # lower and upper end of the root mean square error [W]
+    mae: tuple[float, float]  # lower and upper end of the mean absolute error [W]
+    bias: tuple[float, float]  # lower and upper end of the mean error [W]
+    energy_error: tuple[float, float]  # lower and upper end of the relative error of the energy [1]
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,16 @@ class Evidence:
 class FoundEffect(ReadOnly):
     """An effect that was found."""
 
-    name: str  # as in the catalogue
-    symbol: str  # as in the catalogue
+    name: str  # name in the catalogue
+    symbol: str  # symbol in the catalogue
     value: float  # its size
-    unit: str  # as in the catalogue
-    std_error: float  # its size
+    unit: str  # unit of the value, as in the catalogue
+    std_error: float  # standard error of the value, in its unit
     evidence: Evidence  # why it was added
     probability: float = 1.0  # that it is there, over all explanations
     rivals: tuple[str, ...] = ()  # effects that these drives cannot separate from it
     details: Mapping[str, float] = field(default_factory=dict)
-    meaning: str = ""  # as in the catalogue
+    meaning: str = ""  # what the catalogue says it is
     planner: str = "yes"  # whether a planner can use it, or what it needs to
 
     def __post_init__(self) -> None:

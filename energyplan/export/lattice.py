@@ -34,14 +34,14 @@ FARTHEST = 2.5
 class Primitive(NamedTuple):
     """A motion from the middle of cell (0, 0)."""
 
-    start: int  # numbers of the headings at its ends
-    end: int  # numbers of the headings at its ends
-    before: float  # lengths of the straight piece, the arc and the second straight piece [m]
-    arc: float  # lengths of the straight piece, the arc and the second straight piece [m]
-    after: float  # lengths of the straight piece, the arc and the second straight piece [m]
+    start: int  # number of the heading at its start
+    end: int  # number of the heading at its end
+    before: float  # length of the straight line before the arc [m]
+    arc: float  # length of the arc [m]
+    after: float  # length of the straight line after the arc [m]
     turn: float  # turn, positive to the left [rad]
-    column: int  # the cell that it ends in
-    row: int  # the cell that it ends in
+    column: int  # column of the cell that it ends in
+    row: int  # row of that cell
 
     @property
     def length(self) -> float:

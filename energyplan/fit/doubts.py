@@ -353,8 +353,8 @@ class Adequacy:
 
     noise: float  # of a sample [W]
     residual: float  # root mean square residual of the model [W]
-    slow_noise: float  # the same of means over `time` [W]
-    slow_residual: float  # the same of means over `time` [W]
+    slow_noise: float  # noise of means over `time` [W]
+    slow_residual: float  # root mean square of the residual's means over `time` [W]
     coloured: bool  # whether the residual lasts longer than noise would, by more than chance
     time: float  # [s]
     missing: tuple[float, ...] = (0.0, 0.0, 0.0)  # [W^2]

@@ -333,11 +333,11 @@ class InternalFriction:
     """Friction inside one side of the robot, ``F(v) = force + slope * (|v| - speed)``."""
 
     side: str  # the side
-    force: float  # force at the mean speed of the drives, and its standard error [N]
-    force_error: float  # force at the mean speed of the drives, and its standard error [N]
+    force: float  # force at the mean speed of the drives [N]
+    force_error: float  # standard error of that force [N]
     speed: float  # that mean speed [m/s]
-    slope: float  # how the force changes with the tread speed, and its standard error [N s/m]
-    slope_error: float  # how the force changes with the tread speed, and its standard error [N s/m]
+    slope: float  # how the force changes with the tread speed [N s/m]
+    slope_error: float  # standard error of that slope [N s/m]
     classes: tuple[SpeedClass, ...]  # the force by speed
     left_out: int  # moving samples in the sensor's dead band, which give only an upper limit
 

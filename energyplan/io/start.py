@@ -73,8 +73,8 @@ class Given:
     track: float = nan  # distance between left and right wheels [m]
     wheelbase: float = nan  # distance between front and rear wheels [m]
     mass: float = nan  # mass as it drives [kg]
-    length: float = nan  # of the footprint [m]
-    width: float = nan  # of the footprint [m]
+    length: float = nan  # length of the footprint [m]
+    width: float = nan  # width of the footprint [m]
     name: str = ""  # what to call the robot
     like: Vehicle | None = None  # a vehicle to take the rest from
     columns: str | Mapping[str, Column] | None = None  # those that are known

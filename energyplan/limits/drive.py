@@ -108,8 +108,8 @@ class Pieces(NamedTuple):
     """Parts of intervals between samples."""
 
     interval: NDArray[np.int_]  # (m,): the interval that the piece is part of
-    begin: FloatArray  # (m,): where it begins and ends, as fractions of the interval
-    end: FloatArray  # (m,): where it begins and ends, as fractions of the interval
+    begin: FloatArray  # (m,): where it begins, as a fraction of the interval
+    end: FloatArray  # (m,): where it ends, as a fraction of the interval
 
     @property
     def parts(self) -> FloatArray:

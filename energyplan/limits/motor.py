@@ -63,8 +63,8 @@ class Limits:
     motor: MotorLimits = field(default_factory=MotorLimits)  # limits of each side's motor
     yaw_rate: float = np.inf  # largest yaw rate [rad/s]
     lateral_acceleration: float = np.inf  # largest ``|v omega|`` [m/s^2]
-    battery_power: float = np.inf  # largest power that the battery delivers, and takes back [W]
-    battery_return: float = np.inf  # largest power that the battery delivers, and takes back [W]
+    battery_power: float = np.inf  # largest power that the battery delivers [W]
+    battery_return: float = np.inf  # largest power that the battery accepts [W]
     ground_speed: float = 1.0  # part of the ground's speed limits that may be driven [1]
 
     def __post_init__(self) -> None:

@@ -74,13 +74,13 @@ def _onesided(value: float, middle: float) -> float:
 class Nodes(NamedTuple):
     """Motion at the begin, the middle and the end of pieces, each of shape (m, 3)."""
 
-    v_left: Floats  # tread speeds [m/s]
-    v_right: Floats  # tread speeds [m/s]
-    accel: Floats  # acceleration [m/s^2] and yaw acceleration [rad/s^2]
-    yaw_accel: Floats  # acceleration [m/s^2] and yaw acceleration [rad/s^2]
-    x: Floats  # pose [m], [rad]
-    y: Floats  # pose [m], [rad]
-    yaw: Floats  # pose [m], [rad]
+    v_left: Floats  # left tread speed [m/s]
+    v_right: Floats  # right tread speed [m/s]
+    accel: Floats  # acceleration [m/s^2]
+    yaw_accel: Floats  # yaw acceleration [rad/s^2]
+    x: Floats  # x of the pose [m]
+    y: Floats  # y of the pose [m]
+    yaw: Floats  # heading of the pose [rad]
 
 
 @njit

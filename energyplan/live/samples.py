@@ -192,8 +192,8 @@ class Sample:
 
     place: str  # where it stands, such as ``"line 12"``
     t: float  # time [s]
-    v_left: float  # tread speeds [m/s]
-    v_right: float  # tread speeds [m/s]
+    v_left: float  # left tread speed [m/s]
+    v_right: float  # right tread speed [m/s]
     power: float  # measured power [W]
     channels: Mapping[str, float]  # further readings, finite ones only
 

@@ -314,10 +314,10 @@ class Check:
 class Measures:
     """A robot's measures; NaN where they are not known."""
 
-    track: float = nan  # [m]
-    wheelbase: float = nan  # [m]
-    mass: float = nan  # [kg]
-    wheel_radius: float = nan  # [m]
+    track: float = nan  # distance between left and right wheels [m]
+    wheelbase: float = nan  # distance between front and rear wheels [m]
+    mass: float = nan  # mass as it drives [kg]
+    wheel_radius: float = nan  # radius of the wheels [m]
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> Measures:

@@ -58,8 +58,8 @@ class Table(NamedTuple):
     finish: FloatTable  # (L + 1, N): energy to where the mission may end [J], last the least
     time: FloatBlock  # (M, N, N): travel times [s]
     finish_time: Floats  # (N,): time to where the mission may end [s]
-    service: Floats  # (n,): energy [J] and time [s] of each task
-    service_time: Floats  # (n,): energy [J] and time [s] of each task
+    service: Floats  # (n,): energy of each task [J]
+    service_time: Floats  # (n,): time of each task [s]
     window: FloatTable  # (n, 2): earliest and latest begin [s]
     idle: Floats  # (n + 1,): power of waiting at each task [W], last none
     worth: Floats  # (n,): what each task is worth
@@ -74,13 +74,13 @@ class Table(NamedTuple):
     pressing: Flags  # (S,): whether a window of the tasks that may still be done ends
     opening: Floats  # (S,): when the last window of those for which waiting takes power opens [s]
     need: Floats  # (N,): charge without which no charger and no end is reached from a place [J]
-    capacity: Floats  # energy on leaving each charger when full [J], and stored per second [W]
-    charge_power: Floats  # energy on leaving each charger when full [J], and stored per second [W]
-    budget: float  # energy at the start and of a full battery [J]
-    full: float  # energy at the start and of a full battery [J]
+    capacity: Floats  # (m,): energy on leaving each charger when full [J]
+    charge_power: Floats  # (m,): energy stored per second at each charger [W]
+    budget: float  # energy at the start [J]
+    full: float  # energy of a full battery [J]
     start_time: float  # time at the start [s]
     payload: float  # payload at the start [kg]
-    visits: int  # visits to chargers that are told apart
+    visits: int  # most visits to chargers that the bound distinguishes
     most: int  # most labels to keep
     width: int  # most labels to keep of a stage and place
 
@@ -179,8 +179,8 @@ class Known(NamedTuple):
     """An order that is known, and what is asked of a better one."""
 
     worth: float  # its worth
-    energy: float  # its energy [J], and when it ends [s]
-    time: float  # its energy [J], and when it ends [s]
+    energy: float  # energy that it takes [J]
+    time: float  # when it ends [s]
     same: Rest  # what it takes at least to reach its worth
     more: Rest  # what it takes at least to reach `beyond`
     beyond: float
@@ -190,13 +190,13 @@ class Found(NamedTuple):
     """What the search found."""
 
     better: bool  # whether it is better than what was known
-    worth: float
-    energy: float
-    time: float
+    worth: float  # worth of the best order
+    energy: float  # energy of the best order, to where the mission ends [J]
+    time: float  # when the best order ends [s]
     bound: float  # energy that no order of this worth undercuts [J]
     open: bool  # whether an order of greater worth may have been left out
-    stops: Ints  # places in the order of their visits, and the way of driving to each
-    ways: Ints  # places in the order of their visits, and the way of driving to each
+    stops: Ints  # numbers of places in the order of their visits
+    ways: Ints  # the way of driving to each of them
 
 
 class Label(NamedTuple):
@@ -560,8 +560,8 @@ class Tours(NamedTuple):
     idle: FloatTable  # (R, n): power of waiting at each task [W]
     change: Floats  # (n,): change of the payload by each task [kg]
     worth: Floats  # (n,): energy that doing a task is worth [J]
-    budget: Floats  # (R,): energy at the start [J], and what a charge adds at most [J]
-    capacity: Floats  # (R,): energy at the start [J], and what a charge adds at most [J]
+    budget: Floats  # (R,): energy at the start [J]
+    capacity: Floats  # (R,): energy on leaving the best charger when full [J]
     start_time: Floats  # (R,): time at the start [s]
     payload: Floats  # (R,): payload at the start [kg]
 

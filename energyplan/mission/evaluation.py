@@ -117,9 +117,9 @@ class Timeline:
     """The mission over time; arrays of one shape."""
 
     t: FloatArray  # (n,): time [s]
-    x: FloatArray  # (n,): pose [m]
-    y: FloatArray  # (n,): pose [m]
-    yaw: FloatArray  # (n,): pose [rad]
+    x: FloatArray  # (n,): x of the pose [m]
+    y: FloatArray  # (n,): y of the pose [m]
+    yaw: FloatArray  # (n,): heading of the pose [rad]
     power: FloatArray  # (n,): power at the battery from each time to the next [W]
     soc: FloatArray  # (n,): state of charge, as expected
     soc_lower: FloatArray  # (n,): the same at the bound

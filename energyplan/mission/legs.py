@@ -419,8 +419,8 @@ class Charge(NamedTuple):
     soc: float  # state of charge
     polarisation: float = 0.0  # voltage of its RC pair [V]
     failure: str = "none"  # why it gave up on the way
-    instant: float = np.inf  # when it gave up [s], and under which power [W]
-    load: float = 0.0  # when it gave up [s], and under which power [W]
+    instant: float = np.inf  # when it gave up [s]
+    load: float = 0.0  # power under which it gave up [W]
 
 
 @dataclass(frozen=True)
@@ -431,8 +431,8 @@ class Segment:
     goal: int  # node at its end
     t: FloatArray  # (n,): time [s]
     power: FloatArray  # (n,): power from each time to the next [W]
-    soc: FloatArray  # (n,): state of charge, expected and at the bound
-    soc_lower: FloatArray  # (n,): state of charge, expected and at the bound
+    soc: FloatArray  # (n,): state of charge as expected
+    soc_lower: FloatArray  # (n,): state of charge where the energy is at its bound
     leg: Leg | None = None  # the drive
 
 
@@ -447,8 +447,8 @@ class State:
     spent: Estimate
     total: Estimate
     origin: tuple[float, float]  # state of charge and time after the last charge
-    expected: Charge  # the battery as expected, and where the energy is at its bound
-    worst: Charge  # the battery as expected, and where the energy is at its bound
+    expected: Charge  # the battery as expected
+    worst: Charge  # the battery where the energy is at its bound
     pieces: tuple[Segment, ...] = ()  # what it did so far
     stretches: tuple[Estimate, ...] = ()  # what was spent between one charge and the next, so far
 

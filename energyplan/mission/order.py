@@ -98,8 +98,8 @@ class OrderProblem:
     finish: Callable[[float], FloatArray]  # [J]
     time: FloatArray  # (N, N): travel times [s]
     finish_time: FloatArray  # (N,): time from each node to that place [s]
-    service: FloatArray  # (n,): energy [J] and time [s] that each task takes
-    service_time: FloatArray  # (n,): energy [J] and time [s] that each task takes
+    service: FloatArray  # (n,): energy that each task takes [J]
+    service_time: FloatArray  # (n,): time that each task takes [s]
     payload: float  # payload at the start [kg]
     payload_change: FloatArray  # (n,): change of the payload by each task [kg]
     prize: FloatArray  # (n,): prizes

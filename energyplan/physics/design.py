@@ -173,8 +173,8 @@ class Explanation:
 class Separation:
     """How well a drive separates two explanations."""
 
-    true: str  # the explanation that is true, and the one that it is separated from
-    other: str  # the explanation that is true, and the one that it is separated from
+    true: str  # the explanation that holds
+    other: str  # the explanation that it is separated from
     log_odds: float
 
 

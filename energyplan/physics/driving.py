@@ -28,9 +28,9 @@ class Sensors:
 
     rate: float = 20.0  # samples per second [Hz]
     power_noise: float = 2.0  # standard deviation of each side's power [W]
-    speed_noise: float = 0.002  # [m/s]
-    speed_step: float = 0.0  # [m/s]
-    current_step: float = 0.0  # [A]
+    speed_noise: float = 0.002  # standard deviation of each tread speed [m/s]
+    speed_step: float = 0.0  # resolution of each tread speed; 0 for none [m/s]
+    current_step: float = 0.0  # resolution of the battery current; 0 for none [A]
     pose_noise: float = 0.0
     yaw_noise: float = 0.0
     delay: float = 0.0  # by how much power is logged later than speed [s]
@@ -160,8 +160,8 @@ class Tracking:
     heading: float = 3.0  # yaw rate per heading error [1/s]
     slack: float = 0.02  # [1]
     settle: float = 0.5  # time after the trajectory's end in which the robot may still close up [s]
-    position: float = 0.1  # how near the end counts as arrived [m], [rad]
-    angle: float = 0.1  # how near the end counts as arrived [m], [rad]
+    position: float = 0.1  # distance to the goal that counts as arrived [m]
+    angle: float = 0.1  # heading error that counts as arrived [rad]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -54,18 +54,18 @@ class Robot:
 
     vehicle: Vehicle  # contacts, loads, footprint (for the inertia), motor limits
     friction: float  # coulomb friction coefficient of every contact [1]
-    traction: tuple[float, float]  # [N]
-    rolling_share: float = 0.5  # [1]
+    traction: tuple[float, float]  # traction resistance of the left and of the right side [N]
+    rolling_share: float = 0.5  # share of the traction resistance that grows with the load [1]
     viscous: float = 0.0  # force per tread speed of each side [N s/m]
     drag: float = 0.0  # force per square of the body's speed [N s^2/m^2]
     towing: float = 0.0  # constant force along the body's x axis that a motor must overcome [N]
-    tilt: tuple[float, float] = (0.0, 0.0)  # [1]
-    warm_up: float = 0.0
-    warm_up_time: float = 60.0
+    tilt: tuple[float, float] = (0.0, 0.0)  # gradient of the ground towards world x and y [1]
+    warm_up: float = 0.0  # further traction resistance of each side when cold [N]
+    warm_up_time: float = 60.0  # time constant in which that vanishes [s]
     slip_speed: float = 0.0  # growth of the friction coefficient with a contact's slip speed [s/m]
     border: Border | None = None  # where the ground changes
-    drive_loss: float = 0.0  # [1]
-    regeneration_loss: float = 0.0  # [1]
+    drive_loss: float = 0.0  # power drawn beyond the shaft power, ``1/eta - 1`` of it [1]
+    regeneration_loss: float = 0.0  # share of returned shaft power that is lost, ``1 - eta_r`` [1]
     copper: float = 0.0  # power lost per square of a side's force [W/N^2]
     hotel: float = 0.0  # constant draw [W]
     sharing: float = 0.1  # [s]

@@ -34,8 +34,8 @@ class Units(NamedTuple):
     follow: float = 1.0  # a motion along poses that lie close together
     expansion: float = 0.3  # of the lattice
     state: float = 0.05  # of the search for routes
-    pose: float = 0.03  # that is tested
-    motion: float = 0.07  # that is tested
+    pose: float = 0.03  # a pose that is tested for collision
+    motion: float = 0.07  # a motion that is tested for collision
     drive: float = 500.0  # a path that is timed
     nodes: float = 120.0  # of the cost-to-go, for one unit
     steps: float = 12_000.0  # of the lower bound, for one unit

@@ -21,10 +21,10 @@ class ModelPreset:
     """A model of the paper's two terms as it was found once."""
 
     vehicle: str  # the vehicle's preset
-    traction: float  # traction resistance of each side [N] and friction coefficient
-    slip: float  # traction resistance of each side [N] and friction coefficient
-    traction_error: float  # their standard errors
-    slip_error: float  # their standard errors
+    traction: float  # traction resistance of each side [N]
+    slip: float  # friction coefficient [1]
+    traction_error: float  # standard error of the traction resistance; 0 where it is not known [N]
+    slip_error: float  # standard error of the friction coefficient; 0 where it is not known [1]
     spread: float  # standard deviation of a run's energy over that predicted
     half_track: float | None  # tread ICRs as they were found there [m]
     source: str  # where the values come from

@@ -63,9 +63,9 @@ class Setpoint:
 class Schedule:
     """Tread speeds over time, linear between corners."""
 
-    t: FloatArray  # (n,): corners
-    v_left: FloatArray  # (n,): corners
-    v_right: FloatArray  # (n,): corners
+    t: FloatArray  # (n,): times of the corners [s]
+    v_left: FloatArray  # (n,): left tread speed at the corners [m/s]
+    v_right: FloatArray  # (n,): right tread speed at the corners [m/s]
 
     @property
     def duration(self) -> float:

@@ -37,8 +37,8 @@ HALF_PI = 0.5 * math.pi
 class Between(NamedTuple):
     """Two poses, seen from the middle of their headings."""
 
-    x: float  # displacement of the point midway between the tread ICRs, in half slip tracks
-    y: float  # displacement of the point midway between the tread ICRs, in half slip tracks
+    x: float  # x of the displacement of the midpoint of the tread ICRs, in half slip tracks
+    y: float  # y of that displacement, in half slip tracks
     turn: float  # turn to the left [rad], in [0, 2 pi)
 
 

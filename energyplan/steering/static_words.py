@@ -46,11 +46,11 @@ class Word(NamedTuple):
 
     cost: float  # its cost
     code: int  # which word it is
-    sx: float  # signs by which the displacement was flipped before the word was fitted
-    sy: float  # signs by which the displacement was flipped before the word was fitted
-    q1: float  # the word's numbers
-    q2: float  # the word's numbers
-    q3: float  # the word's numbers
+    sx: float  # sign by which x was flipped before the word was fitted
+    sy: float  # sign by which y was flipped before the word was fitted
+    q1: float  # first number of the word, a heading [rad]
+    q2: float  # second number of the word, a length in half slip tracks
+    q3: float  # third number of the word, a heading [rad] or a length in half slip tracks
 
 
 @njit

@@ -47,12 +47,12 @@ class Space(NamedTuple):
     """An occupancy grid as the kernels see it."""
 
     next_blocked: ShortIntTable  # column of the first blocked cell at or after each column
-    clearance: SingleTable  # (rows, columns) [cells]
-    x: float  # pose of the corner of cell (0, 0) in the world [m], [rad]
-    y: float  # pose of the corner of cell (0, 0) in the world [m], [rad]
-    yaw: float  # pose of the corner of cell (0, 0) in the world [m], [rad]
-    cos: float  # cosine and sine of `yaw`
-    sin: float  # cosine and sine of `yaw`
+    clearance: SingleTable  # (rows, columns): to the nearest blocked cell or edge [cells]
+    x: float  # x of the corner of cell (0, 0) in the world [m]
+    y: float  # y of the corner of cell (0, 0) in the world [m]
+    yaw: float  # yaw of the grid in the world [rad]
+    cos: float  # cosine of `yaw`
+    sin: float  # sine of `yaw`
     resolution: float  # size of a cell [m]
 
 

@@ -206,6 +206,21 @@ def test_data_are_frozen() -> None:
     assert thawed == CHANGING
 
 
+def test_no_two_neighbouring_fields_share_a_comment() -> None:
+    copied = []
+    for path in sorted((ROOT / "energyplan").rglob("*.py")):
+        lines = path.read_text().splitlines()
+        for each in (n for n in ast.walk(parsed(path)) if isinstance(n, ast.ClassDef)):
+            ends = [n.end_lineno or 0 for n in each.body if isinstance(n, ast.AnnAssign)]
+            said = [lines[end - 1].partition("  # ")[2] for end in ends]
+            copied += [
+                f"{path.relative_to(ROOT)}:{end}: {two}"
+                for end, one, two in zip(ends[1:], said, said[1:], strict=False)
+                if one and one == two
+            ]
+    assert copied == []
+
+
 HOUSE = Path(__file__).with_name("house.toml")
 """How large the package may be. The numbers only fall: who makes it smaller lowers them."""
 

@@ -55,8 +55,8 @@ class Ways(NamedTuple):
     """Shortest ways to the goal."""
 
     to_goal: Floats  # (n,): at least how far the goal is from each corner [m]
-    from_start: Floats  # (n,) [m]
-    at_goal: Floats  # (n,) [m]
+    from_start: Floats  # (n,): from the start to each corner in its sight, else infinite [m]
+    at_goal: Floats  # (n,): from the goal to each corner in its sight, else infinite [m]
     least: float  # at least how far the goal is from the start [m]
     direct: bool  # whether the start sees the goal
     steps: float  # steps taken
@@ -170,8 +170,8 @@ class Lines(NamedTuple):
     """Lines between corners in use, one a row."""
 
     before: FloatTable  # (lines, HEADINGS): least cost by heading before each
-    tail: ShortInts  # (lines,): where each begins and ends
-    head: ShortInts  # (lines,): where each begins and ends
+    tail: ShortInts  # (lines,): corner at which each begins; `n` for the start
+    head: ShortInts  # (lines,): corner at which each ends; ``n + 1`` for the goal
     waiting: Flags  # (lines,): whether each is to be looked at
     gates: ShortIntTable  # (2, lines): what is known of the first and the second gate of each
     width: FloatTable  # (lines, 2): how far out these are crossed at most [m]

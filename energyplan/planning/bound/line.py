@@ -105,10 +105,10 @@ SWEEPS = (0.0, pi / 6, pi / 3, pi / 2, 2 * pi / 3, pi)
 class Rates(NamedTuple):
     """Costs of the relaxed problem."""
 
-    metre: float  # cost per metre driven and per radian turned
-    radian: float  # cost per metre driven and per radian turned
-    start: float  # headings
-    goal: float  # headings
+    metre: float  # cost per metre driven
+    radian: float  # cost per radian turned
+    start: float  # heading at the start [rad]
+    goal: float  # heading at the goal [rad]
     direct: float  # least cost from start to goal without obstacles
     steering: StaticSteering  # what no motion costs less than, pivots included
 
@@ -209,11 +209,11 @@ MOST = 96
 class Section(NamedTuple):
     """Where a gate lies, seen from a pose."""
 
-    x: float  # displacement to the corner that the gate starts from [m]
-    y: float  # displacement to the corner that the gate starts from [m]
-    gate_x: float  # direction of the gate, and its length, which may be infinite [m]
-    gate_y: float  # direction of the gate, and its length, which may be infinite [m]
-    width: float  # direction of the gate, and its length, which may be infinite [m]
+    x: float  # x of the displacement to the corner that the gate starts from [m]
+    y: float  # y of that displacement [m]
+    gate_x: float  # x of the unit vector along the gate
+    gate_y: float  # y of that vector
+    width: float  # length of the gate, which may be infinite [m]
 
 
 class Reached(NamedTuple):
@@ -234,10 +234,10 @@ def _headway(angle: float) -> float:
 class Beyond(NamedTuple):
     """Tables by direction of the force and by steps beyond both ends of a turn."""
 
-    low: FloatTable  # greatest absolute cosine to the force among the headings from the end outward
-    high: FloatTable  # (NORMALS, MOST + 1)
-    below: FloatTable  # (NORMALS, MOST + 1): integral of the absolute cosine over them
-    above: FloatTable  # (NORMALS, MOST + 1): integral of the absolute cosine over them
+    low: FloatTable  # (NORMALS, MOST + 1): greatest ``|cos|`` to the force from the low end on
+    high: FloatTable  # (NORMALS, MOST + 1): the same from the high end
+    below: FloatTable  # (NORMALS, MOST + 1): integral of ``|cos|`` from the low end on
+    above: FloatTable  # (NORMALS, MOST + 1): the same from the high end
 
 
 @njit

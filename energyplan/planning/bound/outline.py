@@ -35,13 +35,13 @@ class Outline(NamedTuple):
     """Outline of the obstacles, grown by less than the inscribed disc, and its convex corners."""
 
     point: FloatTable  # (n, 2): the corners
-    before: FloatTable  # (n, 2): neighbouring corners along the outline
-    after: FloatTable  # (n, 2): neighbouring corners along the outline
+    before: FloatTable  # (n, 2): the corner before each along the outline
+    after: FloatTable  # (n, 2): the corner after each along the outline
     edges: FloatTable  # (m, 4): all edges, and lines across gaps that the disc does not pass
     first: ShortInts  # (squares + 1,)
     listed: ShortInts  # edges by square
-    inside: float  # [m]
-    outside: float  # [m]
+    inside: float  # clearance below which a place lies within the outline [m]
+    outside: float  # clearance above which no edge is near [m]
 
 
 class Links(NamedTuple):
@@ -204,8 +204,8 @@ class Sight(NamedTuple):
     steps: int  # steps that looking took
     free: bool  # whether nothing is in the way
     edge: int  # the edge that is crossed
-    at: float  # [m]
-    ball: float  # [m]
+    at: float  # how far along the line looking came [m]
+    ball: float  # radius of a disc there that lies within the outline; 0 at an edge [m]
 
 
 @njit

@@ -51,8 +51,8 @@ class Tracked(NamedTuple):
     """How far motions along the way to go lead."""
 
     motions: Segments | None  # the motions, free of collisions
-    x: float  # the place that they lead to [m]
-    y: float  # the place that they lead to [m]
+    x: float  # x of the place that they lead to [m]
+    y: float  # y of that place [m]
 
 
 def follow_route(

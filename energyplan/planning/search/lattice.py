@@ -65,18 +65,18 @@ class Lattice(NamedTuple):
 class Tree(NamedTuple):
     """What the search remembers, all of it in arrays that can be replaced by larger ones."""
 
-    x: Floats  # position of each node [m]
-    y: Floats  # position of each node [m]
+    x: Floats  # x of each node [m]
+    y: Floats  # y of each node [m]
     heading: ShortInts  # index of its heading
-    g: Floats  # cost so far, and estimate of the cost to go
-    h: Floats  # cost so far, and estimate of the cost to go
+    g: Floats  # cost so far
+    h: Floats  # estimate of the cost to go
     parent: ShortInts  # node it was reached from, -1 at the root
-    ds: Floats  # motion by which it was reached
-    dtheta: Floats  # motion by which it was reached
+    ds: Floats  # length of the motion by which it was reached [m]
+    dtheta: Floats  # turn of that motion [rad]
     key: Ints  # cell and heading as one number
     table: ShortInts  # hash table from key to node, -1 where empty
-    heap_f: Floats  # binary heap of open nodes
-    heap_node: ShortInts  # binary heap of open nodes
+    heap_f: Floats  # keys of the binary heap of open nodes
+    heap_node: ShortInts  # the nodes of that heap
     counts: Ints  # (5,)
 
 

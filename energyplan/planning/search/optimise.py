@@ -56,8 +56,8 @@ class Chain(NamedTuple):
     poses: FloatTable  # (capacity, 3): poses of the centre of the tread ICRs
     cost: Floats  # (capacity,): cost from each pose to the next
     kept: Flags  # (capacity,): whether the motion to the next pose is a given one
-    ds: Floats  # (capacity,): that motion
-    dtheta: Floats  # (capacity,): that motion
+    ds: Floats  # (capacity,): length of the motion to the next pose [m]
+    dtheta: Floats  # (capacity,): turn of that motion [rad]
     step: Floats  # (capacity,): distance by which to try moving each pose [m]
 
 

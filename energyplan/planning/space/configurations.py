@@ -264,13 +264,13 @@ HEADINGS = 64
 class Runs(NamedTuple):
     """The cells that a rectangle touches, row by row, relative to the cell that holds its pose."""
 
-    row: NDArray[np.int64]  # rows, and the first and last column in each
-    first: NDArray[np.int64]  # rows, and the first and last column in each
-    last: NDArray[np.int64]  # rows, and the first and last column in each
-    low: int  # rows and columns that a pose may be in with the rectangle on the map
-    high: int  # rows and columns that a pose may be in with the rectangle on the map
-    left: int  # rows and columns that a pose may be in with the rectangle on the map
-    right: int  # rows and columns that a pose may be in with the rectangle on the map
+    row: NDArray[np.int64]  # rows that it touches
+    first: NDArray[np.int64]  # first column in each
+    last: NDArray[np.int64]  # last column in each
+    low: int  # first row in which a pose keeps the rectangle on the map
+    high: int  # rows that such a pose keeps from the last edge
+    left: int  # first column in which a pose keeps the rectangle on the map
+    right: int  # columns that such a pose keeps from the last edge
 
 
 @dataclass(frozen=True, eq=False)

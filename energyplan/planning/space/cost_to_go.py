@@ -438,13 +438,13 @@ class Regions(NamedTuple):
     """Regions and what joins them."""
 
     of_node: ShortInts  # (nodes,): the region of each node of the places
-    x: Floats  # (regions,): middle of each region in the frame of the grid [m]
-    y: Floats  # (regions,): middle of each region in the frame of the grid [m]
-    home: ShortInts  # (regions,): that place
+    x: Floats  # (regions,): x of the middle of each region in the frame of the grid [m]
+    y: Floats  # (regions,): y of that middle [m]
+    home: ShortInts  # (regions,): place of each region with the most room
     head: ShortInts  # (regions,): first of its links, -1 where it has none
-    to: ShortInts  # region that a link leads to, and the next link of the same region, or -1
-    after: ShortInts  # region that a link leads to, and the next link of the same region, or -1
-    aside: Singles  # (links,)
+    to: ShortInts  # (links,): region that a link leads to
+    after: ShortInts  # (links,): next link of the same region, or -1
+    aside: Singles  # (links,): how much longer a way is along the nearest free heading [1]
 
 
 @njit

@@ -45,10 +45,10 @@ class Hills(NamedTuple):
     """Heights of the ground, as the kernels see them."""
 
     heights: Annotated[NDArray[np.float64], 2, READONLY]  # heights at the nodes [m]
-    x: float  # position of node (0, 0), and cosine and sine of the raster's yaw
-    y: float  # position of node (0, 0), and cosine and sine of the raster's yaw
-    cos: float  # position of node (0, 0), and cosine and sine of the raster's yaw
-    sin: float  # position of node (0, 0), and cosine and sine of the raster's yaw
+    x: float  # x of node (0, 0) [m]
+    y: float  # y of node (0, 0) [m]
+    cos: float  # cosine of the raster's yaw
+    sin: float  # sine of the raster's yaw
     resolution: float  # distance between nodes [m]
     steepest: float  # steepest slope, as rise over run
     bins: int  # slopes in the price table, from ``-steepest`` to ``steepest``
@@ -72,12 +72,12 @@ class KernelProblem(NamedTuple):
     steering: StaticSteering  # the static cost that steering solves
     half_track: float  # half the slip track [m]
     least_radius: float  # of arcs; zero where any turn is allowed [m]
-    lateral: float  # [m]
+    lateral: float  # y of the centre of the tread ICRs in the body frame [m]
     reach: float  # distance of the body's furthest corner [m]
-    least_metre: float  # no motion costs less than ``least_metre |ds| + least_radian |dtheta|``
-    least_radian: float  # no motion costs less than ``least_metre |ds| + least_radian |dtheta|``
-    start: Pose  # of the centre
-    goal: Pose  # of the centre
+    least_metre: float  # what each metre of a motion costs at least, beside `least_radian`
+    least_radian: float  # what each radian of it costs at least
+    start: Pose  # pose of the centre of the tread ICRs at the start
+    goal: Pose  # pose of the centre of the tread ICRs at the goal
 
 
 @njit

@@ -183,8 +183,8 @@ def _way_to(found: Queue, last: int, reached: Words, work: int) -> Chain:
 class Looked(NamedTuple):
     """What looking closer found."""
 
-    may: Words  # (n,)
-    free: Words  # (n,)
+    may: Words  # (n,): headings, as bits, at which the body may fit
+    free: Words  # (n,): headings at which a pose was found where it fits
     tests: int  # poses that were tested
 
 
