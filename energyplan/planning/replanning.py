@@ -130,7 +130,7 @@ def replan(
     Parameters
     ----------
     problem : PlanningProblem
-        The problem that the former plan answers.
+        The problem that the former plan answers; its start is the one at which the plan begins.
     former : Plan or Path
         That plan, or its path alone.
     start : array_like, shape (3,)
@@ -168,10 +168,10 @@ def replan(
     >>> replan(problem, former, start=(4, 5, 0), map=closed, effort=1000).energy > 820
     True
     """
-    if isinstance(former, Path):
-        query = compiled(replace(problem, start=former.start).without_clearance)
-        former = priced_plan(query, former, query.least_in_free_space, "lattice", planning_time=0.0)
-    _check_answers(former, problem)
+    before = former if isinstance(former, Path) else former.path
+    _check_answers(before, problem)
+    # the plan begins beside a start that touched an obstacle
+    problem = replace(problem, start=before.start)
     Budget(time_limit, effort=effort)  # says at once what is wrong with them
     here = as_pose(start, "start")
     now = replace(problem, start=here, map=problem.map if map is None else map)
@@ -181,10 +181,10 @@ def replan(
     budget = Budget(time_limit, effort=effort)
     query = compiled(bare)
     bound = query.least_in_free_space
-    path, planner, first = remainder(former.path, here, now), former.planner, None
+    path, planner, first = remainder(before, here, now), "lattice", None
     added = _only_added(problem, now)
-    if added:
-        bound = max(bound, _bound_left(former, problem, here))
+    if added and isinstance(former, Plan):
+        planner, bound = former.planner, max(bound, _bound_left(former, problem, here))
     if path is None or not added:
         known = [] if path is None else [path]
 
@@ -203,8 +203,8 @@ def replan(
     )  # fmt: skip
 
 
-def _check_answers(former: Plan, problem: PlanningProblem) -> None:
-    end, goal = former.path.end, problem.goal
+def _check_answers(former: Path, problem: PlanningProblem) -> None:
+    end, goal = former.end, problem.goal
     off = np.array([end.x - goal.x, end.y - goal.y, float(wrap_angle(end.yaw - goal.yaw))])
     if not np.abs(off).max() <= ARRIVED:
         raise InvalidInputError(

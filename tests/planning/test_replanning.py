@@ -165,6 +165,26 @@ def test_a_robot_in_an_obstacle_is_told_so(door):
         replan(problem, former, start=(5.1, 4.0, 0.0))
 
 
+def test_a_start_that_was_moved_or_that_is_blocked_by_now_is_left_behind(door):
+    """The robot is under way: the place that it left need not be free, as asked or any more."""
+    problem, former = door
+    front = COST.vehicle.footprint[1, 0]
+    touching = replace(problem, start=(5.0 - front + 0.02, 4.0, 0.0))
+    beside = plan(touching, effort=4000)
+    assert beside.notes
+    assert beside.path.start != touching.start
+    poses = beside.path.poses()
+    for here in poses[[5, len(poses) // 2]]:
+        again = replan(touching, beside, start=here, effort=4000)
+        best = plan(replace(problem, start=here), effort=8000)
+        assert steering.energy(here, problem.goal, COST) < again.lower_bound <= best.cost * ROUNDED
+        assert again.energy <= 1.03 * best.energy
+    box = problem.map.updated(np.ones((4, 4), bool), 38, 28)  # on the start
+    here = former.path.poses()[60]
+    again = replan(replace(problem, map=box), former.path, start=here, effort=1)
+    assert again.energy == pytest.approx(COST.energy(remainder(former.path, here, problem)))
+
+
 def test_a_plan_to_elsewhere_is_refused(door):
     problem, former = door
     with pytest.raises(InvalidInputError, match="plan again"):
