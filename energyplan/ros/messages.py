@@ -72,19 +72,20 @@ def _yaw(quaternion: FloatArray) -> float:
     return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
-def _same_frame(one: str, other: str) -> bool:
-    return one.lstrip("/") == other.lstrip("/")
+def check_frame(message: Any, frame: str | None, what: str) -> None:
+    """Check that a message with a header is in a frame; None for any."""
+    if frame is None:
+        return
+    name = str(field(message, "header.frame_id"))
+    if name.lstrip("/") != frame.lstrip("/"):
+        raise FrameError(f"the {what} is in the frame {name!r}, expected {frame!r}; transform it")
 
 
 def pose_from_message(message: Any, frame: str | None = None) -> Pose:
     """Return the planar pose of a geometry_msgs Pose or PoseStamped, without its tilt."""
     stamped = hasattr(message, "pose")
-    if stamped and frame is not None:
-        name = str(field(message, "header.frame_id"))
-        if not _same_frame(name, frame):
-            raise FrameError(
-                f"the pose is in the frame {name!r}, expected {frame!r}; transform it first"
-            )
+    if stamped:
+        check_frame(message, frame, "pose")
     body = message.pose if stamped else message
     x, y = _numbers(body, "position.x", "position.y")
     return Pose(float(x), float(y), _yaw(_rotation(body, "orientation")))
@@ -110,9 +111,14 @@ def grid_from_message(
 
 
 def updated_grid(
-    grid: OccupancyGrid, message: Any, *, occupied_from: int | None = None
+    grid: OccupancyGrid,
+    message: Any,
+    *,
+    occupied_from: int | None = None,
+    frame: str | None = None,
 ) -> OccupancyGrid:
-    """Return a map with the patch of a map_msgs/OccupancyGridUpdate."""
+    """Return a map with the patch of a map_msgs/OccupancyGridUpdate, which is in the map's frame."""
+    check_frame(message, frame, "patch of the map")
     cells = _cells(message, occupied_from)
     column, row = _numbers(message, "x", "y")
     return grid.updated(cells.occupied, int(row), int(column), cells.unknown)
@@ -194,12 +200,7 @@ def footprint_from_message(message: Any, vehicle: Vehicle, frame: str | None = N
     the polygon: plans keep clear of more ground than the polygon covers, never of less.
     """
     if hasattr(message, "polygon"):
-        name = str(field(message, "header.frame_id"))
-        if frame is not None and not _same_frame(name, frame):
-            raise FrameError(
-                f"the footprint is in the frame {name!r}, expected {frame!r}; give it in the "
-                "robot's own frame"
-            )
+        check_frame(message, frame, "footprint")
         message = message.polygon
     points = field(message, "points")
     if len(points) < 3:

@@ -36,6 +36,7 @@ from energyplan.errors import (
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.bags import TopicMap, read_message
 from energyplan.io.mission import mission_from
+from energyplan.logs.clean import POWER_WAYS, total_power
 from energyplan.mission import evaluate
 from energyplan.output import documents
 from energyplan.path import Pose
@@ -120,11 +121,13 @@ def request_to_problems(
     """Return what a goal of ComputePathToPose or ComputePathThroughPoses asks for."""
 
     def pose(message: Any) -> Pose:
-        name = str(field(message, "header.frame_id"))
-        if lookup is None or name.lstrip("/") == frame.lstrip("/"):
+        try:
             return pose_from_message(message, frame)
+        except FrameError:
+            if lookup is None:
+                raise
         x, y, yaw = pose_from_message(message)
-        base = pose_from_transform(lookup(name))
+        base = pose_from_transform(lookup(message.header.frame_id))
         c, s = np.cos(base.yaw), np.sin(base.yaw)
         return Pose(
             float(base.x + c * x - s * y), float(base.y + s * x + c * y), float(base.yaw + yaw)
@@ -168,7 +171,6 @@ class Answer:
     code: ToPoseError | ThroughPosesError
     message: str
     planning_time: float
-    problems: tuple[PlanningProblem, ...] = ()
 
     @property
     def energy(self) -> float:
@@ -196,6 +198,7 @@ def answer(
     effort: int | None = None,
     unwanted: Callable[[], bool] = lambda: False,
     former: Answer | None = None,
+    missing: str = "no map has come yet; publish one, or name its topic",
     **options: Any,
 ) -> Answer:
     """Plan what a request asks for; every error of the library becomes a code and a message."""
@@ -205,7 +208,7 @@ def answer(
     plans: list[Plan] = []
     try:
         if grid is None:
-            raise MessageError("no map has come yet; publish one, or name its topic")
+            raise MessageError(missing)
         name = planner_of(str(field(request, "planner_id")), planner)
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:
@@ -216,14 +219,14 @@ def answer(
                 known = _known(problem, len(problems) - leg, former) if name == "lattice" else None
                 make: Callable[..., Plan] = partial(plan, problem, name)
                 if known is not None:
-                    make = partial(replan, *known, start=problem.start, map=grid)
+                    make = partial(replan, known.problem, known, start=problem.start, map=grid)
                 plans.append(make(time_limit=time_limit / len(problems), effort=share))
     except CancelledError:
         raise
     except EnergyPlanError as error:
         spent = time.perf_counter() - began
         return Answer((), error_code(error, codes, problem), str(error), spent)
-    return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began, problems)
+    return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began)
 
 
 def aborted(request: Any, message: str) -> Answer:
@@ -270,16 +273,14 @@ def blocked_poses(
     return [first + int(k) for k in np.flatnonzero(~free)]
 
 
-def _known(
-    problem: PlanningProblem, left: int, former: Answer | None
-) -> tuple[PlanningProblem, Plan] | None:
+def _known(problem: PlanningProblem, left: int, former: Answer | None) -> Plan | None:
     """Return the leg of an answer before that has as many left, if it asked for the same."""
     if former is None or left > len(former.plans):
         return None
-    before, found = former.problems[-left], former.plans[-left]
-    same = [getattr(before, name) is getattr(problem, name) for name in _SHARED]
-    same += [getattr(before, name) == getattr(problem, name) for name in _EQUAL]
-    return (before, found) if all(same) else None
+    found = former.plans[-left]
+    same = [getattr(found.problem, name) is getattr(problem, name) for name in _SHARED]
+    same += [getattr(found.problem, name) == getattr(problem, name) for name in _EQUAL]
+    return found if all(same) else None
 
 
 def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Factory) -> Any:
@@ -303,8 +304,6 @@ def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Fa
 STALE = 1.0
 """Age at which the last value of a channel is no longer taken for the present one [s]."""
 
-_POWERS: tuple[tuple[str, ...], ...] = (("power",), ("p_left", "p_right"), ("voltage", "current"))
-
 
 class DriveFeed:
     """Feeds an `OnlineIdentifier` from the messages of several topics.
@@ -312,31 +311,45 @@ class DriveFeed:
     A sample is made at every message that brings the power. Channels that came more often since
     the sample before are averaged; the last value of one that came less often is kept for a
     second. Nothing is fed while a channel is missing.
+
+    Where a topic map names the power in several ways, the first of `POWER_WAYS` that comes within a
+    second is used from then on: mixed, they would be measured at different places.
     """
 
     def __init__(self, identifier: OnlineIdentifier, topics: TopicMap) -> None:
         channels = topics.channels
-        found = [names for names in _POWERS if set(names) <= set(channels)]
+        self._ways = [names for names in POWER_WAYS if set(names) <= set(channels)]
         missing = [name for name in ("v_left", "v_right") if name not in channels]
-        if missing or not found:
+        if missing or not self._ways:
             raise MessageError(
                 f"the topic map {topics.name!r} names no {' and '.join(missing or ['power'])}; "
                 "name v_left, v_right, and power, p_left and p_right, or voltage and current"
             )
-        self._power = found[0]
         self.identifier = identifier
         self.samples = 0
         """Samples fed so far."""
         self._topics = topics
         self._sums: dict[str, tuple[float, int]] = {}
         self._last: dict[str, tuple[float, float]] = {}
-        self._t = float("-inf")
+        self._t, self._power_since = float("-inf"), float("inf")
 
     @property
     def topics(self) -> Sequence[str]:
         """Names of the topics to listen to."""
         sources = (one for many in self._topics.channels.values() for one in many)
         return tuple(dict.fromkeys(source.topic for source in sources))
+
+    def missing(self, t: float) -> str:
+        """Name the channels that have not come for a second, and the topics that would bring them."""
+        known = {name for name, (_, at) in self._last.items() if t - at <= STALE}
+        wanted = {"v_left", "v_right"} - known
+        if not any(set(way) <= known for way in self._ways):
+            wanted.update(*(set(way) - known for way in self._ways))
+        channels = self._topics.channels
+        return ", ".join(
+            f"{name} ({' or '.join(source.topic for source in channels[name])})"
+            for name in channels if name in wanted
+        )  # fmt: skip
 
     def take(self, topic: str, message: Any, t: float) -> bool:
         """Take a message."""
@@ -352,7 +365,12 @@ class DriveFeed:
                     self._last[name] = value, t
                     fresh.add(name)
                     break
-        if self._power[-1] not in fresh or not t > self._t:
+        come = [way for way in self._ways if set(way) <= set(self._last)]
+        if come:
+            self._power_since = min(self._power_since, t)
+            if come[0] == self._ways[0] or t - self._power_since > STALE:
+                self._ways = come[:1]
+        if len(self._ways) > 1 or self._ways[0][-1] not in fresh or not t > self._t:
             return False
         return self._feed(t)
 
@@ -366,10 +384,10 @@ class DriveFeed:
             elif t - at <= STALE:
                 known[name] = value
         self._sums.clear()
-        if not {"v_left", "v_right", *self._power} <= set(known):
+        (way,) = self._ways
+        if not {"v_left", "v_right", *way} <= set(known):
             return False
-        parts = [known.pop(name) for name in self._power]
-        power = parts[0] * parts[1] if self._power[0] == "voltage" else sum(parts)
+        power = float(total_power({name: np.array(known.pop(name)) for name in way}))
         needed = {name for term in self.identifier.model.terms for name in term.channels}
         more = {name: value for name, value in known.items() if name in needed}
         left, right = known["v_left"], known["v_right"]

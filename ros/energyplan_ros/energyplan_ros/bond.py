@@ -6,14 +6,15 @@ from typing import Any
 from uuid import uuid4
 
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 
 try:
     from bond.msg import Status
 except ImportError:  # without the package there is no bond: lifecycle_manager's bond_timeout is 0
     Status = None
 
-TOPIC, PERIOD, TIMEOUT = "bond", 0.1, 4.0
-"""As nav2_util::LifecycleNode has them: topic, heartbeat and its timeout [s]."""
+TOPIC, PERIOD, TIMEOUT = "bond", 0.5, 4.0
+"""Topic and timeout [s] as nav2_util::LifecycleNode has them, with eight heartbeats in a timeout."""
 
 
 class Bond:
@@ -30,7 +31,9 @@ class Bond:
         group = ReentrantCallbackGroup()  # beats while other callbacks wait
         self.publisher = node.create_publisher(Status, TOPIC, 5)
         node.create_subscription(Status, TOPIC, self.on_status, 5, callback_group=group)
-        node.create_timer(PERIOD, self.beat, callback_group=group)
+        # as bondcpp, on a clock that runs while the simulated one stands still
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(PERIOD, self.beat, callback_group=group, clock=steady)
 
     def start(self) -> None:
         """Begin to send heartbeats."""

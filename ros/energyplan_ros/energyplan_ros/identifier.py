@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rosidl_runtime_py.utilities import get_message
@@ -16,7 +17,7 @@ from energyplan import ros
 from energyplan.errors import EnergyPlanError
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.bags import TopicMap
-from energyplan_ros.running import run
+from energyplan_ros.running import declared, run
 
 PARAMETERS = {
     "model": "quadriga:empty:concrete",  # where learning starts
@@ -25,6 +26,7 @@ PARAMETERS = {
     "period": 5.0,  # between two diagnostics [s]
     "out": "",  # file that the model is written to; none if empty
 }
+RANGES = {"period": (0.1, 3600.0)}
 
 
 class IdentifierNode(Node):
@@ -32,25 +34,26 @@ class IdentifierNode(Node):
 
     def __init__(self) -> None:
         super().__init__("energyplan_identifier")
-        self.declare_parameters("", list(PARAMETERS.items()))
-        self.settings = {name: self.get_parameter(name).value for name in PARAMETERS}
+        self.settings = declared(self, PARAMETERS, RANGES)
         prior = ep.read_model(self.settings["model"])
         self.online = OnlineIdentifier(prior, battery=self.settings["battery_side"])
         self.feed = ros.DriveFeed(self.online, TopicMap.read(self.settings["topics"]))
         self.heard: set[str] = set()
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 1)
-        self.create_timer(1.0, self.listen)
-        self.create_timer(self.settings["period"], self.tell)
+        # a simulated clock that stands still stops neither
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self.listen, clock=steady)
+        self.create_timer(self.settings["period"], self.tell, clock=steady)
 
     def listen(self) -> None:
-        """Subscribe to what has come up; what cannot be read is told once, and left out."""
+        """Subscribe to what has come up in this namespace; what cannot be read is told once."""
+        wanted = {self.resolve_topic_name(name): name for name in self.feed.topics}
         for topic, kinds in self.get_topic_names_and_types():
-            wanted = any(topic.endswith(f"/{name.strip('/')}") for name in self.feed.topics)
-            if wanted and topic not in self.heard:
+            if topic in wanted and topic not in self.heard:
                 self.heard.add(topic)
                 try:
                     self.create_subscription(
-                        get_message(kinds[0]), topic, partial(self.on_message, topic),
+                        get_message(kinds[0]), topic, partial(self.on_message, wanted[topic]),
                         qos_profile_sensor_data,
                     )  # fmt: skip
                 except Exception as error:  # noqa: BLE001  whatever an import or a type support raises
@@ -63,7 +66,7 @@ class IdentifierNode(Node):
     def on_message(self, topic: str, message: Any) -> None:
         """Feed a message."""
         try:
-            changed = self.feed.take(topic, message, self.get_clock().now().nanoseconds * 1e-9)
+            changed = self.feed.take(topic, message, self.now())
         except EnergyPlanError as error:
             self.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=10.0)
             return
@@ -71,13 +74,23 @@ class IdentifierNode(Node):
             self.get_logger().info("the ground has changed")
             self.tell()
 
+    def now(self) -> float:
+        """Return the time [s]."""
+        return float(self.get_clock().now().nanoseconds * 1e-9)
+
     def tell(self) -> None:
-        """Publish the model, and write it."""
+        """Publish the model, and write it; say what is missing to learn from."""
         values = {"samples": str(self.feed.samples), **ros.model_values(self.online.model)}
         message = f"{len(self.online.changes)} changes of ground"
+        missing = self.feed.missing(self.now())
+        if missing:
+            message = f"nothing to learn from in {self.get_namespace()}: no {missing}"
+            self.get_logger().warning(message, throttle_duration_sec=60.0)
         stamp = self.get_clock().now().to_msg()
         self.diagnostics.publish(
-            ros.diagnostics_message("energyplan: model", message, values, stamp, get_message)
+            ros.diagnostics_message(
+                "energyplan: model", message, values, stamp, get_message, error=bool(missing)
+            )
         )
         if self.settings["out"] and self.feed.samples:
             ep.write_model(self.online.model, self.settings["out"])

@@ -14,13 +14,16 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped
+from lifecycle_msgs.srv import ChangeState
 from map_msgs.msg import OccupancyGridUpdate
 from nav2_msgs.action import ComputePathThroughPoses, ComputePathToPose
 from nav2_msgs.srv import ClearEntireCostmap, IsPathValid
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNodeMixin, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 from rosidl_runtime_py.utilities import get_message
@@ -28,9 +31,12 @@ from tf2_ros import Buffer, TransformException, TransformListener
 
 import energyplan as ep
 from energyplan import ros
+from energyplan.compilation import telling
 from energyplan.errors import CancelledError, EnergyPlanError, FrameError
+from energyplan.ros.messages import check_frame
+from energyplan.ros.nav2 import planner_of
 from energyplan_ros.bond import Bond
-from energyplan_ros.running import run
+from energyplan_ros.running import declared, run
 
 PARAMETERS = {
     "model": "quadriga:empty:concrete",
@@ -41,6 +47,7 @@ PARAMETERS = {
     "occupied_from": 0,  # 0: as the map's kind has it
     "unknown_is_free": False,
     "base_frame": "base_link",
+    "transform_tolerance": 1.0,  # age at which a position of the robot is refused [s]
     "planner": "lattice",
     "time_limit": 1.0,
     "clearance": 0.0,
@@ -52,16 +59,29 @@ PARAMETERS = {
     "autostart": False,  # whether it configures and activates itself, without lifecycle_manager
 }
 
+RANGES = {
+    "occupied_from": (0, 100),
+    "transform_tolerance": (0.01, 3600.0),
+    "time_limit": (0.01, 3600.0),
+    "clearance": (0.0, 100.0),
+}
+RESULT_TIMEOUT = 10
+"""How long results are kept for whoever asks late [s]; Nav2's servers have the same."""
+
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class PlannerNode(LifecycleNode):
+class PlannerNode(LifecycleNodeMixin, Node):
     """Serves both planning actions on the latest map while it is active."""
 
     def __init__(self) -> None:
-        super().__init__("planner_server")
-        self.declare_parameters("", list(PARAMETERS.items()))
-        self.settings = {name: self.get_parameter(name).value for name in PARAMETERS}
+        Node.__init__(self, "planner_server")
+        # its state is told, and maps are taken, while activating waits for the kernels
+        LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
+        (change,) = (one for one in self.services if one.srv_type is ChangeState)
+        change.callback = partial(self.on_change_state, change.callback)
+        self.settings = declared(self, PARAMETERS, RANGES)
+        planner_of(self.settings["planner"])
         self.active = self.ending = False
         self.cost: ep.EnergyCost | None = None
         self.outline: PolygonStamped | None = None
@@ -71,7 +91,9 @@ class PlannerNode(LifecycleNode):
         self.frame = "map"
         self.grid: ep.OccupancyGrid | None = None
         self.mask: ep.OccupancyGrid | None = None
+        self.zones: OccupancyGrid | None = None  # the message that the mask came by
         self.open: ep.OccupancyGrid | None = None  # the map with the mask
+        self.missing = f"no map has come on {self.settings['map_topic']}; publish one"
         self.answered: ros.Answer | None = None  # Nav2 asks for the same goal again and again
         self.buffer = Buffer()
         self.listener = TransformListener(self.buffer, self)
@@ -95,6 +117,7 @@ class PlannerNode(LifecycleNode):
                 self, kind, self.settings[name], partial(self.on_goal, kind),
                 goal_callback=self.on_request,
                 cancel_callback=lambda handle: CancelResponse.ACCEPT, callback_group=beside,
+                result_timeout=RESULT_TIMEOUT,
             )
             for kind, name in (
                 (ComputePathToPose, "to_pose_action"),
@@ -112,39 +135,68 @@ class PlannerNode(LifecycleNode):
         for kind, name, callback in services:
             if name:
                 self.create_service(kind, name, callback, callback_group=beside)
-        if self.settings["autostart"] and self.trigger_configure() == DONE:
-            self.trigger_activate()
+        if self.settings["autostart"]:
+            self.starting = self.create_timer(
+                0.1, self.start, callback_group=MutuallyExclusiveCallbackGroup(),
+                clock=Clock(clock_type=ClockType.STEADY_TIME),
+            )  # fmt: skip
 
     # -- lifecycle ------------------------------------------------------------------------------
 
+    def start(self) -> None:
+        """Configure and activate without a lifecycle_manager, as soon as the node is spun."""
+        self.starting.cancel()
+        try:
+            if self.trigger_configure() == DONE:
+                self.trigger_activate()
+        except RuntimeError as error:  # rclpy's RCLError
+            self.get_logger().warning(f"autostart: {error}")
+
+    def on_change_state(self, change: Any, request: Any, response: Any) -> Any:
+        """Change the state; rclpy raises where it is impossible, and would answer nothing."""
+        try:
+            return change(request, response)
+        except RuntimeError as error:  # rclpy's RCLError
+            self.get_logger().warning(f"transition {request.transition.id}: {error}")
+            response.success = False
+            return response
+
     def on_configure(self, state: Any) -> TransitionCallbackReturn:
         """Read the model, and begin to compile what planning needs."""
+        if self.ending:
+            return FAILED
         try:
             self.cost = ep.EnergyCost(ep.read_model(self.settings["model"]))
         except EnergyPlanError as error:
             self.get_logger().error(f"model: {error}")
             return FAILED
         self.take_footprint()
-        self.warming = threading.Thread(target=self.warm_up, daemon=True)
+        self.warming = threading.Thread(target=self.warm_up, args=(self.cost,), daemon=True)
         self.warming.start()
         return DONE
 
-    def warm_up(self) -> None:
+    def warm_up(self, cost: ep.EnergyCost) -> None:
         """Compile what planning needs, so that no goal waits for it."""
         log, began = self.get_logger(), time.monotonic()
-        log.info("compiling the planner; without `energyplan warmup` the first time takes minutes")
+
+        def say(kernel: str) -> None:
+            log.info("compiling takes minutes once; `energyplan warmup` does it ahead", once=True)
+
         try:
-            ros.warm_up(self.cost, self.settings["planner"], lambda: self.ending)
+            with telling(say):
+                ros.warm_up(cost, self.settings["planner"], lambda: self.ending)
         except EnergyPlanError as error:
             if not self.ending:
                 log.warning(f"compiling: {error}")
             return
-        log.info(f"compiled, {time.monotonic() - began:.1f} s")
+        log.info(f"ready to plan after {time.monotonic() - began:.1f} s")
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         """Take goals, once everything is compiled."""
-        if self.warming is not None:
-            self.warming.join()
+        while self.warming is not None and self.warming.is_alive() and not self.ending:
+            self.warming.join(0.1)
+        if self.ending:
+            return FAILED
         self.active = True
         self.bond.start()
         return DONE
@@ -178,21 +230,18 @@ class PlannerNode(LifecycleNode):
 
     # -- what is known --------------------------------------------------------------------------
 
-    def grid_of(self, message: OccupancyGrid, name: str) -> ep.OccupancyGrid | None:
-        """Return the grid of a message; of a malformed one none."""
+    def on_map(self, message: OccupancyGrid) -> None:
+        """Keep the map; a malformed one leaves none."""
+        self.frame, self.grid = message.header.frame_id, None
         try:
-            return ros.grid_from_message(
+            self.grid = ros.grid_from_message(
                 message,
                 occupied_from=self.settings["occupied_from"] or None,
                 unknown_is_free=self.settings["unknown_is_free"],
             )
         except EnergyPlanError as error:
-            self.get_logger().error(f"{name}: {error}")
-            return None
-
-    def on_map(self, message: OccupancyGrid) -> None:
-        """Keep the map; a malformed one leaves none."""
-        self.frame, self.grid = message.header.frame_id, self.grid_of(message, "map")
+            self.missing = f"the last map is malformed: {error}"
+            self.get_logger().error(self.missing)
         self.mask_map()
 
     def on_update(self, message: OccupancyGridUpdate) -> None:
@@ -201,7 +250,7 @@ class PlannerNode(LifecycleNode):
             return
         least = self.settings["occupied_from"] or None
         try:
-            self.grid = ros.updated_grid(self.grid, message, occupied_from=least)
+            self.grid = ros.updated_grid(self.grid, message, occupied_from=least, frame=self.frame)
         except EnergyPlanError as error:
             self.get_logger().error(f"update of the map: {error}")
             return
@@ -214,15 +263,24 @@ class PlannerNode(LifecycleNode):
         except EnergyPlanError as error:
             self.get_logger().error(f"keep-out mask: {error}")
             return
+        self.zones = message
         self.mask_map()
-        note = None if self.grid is None else self.grid.note_of_mask(self.mask)
+        note = None if self.open is None else self.grid.note_of_mask(self.mask)
         if note:
             self.get_logger().warning(note)
 
     def mask_map(self) -> None:
-        """Make the map that is planned on."""
-        both = self.grid is not None and self.mask is not None
-        self.open = self.grid.with_mask(self.mask) if both else self.grid
+        """Make the map that is planned on; where the mask cannot be laid on it there is none."""
+        self.open = None
+        if self.grid is None or self.mask is None:
+            self.open = self.grid
+            return
+        try:
+            check_frame(self.zones, self.frame, "keep-out mask")
+            self.open = self.grid.with_mask(self.mask)
+        except EnergyPlanError as error:
+            self.missing = str(error)
+            self.get_logger().error(self.missing, throttle_duration_sec=10.0)
 
     def on_footprint(self, message: PolygonStamped) -> None:
         """Keep the footprint."""
@@ -245,11 +303,23 @@ class PlannerNode(LifecycleNode):
             self.cost = ep.EnergyCost(replace(model, vehicle=vehicle))
 
     def lookup(self, target: str, frame: str) -> Any:
-        """Return the transform that brings what is in a frame into the map's."""
+        """Return the transform that brings what is in a frame into the map's.
+
+        The robot's own must be of now: a localisation that has died leaves its last one behind.
+        """
         try:
-            return self.buffer.lookup_transform(target, frame, Time())
+            found = self.buffer.lookup_transform(target, frame, Time())
         except TransformException as error:
             raise FrameError(f"no transform from {frame!r} to {target!r}: {error}") from None
+        stamp, allowed = found.header.stamp, self.settings["transform_tolerance"]
+        seconds = stamp.sec + 1e-9 * stamp.nanosec  # 0 where all frames between are fixed
+        age = 1e-9 * self.get_clock().now().nanoseconds - seconds
+        if frame == self.settings["base_frame"] and seconds > 0 and age > allowed:
+            raise FrameError(
+                f"the last transform from {frame!r} to {target!r} is {age:.1f} s old; check "
+                f"localisation, or raise transform_tolerance ({allowed:g} s)"
+            )
+        return found
 
     # -- services -------------------------------------------------------------------------------
 
@@ -324,6 +394,7 @@ class PlannerNode(LifecycleNode):
                 clearance=settings["clearance"],
                 unwanted=unwanted,
                 former=self.answered,
+                missing=self.missing,
             )
             self.answered = found if found.plans else None
         except CancelledError:

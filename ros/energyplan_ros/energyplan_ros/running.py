@@ -7,10 +7,12 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
@@ -23,6 +25,26 @@ THREADS = 8
 GRACE = 3.0
 """How long what is under way may take to end [s]; launch sends SIGTERM after five."""
 
+FAREWELL = 0.5
+"""How long requests are still answered then [s]: a manager that lost the bond asks at once."""
+
+
+def declared(
+    node: Any, parameters: Mapping[str, Any], ranges: Mapping[str, tuple[Any, Any]]
+) -> dict[str, Any]:
+    """Declare parameters, which stay as they are while the node runs, and return their values."""
+    for name, value in parameters.items():
+        descriptor = ParameterDescriptor(read_only=True)
+        if name in ranges:
+            least, most = ranges[name]
+            if isinstance(value, int):
+                descriptor.integer_range = [IntegerRange(from_value=least, to_value=most)]
+            else:
+                between = FloatingPointRange(from_value=least, to_value=most)
+                descriptor.floating_point_range = [between]
+        node.declare_parameter(name, value, descriptor)
+    return {name: node.get_parameter(name).value for name in parameters}
+
 
 def run(make: Callable[[], Any]) -> int:
     """Run the node that `make` returns; its `stop`, if it has one, ends what is under way."""
@@ -33,10 +55,10 @@ def run(make: Callable[[], Any]) -> int:
         signal.signal(number, lambda *_: stopped.set())
     try:
         node = make()
-    except EnergyPlanError as error:
-        get_logger("energyplan").fatal(str(error))
+    except (EnergyPlanError, ParameterException, NameValidationException) as error:
+        get_logger("energyplan").fatal(" ".join(str(error).split()))
         rclpy.try_shutdown()
-        return 1
+        return 2
     executor = MultiThreadedExecutor(num_threads=THREADS)
     executor.add_node(node)
 
@@ -54,9 +76,9 @@ def run(make: Callable[[], Any]) -> int:
     end = time.monotonic() + GRACE
     while rclpy.ok() and busy() and time.monotonic() < end:
         spin()
-    for _ in range(5):  # the last answers are sent by tasks of the executor
-        if rclpy.ok():
-            spin()
+    end = time.monotonic() + FAREWELL
+    while rclpy.ok() and time.monotonic() < end:
+        spin()
     late = busy()
     if not late:
         executor.shutdown(timeout_sec=GRACE)
