@@ -117,7 +117,7 @@ def updated_grid(
     occupied_from: int | None = None,
     frame: str | None = None,
 ) -> OccupancyGrid:
-    """Return a map with the patch of a map_msgs/OccupancyGridUpdate, which is in the map's frame."""
+    """Return a map with the patch of a map_msgs/OccupancyGridUpdate; `frame` is the map's."""
     check_frame(message, frame, "patch of the map")
     cells = _cells(message, occupied_from)
     column, row = _numbers(message, "x", "y")

@@ -219,7 +219,7 @@ def answer(
                 known = _known(problem, len(problems) - leg, former) if name == "lattice" else None
                 make: Callable[..., Plan] = partial(plan, problem, name)
                 if known is not None:
-                    make = partial(replan, known.problem, known, start=problem.start, map=grid)
+                    make = partial(replan, *known, start=problem.start, map=grid)
                 plans.append(make(time_limit=time_limit / len(problems), effort=share))
     except CancelledError:
         raise
@@ -273,14 +273,17 @@ def blocked_poses(
     return [first + int(k) for k in np.flatnonzero(~free)]
 
 
-def _known(problem: PlanningProblem, left: int, former: Answer | None) -> Plan | None:
+def _known(
+    problem: PlanningProblem, left: int, former: Answer | None
+) -> tuple[PlanningProblem, Plan] | None:
     """Return the leg of an answer before that has as many left, if it asked for the same."""
-    if former is None or left > len(former.plans):
+    found = former.plans[-left] if former and left <= len(former.plans) else None
+    before = found.problem if found else None
+    if found is None or before is None:
         return None
-    found = former.plans[-left]
-    same = [getattr(found.problem, name) is getattr(problem, name) for name in _SHARED]
-    same += [getattr(found.problem, name) == getattr(problem, name) for name in _EQUAL]
-    return found if all(same) else None
+    same = [getattr(before, name) is getattr(problem, name) for name in _SHARED]
+    same += [getattr(before, name) == getattr(problem, name) for name in _EQUAL]
+    return (before, found) if all(same) else None
 
 
 def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Factory) -> Any:
@@ -340,7 +343,7 @@ class DriveFeed:
         return tuple(dict.fromkeys(source.topic for source in sources))
 
     def missing(self, t: float) -> str:
-        """Name the channels that have not come for a second, and the topics that would bring them."""
+        """Name the channels that have not come for a second, and the topics that bring them."""
         known = {name for name, (_, at) in self._last.items() if t - at <= STALE}
         wanted = {"v_left", "v_right"} - known
         if not any(set(way) <= known for way in self._ways):

@@ -328,6 +328,7 @@ def test_a_parameter_that_cannot_be_is_said_in_a_line(
     name: str, value: Any, said: str, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     monkeypatch.setattr(signal, "signal", lambda *args: None)
+    monkeypatch.setattr(running.rclpy, "ok", lambda: False)  # a node that is made ends at once
     monkeypatch.setitem(stand_ins.Node.overrides, name, value)
     assert running.run(planner.PlannerNode) == 2
     (line,) = (one for one in capsys.readouterr().err.splitlines() if one.startswith("[fatal]"))

@@ -394,6 +394,8 @@ def test_the_same_goal_again_is_planned_on_from_the_answer_before(
     assert round_it.code.name == "NONE"
     assert round_it.energy > rest.energy
     assert shut.path_free(round_it.plans[0].path, COST.vehicle)
+    # which is taken away again
+    assert ask(here, grid, former=round_it).energy < round_it.energy
 
 
 def test_another_goal_or_cost_is_planned_anew(jazzy: Wire) -> None:

@@ -14,7 +14,7 @@ except ImportError:  # without the package there is no bond: lifecycle_manager's
     Status = None
 
 TOPIC, PERIOD, TIMEOUT = "bond", 0.5, 4.0
-"""Topic and timeout [s] as nav2_util::LifecycleNode has them, with eight heartbeats in a timeout."""
+"""Topic and timeout [s] as nav2_util::LifecycleNode has them; eight heartbeats in a timeout."""
 
 
 class Bond:
