@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path as File
 from typing import Any, NamedTuple
@@ -103,11 +103,9 @@ def grid_from_message(
 ) -> OccupancyGrid:
     """Return the map of a nav_msgs/OccupancyGrid or nav2_msgs/Costmap."""
     cells = _cells(message, occupied_from)
-    place = _placed(message)
     return OccupancyGrid(
-        occupied=cells.occupied, resolution=place.resolution, origin=place.origin,
-        unknown=cells.unknown, unknown_is_free=unknown_is_free,
-    )  # fmt: skip
+        cells.occupied, *_placed(message), unknown=cells.unknown, unknown_is_free=unknown_is_free
+    )
 
 
 def updated_grid(
@@ -126,10 +124,10 @@ def updated_grid(
 
 def costs_from_message(message: Any) -> CostMap:
     """Return the soft costs of a nav2_msgs/Costmap, or of a costmap as nav_msgs/OccupancyGrid."""
-    cells, place = _cells(message, None), _placed(message)
+    cells = _cells(message, None)
     most = LETHAL if hasattr(message, "metadata") else 100
     costs = np.where(cells.unknown, 0.0, cells.values / most)
-    return CostMap(costs, place.resolution, place.origin)
+    return CostMap(costs, *_placed(message))
 
 
 class _Cells(NamedTuple):
@@ -138,13 +136,6 @@ class _Cells(NamedTuple):
     values: NDArray[np.int_]
     occupied: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
-
-
-class _Place(NamedTuple):
-    """Where the cells of a message lie."""
-
-    resolution: float
-    origin: Pose
 
 
 def _cells(message: Any, occupied_from: int | None) -> _Cells:
@@ -183,14 +174,15 @@ def _cells(message: Any, occupied_from: int | None) -> _Cells:
     return _Cells(cells.astype(int), (cells >= least) & ~unknown, unknown)
 
 
-def _placed(message: Any) -> _Place:
+def _placed(message: Any) -> tuple[float, Pose]:
+    """Return the resolution and the origin of a message's cells."""
     info = field(message, "metadata" if hasattr(message, "metadata") else "info")
     (resolution,) = _numbers(info, "resolution")
     quaternion = _rotation(info, "origin.orientation")
     if 2.0 * (quaternion[0] ** 2 + quaternion[1] ** 2) > _TILT:
         raise MessageError("the map's origin is tilted; give one that turns about z alone")
     x, y = _numbers(info, "origin.position.x", "origin.position.y")
-    return _Place(float(resolution), Pose(float(x), float(y), _yaw(quaternion)))
+    return float(resolution), Pose(float(x), float(y), _yaw(quaternion))
 
 
 def footprint_from_message(message: Any, vehicle: Vehicle, frame: str | None = None) -> Vehicle:
@@ -209,6 +201,15 @@ def footprint_from_message(message: Any, vehicle: Vehicle, frame: str | None = N
     return replace(vehicle, footprint=np.stack([corners.min(axis=0), corners.max(axis=0)]))
 
 
+def _pose_message(factory: Factory, pose: Iterable[float]) -> Any:
+    x, y, yaw = (float(value) for value in pose)
+    z, w = float(np.sin(yaw / 2)), float(np.cos(yaw / 2))
+    return factory("geometry_msgs/msg/Pose")(
+        position=factory("geometry_msgs/msg/Point")(x=x, y=y, z=0.0),
+        orientation=factory("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=z, w=w),
+    )
+
+
 def path_to_message(
     paths: Path | Sequence[Path],
     frame: str,
@@ -225,19 +226,9 @@ def path_to_message(
     legs = [paths] if isinstance(paths, Path) else list(paths)
     rows = [leg.poses(max_ds, max_dtheta)[min(k, 1) :] for k, leg in enumerate(legs)]
     header = factory("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
-    point, quaternion = factory("geometry_msgs/msg/Point"), factory("geometry_msgs/msg/Quaternion")
-    pose, stamped = factory("geometry_msgs/msg/Pose"), factory("geometry_msgs/msg/PoseStamped")
+    stamped = factory("geometry_msgs/msg/PoseStamped")
     poses = [
-        stamped(
-            header=header,
-            pose=pose(
-                position=point(x=x, y=y, z=0.0),
-                orientation=quaternion(
-                    x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2))
-                ),
-            ),
-        )
-        for x, y, yaw in (row for leg in rows for row in leg.tolist())
+        stamped(header=header, pose=_pose_message(factory, row)) for leg in rows for row in leg
     ]
     return factory("nav_msgs/msg/Path")(header=header, poses=poses)
 
@@ -286,13 +277,6 @@ def write_recording(
 
 def _grid_message(grid: OccupancyGrid, stamp: Any, make: Any) -> Any:
     rows, columns = grid.occupied.shape
-    x, y, yaw = (float(value) for value in grid.origin)
-    origin = make("geometry_msgs/msg/Pose")(
-        position=make("geometry_msgs/msg/Point")(x=x, y=y, z=0.0),
-        orientation=make("geometry_msgs/msg/Quaternion")(
-            x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2))
-        ),
-    )
     cells = np.where(grid.occupied, 100, 0)
     if grid.unknown is not None:
         cells = np.where(grid.unknown & ~grid.occupied, -1, cells)
@@ -300,7 +284,7 @@ def _grid_message(grid: OccupancyGrid, stamp: Any, make: Any) -> Any:
         header=make("std_msgs/msg/Header")(stamp=stamp, frame_id=FRAME),
         info=make("nav_msgs/msg/MapMetaData")(
             map_load_time=stamp, resolution=grid.resolution, width=columns, height=rows,
-            origin=origin,
+            origin=_pose_message(make, grid.origin),
         ),
         data=cells.astype(np.int8).ravel(),
     )  # fmt: skip

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import time
+from cmath import rect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -19,20 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from energyplan import errors
 from energyplan.cost import EnergyCost
-from energyplan.errors import (
-    CancelledError,
-    EnergyPlanError,
-    FrameError,
-    GoalInCollisionError,
-    MessageError,
-    NoPathError,
-    NoViapointsError,
-    OutsideMapError,
-    StartInCollisionError,
-    TimeLimitError,
-    UnsupportedPlannerError,
-)  # fmt: skip
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.bags import TopicMap, read_message
 from energyplan.io.mission import mission_from
@@ -75,14 +64,14 @@ class ThroughPosesError(IntEnum):
 
 Codes = type[ToPoseError] | type[ThroughPosesError]
 
-_NAMES: tuple[tuple[type[EnergyPlanError], str], ...] = (
-    (NoViapointsError, "NO_VIAPOINTS_GIVEN"),
-    (UnsupportedPlannerError, "INVALID_PLANNER"),
-    (FrameError, "TF_ERROR"),
-    (StartInCollisionError, "START_OCCUPIED"),
-    (GoalInCollisionError, "GOAL_OCCUPIED"),
-    (TimeLimitError, "TIMEOUT"),
-    (NoPathError, "NO_VALID_PATH"),
+_NAMES: tuple[tuple[type[errors.EnergyPlanError], str], ...] = (
+    (errors.NoViapointsError, "NO_VIAPOINTS_GIVEN"),
+    (errors.UnsupportedPlannerError, "INVALID_PLANNER"),
+    (errors.FrameError, "TF_ERROR"),
+    (errors.StartInCollisionError, "START_OCCUPIED"),
+    (errors.GoalInCollisionError, "GOAL_OCCUPIED"),
+    (errors.TimeLimitError, "TIMEOUT"),
+    (errors.NoPathError, "NO_VALID_PATH"),
 )
 
 
@@ -92,10 +81,10 @@ def codes_of(request: Any) -> Codes:
 
 
 def error_code(
-    error: EnergyPlanError, codes: Codes, problem: PlanningProblem | None = None
+    error: errors.EnergyPlanError, codes: Codes, problem: PlanningProblem | None = None
 ) -> ToPoseError | ThroughPosesError:
     """Return the code of Nav2's planner server for an error of the library."""
-    if isinstance(error, OutsideMapError) and problem is not None:
+    if isinstance(error, errors.OutsideMapError) and problem is not None:
         on_map = problem.terrain.obstacles.inside(problem.start[:2])
         return codes["GOAL_OUTSIDE_MAP" if bool(on_map) else "START_OUTSIDE_MAP"]
     for kind, name in _NAMES:
@@ -105,7 +94,7 @@ def error_code(
 
 
 _SHARED = ("cost", "surfaces", "vehicle", "heights", "costmap")
-_EQUAL = ("goal", "objective", "clearance", "costmap_weight")
+_EQUAL = ("goal", "objective", "clearance", "costmap_weight", "turning")
 
 
 def request_to_problems(
@@ -123,20 +112,18 @@ def request_to_problems(
     def pose(message: Any) -> Pose:
         try:
             return pose_from_message(message, frame)
-        except FrameError:
+        except errors.FrameError:
             if lookup is None:
                 raise
         x, y, yaw = pose_from_message(message)
         base = pose_from_transform(lookup(message.header.frame_id))
-        c, s = np.cos(base.yaw), np.sin(base.yaw)
-        return Pose(
-            float(base.x + c * x - s * y), float(base.y + s * x + c * y), float(base.yaw + yaw)
-        )
+        place = complex(base.x, base.y) + complex(x, y) * rect(1.0, base.yaw)
+        return Pose(place.real, place.imag, base.yaw + yaw)
 
     if hasattr(request, "goals"):
         goals = request.goals.goals if hasattr(request.goals, "goals") else request.goals
         if len(goals) == 0:
-            raise NoViapointsError("the request has no goals; give at least one")
+            raise errors.NoViapointsError("the request has no goals; give at least one")
     else:
         between = getattr(request, "viapoints", ())
         between = between.goals if hasattr(between, "goals") else between
@@ -146,7 +133,7 @@ def request_to_problems(
     elif lookup is not None:
         start = pose_from_transform(lookup(base))
     else:
-        raise FrameError("the robot's pose is not known; give a start, and set use_start")
+        raise errors.FrameError("the robot's pose is not known; give a start, and set use_start")
     stops = [start, *(pose(goal) for goal in goals)]
     return tuple(
         PlanningProblem(grid, cost, here, there, **options) for here, there in pairwise(stops)
@@ -157,7 +144,7 @@ def planner_of(planner_id: str, default: str = "lattice") -> str:
     """Return the library's planner for Nav2's ``planner_id``."""
     name = default if planner_id in ("", "GridBased") else planner_id
     if name not in planners():
-        raise UnsupportedPlannerError(
+        raise errors.UnsupportedPlannerError(
             f"there is no planner {name!r}; known: {', '.join(planners())}"
         )
     return name
@@ -208,7 +195,7 @@ def answer(
     plans: list[Plan] = []
     try:
         if grid is None:
-            raise MessageError(missing)
+            raise errors.MessageError(missing)
         name = planner_of(str(field(request, "planner_id")), planner)
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:
@@ -221,9 +208,9 @@ def answer(
                 if known is not None:
                     make = partial(replan, *known, start=problem.start, map=grid)
                 plans.append(make(time_limit=time_limit / len(problems), effort=share))
-    except CancelledError:
+    except errors.CancelledError:
         raise
-    except EnergyPlanError as error:
+    except errors.EnergyPlanError as error:
         spent = time.perf_counter() - began
         return Answer((), error_code(error, codes, problem), str(error), spent)
     return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began)
@@ -292,13 +279,11 @@ def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Fa
     rest = min(round((answer.planning_time - seconds) * 1e9), 10**9 - 1)
     duration = factory("builtin_interfaces/msg/Duration")
     path = path_to_message([plan.path for plan in answer.plans], frame, stamp, factory)
-    values: Sequence[tuple[str, Any]] = (
-        ("path", path),
-        ("planning_time", duration(sec=seconds, nanosec=rest)),
-        ("error_code", int(answer.code)),
-        ("error_msg", answer.message),
-    )
-    for name, value in values:
+    values = {
+        "path": path, "planning_time": duration(sec=seconds, nanosec=rest),
+        "error_code": int(answer.code), "error_msg": answer.message,
+    }  # fmt: skip
+    for name, value in values.items():
         if hasattr(result, name):
             setattr(result, name, value)
     return result
@@ -324,7 +309,7 @@ class DriveFeed:
         self._ways = [names for names in POWER_WAYS if set(names) <= set(channels)]
         missing = [name for name in ("v_left", "v_right") if name not in channels]
         if missing or not self._ways:
-            raise MessageError(
+            raise errors.MessageError(
                 f"the topic map {topics.name!r} names no {' and '.join(missing or ['power'])}; "
                 "name v_left, v_right, and power, p_left and p_right, or voltage and current"
             )
@@ -358,16 +343,13 @@ class DriveFeed:
         """Take a message."""
         fresh = set()
         for name, sources in self._topics.channels.items():
-            for source in sources:
-                if not source.matches(topic):
-                    continue
-                value = read_message(source, message)
-                if isfinite(value):
-                    total, count = self._sums.get(name, (0.0, 0))
-                    self._sums[name] = total + value, count + 1
-                    self._last[name] = value, t
-                    fresh.add(name)
-                    break
+            values = (read_message(one, message) for one in sources if one.matches(topic))
+            value = next(filter(isfinite, values), None)
+            if value is not None:
+                total, count = self._sums.get(name, (0.0, 0))
+                self._sums[name] = total + value, count + 1
+                self._last[name] = value, t
+                fresh.add(name)
         come = [way for way in self._ways if set(way) <= set(self._last)]
         if come:
             self._power_since = min(self._power_since, t)
@@ -379,13 +361,8 @@ class DriveFeed:
 
     def _feed(self, t: float) -> bool:
         """Feed what has come since the last sample, if it is all there."""
-        known = {}
-        for name, (value, at) in self._last.items():
-            total, count = self._sums.get(name, (0.0, 0))
-            if count:
-                known[name] = total / count
-            elif t - at <= STALE:
-                known[name] = value
+        known = {name: value for name, (value, at) in self._last.items() if t - at <= STALE}
+        known |= {name: total / count for name, (total, count) in self._sums.items()}
         self._sums.clear()
         (way,) = self._ways
         if not {"v_left", "v_right", *way} <= set(known):
@@ -443,5 +420,5 @@ def mission_answer(text: str, folder: str | Path) -> str:
     """Tell whether a mission can be done, text in and text out."""
     try:
         return json.dumps(documents.mission(evaluate(mission_from(text, folder))))
-    except EnergyPlanError as error:
+    except errors.EnergyPlanError as error:
         return json.dumps({"error": " ".join(str(error).split())})
