@@ -294,7 +294,7 @@ def test_a_position_of_long_ago_is_refused(node: Any) -> None:
     assert ask(node, Handle(stamped(6, 3))).error_code == 0
 
 
-def test_why_there_is_no_map_is_told(node: Any) -> None:
+def test_the_result_says_why_there_is_no_map(node: Any) -> None:
     message = grid_message(HALL)
     message.info.resolution = 0.0
     node.hear("map", message)

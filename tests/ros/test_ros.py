@@ -398,6 +398,19 @@ def test_the_same_goal_again_is_planned_on_from_the_answer_before(
     assert ask(here, grid, former=round_it).energy < round_it.energy
 
 
+def test_a_start_that_was_moved_off_an_obstacle_is_left_behind(jazzy: Wire) -> None:
+    grid = ros.grid_from_message(jazzy.map(HALL))
+    goal, front = jazzy.stamped(4, 4, 0), COST.vehicle.footprint[1, 0]
+    touching = jazzy.to_pose(goal, jazzy.stamped(7.82 - front, 2, 0))
+    first = ros.answer(touching, grid, COST, effort=5000)
+    assert "touches an obstacle" in first.notes[0]
+    for here in first.plans[0].path.poses()[[20, 60]]:
+        again = ros.answer(
+            jazzy.to_pose(goal, jazzy.stamped(*here)), grid, COST, effort=5000, former=first
+        )
+        assert (again.code.name, again.message) == ("NONE", "")
+
+
 def test_another_goal_or_cost_is_planned_anew(jazzy: Wire) -> None:
     grid = ros.grid_from_message(jazzy.map(HALL))
     start = jazzy.stamped(2, 2, 0)

@@ -46,7 +46,7 @@ class IdentifierNode(Node):
         self.create_timer(self.settings["period"], self.tell, clock=steady)
 
     def listen(self) -> None:
-        """Subscribe to what has come up in this namespace; what cannot be read is told once."""
+        """Subscribe to what has come up in this namespace; what cannot be read is logged."""
         wanted = {self.resolve_topic_name(name): name for name in self.feed.topics}
         for topic, kinds in self.get_topic_names_and_types():
             if topic in wanted and topic not in self.heard:

@@ -76,7 +76,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
 
     def __init__(self) -> None:
         Node.__init__(self, "planner_server")
-        # its state is told, and maps are taken, while activating waits for the kernels
+        # other services, and maps, are not held up while activating waits for the kernels
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         (change,) = (one for one in self.services if one.srv_type is ChangeState)
         change.callback = partial(self.on_change_state, change.callback)
@@ -271,10 +271,10 @@ class PlannerNode(LifecycleNodeMixin, Node):
 
     def mask_map(self) -> None:
         """Make the map that is planned on; where the mask cannot be laid on it there is none."""
-        self.open = None
+        self.open = self.grid
         if self.grid is None or self.mask is None:
-            self.open = self.grid
             return
+        self.open = None
         try:
             check_frame(self.zones, self.frame, "keep-out mask")
             self.open = self.grid.with_mask(self.mask)
@@ -305,7 +305,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
     def lookup(self, target: str, frame: str) -> Any:
         """Return the transform that brings what is in a frame into the map's.
 
-        The robot's own must be of now: a localisation that has died leaves its last one behind.
+        The robot's own must be recent: a localisation that has died leaves its last one behind.
         """
         try:
             found = self.buffer.lookup_transform(target, frame, Time())
