@@ -109,11 +109,7 @@ def grid_from_message(
 
 
 def updated_grid(
-    grid: OccupancyGrid,
-    message: Any,
-    *,
-    occupied_from: int | None = None,
-    frame: str | None = None,
+    grid: OccupancyGrid, message: Any, *, occupied_from: int | None = None, frame: str | None = None
 ) -> OccupancyGrid:
     """Return a map with the patch of a map_msgs/OccupancyGridUpdate; `frame` is the map's."""
     check_frame(message, frame, "patch of the map")

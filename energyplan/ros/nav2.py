@@ -314,8 +314,7 @@ class DriveFeed:
                 "name v_left, v_right, and power, p_left and p_right, or voltage and current"
             )
         self.identifier = identifier
-        self.samples = 0
-        """Samples fed so far."""
+        self.samples = 0  # fed so far
         self._topics = topics
         self._sums: dict[str, tuple[float, int]] = {}
         self._last: dict[str, tuple[float, float]] = {}
@@ -333,10 +332,9 @@ class DriveFeed:
         wanted = {"v_left", "v_right"} - known
         if not any(set(way) <= known for way in self._ways):
             wanted.update(*(set(way) - known for way in self._ways))
-        channels = self._topics.channels
         return ", ".join(
-            f"{name} ({' or '.join(source.topic for source in channels[name])})"
-            for name in channels if name in wanted
+            f"{name} ({' or '.join(source.topic for source in sources)})"
+            for name, sources in self._topics.channels.items() if name in wanted
         )  # fmt: skip
 
     def take(self, topic: str, message: Any, t: float) -> bool:
