@@ -29,6 +29,10 @@ class InvalidInputError(EnergyPlanError, ValueError):
         self.place = tuple(place)
 
 
+class UnusualValueWarning(UserWarning):
+    """A value is possible but not usual: perhaps it is in another unit."""
+
+
 class UnknownNameError(InvalidInputError):
     """A preset, term, planner or place has no such name.
 

@@ -11,19 +11,21 @@ import builtins
 import importlib
 import inspect
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, wraps
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic_core import core_schema
 
-from energyplan.errors import InvalidInputError
+from energyplan.errors import InvalidInputError, UnusualValueWarning
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -49,10 +51,16 @@ SOURCES = {
 """Where objects come from, for messages."""
 
 _TEXT = 60  # characters of a value that a message shows
+_LONG = 10**_TEXT
+
+NO_NUMBER = (TypeError, ValueError, OverflowError)
+"""What converting a cell or a value to a number may raise: of another kind, no number, too long."""
 
 
 def described(value: object) -> str:
     """Return a value in words, short enough for a message."""
+    if isinstance(value, Integral) and abs(value) > _LONG:
+        return f"a whole number of more than {_TEXT} digits"
     if value is None or isinstance(value, bool | Real):
         return f"{value}"
     if isinstance(value, str):
@@ -82,11 +90,134 @@ def numbers(
         if array.dtype.kind not in "biufO":
             raise TypeError
         array = array.astype(float, copy=False)
-    except (TypeError, ValueError):
+    except NO_NUMBER:
         raise error(f"{name} is {described(value)}; give {words}") from None
     if last is not None and (not array.ndim or array.shape[-1] != last):
         raise error(f"{name} has shape {array.shape}; give {words} along the last axis")
     return array
+
+
+# -- sizes of values ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Within:
+    """What a number may be, and what it usually is; stands beside a field, in its annotation.
+
+    What is not possible is refused, what is possible but not usual is accepted with a warning.
+    """
+
+    possible: tuple[float, float]  # least and greatest
+    usual: tuple[float, float]  # least and greatest
+    unit: str = ""
+    slip: str = ""  # which mistake a number that is too large shows
+    endless: bool = False  # whether an infinite number stands for no limit
+
+    def range(self, ends: tuple[float, float]) -> str:
+        """Return least and greatest in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{ends[0]:.6g} to {ends[1]:.6g}{unit}"
+
+    def _beyond(self, ends: tuple[float, float], value: ArrayLike) -> tuple[tuple[int, ...], str]:
+        """Return the place of the first number beyond some ends, and what it should be."""
+        given = np.asarray(value, float)
+        good = (given >= ends[0]) & (given <= ends[1]) | (self.endless & np.isinf(given))
+        if good.all():
+            return (), ""
+        at = tuple(int(k) for k in np.argwhere(~good)[0])
+        slip = f" ({self.slip})" if self.slip and given[at] > ends[1] else ""
+        return at, f"{self.range(ends)}{slip}"
+
+    def fault(self, value: ArrayLike) -> tuple[tuple[int, ...], str]:
+        """Return where an impossible number stands and what to give; no text where there is none."""
+        at, wanted = self._beyond(self.possible, value)
+        return at, f"give {wanted}" if wanted else ""
+
+    def doubt(self, value: ArrayLike) -> tuple[tuple[int, ...], str]:
+        """Return where an unusual number stands and why it is one; no text where there is none."""
+        at, wanted = self._beyond(self.usual, value)
+        return at, f"usual is {wanted}; check the number and its unit" if wanted else ""
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: Callable[[Any], core_schema.CoreSchema]
+    ) -> core_schema.CoreSchema:
+        """Have pydantic refuse what is not possible."""
+
+        def possible(value: Any) -> Any:
+            if wanted := self.fault(value)[1]:
+                raise ValueError(wanted)
+            return value
+
+        return core_schema.no_info_after_validator_function(possible, handler(source))
+
+
+Doubts = Iterator[tuple[tuple[str | int, ...], str]]
+"""Places of unusual values, and what is unusual there."""
+
+
+@cache
+def bounds(owner: Callable[..., Any]) -> dict[str, Within]:
+    """Return the sizes of the fields of a record, or of the parameters of a function."""
+    return {
+        name: part
+        for name, hint in _hints(owner).items()
+        for one in (hint, *get_args(hint))
+        for part in getattr(one, "__metadata__", ())
+        if isinstance(part, Within)
+    }
+
+
+def check_sizes(
+    owner: Callable[..., Any], values: Mapping[str, Any], error: type[InvalidInputError],
+    whose: str = "",
+) -> None:  # fmt: skip
+    """Refuse values that the fields or parameters of an owner cannot have."""
+    for name, within in bounds(owner).items():
+        value = values.get(name)
+        if value is not None and not isinstance(value, str):
+            at, wanted = within.fault(value)
+            if wanted:
+                item = "".join(f"[{k}]" for k in at)
+                shown = described(np.asarray(value)[at].item())
+                raise error(f"{whose}{name}{item} is {shown}; {wanted}", (name, *at))
+
+
+def doubts(owner: Callable[..., Any], values: Mapping[str, Any]) -> Doubts:
+    """Yield the values that the fields or parameters of an owner do not usually have."""
+    for name, within in bounds(owner).items():
+        value = values.get(name)
+        if value is not None and not isinstance(value, str):
+            at, wanted = within.doubt(value)
+            if wanted:
+                yield (name, *at), f"{np.asarray(value)[at]:.6g} is unusual; {wanted}"
+
+
+def doubts_of(record: Any, place: tuple[str | int, ...] = ()) -> Doubts:
+    """Yield the unusual values of a record, and of the records and lists of them that it holds."""
+    if isinstance(record, tuple):
+        for k, item in enumerate(record):
+            yield from doubts_of(item, (*place, k))
+    elif is_dataclass(record) and bounds(type(record)):
+        held = vars(record)
+        for at, text in doubts(type(record), held):
+            yield (*place, *at), text
+        for name, value in held.items():
+            yield from doubts_of(value, (*place, name))
+
+
+def unusual(record: Any, name: str) -> list[str]:
+    """Return the unusual values of a record in words."""
+    return [f"{in_words(place)}: {text}" for place, text in doubts_of(record, (name,))]
+
+
+def in_words(place: tuple[str | int, ...]) -> str:
+    """Return where a value stands, as ``tasks.2.power``."""
+    return ".".join(map(str, place))
+
+
+def warn(text: str, stacklevel: int = 2) -> None:
+    """Warn of a value that is possible but not usual."""
+    warnings.warn(text, UnusualValueWarning, stacklevel=stacklevel + 1)
 
 
 # -- kinds of values ------------------------------------------------------------------------------
@@ -116,7 +247,9 @@ class _Kind(NamedTuple):
 
 def _number(value: object) -> bool:
     if isinstance(value, Real):
-        return not isinstance(value, bool)
+        return not isinstance(value, bool) and not (
+            isinstance(value, Integral) and abs(value) > _LONG
+        )
     return isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iuf"
 
 
@@ -186,6 +319,8 @@ def _of_class(wanted: type) -> _Kind | None:
 @cache
 def _kind(hint: Any) -> _Kind | None:
     """Return the kind that an annotation means; None where anything may be given."""
+    if get_origin(hint) is Annotated:
+        return _kind(hint.__origin__)
     if hint in _PLAIN:
         return _PLAIN[hint]
     outer, parts = get_origin(hint), get_args(hint)
@@ -218,15 +353,24 @@ def _either(parts: tuple[Any, ...]) -> _Kind | None:
 
 
 @cache
-def _kinds(owner: Callable[..., Any]) -> dict[str, _Kind]:
-    """Return the kinds of the parameters of a function, or of the fields of a dataclass."""
-    found: dict[str, _Kind | None] = {}
+def _hints(owner: Callable[..., Any]) -> dict[str, Any]:
+    """Return the annotations of the parameters of a function, or of the fields of a dataclass."""
+    found: dict[str, Any] = {}
     for part in reversed(owner.__mro__[:-1]) if isinstance(owner, type) else [owner]:
         names = _Names(vars(importlib.import_module(part.__module__)))
         for name, text in inspect.get_annotations(part).items():
-            hint = eval(text, {}, names) if isinstance(text, str) else text
-            # of a choice among names alone the function says which it knows
-            found[name] = None if get_origin(hint) is Literal else _kind(hint)
+            found[name] = eval(text, {}, names) if isinstance(text, str) else text
+    return found
+
+
+@cache
+def _kinds(owner: Callable[..., Any]) -> dict[str, _Kind]:
+    """Return the kinds of the parameters of a function, or of the fields of a dataclass."""
+    # of a choice among names alone the function says which it knows
+    found = {
+        name: None if get_origin(hint) is Literal else _kind(hint)
+        for name, hint in _hints(owner).items()
+    }
     if isinstance(owner, type):
         built = {field.name for field in fields(owner) if field.init}
         found = {name: kind for name, kind in found.items() if name in built}
@@ -252,8 +396,8 @@ def wanted_words(wanted: type) -> str:
     return kind.words if kind else SOURCES.get(wanted.__name__, f"a {wanted.__name__}")
 
 
-def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
-    """Check a dataclass's fields against their annotations, where it is built.
+def check_fields(record: Any, error: type[InvalidInputError], whose: str = "") -> None:
+    """Check kinds and sizes of a dataclass's fields against their annotations, where it is built.
 
     A number of NumPy becomes Python's, so that it is shown and saved as one.
     """
@@ -264,10 +408,15 @@ def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
         _check(kind, value, name, error, whose)
         if isinstance(value, np.generic | np.ndarray) and _number(value):
             object.__setattr__(record, name, value.item())
+    if bounds(type(record)):
+        check_sizes(type(record), vars(record), error, whose)
 
 
-def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], Function]:
-    """Decorate a function so that its arguments are checked against its annotations."""
+def checked(error: type[InvalidInputError] = InvalidInputError) -> Callable[[Function], Function]:
+    """Decorate a function so that its arguments are checked against its annotations.
+
+    It warns of arguments that are possible but not usual.
+    """
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
@@ -284,6 +433,10 @@ def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], 
                 several = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
                 for key, value in given[name].items() if several else ((name, given[name]),):
                     _check(kind, value, key, error)
+            if bounds(function):
+                check_sizes(function, given, error)
+                for place, text in doubts(function, given):
+                    warn(f"{place[0]}: {text}")
             return function(*args, **options)
 
         return held  # type: ignore[return-value]

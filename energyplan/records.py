@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import described, wanted_words
+from energyplan.kinds import NO_NUMBER, described, wanted_words
 
 
 def _plain(value: Any) -> Any:
@@ -184,7 +184,7 @@ def instance_of(*wanted: type) -> PlainValidator:
 def _column(value: Any) -> NDArray[np.float64]:
     try:
         array = np.array(value, float)
-    except (TypeError, ValueError):
+    except NO_NUMBER:
         array = np.zeros(0)
     if array.ndim != 1 or not len(array) or not np.all(np.isfinite(array)):
         raise ValueError("give a list of finite numbers")

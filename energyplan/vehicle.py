@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import UnknownNameError, VehicleError
-from energyplan.kinds import check_fields, checked, numbers
+from energyplan.kinds import Within, check_fields, checked, numbers
 from energyplan.records import ByValue
 
-LARGEST_EXTENT = 1e4
-"""Largest size of a vehicle [m]: far beyond any, and far from overflow."""
+ICR = Annotated[float, Within((-1e3, 1e3), (-20, 20), "m")]
+Power = Annotated[float, Within((0, 1e6), (0, 5e4), "W", endless=True)]
+Speed = Annotated[float, Within((1e-3, 50), (0.05, 15), "m/s", endless=True)]
+Size = Annotated[float, Within((0.01, 30), (0.1, 6), "m")]
+Positions = Annotated[NDArray[np.float64], Within((-30, 30), (-6, 6), "m")]
+Mass = Annotated[float, Within((0.05, 1e5), (0.5, 5e3), "kg", "not grams")]
 
 
 @dataclass(frozen=True)
@@ -45,16 +50,12 @@ class TreadICR:
     0.75
     """
 
-    left: float
-    right: float
-    longitudinal: float = 0.0
+    left: ICR
+    right: ICR
+    longitudinal: ICR = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, VehicleError, "tread ICR ")
-        for name in ("left", "right", "longitudinal"):
-            value = getattr(self, name)
-            if not abs(value) <= LARGEST_EXTENT:  # not of NaN
-                raise VehicleError(f"tread ICR {name} is {value}; give metres")
         if not self.slip_track > 0:
             raise VehicleError(
                 f"the slip track left + right is {self.slip_track} m; it must be positive"
@@ -101,6 +102,7 @@ __all__ = [
     "MotorLimits",
     "TreadICR",
     "Vehicle",
+    "layout",
     "predict_icr",
     "wheel_loads",
 ]
@@ -113,13 +115,14 @@ DEFAULT_ACCELERATION = 1.0
 """Acceleration of the treads where none is stated [m/s^2]: what small wheeled robots are commonly
 set to. A robot without a limit would reach any speed at once."""
 
-_LARGEST_LOAD = 1e9  # [N]
-_OUTSIDE, _SLIPPING = 10.0, 90.0  # times a length that are another unit, such as centimetres
+_SLIPPING = 90.0  # times the distance of the wheels: a tread ICR that is in another unit
+_ROUNDING = 1e-9  # [m]
+_SIZES, _WHEELS = ("length", "width"), ("wheelbase", "track")  # along x and y
 
 
-def _require(condition: bool, message: str) -> None:
+def _require(condition: bool, message: str, *place: str) -> None:
     if not condition:
-        raise VehicleError(message)
+        raise VehicleError(message, place)
 
 
 @dataclass(frozen=True)
@@ -147,25 +150,34 @@ class MotorLimits:
     inf
     """
 
-    continuous_power: float = np.inf
-    peak_power: float = np.inf
-    thermal_time: float = 30.0
-    force: float = np.inf
-    speed: float = np.inf
-    acceleration: float = DEFAULT_ACCELERATION
-    regeneration: float = np.inf
+    continuous_power: Power = np.inf
+    peak_power: Power = np.inf
+    thermal_time: Annotated[float, Within((1e-3, 1e6), (1, 3600), "s", endless=True)] = 30.0
+    force: Annotated[float, Within((0, 1e6), (1, 5e4), "N", endless=True)] = np.inf
+    speed: Speed = np.inf
+    acceleration: Annotated[float, Within((1e-3, 1e3), (0.05, 20), "m/s^2", endless=True)] = (
+        DEFAULT_ACCELERATION
+    )
+    regeneration: Power = np.inf
 
     def __post_init__(self) -> None:
         check_fields(self, VehicleError, "motor limit ")
-        for name, value in vars(self).items():
-            _require(value >= 0, f"motor limit {name} is {value}; give a number >= 0")
-        for name in ("speed", "acceleration", "thermal_time"):
-            _require(getattr(self, name) > 0, f"motor limit {name} is 0; give a positive number")
         _require(
             self.peak_power >= self.continuous_power or np.isinf(self.continuous_power),
             f"peak_power {self.peak_power} W is below continuous_power "
             f"{self.continuous_power} W; swap or correct them",
         )
+
+
+def layout(
+    wheelbase: float, track: float, length: float, width: float
+) -> dict[str, NDArray[np.float64]]:
+    """Return contacts and footprint of four wheels that are symmetric about the centre."""
+    x, y = wheelbase / 2, track / 2
+    return {
+        "contacts": np.array([(x, y), (-x, y), (x, -y), (-x, -y)]),
+        "footprint": np.array([(-length / 2, -width / 2), (length / 2, width / 2)]),
+    }
 
 
 def wheel_loads(
@@ -242,18 +254,18 @@ class Vehicle(ByValue, html.Readable):
     """
 
     name: str
-    contacts: NDArray[np.float64]
-    loads: NDArray[np.float64]
+    contacts: Positions
+    loads: Annotated[NDArray[np.float64], Within((0, 1e6), (0.1, 5e4), "N")]
     icr: TreadICR
-    footprint: NDArray[np.float64]
+    footprint: Positions
     motor: MotorLimits = field(default_factory=MotorLimits)
-    drive_efficiency: float = 1.0
-    regen_efficiency: float = 1.0
-    max_yaw_rate: float = np.inf
-    battery_power: float = np.inf
-    battery_return: float = np.inf
-    usual_speed: float = np.inf
-    tracking_tolerance: float = 0.0
+    drive_efficiency: Annotated[float, Within((0.01, 1), (0.3, 1), "", "90 % is 0.9")] = 1.0
+    regen_efficiency: Annotated[float, Within((0, 1), (0, 1), "", "90 % is 0.9")] = 1.0
+    max_yaw_rate: Annotated[float, Within((1e-3, 100), (0.05, 20), "rad/s", endless=True)] = np.inf
+    battery_power: Annotated[float, Within((0.1, 1e6), (5, 1e5), "W", endless=True)] = np.inf
+    battery_return: Annotated[float, Within((0, 1e6), (0, 1e5), "W", endless=True)] = np.inf
+    usual_speed: Speed = np.inf
+    tracking_tolerance: Annotated[float, Within((0, 10), (0, 0.5), "m")] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, VehicleError)
@@ -272,21 +284,21 @@ class Vehicle(ByValue, html.Readable):
             loads.shape == (len(self.contacts),),
             f"{len(self.contacts)} contacts but loads of shape {loads.shape}; give one load each",
         )
-        extent = np.max([np.max(np.abs(value)) for value in (self.contacts, self.footprint)])
+        _require(bool(np.any(loads > 0)), "loads are all 0; give newtons")
         _require(
-            extent <= LARGEST_EXTENT,  # not of NaN
-            f"contacts or footprint reach {extent:g} m from the centre; give finite metres",
+            self.footprint.shape == (2, 2) and bool(np.all(self.footprint[1] > self.footprint[0])),
+            "footprint must be [[x_min, y_min], [x_max, y_max]] with x_max > x_min, y_max > y_min",
         )
+        beyond = np.maximum(self.footprint[0] - self.contacts, self.contacts - self.footprint[1])
+        wheel, axis = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
         _require(
-            bool(np.all((loads >= 0) & (loads <= _LARGEST_LOAD)) and np.any(loads > 0)),
-            f"loads are {loads.tolist()}; give newtons from 0 to {_LARGEST_LOAD:g}, not all zero",
+            beyond[wheel, axis] <= _ROUNDING,
+            f"wheel {wheel} stands {beyond[wheel, axis]:.3g} m outside the footprint along "
+            f"{'xy'[axis]}; the footprint contains all wheels: enlarge {_SIZES[axis]}, or correct "
+            f"{_WHEELS[axis]}; both are in metres",
+            _SIZES[axis],
         )
-        wide, body = (float(np.abs(value).max()) for value in (self.contacts, self.footprint))
-        _require(
-            wide <= _OUTSIDE * body,
-            f"a wheel stands {wide:g} m from the centre, the footprint reaches {body:g} m; give "
-            "both in metres",
-        )
+        wide = float(np.abs(self.contacts).max())
         reach = max(map(abs, (self.icr.left, self.icr.right, self.icr.longitudinal)))
         _require(
             reach <= _SLIPPING * wide,
@@ -298,23 +310,6 @@ class Vehicle(ByValue, html.Readable):
             bool(np.any(sides > 0) and np.any(sides < 0)),
             "every wheel is on one side; contacts need y > 0 (left) and y < 0 (right)",
         )
-        _require(
-            self.footprint.shape == (2, 2) and bool(np.all(self.footprint[1] > self.footprint[0])),
-            "footprint must be [[x_min, y_min], [x_max, y_max]] with x_max > x_min, y_max > y_min",
-        )
-        _require(
-            0 < self.drive_efficiency <= 1,
-            f"drive_efficiency is {self.drive_efficiency}; give a fraction in (0, 1]",
-        )
-        _require(
-            0 <= self.regen_efficiency <= 1,
-            f"regen_efficiency is {self.regen_efficiency}; give a fraction in [0, 1]",
-        )
-        for name in ("max_yaw_rate", "battery_power", "usual_speed"):
-            _require(getattr(self, name) > 0, f"{name} is {getattr(self, name)}; must be positive")
-        for name in ("battery_return", "tracking_tolerance"):
-            _require(getattr(self, name) >= 0, f"{name} is {getattr(self, name)}; give 0 or more")
-        _require(self.tracking_tolerance < np.inf, "tracking_tolerance is infinite; give metres")
 
     def _summaries(self) -> list[html.Summary]:
         rows = {"mass [kg]": self.mass, "slip track [m]": self.icr.slip_track}
@@ -370,11 +365,11 @@ class Vehicle(ByValue, html.Readable):
         cls,
         name: str,
         *,
-        mass: float,
-        wheelbase: float,
-        track: float,
-        length: float,
-        width: float,
+        mass: Mass,
+        wheelbase: Size,
+        track: Size,
+        length: Size,
+        width: Size,
         cog: ArrayLike = (0.0, 0.0),
         icr: TreadICR | None = None,
         motor: MotorLimits | None = None,
@@ -411,17 +406,12 @@ class Vehicle(ByValue, html.Readable):
         VehicleError
             If a dimension or the mass is not positive.
         """
-        names = ("mass", "wheelbase", "track", "length", "width")
-        for key, value in zip(names, (mass, wheelbase, track, length, width), strict=True):
-            _require(bool(np.isfinite(value)) and value > 0, f"{key} is {value}; must be positive")
-        x, y = wheelbase / 2, track / 2
-        contacts = np.array([(x, y), (-x, y), (x, -y), (-x, -y)])
+        plan = layout(wheelbase, track, length, width)
         return cls(
             name=name,
-            contacts=contacts,
-            loads=wheel_loads(contacts, mass, cog),
+            **plan,
+            loads=wheel_loads(plan["contacts"], mass, cog),
             icr=icr or TreadICR.symmetric(predict_icr(wheelbase, track)),
-            footprint=np.array([(-length / 2, -width / 2), (length / 2, width / 2)]),
             motor=motor or MotorLimits(),
             **limits,
         )

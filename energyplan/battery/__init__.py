@@ -9,18 +9,14 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkabl
 import numpy as np
 import pydantic
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from energyplan import html
 from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, PRESETS, chemistry_of
 from energyplan.errors import BatteryError, UnknownNameError
-from energyplan.kinds import checked, numbers
+from energyplan.kinds import Within, checked, numbers
 from energyplan.path import FloatArray
 from energyplan.records import (
-    ABOVE,
-    FINITE,
-    FROM,
     Amps,
     ByValue,
     Celsius,
@@ -32,6 +28,7 @@ from energyplan.records import (
     Time,
     Volts,
     amount,
+    amount_of,
     record,
 )
 
@@ -96,6 +93,15 @@ _REASONS: tuple[BrownOut, ...] = ("none", "voltage", "charge", "current")
 _REFERENCE_TEMPERATURE = 25.0
 
 
+PERCENT, KELVIN = "write a percentage with its sign, as 80 %", "degC, not kelvin"
+"""What a fraction and a temperature that are too large may be."""
+
+Temperature = Annotated[Celsius, Within((-40, 70), (-30, 60), "degC", KELVIN)]
+_Charging = Annotated[
+    float, amount_of("temperature"), Within((-60, 100), (-30, 60), "degC", KELVIN, endless=True)
+]
+_Limit = Annotated[Amps, Within((0, 1e6), (0, 2e3), "A", "not milliamperes", endless=True)]
+
 EXAMPLE = "24 V 20 Ah lead-acid"
 """A battery in words."""
 
@@ -105,6 +111,7 @@ _SYMBOLS = {
 }  # fmt: skip
 _COUNTS = re.compile(r"\b(\d+)\s*s\s*(\d+)\s*p\b")
 _SHARE = re.compile(r"\b(usable|health)\s*:?\s*(\d+(?:\.\d+)?)\s*%")
+_CELSIUS = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*[ck]\b")
 _AMOUNT = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*(mohm|ohm|mah|ah|kwh|wh|degc|v)\b")
 
 
@@ -145,6 +152,8 @@ class Battery(ByValue, html.Readable):
         Largest currents [A], both positive.
     temperature : float
         Temperature of the pack [degC].
+    min_charge_temperature, max_charge_temperature : float
+        Temperatures between which it takes charge [degC]: from a charger, and from braking.
     derating_temperature, derating_factor : array_like, shape (k,)
         Temperatures [degC], ascending, and the capacity there over that at 25 degC.
     resistance_coefficient : float
@@ -172,27 +181,31 @@ class Battery(ByValue, html.Readable):
     """
 
     name: str
-    capacity: Annotated[Coulombs, Field(gt=0, allow_inf_nan=False)]
+    capacity: Annotated[Coulombs, Within((1e-3, 3.6e8), (360, 3.6e6), "C", "1 Ah is 3600 C")]
     soc_points: Numbers
-    ocv_points: Numbers
-    resistance: Annotated[Ohms, FINITE]
-    pair_resistance: Annotated[Ohms, FINITE] = 0.0
-    pair_time: Annotated[Time, ABOVE] = 60.0
-    peukert: Annotated[Number, Field(ge=1, lt=2)] = 1.0
-    rated_current: Annotated[Amps, ABOVE] = np.inf
-    charge_efficiency: Annotated[Fraction, Field(gt=0, le=1)] = 1.0
-    cutoff_voltage: Annotated[Volts, FROM] = 0.0
-    cutoff_soc: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
-    max_voltage: Annotated[Volts, ABOVE] = np.inf
-    max_discharge_current: Annotated[Amps, ABOVE] = np.inf
-    max_charge_current: Annotated[Amps, FROM] = np.inf
-    temperature: Celsius = _REFERENCE_TEMPERATURE
-    derating_temperature: Numbers = field(
-        default_factory=lambda: np.array([_REFERENCE_TEMPERATURE])
+    ocv_points: Annotated[Numbers, Within((0, 5e3), (0, 1e3), "V")]
+    resistance: Annotated[Ohms, Within((0, 1e3), (0, 2), "ohm", "not milliohms")]
+    pair_resistance: Annotated[Ohms, Within((0, 1e3), (0, 2), "ohm", "not milliohms")] = 0.0
+    pair_time: Annotated[Time, Within((1e-3, 1e6), (0.1, 7200), "s", endless=True)] = 60.0
+    peukert: Annotated[Number, Within((1, 2), (1, 1.4))] = 1.0
+    rated_current: _Limit = np.inf
+    charge_efficiency: Annotated[Fraction, Within((0.01, 1), (0.7, 1), "", PERCENT)] = 1.0
+    cutoff_voltage: Annotated[Volts, Within((0, 5e3), (0, 1e3), "V")] = 0.0
+    cutoff_soc: Annotated[Fraction, Within((0, 0.99), (0, 0.6), "", PERCENT)] = 0.0
+    max_voltage: Annotated[Volts, Within((0.1, 5e3), (2, 1e3), "V", endless=True)] = np.inf
+    max_discharge_current: _Limit = np.inf
+    max_charge_current: _Limit = np.inf
+    temperature: Temperature = _REFERENCE_TEMPERATURE
+    min_charge_temperature: _Charging = -np.inf
+    max_charge_temperature: _Charging = np.inf
+    derating_temperature: Annotated[Numbers, Within((-60, 100), (-60, 100), "degC", KELVIN)] = (
+        field(default_factory=lambda: np.array([_REFERENCE_TEMPERATURE]))
     )
-    derating_factor: Numbers = field(default_factory=lambda: np.array([1.0]))
-    resistance_coefficient: Annotated[Number, FROM] = 0.0
-    health: Annotated[Fraction, Field(gt=0, le=1)] = 1.0
+    derating_factor: Annotated[Numbers, Within((0.01, 2), (0.1, 1.2))] = field(
+        default_factory=lambda: np.array([1.0])
+    )
+    resistance_coefficient: Annotated[Number, Within((0, 1), (0, 0.1), "1/K")] = 0.0
+    health: Annotated[Fraction, Within((0.01, 1), (0.5, 1), "", PERCENT)] = 1.0
     notes: tuple[str, ...] = ()
 
     also: ClassVar = ("preset", *_UNITS, "usable")  # keys of a mapping that stand for others
@@ -248,6 +261,10 @@ class Battery(ByValue, html.Readable):
             "derating_factor for each",
         )
         _require(
+            self.min_charge_temperature < self.max_charge_temperature,
+            f"battery {self.name}: min_charge_temperature must be below max_charge_temperature",
+        )
+        _require(
             self.cutoff_voltage < min(ocv[-1], self.max_voltage),
             f"battery {self.name}: cutoff_voltage is {self.cutoff_voltage:g}; it must be below the "
             f"open-circuit voltage of the full battery, {ocv[-1]:g} V, and below max_voltage",
@@ -278,6 +295,19 @@ class Battery(ByValue, html.Readable):
         return (
             f"battery {self.name}: its capacity is known {known}; at {self.temperature:g} degC "
             f"that of {np.clip(self.temperature, low, high):g} degC is used, which may be too much"
+        )
+
+    @property
+    def charging_fault(self) -> str:
+        """Why it takes no charge at its temperature, and the remedy; empty where it does."""
+        low, high = self.min_charge_temperature, self.max_charge_temperature
+        if low <= self.temperature <= high:
+            return ""
+        cold = self.temperature < low
+        remedy = f"indoors, above {low:g}" if cold else f"in a cool place, below {high:g}"
+        return (
+            f"the battery is at {self.temperature:g} degC and is charged from {low:g} to {high:g} "
+            f"degC only; charge {remedy} degC"
         )
 
     @property
@@ -403,7 +433,7 @@ class Battery(ByValue, html.Readable):
             self.available_capacity, factor * self.resistance, factor * self.pair_resistance,
             self.pair_time, self.peukert, self.rated_current, self.charge_efficiency,
             self.cutoff_voltage, self.cutoff_soc, self.max_voltage, self.max_discharge_current,
-            self.max_charge_current,
+            0.0 if self.charging_fault else self.max_charge_current,
         )  # fmt: skip
         return Circuit(*map(float, given))
 
@@ -490,6 +520,7 @@ class Battery(ByValue, html.Readable):
             max_voltage=series * kind.max_voltage,
             max_discharge_current=discharge_rate * capacity / 3600.0,
             max_charge_current=(charge_rate or kind.charge_rate) * capacity / 3600.0,
+            min_charge_temperature=kind.charging[0], max_charge_temperature=kind.charging[1],
             derating_temperature=np.array(kind.temperature),
             derating_factor=np.array(kind.capacity_factor),
             resistance_coefficient=kind.resistance_coefficient, notes=notes,
@@ -531,6 +562,11 @@ class Battery(ByValue, html.Readable):
         rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
         counts = _COUNTS.search(rest)
         rest = _COUNTS.sub(" ", rest)
+        if warm := _CELSIUS.search(rest):
+            raise BatteryError(
+                f"battery {words!r}: {warm[0]!r} may be a temperature or a rate; write a "
+                f"temperature as {warm[1]} degC"
+            )
         given = {name: float(value) / 100.0 for name, value in _SHARE.findall(rest)}
         rest = _SHARE.sub(" ", rest)
         for value, symbol in _AMOUNT.findall(rest):

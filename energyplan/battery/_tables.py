@@ -24,8 +24,9 @@ class Chemistry:
     voltage: float  # nominal voltage of one unit [V]
     typical_resistance: float  # of a unit, times its capacity [ohm Ah]; others have half or twice
     charge_rate: float  # largest charging current over the capacity [1/h]
+    charging: tuple[float, float]  # least and greatest temperature at which it is charged [degC]
     aliases: tuple[str, ...]  # other names of it
-    source: str  # where the open-circuit voltage and the derating come from
+    source: str  # where the voltages, the derating and the charging temperatures come from
 
 
 LEAD_ACID = Chemistry(
@@ -36,13 +37,14 @@ LEAD_ACID = Chemistry(
     capacity_factor=(0.40, 0.45, 0.84, 0.88, 0.90, 0.94, 0.99, 1.0, 1.03, 1.04, 1.05),
     resistance_coefficient=0.01, peukert=1.1, charge_efficiency=0.90, cutoff_voltage=10.5,
     max_voltage=14.4, voltage=12.0, typical_resistance=0.28, charge_rate=0.3,
+    charging=(-15.0, 50.0),
     aliases=("lead-acid", "pb", "agm", "gel", "sla", "vrla"),
     source="12 V block at 26.7 degC, specific gravity 1.265 when full: Battery Council "
     "International. Derating from 0 degC: Discover Energy, discharge longer than 60 min. "
     "Below: X2Power's comparison of sealed lead-acid with lithium, 45 % at 0 degF; manuals of "
     "starter batteries agree (Westfalia, 40 % at -18 degC; 40 % at -20 degC). Peukert "
-    "exponent: the middle of 1.05 to 1.15, usual for AGM blocks. The resistance "
-    "coefficient is that of the acid's conductivity, a round figure.",
+    "exponent: the middle of 1.05 to 1.15, usual for AGM blocks. Charging from -15 to "
+    "50 degC: Union Battery on sealed lead-acid. The resistance coefficient is that of the acid's conductivity, a round figure.",
 )  # fmt: skip
 """Valve-regulated lead-acid, one 12 V block of six cells."""
 
@@ -54,11 +56,14 @@ LITHIUM_ION = Chemistry(
     capacity_factor=(0.60, 0.75, 0.80, 1.0, 1.0),
     resistance_coefficient=0.015, peukert=1.0, charge_efficiency=0.99, cutoff_voltage=2.8,
     max_voltage=4.2, voltage=3.65, typical_resistance=0.10, charge_rate=0.5,
+    charging=(0.0, 45.0),
     aliases=("li-ion", "lipo", "nmc", "nca"),
     source="Molicel INR-21700-P42A, mean of discharge and charge at C/32: Sunil, Pattipati, "
     "Balasingam, Piecewise Linear Approximation of Battery Open-Circuit Voltage "
     "Characteristics Using Dynamic Programming (IEEE TIM 2025). Derating: specification of "
     "Samsung SDI INR18650-15L, section 7.5, at a high current, so on the safe side. "
+    "Charging from 0 to 45 degC: data sheet of the cell INR21700D40JH; Tenpower allows up to "
+    "50 degC for its INR21700-40TG. "
     "Resistance coefficient: a round figure, to be replaced by that of the cell at hand.",
 )  # fmt: skip
 """Lithium-ion with a nickel-rich cathode, one cell."""
@@ -71,10 +76,12 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
     capacity_factor=(0.70, 0.80, 1.0, 1.0),
     resistance_coefficient=0.02, peukert=1.0, charge_efficiency=0.99, cutoff_voltage=2.5,
     max_voltage=3.65, voltage=3.2, typical_resistance=0.06, charge_rate=0.5,
+    charging=(0.0, 45.0),
     aliases=("lifepo4", "lfp", "life"),
     source="Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
     "Derating: Canbat on its CLI100-12, 80 % at 0 degC and 70 % at -20 degC; X2Power tells "
-    "70 % at 0 degF. No charging below 0 degC. Resistance coefficient: a round figure, to "
+    "70 % at 0 degF. Charging from 0 to 45 degC: Sunland on its IFR10440; Alpha Technologies "
+    "allows up to 60 degC for its APL48-50LFP, and nothing below 0 degC either. Resistance coefficient: a round figure, to "
     "be replaced by that of the cell at hand.",
 )  # fmt: skip
 """Lithium iron phosphate, one cell."""

@@ -45,11 +45,12 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
 
 def number(option: str, kind: str, text: str) -> float:
     """Return the amount that an option gives, such as ``50%`` or ``90deg``."""
+    from energyplan.kinds import NO_NUMBER
     from energyplan.records import UNITS, amount
 
     try:
         return float(amount(kind, text))
-    except ValueError:
+    except NO_NUMBER:
         units = ", ".join(UNITS[kind])
         raise InvalidInputError(
             f"{option} {text!r} is no number; write one, with its unit if it is not SI: {units}"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError
+from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray
 from energyplan.power import Sides
 from energyplan.vehicle import Vehicle
@@ -37,7 +38,7 @@ def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
         return None
     try:
         speed = float(asked)
-    except ValueError:
+    except NO_NUMBER:
         speed = np.nan
     if not 0 < speed < np.inf:
         raise InvalidInputError(

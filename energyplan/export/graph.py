@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 
 from energyplan.errors import MapError
+from energyplan.kinds import NO_NUMBER
 from energyplan.io.documents import read_features
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import check_metres
@@ -69,7 +70,7 @@ def _id(properties: dict[str, Any], key: str, place: str) -> int:
 def _position(geometry: dict[str, Any], place: str) -> tuple[float, float]:
     try:
         x, y = (float(v) for v in geometry["coordinates"][:2])
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except (*NO_NUMBER, KeyError):
         raise MapError(f"{place}: malformed coordinates; give [x, y] in metres") from None
     if not (np.isfinite(x) and np.isfinite(y)):
         raise MapError(f"{place}: coordinates are not finite")

@@ -19,11 +19,12 @@ from energyplan.errors import (
     InvalidInputError,
     ModelError,
     UnknownNameError,
+    VehicleError,
 )
 from energyplan.io.bags import TopicMap
 from energyplan.io.documents import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
-from energyplan.kinds import checked
+from energyplan.kinds import Doubts, check_sizes, checked, doubts
 from energyplan.logs.mapping import Column
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
@@ -34,6 +35,7 @@ from energyplan.vehicle import (
     MotorLimits,
     TreadICR,
     Vehicle,
+    layout,
     predict_icr,
     wheel_loads,
 )
@@ -47,7 +49,7 @@ def _infinite(value: Any) -> Any:
 
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
-Limit = Annotated[float, BeforeValidator(_infinite), Field(ge=0)]
+Limit = Annotated[float, BeforeValidator(_infinite)]
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
@@ -320,7 +322,7 @@ def _placed(
     try:
         return build(*args)
     except InvalidInputError as problem:
-        raise document.fail(loc, str(problem)) from None
+        raise document.fail((*loc, *problem.place), str(problem)) from None
 
 
 def _vehicle(spec: _Vehicle, document: Document, loc: tuple[int | str, ...]) -> Vehicle:
@@ -350,7 +352,22 @@ def _vehicle(spec: _Vehicle, document: Document, loc: tuple[int | str, ...]) -> 
         raise document.fail(
             (*loc, sorted(clash)[0]), "the key contradicts the others; leave it out"
         )
-    return _placed(document, loc, _built, spec, base)
+    vehicle = _placed(document, loc, _built, spec, base)
+    document.warn(_unusual(spec), loc)
+    return vehicle
+
+
+_DIMENSIONS = Vehicle.from_geometry
+"""Its arguments are keys of a vehicle's file."""
+
+
+def _unusual(spec: _Vehicle) -> Doubts:
+    """Yield the unusual values of a file's vehicle."""
+    yield from doubts(_DIMENSIONS, vars(spec))
+    yield from doubts(Vehicle, vars(spec))
+    for name, part, kind in (("motor", spec.motor, MotorLimits), ("icr", spec.icr, TreadICR)):
+        if part is not None:
+            yield from (((name, *at), text) for at, text in doubts(kind, vars(part)))
 
 
 _NUMBERS = (
@@ -365,17 +382,17 @@ def _built(spec: _Vehicle, base: dict[str, Any]) -> Vehicle:
     told: dict[str, Any] = {
         key: getattr(spec, key) for key in ("name", *_NUMBERS) if getattr(spec, key) is not None
     }
+    check_sizes(_DIMENSIONS, vars(spec), VehicleError)
     if spec.icr is not None:
-        told["icr"] = TreadICR(**spec.icr.model_dump())
+        told["icr"] = _part("icr", TreadICR, spec.icr.model_dump())
     if spec.motor is not None:
         known = vars(base["motor"]) if "motor" in base else {}
-        told["motor"] = MotorLimits(**{**known, **spec.motor.model_dump(exclude_unset=True)})
+        values = {**known, **spec.motor.model_dump(exclude_unset=True)}
+        told["motor"] = _part("motor", MotorLimits, values)
     cog = spec.cog or (0.0, 0.0)
     if spec.wheelbase is not None:
-        sizes = {
-            key: getattr(spec, key) for key in ("mass", "wheelbase", "track", "length", "width")
-        }
-        return Vehicle.from_geometry(**told, **sizes, cog=cog)
+        keys = ("wheelbase", "track", "length", "width")
+        told |= layout(*(getattr(spec, key) for key in keys))
     for key in ("contacts", "loads", "footprint"):
         if getattr(spec, key) is not None:
             told[key] = np.array(getattr(spec, key), float)
@@ -387,6 +404,14 @@ def _built(spec: _Vehicle, base: dict[str, Any]) -> Vehicle:
         return Vehicle(**values)
     mass = Vehicle(**values).mass if spec.mass is None else spec.mass
     return Vehicle(**{**values, "loads": wheel_loads(contacts, mass, cog)})
+
+
+def _part(name: str, build: Callable[..., T], values: Mapping[str, Any]) -> T:
+    """Build a part of a vehicle; a complaint gets its place in it."""
+    try:
+        return build(**values)
+    except VehicleError as problem:
+        raise VehicleError(str(problem), (name, *problem.place)) from None
 
 
 def _term(item: _Term) -> Term:

@@ -20,6 +20,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
+from energyplan.kinds import NO_NUMBER, Doubts, in_words, warn
 from energyplan.path import Pose
 from energyplan.records import Checked as Checked
 
@@ -135,15 +136,24 @@ class Document:
     error: type[InvalidInputError]  # error to raise for bad content
 
     def fail(self, loc: Sequence[int | str], problem: str) -> InvalidInputError:
-        """Return the error for a place; of a missing value the line is that of its parent."""
+        """Return the error for a place."""
+        return self.error(f"{self.where(loc)}: {problem}")
+
+    def where(self, loc: Sequence[int | str]) -> str:
+        """Return a place with its line; of a missing value the line is that of its parent."""
         place = tuple(loc)
         known = place
         while known and known not in self.lines:
             known = known[:-1]
-        name = ".".join(str(part) for part in place)
+        name = in_words(place)
         # what no file holds, such as the options of a command, has no lines
         where = f"{self.source}, line {self.lines.get(known, 1)}" if self.lines else self.source
-        return self.error(f"{where}{f', {name}' if name else ''}: {problem}")
+        return f"{where}{f', {name}' if name else ''}"
+
+    def warn(self, unusual: Doubts, loc: Loc = ()) -> None:
+        """Warn of unusual values with their lines."""
+        for place, text in unusual:
+            warn(f"{self.where((*loc, *place))}: {text}", stacklevel=5)
 
     def check(self, schema: type[T], loc: Loc = (), context: Any = None) -> T:
         """Return what stands at a place, checked by a pydantic model, dataclass or annotation."""
@@ -290,7 +300,7 @@ class _Builder:
             return str(node.value)
         try:
             return self._scalars.construct_object(node)
-        except (ValueError, yaml.YAMLError, OverflowError) as problem:
+        except (*NO_NUMBER, yaml.YAMLError) as problem:
             text = getattr(problem, "problem", None) or problem
             raise self._error(
                 f"{self._source}, line {line}: {str(node.value)[:60]!r} cannot be read: {text}"

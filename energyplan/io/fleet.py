@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from energyplan.errors import MissionError
 from energyplan.io.documents import Checked, Document, Loc, load
 from energyplan.io.mission import build
-from energyplan.kinds import checked
+from energyplan.kinds import Within, checked
 from energyplan.mission import Fleet, Robot
 
 _OWN = (
@@ -34,7 +34,7 @@ class _Needs(Checked, BaseModel):
 
 class _Charger(Checked, BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
-    places: Annotated[int, Field(ge=1)] = 1
+    places: Annotated[int, Within((1, 1000), (1, 20))] = 1
 
 
 class _Fleet(Checked, BaseModel):

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.documents import beside, read_features
 from energyplan.io.files import atomic_write
-from energyplan.kinds import checked
+from energyplan.kinds import NO_NUMBER, checked, doubts_of, warn
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, SpeedLimit, Surface, SurfaceMap
 from energyplan.terrain.grid import FARTHEST
@@ -88,6 +88,8 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
         name = properties.get("model", properties.get("surface"))
         if properties.get("speed") is not None:
             limits.append(_speed_limit(area, properties["speed"], place))
+            for at, text in doubts_of(limits[-1]):
+                warn(f"{place}: {at[0]}: {text}", stacklevel=3)
             if name is None:
                 continue
         if not isinstance(name, str) or not name:
@@ -161,11 +163,11 @@ def _speed_limit(area: BaseGeometry, value: object, place: str) -> SpeedLimit:
     text = str(value).strip().removesuffix("%") if percent else value
     try:
         if isinstance(text, bool) or not isinstance(text, (int, float, str)):
-            raise ValueError
+            raise TypeError
         return SpeedLimit(area, float(text) / (100 if percent else 1), percent)
     except MapError as error:
         raise MapError(f"{place}: {error}") from None
-    except ValueError:
+    except NO_NUMBER:
         raise MapError(f"{place}: speed is {value!r}; give m/s, such as 0.4, or '50 %'") from None
 
 

@@ -25,7 +25,7 @@ from energyplan.io.bags import is_bag, opened_bag
 from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file
 from energyplan.io.geojson import read_obstacles, read_surfaces
-from energyplan.kinds import checked
+from energyplan.kinds import NO_NUMBER, checked
 from energyplan.path import Pose, as_pose
 from energyplan.records import amount_of
 from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
@@ -576,7 +576,7 @@ def _from_geotiff(file: Path) -> _Raster:
         (along_x, down_x, _, left), (along_y, down_y, _, top) = matrix[:8].reshape(2, 4)
     except KeyError:
         raise MapError(f"{file}: it does not say where it lies; give a GeoTIFF") from None
-    except (TypeError, ValueError) as error:
+    except NO_NUMBER as error:
         raise MapError(f"{file}: malformed GeoTIFF tags: {error}") from None
     if known.get(_MODEL) == _GEOGRAPHIC:
         raise MapError(

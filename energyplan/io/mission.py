@@ -13,7 +13,7 @@ from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
 from energyplan.io.maps import PARTS, read_site
-from energyplan.kinds import checked, described
+from energyplan.kinds import checked, described, doubts_of
 from energyplan.mission import Mission
 from energyplan.mission.types import Place
 from energyplan.power import PowerModel
@@ -144,7 +144,9 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
                     loc, f"the mission has no such model; it has {', '.join(sorted(known))}"
                 )
     data = {"name": Path(document.source).stem, **data, "payload_models": heavy}
-    return replace(document, data=data).check(Mission, context={"places": places})
+    return replace(document, data=data).check(
+        Mission, context={"places": places, "where": document.where}
+    )
 
 
 def read_battery(source: str | Path) -> Battery:
@@ -152,4 +154,7 @@ def read_battery(source: str | Path) -> Battery:
     if not _is_yaml(str(source)):
         return Battery.of(str(source))
     document = load(source, MissionError)
-    return replace(document, data={"name": Path(source).stem, **document.data}).check(Battery)
+    data = {"name": Path(source).stem, **document.data}
+    battery = replace(document, data=data).check(Battery)
+    document.warn(doubts_of(battery))
+    return battery

@@ -230,6 +230,16 @@ def _comma_number(cell: str) -> bool:
     return re.fullmatch(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*", cell) is not None
 
 
+def _numeric(cells: pd.Series) -> pd.Series:
+    """Return cells as numbers, NaN where they are none."""
+    import pandas as pd
+
+    try:
+        return pd.to_numeric(cells, errors="coerce")
+    except OverflowError:  # a whole number of hundreds of digits
+        return cells.map(lambda cell: float(cell) if _is_number(str(cell)) else np.nan)
+
+
 def _is_number(text: str) -> bool:
     try:
         float(text)
@@ -322,7 +332,7 @@ class Columns:
                 series = series.astype("string").str.strip()
                 if self._decimal == ",":
                     series = series.str.replace(",", ".", regex=False)
-            values = pd.to_numeric(series, errors="coerce").to_numpy(float, na_value=np.nan)
+            values = _numeric(series).to_numpy(float, na_value=np.nan)
             bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
             if len(bad) and _OF_DAY.fullmatch(str(series.iloc[bad[0]])):
                 values = _of_day(series)
@@ -623,14 +633,12 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Table:
 
 def _wide(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | None:
     """Return a column for each name of a table of one reading a row; None of any other table."""
-    import pandas as pd
-
     kinds = frame.nunique()
     varied = [name for name in names if kinds[name] > 1]
     times = [name for name in varied if "t" in guess([name])][:1]
     words = [
         name for name in varied if name not in times and kinds[name] < len(frame) / 4
-        and pd.to_numeric(frame[name], errors="coerce").isna().all() and frame[name].notna().all()
+        and _numeric(frame[name]).isna().all() and frame[name].notna().all()
     ]  # fmt: skip
     words = sorted(words, key=lambda name: -kinds[name])[:1]
     if not times or not words:
@@ -645,7 +653,7 @@ def _wide(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | None:
             units = [_with_unit(*pair) for pair in zip(frame[words[0]], frame[name].astype(str),
                                                        strict=True)]  # fmt: skip
             frame = frame.assign(**{words[0]: units})
-    frame = frame.assign(**{readings[0]: pd.to_numeric(frame[readings[0]], errors="coerce")})
+    frame = frame.assign(**{readings[0]: _numeric(frame[readings[0]])})
     made = frame.pivot_table(readings[0], times[0], words[0], aggfunc="last", sort=False)
     return made.reset_index()
 

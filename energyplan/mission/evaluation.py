@@ -19,7 +19,7 @@ import pandas as pd
 
 from energyplan import html
 from energyplan.battery import Battery
-from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
+from energyplan.errors import BatteryError, EnergyPlanError, MissionError, UnknownNameError
 from energyplan.kinds import checked
 from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, State, Walk
 from energyplan.mission.order import attempt, best_stops, finish
@@ -526,7 +526,16 @@ class Evaluation:
         notes: tuple[str, ...] = ()
         if isinstance(battery, Battery):
             notes = tuple(filter(None, (battery.temperature_note, *battery.notes)))
-        return (*self.mission.notes, *notes)
+        return (*self.mission.notes, *notes, *self._uncharged())
+
+    def _uncharged(self) -> tuple[str, ...]:
+        """Tell at which chargers the battery takes no charge, and why."""
+        found: dict[str, list[str]] = {}
+        for charger in self.mission.chargers:
+            found.setdefault(self.mission.charging_fault(charger), []).append(repr(charger.name))
+        return tuple(
+            f"no charge at {', '.join(names)}: {fault}" for fault, names in found.items() if fault
+        )
 
     # -- verdicts ---------------------------------------------------------------------------------
 
@@ -592,6 +601,7 @@ class Evaluation:
             earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
             tasks = (*earlier, k)
             remedies += [
+                *self._indoors(tasks),
                 *self._slower(tasks, told.safe),
                 *self._charge_first(tasks),
                 *self._larger_battery(tasks, told.safe),
@@ -683,13 +693,28 @@ class Evaluation:
             remedies += [Remedy("speed", share * most, "m/s") for share in (0.75, 0.5, 0.25)]
         return self._first(tasks, remedies)
 
+    def _indoors(self, tasks: Sequence[int]) -> list[Remedy]:
+        """Tell whether a battery helps that is as warm, or as cool, as charging demands."""
+        closed = [one for one in self.mission.chargers if self.mission.charging_fault(one)]
+        battery = self.mission.at_charger(closed[0]) if closed else None
+        if not isinstance(battery, Battery):
+            return []
+        low, high = battery.min_charge_temperature, battery.max_charge_temperature
+        cold = battery.temperature < low
+        remedy = Remedy("warm", low, "degC") if cold else Remedy("cool", high, "degC")
+        return self._first(tasks, [remedy])
+
     def _first(self, tasks: Sequence[int], remedies: Sequence[Remedy]) -> list[Remedy]:
         """Return the first of some remedies that works, if any does."""
         return next(([remedy] for remedy in remedies if self._works(tasks, remedy)), [])
 
     def _works(self, tasks: Sequence[int], remedy: Remedy) -> bool:
         """Tell whether the last of some tasks can be done after the others with a remedy."""
-        walk = Walk(self.legs.under(self.mission.with_remedy(remedy)))
+        try:
+            changed = self.mission.with_remedy(remedy)
+        except BatteryError:  # beyond any battery
+            return False
+        walk = Walk(self.legs.under(changed))
         return self._follow(walk, tasks) and self._holds(tasks[-1], remedy)
 
     def _holds(self, k: int, remedy: Remedy) -> bool:

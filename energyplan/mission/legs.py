@@ -520,6 +520,12 @@ class Walk:
         late = state.lateness + self.legs.grounds.driving_time(leg.duration)
         return replace(moved, node=goal, lateness=late)
 
+    @cached_property
+    def stations(self) -> tuple[int, ...]:
+        """Nodes of the chargers at which the battery takes charge."""
+        told = zip(self.legs.chargers, self.mission.chargers, strict=True)
+        return tuple(node for node, one in told if not self.mission.charging_fault(one))
+
     def wait(self, state: State, duration: float) -> State:
         """Stand still for so long [s]."""
         region = self.legs.region(state.node)
@@ -585,8 +591,8 @@ class Walk:
     def charge(self, state: State, leave_by: float = np.inf) -> State:
         """Charge at the charger at hand until it suffices, or until it is time to leave [s]."""
         charger = self.mission.chargers[state.node - self.legs.chargers[0]]
-        low = self._charge(state.worst, charger.power, self.at_least(charger.until))
-        high = self._charge(state.expected, charger.power, charger.until)
+        low = self._charge(state.worst, charger, self.at_least(charger.until))
+        high = self._charge(state.expected, charger, charger.until)
         gauge = self.legs.grounds.gauge
         enough = high[0][-1]
         last = min(max(low[0][-1], enough), leave_by - state.time)
@@ -610,15 +616,18 @@ class Walk:
             pieces=(*state.pieces, piece),
         )
 
-    def _charge(self, charge: Charge, power: float, until: float) -> tuple[FloatArray, FloatArray]:
+    def _charge(
+        self, charge: Charge, charger: Charger, until: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Return times since charging began and charges, until it suffices or rises no more."""
+        battery, power = self.mission.at_charger(charger), charger.power
         t, soc = [0.0], [charge.soc]
         steps = _STEP * np.arange(int(3600 / _STEP) + 1)
         for _ in range(_HOURS):
             begun = soc[-1]
             if begun >= until:
                 break
-            run = self.mission.battery.simulate(steps, np.full(len(steps), -power), soc=begun)
+            run = battery.simulate(steps, np.full(len(steps), -power), soc=begun)
             reached = np.flatnonzero(run.soc >= until)
             stop = int(reached[0]) if len(reached) else len(steps)
             hour = t[-1]
@@ -627,7 +636,7 @@ class Walk:
             if len(reached):
                 # the last step ends when it suffices
                 short = np.linspace(0.0, _STEP, _PARTS + 1)
-                run = self.mission.battery.simulate(
+                run = battery.simulate(
                     short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
                 )
                 # the shorter steps need not get there by the last bit
@@ -809,10 +818,12 @@ class Walk:
         worst = safe.worst
         if self.lacks_power(safe):
             return f"{SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
-        return (
+        told = (
             f"with the way back to {self.legs.names[safe.node]} it may take "
             f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
         )
+        faults = map(self.mission.charging_fault, self.mission.chargers)
+        return "; ".join((told, *dict.fromkeys(filter(None, faults))))
 
 
 SAGS = {

@@ -581,7 +581,7 @@ class Matrix:
         self._walk, self._state, self._tasks = walk, state, tuple(tasks)
         self._caution, self._scale, self._ideal = caution, scale, ideal
         self._late = caution if late is None else late
-        self.nodes = [state.node, *(task + 1 for task in tasks), *walk.legs.chargers]
+        self.nodes = [state.node, *(task + 1 for task in tasks), *walk.stations]
         self._ends = walk.ends
         mission = walk.mission
         change = np.array([mission.tasks[task].payload for task in tasks])
@@ -684,6 +684,7 @@ class Matrix:
         tasks = [mission.tasks[k] for k in self._tasks]
         times = self._times()
         kept = 1.0 if self._ideal else mission.battery.charge_efficiency
+        stations = [mission.chargers[node - walk.legs.chargers.start] for node in walk.stations]
         reserve = self._stored(mission.reserve, mission.reserve)
         hurry = True in walk.ways
         inner = np.ix_(self.nodes, self.nodes)
@@ -702,9 +703,9 @@ class Matrix:
             budget=self._scale * (self._stored(state.expected.soc, state.worst.soc) - reserve),
             capacity=np.array([
                 self._scale * (self._stored(c.until, walk.at_least(c.until)) - reserve)
-                for c in mission.chargers
+                for c in stations
             ]),
-            charge_power=np.array([c.power for c in mission.chargers]) * kept,
+            charge_power=np.array([c.power for c in stations]) * kept,
             start_time=state.time + late,
             full=self._scale * (self._stored(1.0, 1.0) - reserve),
             hurried_energy=partial(self._energy, hurried=True) if hurry else None,
@@ -777,7 +778,7 @@ def attempt(walk: Walk, state: State, task: int) -> Attempt:
     if best.reason == "late":
         hurried = walk.attempt(state, task, hurried=True)
         best = best if hurried.reason == "late" else hurried
-    if best.reason != "battery" or not walk.mission.chargers:
+    if best.reason != "battery" or not walk.stations:
         return best
     found = best_stops(walk, state, (task,))
     if task + 1 in found.stops:
@@ -787,7 +788,7 @@ def attempt(walk: Walk, state: State, task: int) -> Attempt:
         if done.reason == "none":
             return done
     # what is missing is told from where the least is
-    for charger in walk.legs.chargers:
+    for charger in walk.stations:
         docked = walk.dock(state, charger)
         if docked is not None:
             tried = walk.attempt(walk.charge(docked), task)
@@ -798,7 +799,7 @@ def attempt(walk: Walk, state: State, task: int) -> Attempt:
 def finish(walk: Walk, state: State) -> State | None:
     """Drive to where the mission may end, charging on the way if need be; None if it cannot."""
     last = walk.arrives(state)
-    if last is not None or not walk.mission.chargers:
+    if last is not None or not walk.stations:
         return last
     found = best_stops(walk, state, ())
     return walk.arrives(walk.follow(state, found.stops, found.hurried))

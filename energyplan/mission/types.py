@@ -16,16 +16,14 @@ from pydantic import BeforeValidator, Field, PlainValidator, ValidationInfo
 from pydantic_core import ArgsKwargs
 
 from energyplan import html
-from energyplan.battery import Battery, BatteryModel
+from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.errors import MissionError
-from energyplan.kinds import checked, described
+from energyplan.kinds import NO_NUMBER, Within, checked, described, doubts_of, in_words
 from energyplan.path import Pose, as_pose
 from energyplan.planning.problem import free_beside, nearest_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
 from energyplan.records import (
-    ABOVE,
-    FINITE,
     Fraction,
     Length,
     Mass,
@@ -50,10 +48,13 @@ from energyplan.terrain import (
 from energyplan.vehicle import Vehicle
 
 RemedyKind = Literal[
-    "charge", "capacity", "strings", "reserve", "speed", "cheapest_speed", "window", "drop"
+    "warm", "cool", "charge", "capacity", "strings", "reserve", "speed", "cheapest_speed", "window",
+    "drop",
 ]  # fmt: skip
 
 _SENTENCES: dict[RemedyKind, str] = {
+    "warm": "charge indoors, above {amount:g} degC",
+    "cool": "charge in a cool place, below {amount:g} degC",
     "charge": "charge to {percent:.0f} % before leaving",
     "capacity": "a battery with {hours:.0f} Wh more",
     "strings": "a battery with {amount:.4g} times the strings in parallel, or cells of so much "
@@ -94,10 +95,11 @@ def require(condition: object, message: str, *place: str | int) -> None:
 def uncertain(kind: str, value: Any) -> tuple[float, float | None]:
     """Read a number, ``{mean, std}`` or a uniform ``{low, high}``, as mean and deviation."""
     if not isinstance(value, dict):
-        number = amount(kind, value)
-        if not isinstance(number, int | float):
-            raise ValueError("give a number, {mean: ..., std: ...} or {low: ..., high: ...}")
-        return float(number), None
+        try:
+            return float(amount(kind, value)), None
+        except (TypeError, OverflowError):
+            told = "give a number, {mean: ..., std: ...} or {low: ..., high: ...}"
+            raise ValueError(told) from None
     parts = {key: uncertain(kind, part)[0] for key, part in value.items()}
     if parts.keys() == {"mean", "std"}:
         mean, spread = parts["mean"], parts["std"]
@@ -127,7 +129,7 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
             if len(value) != 3:
                 raise ValueError(f"{len(value)} numbers")
             value = float(value[0]), float(value[1]), float(amount("angle", value[2]))
-        except ValueError as problem:
+        except NO_NUMBER as problem:
             raise ValueError(
                 f"{value} is no pose ({problem}); give x, y [m] and yaw [rad] or as 90deg"
             ) from None
@@ -137,14 +139,17 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
 Place = Annotated[Pose, PlainValidator(_pose)]
 
 
-LONGEST = 1e8
-"""Longest time that a task may take [s]: three years."""
-
 LARGEST = 1e12
-"""Largest instant [s], power [W] or prize of a task."""
+"""Largest instant [s] or prize of a task."""
 
 Name = Annotated[str, Field(min_length=1)]
-_UP_TO_LARGEST = Field(ge=0, le=LARGEST)
+Duration = Annotated[Time, Within((0, 1e8), (0, 86400), "s")]
+ToolPower = Annotated[Power, Within((0, 1e6), (0, 2e4), "W")]
+Speed = Annotated[float, Within((1e-3, 50), (0.05, 15), "m/s")]
+
+
+def _share(greatest: float, usual: float) -> Within:
+    return Within((0, greatest), (0, usual), "", PERCENT)
 
 
 @record(MissionError)
@@ -186,14 +191,14 @@ class Task:
 
     name: Name
     pose: Place
-    dwell: Annotated[Time, Field(ge=0, le=LONGEST)] = 0.0
-    power: Annotated[Power, _UP_TO_LARGEST] = 0.0
-    payload: Annotated[Mass, Field(allow_inf_nan=False)] = 0.0
-    prize: Annotated[Number, _UP_TO_LARGEST] = 1.0
+    dwell: Duration = 0.0
+    power: ToolPower = 0.0
+    payload: Annotated[Mass, Within((-1e5, 1e5), (-1e3, 1e3), "kg", "not grams")] = 0.0
+    prize: Annotated[Number, Within((0, LARGEST), (0, 1e6))] = 1.0
     required: bool = True
     window: tuple[Time, Time] = (0.0, inf)
-    power_spread: Annotated[Power, _UP_TO_LARGEST] | None = None
-    dwell_spread: Annotated[Time, Field(ge=0, le=LONGEST)] | None = None
+    power_spread: ToolPower | None = None
+    dwell_spread: Duration | None = None
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -234,6 +239,8 @@ class Charger:
         Power at the battery's terminals [W].
     until : float
         State of charge at which the robot leaves.
+    temperature : float, optional
+        Temperature of the battery while it charges there [degC]; that on the way where not given.
 
     Raises
     ------
@@ -248,8 +255,9 @@ class Charger:
 
     name: Name
     pose: Place
-    power: Annotated[Power, Field(gt=0, le=LARGEST)]
-    until: Annotated[Fraction, Field(gt=0, le=1)] = 0.95
+    power: Annotated[Power, Within((0.1, 1e6), (5, 5e4), "W")]
+    until: Annotated[Fraction, Within((0.01, 1), (0.3, 1), "", PERCENT)] = 0.95
+    temperature: Temperature | None = None
 
 
 @record(MissionError)
@@ -261,15 +269,15 @@ class Spreads:
     all its uncertainty counts as that of the capacity.
     """
 
-    soc: Annotated[Fraction, FINITE] = 0.02
-    capacity: Annotated[Fraction, FINITE] = 0.025  # capacity of the battery, relative
-    health: Annotated[Fraction, FINITE] = 0.05  # health of the battery, absolute
-    temperature: Annotated[Number, FINITE] = 3.0  # temperature of the battery [K]
-    power: Annotated[Fraction, FINITE] = 0.1  # power of each tool, relative
-    dwell: Annotated[Fraction, FINITE] = 0.1  # duration of each task, relative
-    run: Annotated[Fraction, FINITE] = USUAL_RUN_SPREAD
-    speed: Annotated[Fraction, FINITE] = 0.05  # time of all driving from run to run, relative
-    waiting: Annotated[Fraction, FINITE] = 1.0  # waiting at each task, relative
+    soc: Annotated[Fraction, _share(1, 0.2)] = 0.02
+    capacity: Annotated[Fraction, _share(1, 0.4)] = 0.025  # capacity of the battery, relative
+    health: Annotated[Fraction, _share(1, 0.4)] = 0.05  # health of the battery, absolute
+    temperature: Annotated[Number, Within((0, 100), (0, 20), "K")] = 3.0  # of the battery
+    power: Annotated[Fraction, _share(10, 1)] = 0.1  # power of each tool, relative
+    dwell: Annotated[Fraction, _share(10, 1)] = 0.1  # duration of each task, relative
+    run: Annotated[Fraction, _share(1, 0.5)] = USUAL_RUN_SPREAD
+    speed: Annotated[Fraction, _share(10, 0.5)] = 0.05  # time of driving by run, relative
+    waiting: Annotated[Fraction, _share(100, 2)] = 1.0  # waiting at each task, relative
 
     @classmethod
     def none(cls) -> Spreads:
@@ -295,7 +303,7 @@ def _reserve(value: Any, info: ValidationInfo) -> Any:
         return amount("fraction", value)  # a number without a unit is a fraction
     try:
         energy = float(amount("energy", value))
-    except ValueError as problem:
+    except NO_NUMBER as problem:
         raise ValueError(f"{problem}; give a fraction, a percentage or an energy") from None
     battery = info.data.get("battery")
     whole = np.inf if battery is None else battery.full_energy
@@ -425,30 +433,32 @@ class Mission(ReadOnly, html.Readable):
     tasks: Annotated[tuple[Task, ...], Field(max_length=1000)]
     chargers: Annotated[tuple[Charger, ...], Field(max_length=100)] = ()
     surfaces: Annotated[SurfaceMap | None, instance_of(SurfaceMap, NoneType)] = None
-    payload: Annotated[Mass, FINITE] = 0.0
+    payload: Annotated[Mass, Within((0, 1e5), (0, 1e3), "kg", "not grams")] = 0.0
     payload_models: Annotated[Mapping[str, Mapping[float, PowerModel]], instance_of(Mapping)] = (
         field(default_factory=dict)
     )
-    soc: Annotated[Fraction, Field(ge=0, le=1)] = 1.0
-    reserve: Annotated[float, BeforeValidator(_reserve), Field(ge=0, lt=1)] = 0.2
-    confidence: Annotated[Fraction, Field(ge=0.5, lt=1)] = 0.95
-    coefficient_spread: Annotated[Fraction, FINITE] = 0.0
+    soc: Annotated[Fraction, Within((0, 1), (0.05, 1), "", PERCENT)] = 1.0
+    reserve: Annotated[
+        float, BeforeValidator(_reserve), Within((0, 0.99), (0, 0.7), "", PERCENT)
+    ] = 0.2
+    confidence: Annotated[Fraction, Within((0.5, 1 - 1e-9), (0.5, 0.99999), "", PERCENT)] = 0.95
+    coefficient_spread: Annotated[Fraction, _share(1, 0.5)] = 0.0
     order: Literal["given", "free"] = "given"
     return_to: Literal["start", "charger", "any"] = "any"
     home: Place | None = None
-    time: Annotated[Time, _UP_TO_LARGEST] = 0.0
-    speed: Annotated[
-        Annotated[float, ABOVE] | Literal["cheapest"] | None, BeforeValidator(_speed)
-    ] = None
+    time: Annotated[Time, Within((0, LARGEST), (0, LARGEST), "s")] = 0.0
+    speed: Annotated[Speed | Literal["cheapest"] | None, BeforeValidator(_speed)] = None
     objective: Literal["energy", "length"] = "energy"
     planner: str = "lattice"
-    planning_time: Annotated[Time, ABOVE] | None = None
-    planning_effort: Annotated[int, amount_of("number"), ABOVE] | None = None
+    planning_time: Annotated[Time, Within((1e-3, 86400), (1e-3, 600), "s")] | None = None
+    planning_effort: (
+        Annotated[int, amount_of("number"), Within((1, 1e9), (1, 5e6), "units")] | None
+    ) = None
     name: str = "mission"
     heights: Annotated[HeightMap | None, instance_of(HeightMap, NoneType)] = None
     spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)
-    waiting: Annotated[Time, Field(ge=0, le=LONGEST)] = 0.0
-    clearance: Annotated[Length, FINITE] = 0.0
+    waiting: Duration = 0.0
+    clearance: Annotated[Length, Within((0, 100), (0, 2), "m")] = 0.0
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 
     also: ClassVar = ("vehicle", "places", "keepout", "costmap")  # keys of a file alone
@@ -481,6 +491,21 @@ class Mission(ReadOnly, html.Readable):
             known = vars(Spreads.none()) if known == "none" else known
             given["spreads"] = {**known, **spreads}
         return given
+
+    @pydantic.model_validator(mode="after")
+    def _doubts(self, info: ValidationInfo) -> Mission:
+        """Note what is unusual, with its line where a file says so."""
+        where = (info.context or {}).get("where", in_words)
+        found = [*doubts_of(self), *doubts_of(self.vehicle, ("model", "vehicle"))]
+        for k, task in enumerate(self.tasks):
+            for name in ("dwell", "power"):
+                mean, spread = getattr(task, name), getattr(task, f"{name}_spread")
+                if spread is not None and spread > mean:
+                    told = f"a standard deviation of {spread:g} is more than the mean of {mean:g}"
+                    found.append((("tasks", k, name), told))
+        notes = (f"{where(place)}: {text}" for place, text in found)
+        object.__setattr__(self, "notes", (*self.notes, *notes))
+        return self
 
     def __post_init__(self) -> None:
         place: object = self.map
@@ -633,6 +658,17 @@ class Mission(ReadOnly, html.Readable):
         usual = self.vehicle.driving_speed
         return self.speed or (usual if np.isfinite(usual) else None)
 
+    def at_charger(self, charger: Charger) -> BatteryModel:
+        """Return the battery as it is while it charges."""
+        if charger.temperature is None or not isinstance(self.battery, Battery):
+            return self.battery
+        return replace(self.battery, temperature=charger.temperature)
+
+    def charging_fault(self, charger: Charger) -> str:
+        """Why the battery takes no charge at a charger, and the remedy; empty where it does."""
+        battery = self.at_charger(charger)
+        return battery.charging_fault if isinstance(battery, Battery) else ""
+
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle, without payload."""
@@ -697,6 +733,12 @@ class Mission(ReadOnly, html.Readable):
             return replace(self, speed="cheapest")
         require(remedy.amount is not None, f"the remedy {remedy.kind!r} has no amount")
         amount = float(remedy.amount or 0.0)
+        if remedy.kind in ("warm", "cool"):
+            moved = tuple(
+                replace(one, temperature=amount) if self.charging_fault(one) else one
+                for one in self.chargers
+            )
+            return replace(self, chargers=moved)
         if remedy.kind == "window":
             k = names.index(remedy.task)
             first, last = self.tasks[k].window

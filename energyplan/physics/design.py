@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from energyplan.errors import InvalidInputError, MissingChannelError
+from energyplan.kinds import NO_NUMBER
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 from energyplan.power import PowerModel, Sides, Term
@@ -283,7 +284,7 @@ def explanations_of(report: Mapping[str, Any]) -> tuple[Explanation, ...]:
             found += [
                 Explanation((*others, str(rival)), 1.0, sizes) for rival in entry.get("rivals", ())
             ]
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (*NO_NUMBER, KeyError, AttributeError):
         raise InvalidInputError(
             "the report is not what `energyplan diagnose --json` prints; give that document"
         ) from None

@@ -31,6 +31,7 @@ from energyplan.errors import (
     StartInCollisionError,
     TimeLimitError,
 )
+from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray, Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.problem import PlanningProblem
@@ -82,7 +83,7 @@ def positions(graph: Graph) -> dict[Hashable, tuple[float, float]]:
         place = data.get("pos", (data.get("x"), data.get("y")))
         try:
             x, y = (float(v) for v in place)
-        except (TypeError, ValueError):
+        except NO_NUMBER:
             raise InvalidInputError(
                 f"node {node!r} has no position; give each node pos=(x, y) or x= and y= [m]"
             ) from None

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import FrameError, InvalidInputError, MessageError, MissingDependencyError
+from energyplan.kinds import NO_NUMBER
 from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.terrain import CostMap, OccupancyGrid
@@ -48,7 +49,7 @@ def _numbers(message: Any, *names: str) -> FloatArray:
     raw = [field(message, name) for name in names]
     try:
         values = np.array([float(value) for value in raw])
-    except (TypeError, ValueError):
+    except NO_NUMBER:
         raise MessageError(f"{', '.join(names)} are {raw}; give numbers") from None
     if not np.all(np.isfinite(values)):
         raise MessageError(f"{', '.join(names)} are {values.tolist()}; give finite numbers")
@@ -148,7 +149,7 @@ def _cells(message: Any, occupied_from: int | None) -> _Cells:
         raise InvalidInputError(f"occupied_from is {least}; give a value from 1 to {top}")
     try:
         data = np.asarray(field(message, "data"))
-    except ValueError as error:
+    except NO_NUMBER as error:
         raise MessageError(f"data is no row of numbers: {error}") from None
     if data.ndim != 1 or (data.size and data.dtype.kind not in "iu"):
         raise MessageError(

@@ -43,6 +43,7 @@ from energyplan.io.mission import mission_from, read_mission
 from energyplan.io.start import Given, Start
 from energyplan.io.start import start as start_of
 from energyplan.io.tables import contours_document
+from energyplan.kinds import unusual
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
 from energyplan.mission import Routes, evaluate
@@ -200,6 +201,11 @@ def _written(document: Document) -> bytes:
     return text
 
 
+def _noted(found: Document, notes: list[str]) -> Document:
+    """Add notes to an answer."""
+    return {**found, "notes": [*found.get("notes", ()), *notes]} if notes else found
+
+
 def _files(service: _Service) -> APIRouter:
     router, store, pool = APIRouter(), service.store, service.pool
 
@@ -286,9 +292,7 @@ def _routes(service: _Service) -> APIRouter:
             found = document(run(query, **options))
         except NoPathError as error:  # an answer, as on the command line
             return documents.no_path(error)
-        if notes := store.site(asked).notes:
-            found["notes"] = [*found.get("notes", ()), *notes]
-        return found
+        return _noted(found, [*store.site(asked).notes, *unusual(query.cost.vehicle, "vehicle")])
 
     def reach(job: Job, asked: RangeRequest) -> Document:
         if (asked.energy is None) == (asked.pack is None):
@@ -305,7 +309,8 @@ def _routes(service: _Service) -> APIRouter:
             coefficient_spread=asked.coefficient_spread,
         )  # fmt: skip
         areas = found.areas(usable)
-        return {**documents.energy_map(found, areas), "areas": contours_document(areas)}
+        told = {**documents.energy_map(found, areas), "areas": contours_document(areas)}
+        return _noted(told, unusual(question.cost.vehicle, "vehicle"))
 
     def checked(job: Job, asked: CheckRequest) -> Document:
         names = ("t", "x", "y", "yaw", "v", "omega")
@@ -313,7 +318,9 @@ def _routes(service: _Service) -> APIRouter:
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise InvalidInputError(f"the columns have different lengths: {lengths}")
-        return documents.feasibility(check(Trajectory(**columns), store.model(asked.model)))
+        model = store.model(asked.model)
+        told = documents.feasibility(check(Trajectory(**columns), model))
+        return _noted(told, unusual(model.vehicle, "vehicle"))
 
     service.answers(router, "/plan", PlanRequest, partial(planned, plan, documents.plan))
     compared = partial(planned, compare, documents.comparison)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil, floor
+from typing import Annotated
 
 import numpy as np
 import shapely
@@ -15,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.compilation import Column, FloatTable, IntTable, njit
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
-from energyplan.kinds import check_fields, described
+from energyplan.kinds import Within, check_fields, described
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
@@ -58,7 +59,8 @@ class SpeedLimit:
     """An area in which the robot's reference point moves no faster than a speed."""
 
     area: BaseGeometry  # where the limit holds, its border included, in the world [m]
-    speed: float  # largest speed [m/s], or share of the robot's top speed [1]
+    # largest speed [m/s], or share of the robot's top speed [1]
+    speed: Annotated[float, Within((1e-3, 50), (0.02, 15), "m/s")]
     relative: bool = False  # whether `speed` is a share
 
     def __post_init__(self) -> None:
