@@ -129,12 +129,12 @@ class Within:
         return at, f"{self.range(ends)}{slip}"
 
     def fault(self, value: ArrayLike) -> tuple[tuple[int, ...], str]:
-        """Return where an impossible number stands and what to give; no text where there is none."""
+        """Return where an impossible number stands and what to give; no text if there is none."""
         at, wanted = self._beyond(self.possible, value)
         return at, f"give {wanted}" if wanted else ""
 
     def doubt(self, value: ArrayLike) -> tuple[tuple[int, ...], str]:
-        """Return where an unusual number stands and why it is one; no text where there is none."""
+        """Return where an unusual number stands and why it is one; no text if there is none."""
         at, wanted = self._beyond(self.usual, value)
         return at, f"usual is {wanted}; check the number and its unit" if wanted else ""
 

@@ -44,7 +44,8 @@ LEAD_ACID = Chemistry(
     "Below: X2Power's comparison of sealed lead-acid with lithium, 45 % at 0 degF; manuals of "
     "starter batteries agree (Westfalia, 40 % at -18 degC; 40 % at -20 degC). Peukert "
     "exponent: the middle of 1.05 to 1.15, usual for AGM blocks. Charging from -15 to "
-    "50 degC: Union Battery on sealed lead-acid. The resistance coefficient is that of the acid's conductivity, a round figure.",
+    "50 degC: Union Battery on sealed lead-acid. The resistance coefficient is that of "
+    "the acid's conductivity, a round figure.",
 )  # fmt: skip
 """Valve-regulated lead-acid, one 12 V block of six cells."""
 
@@ -81,8 +82,8 @@ LITHIUM_IRON_PHOSPHATE = Chemistry(
     source="Lithium Werks APR-18650M1B, C/32: Sunil, Pattipati, Balasingam (IEEE TIM 2025). "
     "Derating: Canbat on its CLI100-12, 80 % at 0 degC and 70 % at -20 degC; X2Power tells "
     "70 % at 0 degF. Charging from 0 to 45 degC: Sunland on its IFR10440; Alpha Technologies "
-    "allows up to 60 degC for its APL48-50LFP, and nothing below 0 degC either. Resistance coefficient: a round figure, to "
-    "be replaced by that of the cell at hand.",
+    "allows up to 60 degC for its APL48-50LFP, and nothing below 0 degC either. Resistance "
+    "coefficient: a round figure, to be replaced by that of the cell at hand.",
 )  # fmt: skip
 """Lithium iron phosphate, one cell."""
 

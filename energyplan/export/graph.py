@@ -13,10 +13,10 @@ import numpy as np
 import shapely
 
 from energyplan.errors import MapError
-from energyplan.kinds import NO_NUMBER
 from energyplan.io.documents import read_features
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import check_metres
+from energyplan.kinds import NO_NUMBER
 
 RouteGraph = Any
 """A `networkx.MultiDiGraph` whose edges are keyed by their id."""

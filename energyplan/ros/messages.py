@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import FrameError, InvalidInputError, MessageError, MissingDependencyError
-from energyplan.kinds import NO_NUMBER
 from energyplan.io.files import atomic_write
+from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.terrain import CostMap, OccupancyGrid
 from energyplan.vehicle import Vehicle
