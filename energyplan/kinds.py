@@ -59,7 +59,7 @@ NO_NUMBER = (TypeError, ValueError, OverflowError)
 
 def described(value: object) -> str:
     """Return a value in words, short enough for a message."""
-    if isinstance(value, Integral) and abs(value) > _LONG:
+    if isinstance(value, Integral) and not -_LONG < value < _LONG:
         return f"a whole number of more than {_TEXT} digits"
     if value is None or isinstance(value, bool | Real):
         return f"{value}"
@@ -168,7 +168,7 @@ def bounds(owner: Callable[..., Any]) -> dict[str, Within]:
 
 
 def check_sizes(
-    owner: Callable[..., Any], values: Mapping[str, Any], error: type[InvalidInputError],
+    owner: Callable[..., Any], values: Mapping[str, Any], error: type[Exception],
     whose: str = "",
 ) -> None:  # fmt: skip
     """Refuse values that the fields or parameters of an owner cannot have."""
@@ -179,7 +179,10 @@ def check_sizes(
             if wanted:
                 item = "".join(f"[{k}]" for k in at)
                 shown = described(np.asarray(value)[at].item())
-                raise error(f"{whose}{name}{item} is {shown}; {wanted}", (name, *at))
+                problem = error(f"{whose}{name}{item} is {shown}; {wanted}")
+                if isinstance(problem, InvalidInputError):
+                    problem.place = (name, *at)
+                raise problem
 
 
 def doubts(owner: Callable[..., Any], values: Mapping[str, Any]) -> Doubts:
@@ -197,9 +200,9 @@ def doubts_of(record: Any, place: tuple[str | int, ...] = ()) -> Doubts:
     if isinstance(record, tuple):
         for k, item in enumerate(record):
             yield from doubts_of(item, (*place, k))
-    elif is_dataclass(record) and bounds(type(record)):
+    elif is_dataclass(record) and (kind := type(record)) and bounds(kind):  # type: ignore[arg-type]
         held = vars(record)
-        for at, text in doubts(type(record), held):
+        for at, text in doubts(kind, held):
             yield (*place, *at), text
         for name, value in held.items():
             yield from doubts_of(value, (*place, name))
@@ -246,10 +249,10 @@ class _Kind(NamedTuple):
 
 
 def _number(value: object) -> bool:
+    if isinstance(value, Integral) and not -_LONG < value < _LONG:
+        return False
     if isinstance(value, Real):
-        return not isinstance(value, bool) and not (
-            isinstance(value, Integral) and abs(value) > _LONG
-        )
+        return not isinstance(value, bool)
     return isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iuf"
 
 
@@ -396,7 +399,7 @@ def wanted_words(wanted: type) -> str:
     return kind.words if kind else SOURCES.get(wanted.__name__, f"a {wanted.__name__}")
 
 
-def check_fields(record: Any, error: type[InvalidInputError], whose: str = "") -> None:
+def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
     """Check kinds and sizes of a dataclass's fields against their annotations, where it is built.
 
     A number of NumPy becomes Python's, so that it is shown and saved as one.
@@ -408,11 +411,10 @@ def check_fields(record: Any, error: type[InvalidInputError], whose: str = "") -
         _check(kind, value, name, error, whose)
         if isinstance(value, np.generic | np.ndarray) and _number(value):
             object.__setattr__(record, name, value.item())
-    if bounds(type(record)):
-        check_sizes(type(record), vars(record), error, whose)
+    check_sizes(type(record), vars(record), error, whose)
 
 
-def checked(error: type[InvalidInputError] = InvalidInputError) -> Callable[[Function], Function]:
+def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], Function]:
     """Decorate a function so that its arguments are checked against its annotations.
 
     It warns of arguments that are possible but not usual.
@@ -433,10 +435,9 @@ def checked(error: type[InvalidInputError] = InvalidInputError) -> Callable[[Fun
                 several = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
                 for key, value in given[name].items() if several else ((name, given[name]),):
                     _check(kind, value, key, error)
-            if bounds(function):
-                check_sizes(function, given, error)
-                for place, text in doubts(function, given):
-                    warn(f"{place[0]}: {text}")
+            check_sizes(function, given, error)
+            for place, text in doubts(function, given):
+                warn(f"{place[0]}: {text}")
             return function(*args, **options)
 
         return held  # type: ignore[return-value]

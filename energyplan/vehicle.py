@@ -171,13 +171,11 @@ class MotorLimits:
 
 def layout(
     wheelbase: float, track: float, length: float, width: float
-) -> dict[str, NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return contacts and footprint of four wheels that are symmetric about the centre."""
     x, y = wheelbase / 2, track / 2
-    return {
-        "contacts": np.array([(x, y), (-x, y), (x, -y), (-x, -y)]),
-        "footprint": np.array([(-length / 2, -width / 2), (length / 2, width / 2)]),
-    }
+    corners = (-length / 2, -width / 2), (length / 2, width / 2)
+    return np.array([(x, y), (-x, y), (x, -y), (-x, -y)]), np.array(corners)
 
 
 def wheel_loads(
@@ -406,11 +404,12 @@ class Vehicle(ByValue, html.Readable):
         VehicleError
             If a dimension or the mass is not positive.
         """
-        plan = layout(wheelbase, track, length, width)
+        contacts, footprint = layout(wheelbase, track, length, width)
         return cls(
             name=name,
-            **plan,
-            loads=wheel_loads(plan["contacts"], mass, cog),
+            contacts=contacts,
+            loads=wheel_loads(contacts, mass, cog),
+            footprint=footprint,
             icr=icr or TreadICR.symmetric(predict_icr(wheelbase, track)),
             motor=motor or MotorLimits(),
             **limits,

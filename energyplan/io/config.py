@@ -392,7 +392,7 @@ def _built(spec: _Vehicle, base: dict[str, Any]) -> Vehicle:
     cog = spec.cog or (0.0, 0.0)
     if spec.wheelbase is not None:
         keys = ("wheelbase", "track", "length", "width")
-        told |= layout(*(getattr(spec, key) for key in keys))
+        told["contacts"], told["footprint"] = layout(*(getattr(spec, key) for key in keys))
     for key in ("contacts", "loads", "footprint"):
         if getattr(spec, key) is not None:
             told[key] = np.array(getattr(spec, key), float)
