@@ -161,10 +161,16 @@ def bounds(owner: Callable[..., Any]) -> dict[str, Within]:
     return {
         name: part
         for name, hint in _hints(owner).items()
-        for one in (hint, *get_args(hint))
-        for part in getattr(one, "__metadata__", ())
+        for part in _parts(hint)
         if isinstance(part, Within)
     }
+
+
+def _parts(hint: Any) -> Iterator[Any]:
+    """Yield an annotation, and all that it is made of."""
+    yield hint
+    for part in get_args(hint):
+        yield from _parts(part)
 
 
 def check_sizes(

@@ -93,7 +93,7 @@ _REASONS: tuple[BrownOut, ...] = ("none", "voltage", "charge", "current")
 _REFERENCE_TEMPERATURE = 25.0
 
 
-PERCENT, KELVIN = "write a percentage with its sign, as 80 %", "degC, not kelvin"
+PERCENT, KELVIN = "write a percentage with its sign, as 80 %", "not kelvin"
 """What a fraction and a temperature that are too large may be."""
 
 Temperature = Annotated[Celsius, Within((-40, 70), (-30, 60), "degC", KELVIN)]

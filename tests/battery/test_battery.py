@@ -50,7 +50,7 @@ def test_series_resistance_draws_the_smaller_root():
 
 
 def test_pair_relaxes_with_its_time_constant():
-    pack = plain(capacity=3.6e9, pair_resistance=0.2, pair_time=30.0, resistance=0.05)
+    pack = plain(capacity=3.6e8, pair_resistance=0.2, pair_time=30.0, resistance=0.05)
     t = np.arange(0.0, 400.0)
     run = pack.simulate(t, np.where(t < 300, 20.0, 0.0))
     after = run.voltage[300:]
@@ -108,6 +108,16 @@ def test_charge_current_and_voltage_limits_hold():
     run = capped.simulate([0.0, 10.0], [-50.0, 0.0], soc=0.5)
     assert run.voltage[0] == pytest.approx(10.2)
     assert run.current[0] == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize("degrees", [-10.0, 0.0, 45.0, 50.0])
+def test_charge_is_taken_within_the_temperatures_of_charging_alone(degrees: float) -> None:
+    pack = plain(temperature=degrees, min_charge_temperature=0.0, max_charge_temperature=45.0)
+    run = pack.simulate([0.0, 360.0, 720.0], [-10.0, 10.0, 0.0], soc=0.5)
+    taken = 0.1 if degrees in (0.0, 45.0) else 0.0
+    assert run.soc == pytest.approx([0.5, 0.5 + taken, 0.4 + taken])
+    assert run.braked[-1] == pytest.approx(3600.0 - 36000.0 * taken)
+    assert bool(pack.charging_fault) == (taken == 0.0)
 
 
 def test_brown_out_under_a_peak_is_reported_with_its_instant():
@@ -258,16 +268,18 @@ def test_a_run_continues_where_the_last_one_ended():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"capacity": -1.0}, "capacity is -1.0: Input should be greater than 0"),
+        ({"capacity": -1.0}, r"capacity is -1.0: give 0.001 to 3.6e\+08 C"),
         ({"capacity": np.nan}, "capacity"),
         ({"resistance": -0.1}, "resistance"),
-        ({"peukert": 0.9}, "peukert is 0.9: Input should be greater than or equal to 1"),
+        ({"peukert": 0.9}, "peukert is 0.9: give 1 to 2"),
         ({"health": 0.0}, "health"),
         ({"cutoff_soc": 1.0}, "cutoff_soc"),
         ({"cutoff_voltage": 11.0}, "below the open-circuit voltage"),
         ({"ocv_points": np.array([11.0, 10.0])}, "must not descend"),
         ({"soc_points": np.array([0.1, 1.0])}, "ascend from 0 to 1"),
         ({"derating_factor": np.array([1.0, 2.0])}, "derating"),
+        ({"temperature": 300.0}, r"temperature is 300.0: give -40 to 70 degC \(not kelvin"),
+        ({"min_charge_temperature": 50.0, "max_charge_temperature": 45.0}, "must be below"),
     ],
 )
 def test_bad_battery_is_refused(changes, message):
@@ -334,6 +346,11 @@ def test_words_say_what_is_usable_how_healthy_and_how_cold() -> None:
         ("30 V 20 Ah lead-acid", ["30 V is no multiple of the 12 V"]),
         ("24 V 0 Ah li-ion", ["0 Ah is not positive"]),
         ("480 Wh li-ion", ["voltage", "capacity"]),
+        (
+            "12.8 V 20 Ah LiFePO4 -5 C",
+            ["'-5 c' may be a temperature", "write a temperature as -5 degC"],
+        ),
+        ("12.8 V 20 Ah LiFePO4 300 degC", ["temperature is 300.0", "not kelvin"]),
         ("nuclear", ["unknown battery 'nuclear'", "husky_a200"]),
     ],
 )

@@ -20,6 +20,8 @@ UNITS: dict[str, dict[str, Any]] = {
         "resistance_coefficient": 0.01, "peukert": 1.1, "charge_efficiency": 0.90,
         "cutoff_voltage": 10.5, "max_voltage": 14.4, "resistance": 0.28,
         "max_charge_current": 0.3, "rated_current": 0.05, "words": "12 V 1 Ah AGM",
+        # Union Battery on sealed lead-acid: charging from 5 to 122 degF
+        "min_charge_temperature": -15.0, "max_charge_temperature": 50.0,
     },
     # Molicel INR-21700-P42A at C/32: Sunil, Pattipati, Balasingam, IEEE TIM 2025
     "lithium_ion": {
@@ -33,6 +35,8 @@ UNITS: dict[str, dict[str, Any]] = {
         "resistance_coefficient": 0.015, "peukert": 1.0, "charge_efficiency": 0.99,
         "cutoff_voltage": 2.8, "resistance": 0.10, "max_charge_current": 0.5,
         "rated_current": 0.05, "words": "3.65 V 1 Ah NMC",
+        # data sheet of the cell INR21700D40JH
+        "min_charge_temperature": 0.0, "max_charge_temperature": 45.0,
     },
     # Lithium Werks APR-18650M1B at C/32: the same paper
     "lithium_iron_phosphate": {
@@ -45,6 +49,8 @@ UNITS: dict[str, dict[str, Any]] = {
         "resistance_coefficient": 0.02, "peukert": 1.0, "charge_efficiency": 0.99,
         "cutoff_voltage": 2.5, "max_voltage": 3.65, "resistance": 0.06,
         "max_charge_current": 0.5, "rated_current": 0.05, "words": "3.2 V 1 Ah LFP",
+        # Sunland IFR10440: 0.5 C from 15 to 45 degC, 0.2 C below, none below 0 degC
+        "min_charge_temperature": 0.0, "max_charge_temperature": 45.0,
     },
 }  # fmt: skip
 """Of one unit of 1 Ah; what has no source of its own is the round figure of the reference."""

@@ -10,7 +10,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from energyplan import simulate
 from energyplan.cost import EnergyCost
-from energyplan.errors import ConfigError, EnergyPlanError, InvalidInputError, UnknownNameError
+from energyplan.errors import (
+    ConfigError,
+    EnergyPlanError,
+    InvalidInputError,
+    UnknownNameError,
+    UnusualValueWarning,
+)
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.files import atomic_write
 from energyplan.power import PowerModel, Residual
@@ -164,11 +170,19 @@ def test_a_term_that_no_file_could_name_is_refused(tmp_path):
         (DIMENSIONS + "colour: red\n", "line 7, colour: there is no such key; the keys are kind"),
         (DIMENSIONS + "motor: {pawer: 3}\n", "line 7, motor.pawer: .* continuous_power"),
         (DIMENSIONS + "motor:\n  speed: fast\n", "line 8, motor.speed: .* not 'fast'"),
-        (DIMENSIONS + "motor:\n  speed: -1\n", "line 8, motor.speed: .* greater"),
+        (
+            DIMENSIONS + "motor:\n  speed: -1\n",
+            "line 8, motor.speed: .* is -1.0; give 0.001 to 50 m/s",
+        ),
         (DIMENSIONS + "mass: 3\n", "line 7: 'mass' stands twice"),
         (DIMENSIONS.replace("mass: 120.0\n", ""), "mass: the key is missing"),
         (DIMENSIONS.replace("120.0", ".nan"), "line 2, mass: .* finite"),
-        (DIMENSIONS.replace("120.0", "-3"), "mass is -3"),
+        (DIMENSIONS.replace("120.0", "-3"), "line 2, mass: mass is -3"),
+        (DIMENSIONS.replace("120.0", "147000"), r"line 2, mass: .* 100000 kg \(not grams\)"),
+        (DIMENSIONS.replace("120.0", "9" * 400), "line 2, mass: "),
+        (DIMENSIONS + "usual_speed: 1.0e+6\n", "line 7, usual_speed: .* give 0.001 to 50 m/s"),
+        (DIMENSIONS + "motor: {speed: 1.0e+6}\n", "line 7, motor.speed: .* give 0.001 to 50 m/s"),
+        ("preset: jackal\nloads: [1, 1, 1, 3.9e+8]\n", "line 2, loads.3: .* give 0 to"),
         (DIMENSIONS + "loads: [1, 2, 3, 4]\n", "line 7, loads: the key contradicts"),
         (DIMENSIONS + "icr: {left: 0.4}\n", "line 7, icr.right: this key is missing"),
         (DIMENSIONS + "icr: {left: -1, right: 0.5}\n", "slip track"),
@@ -239,6 +253,24 @@ def test_a_document_that_explodes_is_refused(tmp_path):
         read_vehicle(write(tmp_path, "name: " + "x" * (1 << 20)))
     with pytest.raises(ConfigError, match="cannot be read"):
         read_vehicle(tmp_path / "absent.yaml")
+
+
+def test_what_is_unusual_is_accepted_and_said_with_its_line(tmp_path):
+    unusual = DIMENSIONS.replace("120.0", "17000") + "motor: {speed: 20}\nusual_speed: 0.01\n"
+    model = MODEL.replace("quadriga:full", "{preset: jackal, loads: [0, 50, 50, 50]}")
+    for text, read, words in (
+        (
+            unusual,
+            read_vehicle,
+            ("2, mass: 17000 is", "7, motor.speed: 20", "8, usual_speed: 0.01"),
+        ),
+        (model, read_model, ("2, vehicle.loads.0: 0 is unusual",)),
+    ):
+        with pytest.warns(UnusualValueWarning) as said:
+            read(write(tmp_path, text))
+        told = [str(one.message) for one in said]
+        assert len(told) == len(words)
+        assert [w for w in words if not any(f"it.yaml, line {w}" in one for one in told)] == []
 
 
 # -- files --------------------------------------------------------------------------------------

@@ -159,7 +159,7 @@ def test_examples_are_read(name):
         ("pose: gate", "pose: [.nan, 2, 0]", 14, "finite"),
         ("name: drop", "name: look", 18, "stands twice"),
         ("dwell: 5 min", "dwell: 5 hours", 15, "unit of a time"),
-        ("dwell: 5 min", "dwell: -3", 15, "dwell: Input should be greater than or equal to 0"),
+        ("dwell: 5 min", "dwell: -3", 15, "dwell: give 0 to 1e+08 s, not '-3'"),
         ("power: 0.1 kW", "power: .nan", 16, "power"),
         ("power: 0.1 kW", "watts: 3", 16, "no such key"),
         ("model: quadriga:empty:concrete", "model: quadriga:empty:ice", 2, "unknown model preset"),
@@ -168,11 +168,16 @@ def test_examples_are_read(name):
             "temperature: 10",
             "capacity: -5 Ah",
             5,
-            "battery.capacity: Input should be greater than 0, not '-5 Ah'",
+            "battery.capacity: give 0.001 to 3.6e+08 C, not '-5 Ah'",
         ),
         ("temperature: 10", "capacity: 200", 5, "200 has no unit, and would be C; write 200 Ah"),
         ("temperature: 10", "capacity: '200'", 5, "200 has no unit"),
-        ("reserve: 20 %", "reserve: '20'", 26, "reserve: Input should be less than 1"),
+        (
+            "reserve: 20 %",
+            "reserve: '20'",
+            26,
+            "reserve: give 0 to 0.99 (write a percentage with its sign",
+        ),
         ("temperature: 10", "usable: [1]", 5, "battery: usable is no fraction"),
         ("temperature: 10", "notes: 5", 5, "battery.notes"),
         ("\nplaces:", "\nplaces: 0\nothers:", 9, "places: Input should be a valid dictionary"),
@@ -180,12 +185,12 @@ def test_examples_are_read(name):
         ("temperature: 10", "temperature: cold", 5, "battery.temperature: give a number"),
         ("preset: quadriga", "chemistry: agm, series: 2", 5, "the pack lacks parallel, unit_cap"),
         ("preset: quadriga", "preset: nuclear", 5, "unknown battery 'nuclear'"),
-        ("soc: 90 %", "soc: 190 %", 6, "soc: Input should be less than or equal to 1"),
+        ("soc: 90 %", "soc: 190 %", 6, "soc: give 0 to 1 (write a percentage with its sign"),
         ("reserve: 20 %", "reserve: 5 kWh", 26, "above the battery's capacity"),
         ("reserve: 20 %", "reserve: 95 %", 26, "not below the state of charge"),
         ("order: free", "order: random", 24, "'given' or 'free'"),
         ("until: 90 %", "until: 10 %", 23, "not above the reserve"),
-        ("power: 200 W", "power: 0", 23, "power: Input should be greater than 0"),
+        ("power: 200 W", "power: 0", 23, "power: give 0.1 to 1e+06 W, not '0'"),
         ("dwell: 5 min", "dwell: {mean: 5 min}", 15, "mean and std, or low and high"),
         ("dwell: 5 min", "dwell: {mean: 5 min, std: -1}", 15, "negative spread"),
         ("dwell: 5 min", "dwell: {low: 5 min, high: 4 min}", 15, "negative spread"),
@@ -196,9 +201,22 @@ def test_examples_are_read(name):
             "soc: 90 %",
             "spreads: {soc: -1 %}",
             6,
-            "spreads.soc: Input should be greater than or equal to 0",
+            "spreads.soc: give 0 to 1",
         ),
         ("soc: 90 %", "spreads: {smell: 1 %}", 6, "no such key"),
+        ("temperature: 10", "temperature: 300", 5, "give -40 to 70 degC (not kelvin)"),
+        ("temperature: 10", "temperature: -100", 5, "give -40 to 70 degC, not '-100'"),
+        ("temperature: 10", "capacity: 1e12 Ah", 5, "battery.capacity: give 0.001 to 3.6e+08 C"),
+        ("spread: 0.05", "spread: 5", 7, "coefficient_spread: give 0 to 1 (write a percentage"),
+        ("power: 0.1 kW", "power: 1e9", 16, "power: give 0 to 1e+06 W, not '1e9'"),
+        ("power: 200 W", "power: 1e9 W", 23, "power: give 0.1 to 1e+06 W, not '1e9 W'"),
+        ("soc: 90 %", "speed: 1000", 6, "speed: give 0.001 to 50 m/s"),
+        ("soc: 90 %", "planning_effort: 1.0e+15", 6, "planning_effort: give 1 to 1e+09 units"),
+        ('gate: "11.0,10.4,0"', "gate: [null, 8.0, 90deg]", 11, "is no pose"),
+        ('gate: "11.0,10.4,0"', "gate: [[1], 8.0, 90deg]", 11, "is no pose"),
+        ('gate: "11.0,10.4,0"', f"gate: [{'9' * 400}, 8.0, 90deg]", 11, "is no pose"),
+        ("dwell: 5 min", f"dwell: {{mean: {'9' * 400}, std: 1}}", 15, "give a number"),
+        ("temperature: 10", f"soc_points: [0, {'9' * 400}]", 5, "give a list of finite numbers"),
     ],
 )
 def test_complaints_name_the_line(tmp_path, old, new, line, message):
@@ -208,6 +226,29 @@ def test_complaints_name_the_line(tmp_path, old, new, line, message):
     assert f"round.yaml, line {line}" in str(caught.value)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_unusual_is_accepted_and_said_with_its_line(tmp_path):
+    text = GOOD.replace("dwell: 5 min", "dwell: {mean: 5 s, std: 500 s}")
+    for old, new in {
+        "power: 0.1 kW": "power: 100 kW", "200 W, until: 90 %": "100 kW, until: 90 %",
+        "health: 80 %": "health: 30 %", "temperature: 10": "capacity: 2000 Ah",
+        "spread: 0.05": "spread: 60 %", "soc: 90 %": "soc: 90 %\nspeed: 20", "reserve: 20 %":
+        "reserve: 80 %",
+    }.items():  # fmt: skip
+        assert old in text
+        text = text.replace(old, new)
+    mission = read_mission(written(tmp_path, text))
+    expected = [
+        "line 27, reserve: 0.8", "line 8, coefficient_spread: 0.6", "line 7, speed: 20",
+        "line 5, battery.capacity: 7.2e+06", "line 5, battery.health: 0.3",
+        "line 17, tasks.0.power: 100000", "line 24, chargers.0.power: 100000",
+        "line 16, tasks.0.dwell: a standard deviation of 500",
+    ]  # fmt: skip
+    told = [note for note in mission.notes if note.startswith("round.yaml, line ")]
+    assert [one for one in expected if not any(f"yaml, {one} " in note for note in told)] == []
+    assert len(told) == len(expected)
+    assert read_mission(written(tmp_path, GOOD)).notes == ()
 
 
 def test_an_empty_task_list_is_named(tmp_path):

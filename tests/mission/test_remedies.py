@@ -91,6 +91,14 @@ def troubled() -> dict[str, Mission]:
             model=PowerModel.preset("quadriga:empty:marble").with_term(HOTEL, 60.0),
         ),
     }  # fmt: skip
+    for name, degrees in {"cold": -5.0, "hot": 50.0}.items():
+        pack = replace(
+            tiny(2970.0), temperature=degrees, min_charge_temperature=0.0,
+            max_charge_temperature=45.0,
+        )  # fmt: skip
+        asked[name] = corridor(
+            1.0, {"end": 29.0}, 5.0, battery=pack, chargers=(charger(15, "a"), charger(25, "b"))
+        )
     hurried = corridor(1e6, {"soon": 25.0}, 5.0, speed=0.25)
     soon = replace(hurried.tasks[0], window=(0.0, 60.0))
     long = Task("long", Pose(29.0, 1.5, 0.0), dwell=100.0)
@@ -115,6 +123,27 @@ def test_every_remedy_that_is_told_holds(name: str, order: str) -> None:
             assert again.verdict == "reachable", (task.name, remedy)
     if order == "given":
         assert told
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+def test_what_takes_no_charge_is_said_where_charge_is_needed_and_where_not(order: str) -> None:
+    cold = replace(troubled()["cold"], order=order)
+    report = evaluate(cold)
+    told = report.task("end")
+    assert (told.verdict, told.reason) == ("unreachable", "battery")
+    assert "the battery is at -5 degC and is charged from 0 to 45 degC only" in told.detail
+    assert told.remedy.startswith("charge indoors, above 0 degC, or")
+    said = "no charge at 'a', 'b': the battery is at -5 degC"
+    assert [one for one in report.warnings if one.startswith(said)]
+    rich = evaluate(replace(cold, battery=replace(cold.battery, capacity=3600.0)))
+    assert rich.feasible
+    assert [one for one in rich.warnings if one.startswith(said)]
+    warm = replace(cold, battery=replace(cold.battery, temperature=0.0))
+    indoors = replace(cold, chargers=tuple(replace(c, temperature=20.0) for c in cold.chargers))
+    for asked in (warm, indoors):
+        again = evaluate(asked)
+        assert again.order == ("a", "b", "end", "b")
+        assert not [one for one in again.warnings if "no charge" in one]
 
 
 def test_each_kind_of_remedy_is_told_of_some_mission() -> None:

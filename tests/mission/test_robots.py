@@ -204,7 +204,7 @@ def test_a_file_gives_each_robot_what_it_has_the_skills_for() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
-        ("soc: 60 %", "soc: 160 %", r"fleet\.yaml, line 19, soc: Input should be less than"),
+        ("soc: 60 %", "soc: 160 %", r"fleet\.yaml, line 19, soc: give 0 to 1"),
         ("needs: [arm]", "needs: [wings]", r"line \d+, tasks\.1\.needs: no robot has wings"),
         ("skills: [arm]", "colour: red", r"robots\.0\.colour: a robot has no such key"),
         ("places: 1", "places: 0", r"chargers\.0\.places"),

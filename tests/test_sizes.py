@@ -1,0 +1,79 @@
+"""What numbers of files may be: one table, which stands beside the fields and is printed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import energyplan as ep
+from energyplan.io.fleet import _Charger
+from energyplan.kinds import bounds, doubts_of
+from energyplan.mission import Spreads
+from energyplan.terrain import SpeedLimit
+
+PAGE = Path(__file__).parents[1] / "docs" / "tables.md"
+OWNERS: dict[str, list[Any]] = {
+    "vehicle": [ep.Vehicle.from_geometry, ep.Vehicle],
+    "vehicle: motor": [ep.MotorLimits],
+    "vehicle: icr": [ep.TreadICR],
+    "battery": [ep.Battery],
+    "mission": [ep.Mission],
+    "mission: tasks": [ep.Task],
+    "mission: chargers": [ep.Charger],
+    "mission: spreads": [Spreads],
+    "fleet: chargers": [_Charger],
+    "surfaces": [SpeedLimit],
+}
+"""Files, and what holds their numbers."""
+
+CHECKED_ELSEWHERE = {
+    ("battery", "soc_points"): "ascends from 0 to 1",
+    ("mission: tasks", "window"): "a window that is not empty",
+    ("mission", "payload_models"): "by payload, within whose range a payload must be",
+}
+
+
+def rows() -> list[str]:
+    return [
+        f"| {file} | `{name}` | {one.range(one.possible)} | {one.range(one.usual)} |"
+        for file, owners in OWNERS.items()
+        for owner in owners
+        for name, one in bounds(owner).items()
+    ]
+
+
+def test_the_page_says_what_numbers_may_be() -> None:
+    section = PAGE.read_text(encoding="utf-8").split("\n## Numbers in files\n")[1]
+    found = [line for line in section.split("\n## ")[0].splitlines() if " | `" in line]
+    assert found == rows(), "\n".join(rows())
+
+
+@pytest.mark.parametrize("file", OWNERS)
+def test_every_number_of_a_file_has_bounds(file: str) -> None:
+    numeric = re.compile(
+        r"\b(float|int|NDArray|Numbers?|Time|Power|Mass|Length|Fraction|Amps|Volts|Ohms|Coulombs)\b"
+    )
+    for owner in OWNERS[file]:
+        if not hasattr(owner, "__dataclass_fields__"):
+            continue
+        for item in fields(owner):
+            if item.init and numeric.search(str(item.type)):
+                known = item.name in bounds(owner) or (file, item.name) in CHECKED_ELSEWHERE
+                assert known, f"{file}: {item.name}"
+
+
+@pytest.mark.parametrize("name", ["quadriga", "quadriga:full", "husky_a200", "jackal", "warthog"])
+def test_what_comes_with_the_library_is_usual(name: str) -> None:
+    assert list(doubts_of(ep.Vehicle.preset(name))) == []
+    if name in ("quadriga", "husky_a200", "jackal"):
+        assert list(doubts_of(ep.Battery.preset(name))) == []
+
+
+def test_python_warns_of_what_is_unusual_where_it_is_given() -> None:
+    with pytest.warns(ep.errors.UnusualValueWarning, match="mass: 9000 is unusual") as said:
+        ep.Vehicle.from_geometry("x", mass=9e3, wheelbase=0.4, track=0.5, length=0.6, width=0.6)
+    assert [Path(one.filename).name for one in said] == ["test_sizes.py"]
