@@ -36,11 +36,12 @@ from energyplan.errors import EnergyPlanError
 from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
+from energyplan.io.fleet import read_fleet
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.husky import read_husky
 from energyplan.io.logs import read_log
 from energyplan.io.maps import read_heights, read_map, write_map
-from energyplan.io.mission import read_mission
+from energyplan.io.mission import read_battery, read_mission
 from energyplan.io.tables import (
     read_path,
     read_trajectory,
@@ -250,6 +251,17 @@ def folder() -> Path:
         "order: given\nstart: [0.7, 0.7, 0]\ntasks:\n  - name: post\n"
         "    pose: [3.2, 0.7, 90deg]\n    dwell: 2 min\n    power: 15 W\n"
     )
+    (place / "battery.yaml").write_text(
+        "chemistry: agm\nseries: 2\nparallel: 1\nunit_capacity: 20 Ah\ntemperature: -5\n"
+        "soc_points: [0, 1]\nocv_points: [23, 26]\nmin_charge_temperature: -10\n"
+    )
+    (place / "fleet.yaml").write_text(
+        (place / "mission.yaml").read_text().replace("power: 15 W", "power: {mean: 15, std: 2 W}")
+        + "    needs: [mop]\n    window: [0, 1 h]\n    payload: 500 g\nplaces: {dock: '0.7,0.7,0'}\n"
+        "chargers: [{name: dock, pose: dock, power: 200, until: 90 %, places: 2}]\n"
+        "waiting: {low: 1, high: 3 s}\nspeed: cheapest\nspreads: {run: 5 %}\n"
+        "robots: [{name: a, skills: [mop], speed: 0.5}, {name: b, skills: [mop], soc: 80 %}]\n"
+    )
     for name, kind in BAGS.items():
         record(place / name, kind)
     return place
@@ -282,6 +294,8 @@ READERS: dict[str, tuple[Callable[[Path], Any], bool]] = {
     "preset.yaml": (read_vehicle, True),
     "model.yaml": (read_model, True),
     "mission.yaml": (read_mission, True),
+    "fleet.yaml": (read_fleet, True),
+    "battery.yaml": (read_battery, True),
     "topics.yaml": (TopicMap.read, True),
     "map.yaml": (read_map, True),
     "map.pgm": (read_map, False),

@@ -24,11 +24,11 @@ from energyplan.errors import (
 from energyplan.io.bags import TopicMap
 from energyplan.io.documents import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
-from energyplan.kinds import Doubts, check_sizes, checked, doubts
+from energyplan.kinds import Doubts, Within, check_sizes, checked, doubts
 from energyplan.logs.mapping import Column
 from energyplan.path import FloatArray
-from energyplan.power import PowerModel, Residual, Term
-from energyplan.power.effects import term
+from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
+from energyplan.power.effects import catalogue, term
 from energyplan.records import ReadOnly
 from energyplan.vehicle import (
     DEFAULT_ACCELERATION,
@@ -232,9 +232,28 @@ def read_model(source: str | Path) -> PowerModel:
         covariance = np.diag(np.square(errors))
     residual = None if spec.residual is None else Residual(**spec.residual.model_dump())
     values = np.array([item.value for item in spec.terms])
-    return _placed(
+    model = _placed(
         document, ("terms",), PowerModel, vehicle, terms, values, covariance, residual, spec.name
     )
+    document.warn(_unusual_terms(model))
+    return model
+
+
+def _unusual_terms(model: PowerModel) -> Doubts:
+    """Yield the coefficients that are larger than diagnosis would believe.
+
+    A coefficient that is averaged over explanations may be as small as one likes.
+    """
+    believed = {SLIP.name: (0.0, 2.0), TRACTION.name: (0.0, 1e4)}
+    for effect in catalogue().values():
+        if len(effect.terms) == 1:
+            low, high = effect.limits(model.vehicle)
+            believed[effect.terms[0].name] = min(low, 0.0), high
+    for k, (one, value) in enumerate(zip(model.terms, model.coefficients, strict=True)):
+        usual = believed.get(one.name, (-inf, inf))
+        _, text = Within((-inf, inf), usual, one.unit).doubt(value)
+        if text:
+            yield ("terms", k, "value"), f"{value:.6g} is unusual; {text}"
 
 
 def write_vehicle(vehicle: Vehicle, path: str | Path) -> Path:

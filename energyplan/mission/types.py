@@ -497,7 +497,11 @@ class Mission(ReadOnly, html.Readable):
         """Note what is unusual, with its line where a file says so."""
         where = (info.context or {}).get("where", in_words)
         found = [*doubts_of(self), *doubts_of(self.vehicle, ("model", "vehicle"))]
+        most = self.payload + sum(max(task.payload, 0.0) for task in self.tasks)
         for k, task in enumerate(self.tasks):
+            if -task.payload > most:
+                told = f"it leaves {-task.payload:g} kg, and at most {most:g} kg are ever on board"
+                found.append((("tasks", k, "payload"), told))
             for name in ("dwell", "power"):
                 mean, spread = getattr(task, name), getattr(task, f"{name}_spread")
                 if spread is not None and spread > mean:

@@ -107,6 +107,36 @@ def test_a_mission_by_file_and_by_content_agree(client: TestClient, folder: Path
     assert not list(folder.glob(".mission*"))
 
 
+def test_what_is_unusual_is_said_and_what_is_impossible_is_refused(
+    client: TestClient, folder: Path
+) -> None:
+    (folder / "heavy.yaml").write_text(
+        "vehicle: {preset: jackal, mass: 17000}\n"
+        "terms: [{name: slip_friction, value: 0.5}, {name: traction_resistance, value: 10}]\n"
+    )
+    told = client.post("/api/plan", json={**QUERY, "model": "heavy.yaml", "effort": 100}).json()
+    again = client.post("/api/plan", json={**QUERY, "model": "heavy.yaml", "effort": 100}).json()
+    for answer in (told, again):  # the model is read once
+        assert any("vehicle.loads.0: 41692" in note for note in answer["notes"]), answer["notes"]
+    document = {
+        "model": MODEL, "map": "room.yaml", "battery": "12.8 V 20 Ah LiFePO4 at -5 degC",
+        "start": [1, 2, 0], "planning_effort": 1000, "coefficient_spread": 0.05,
+        "tasks": [{"name": "look", "pose": [4, 2, 0], "power": 1e5, "dwell": 1}],
+        "chargers": [{"name": "dock", "pose": [1, 2, 0], "power": 200}],
+    }  # fmt: skip
+    warnings = client.post("/api/mission", json={"document": document}).json()["warnings"]
+    assert any(one.startswith("mission, tasks.0.power: 100000 is unusual") for one in warnings)
+    assert any("no charge at 'dock'" in one and "indoors, above 0 degC" in one for one in warnings)
+    for change, words in (
+        ({"start": [None, 2.0, "90deg"]}, "start: [None, 2.0, '90deg'] is no pose"),
+        ({"battery": {"preset": "quadriga", "temperature": 300}}, "(not kelvin), not '300'"),
+        ({"tasks": [{**document["tasks"][0], "power": 1e9}]}, "tasks.0.power: give 0 to 1e+06 W"),
+    ):
+        refused = client.post("/api/mission", json={"document": {**document, **change}})
+        assert refused.status_code == 422
+        assert words in refused.json()["detail"]
+
+
 def test_logs_are_identified_and_diagnosed(client: TestClient) -> None:
     found = client.post("/api/identify", json={"logs": ["a.csv"], "vehicle": "quadriga:full"})
     assert {term["name"] for term in found.json()["terms"]} >= {"slip_friction"}
