@@ -257,7 +257,8 @@ def folder() -> Path:
     )
     (place / "fleet.yaml").write_text(
         (place / "mission.yaml").read_text().replace("power: 15 W", "power: {mean: 15, std: 2 W}")
-        + "    needs: [mop]\n    window: [0, 1 h]\n    payload: 500 g\nplaces: {dock: '0.7,0.7,0'}\n"
+        + "    needs: [mop]\n    window: [0, 1 h]\n    payload: 500 g\n"
+        "places: {dock: '0.7,0.7,0'}\n"
         "chargers: [{name: dock, pose: dock, power: 200, until: 90 %, places: 2}]\n"
         "waiting: {low: 1, high: 3 s}\nspeed: cheapest\nspreads: {run: 5 %}\n"
         "robots: [{name: a, skills: [mop], speed: 0.5}, {name: b, skills: [mop], soc: 80 %}]\n"

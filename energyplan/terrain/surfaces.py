@@ -66,11 +66,9 @@ class SpeedLimit:
     def __post_init__(self) -> None:
         check_fields(self, MapError, "speed limit: ")
         _area(self.area, "the area of a speed limit")
-        if not 0 < self.speed < np.inf or (self.relative and self.speed > 1):
-            what = f"{100 * self.speed:g} %" if self.relative else f"{self.speed:g} m/s"
+        if self.relative and self.speed > 1:
             raise MapError(
-                f"a speed limit is {what}; give a positive speed [m/s], or at most 100 % of the "
-                "robot's top speed, and keep the robot out where it must not drive"
+                f"a speed limit is {100 * self.speed:g} %; give at most 100 % of the top speed"
             )
 
     def of(self, vehicle: Vehicle) -> float:

@@ -233,8 +233,8 @@ def test_what_is_unusual_is_accepted_and_said_with_its_line(tmp_path):
     for old, new in {
         "power: 0.1 kW": "power: 100 kW", "200 W, until: 90 %": "100 kW, until: 90 %",
         "health: 80 %": "health: 30 %", "temperature: 10": "capacity: 2000 Ah",
-        "spread: 0.05": "spread: 60 %", "prize: 3": "payload: -500", "soc: 90 %": "soc: 90 %\nspeed: 20", "reserve: 20 %":
-        "reserve: 80 %",
+        "spread: 0.05": "spread: 60 %", "prize: 3": "payload: -500",
+        "soc: 90 %": "soc: 90 %\nspeed: 20", "reserve: 20 %": "reserve: 80 %",
     }.items():  # fmt: skip
         assert old in text
         text = text.replace(old, new)
@@ -243,7 +243,8 @@ def test_what_is_unusual_is_accepted_and_said_with_its_line(tmp_path):
         "line 27, reserve: 0.8", "line 8, coefficient_spread: 0.6", "line 7, speed: 20",
         "line 5, battery.capacity: 7.2e+06", "line 5, battery.health: 0.3",
         "line 17, tasks.0.power: 100000", "line 24, chargers.0.power: 100000",
-        "line 18, tasks.0.payload: it leaves 500 kg", "line 16, tasks.0.dwell: a standard deviation of 500",
+        "line 18, tasks.0.payload: it leaves 500",
+        "line 16, tasks.0.dwell: a standard deviation of 500",
     ]  # fmt: skip
     told = [note for note in mission.notes if note.startswith("round.yaml, line ")]
     assert [one for one in expected if not any(f"yaml, {one} " in note for note in told)] == []

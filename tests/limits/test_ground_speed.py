@@ -148,13 +148,13 @@ def test_surfaces_with_a_speed_are_read_and_written(tmp_path):
 @pytest.mark.parametrize(
     ("speed", "message"),
     [
-        (0, "feature 0: a speed limit is 0 m/s; give a positive speed"),
-        (-0.5, "a speed limit is -0.5 m/s"),
+        (0, "feature 0: speed limit: speed is 0.0; give 0.001 to 50 m/s"),
+        (-0.5, "speed limit: speed is -0.5"),
         ("120 %", "a speed limit is 120 %"),
         ("slow", "speed is 'slow'; give m/s, such as 0.4, or '50 %'"),
         (True, "speed is True"),
         ([1], "speed is"),
-        (float("nan"), "a speed limit is nan m/s"),
+        (float("nan"), "speed limit: speed is nan"),
     ],
 )
 def test_a_speed_that_is_none_is_refused(tmp_path, speed, message):
