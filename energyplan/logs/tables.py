@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError, MissingDependencyError
+from energyplan.kinds import NO_NUMBER
 from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess
 from energyplan.logs.mapping import ROW, is_unit, scale_of, split_unit, time_unit
@@ -237,7 +238,14 @@ def _numeric(cells: pd.Series) -> pd.Series:
     try:
         return pd.to_numeric(cells, errors="coerce")
     except OverflowError:  # a whole number of hundreds of digits
-        return cells.map(lambda cell: float(cell) if _is_number(str(cell)) else np.nan)
+        return cells.map(_cell)
+
+
+def _cell(cell: object) -> float:
+    try:
+        return float(cell)  # type: ignore[arg-type]
+    except NO_NUMBER:
+        return float("nan")
 
 
 def _is_number(text: str) -> bool:

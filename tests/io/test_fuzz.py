@@ -40,6 +40,8 @@ import energyplan as ep
 from energyplan import cli
 from energyplan.errors import EnergyPlanError
 from energyplan.io.documents import parse_pose
+from energyplan.io.logs import read_log
+from energyplan.io.tables import read_trajectory
 
 MANY = int(os.environ.get("ENERGYPLAN_FUZZ", "0"))
 SCRIPTS = st.integers(1, 4).flatmap(lambda n: st.binary(min_size=n * STEP, max_size=n * STEP))
@@ -88,6 +90,19 @@ def test_readers_refuse_by_name(name: str) -> None:
                 assert_answered(read, place.read)
 
         attack()
+
+
+@pytest.mark.parametrize("value", ["9" * 400, "9" * 5000])
+def test_a_whole_number_of_hundreds_of_digits_is_refused(value: str, tmp_path: Path) -> None:
+    file = tmp_path / "it.csv"
+    rows = [f"{t},{t},0,0,1,0" for t in range(6)]
+    file.write_text("\n".join(["t,x,y,yaw,v,omega", *rows, f"6,{value},0,0,1,0", "7,7,0"]))
+    with pytest.raises(EnergyPlanError, match="not finite"):
+        read_trajectory(file)
+    rows = [f"{t},{name},{value if t == 3 else t}" for t in range(12) for name in
+            ("v_left", "v_right", "power")]  # fmt: skip
+    file.write_text("\n".join(["t,name,value", *rows]))  # a reading in each row
+    assert_answered(read_log, file)
 
 
 # -- commands -----------------------------------------------------------------------------------
