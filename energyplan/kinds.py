@@ -121,7 +121,8 @@ class Within:
     def _beyond(self, ends: tuple[float, float], value: ArrayLike) -> tuple[tuple[int, ...], str]:
         """Return the place of the first number beyond some ends, and what it should be."""
         given = np.asarray(value, float)
-        good = (given >= ends[0]) & (given <= ends[1]) | (self.endless & np.isinf(given))
+        limitless = self.endless & np.isinf(given) & ((given > 0) | (ends[0] < 0))
+        good = (given >= ends[0]) & (given <= ends[1]) | limitless
         if good.all():
             return (), ""
         at = tuple(int(k) for k in np.argwhere(~good)[0])

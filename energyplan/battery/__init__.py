@@ -100,7 +100,7 @@ Temperature = Annotated[Celsius, Within((-40, 70), (-30, 60), "degC", KELVIN)]
 _Charging = Annotated[
     float, amount_of("temperature"), Within((-60, 100), (-30, 60), "degC", KELVIN, endless=True)
 ]
-_Limit = Annotated[Amps, Within((0, 1e6), (0, 2e3), "A", "not milliamperes", endless=True)]
+_Limit = Annotated[Amps, Within((1e-9, 1e6), (0, 2e3), "A", "not milliamperes", endless=True)]
 
 EXAMPLE = "24 V 20 Ah lead-acid"
 """A battery in words."""
@@ -194,7 +194,7 @@ class Battery(ByValue, html.Readable):
     cutoff_soc: Annotated[Fraction, Within((0, 0.99), (0, 0.6), "", PERCENT)] = 0.0
     max_voltage: Annotated[Volts, Within((0.1, 5e3), (2, 1e3), "V", endless=True)] = np.inf
     max_discharge_current: _Limit = np.inf
-    max_charge_current: _Limit = np.inf
+    max_charge_current: Annotated[Amps, Within((0, 1e6), (0, 2e3), "A", endless=True)] = np.inf
     temperature: Temperature = _REFERENCE_TEMPERATURE
     min_charge_temperature: _Charging = -np.inf
     max_charge_temperature: _Charging = np.inf

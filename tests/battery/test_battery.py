@@ -278,6 +278,8 @@ def test_a_run_continues_where_the_last_one_ended():
         ({"ocv_points": np.array([11.0, 10.0])}, "must not descend"),
         ({"soc_points": np.array([0.1, 1.0])}, "ascend from 0 to 1"),
         ({"derating_factor": np.array([1.0, 2.0])}, "derating"),
+        ({"rated_current": 0.0}, "rated_current"),
+        ({"max_discharge_current": -np.inf}, "max_discharge_current is -inf"),
         ({"temperature": 300.0}, r"temperature is 300.0: give -40 to 70 degC \(not kelvin"),
         ({"min_charge_temperature": 50.0, "max_charge_temperature": 45.0}, "must be below"),
     ],
