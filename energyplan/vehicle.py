@@ -253,7 +253,7 @@ class Vehicle(ByValue, html.Readable):
 
     name: str
     contacts: Positions
-    loads: Annotated[NDArray[np.float64], Within((0, 1e6), (0.1, 5e4), "N")]
+    loads: Annotated[NDArray[np.float64], Within((0, 1e6), (0.1, 1.5e4), "N")]
     icr: TreadICR
     footprint: Positions
     motor: MotorLimits = field(default_factory=MotorLimits)

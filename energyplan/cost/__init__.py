@@ -28,7 +28,7 @@ from energyplan.errors import InvalidInputError, ModelError
 from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.power import SLIP, TRACTION, PowerModel
-from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
+from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, layout, wheel_loads
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,9 +269,9 @@ def _static_model(
         raise InvalidInputError(f"per_radian is {per_radian}; give joules per radian >= 0")
     treads = icr if isinstance(icr, TreadICR) else TreadICR.symmetric(icr)
     width = treads.slip_track
-    vehicle = Vehicle.from_geometry(
-        "coefficients", mass=1.0, wheelbase=width, track=width, length=2 * width, width=2 * width,
-        icr=treads, motor=MotorLimits(speed=speed),
-    )  # fmt: skip
+    # nobody knows its wheels: they stand near the centre, in any footprint that it may be given
+    contacts, box = layout(0.1 * width, 0.1 * width, 2 * width, 2 * width)
+    loads, motor = wheel_loads(contacts, 1.0), MotorLimits(speed=speed)
+    vehicle = Vehicle("coefficients", contacts, loads, treads, box, motor)
     mu = per_radian / vehicle.slip_moment
     return PowerModel(vehicle, (SLIP, TRACTION), np.array([mu, per_metre / 2]), name="coefficients")

@@ -761,7 +761,8 @@ def test_no_plan_of_a_random_model_beats_the_bound_among_obstacles(seed):
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.15, 0.6, 2)
     footprint = np.array([-size * rng.uniform(0.6, 1.4, 2), size])
-    cost = EnergyCost(replace(cost.model, vehicle=replace(cost.vehicle, footprint=footprint)))
+    robot = replace(cost.vehicle, contacts=0.3 * cost.vehicle.contacts, footprint=footprint)
+    cost = EnergyCost(replace(cost.model, vehicle=robot))
     grid = cluttered(seed)
     poses = free_poses(grid, 6, seed, cost.vehicle)
     for start, goal in zip(poses[::2], poses[1::2], strict=True):

@@ -38,7 +38,8 @@ def robot(kind: str) -> Vehicle:
     made = Vehicle.from_geometry(
         kind, mass=30.0, wheelbase=0.5 * length, track=0.8 * width, length=length, width=width
     )
-    return replace(made, footprint=np.array(corners))
+    wheels = made.contacts + (0.3 * ahead, 0.0)  # within the footprint
+    return replace(made, contacts=wheels, footprint=np.array(corners))
 
 
 def floor(kind: str, seed: int, resolution: float, scale: float) -> OccupancyGrid:
