@@ -107,8 +107,8 @@ class Within:
     What is not possible is refused, what is possible but not usual is accepted with a warning.
     """
 
-    possible: tuple[float, float]  # least and greatest
-    usual: tuple[float, float]  # least and greatest
+    possible: tuple[float, float]  # least and greatest number that is not refused
+    usual: tuple[float, float]  # least and greatest number without a warning
     unit: str = ""
     slip: str = ""  # which mistake a number that is too large shows
     endless: bool = False  # whether an infinite number stands for no limit

@@ -38,7 +38,7 @@ def robot(kind: str) -> Vehicle:
     made = Vehicle.from_geometry(
         kind, mass=30.0, wheelbase=0.5 * length, track=0.8 * width, length=length, width=width
     )
-    wheels = made.contacts + (0.3 * ahead, 0.0)  # within the footprint
+    wheels = made.contacts + np.array((0.3 * ahead, 0.0))  # within the footprint
     return replace(made, contacts=wheels, footprint=np.array(corners))
 
 
