@@ -221,6 +221,21 @@ def test_no_two_neighbouring_fields_share_a_comment() -> None:
     assert copied == []
 
 
+def test_the_package_states_the_licence_of_all_that_it_contains() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    stated = {file for pattern in project["license-files"] for file in ROOT.glob(pattern)}
+    vendored = sorted((ROOT / "energyplan").rglob("vendor/*.js"))
+    assert stated == {ROOT / "LICENSE", *(file.with_suffix(".LICENSE") for file in vendored)}
+    assert len(vendored) == 2
+    kinds = {
+        "BSD-2-Clause": "Redistribution and use in source",
+        "MIT": "Permission is hereby granted",
+    }
+    texts = [file.read_text() for file in stated]
+    assert all(any(words in text for text in texts) for words in kinds.values())
+    assert project["license"].split(" AND ") == ["Apache-2.0", *kinds]
+
+
 HOUSE = Path(__file__).with_name("house.toml")
 """How large the package may be. The numbers only fall: who makes it smaller lowers them."""
 
