@@ -187,7 +187,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--recheck", action="store_true", help="fail where a record is not kept")
     given = parser.parse_args(arguments)
     known = json.loads(RECORD.read_text(encoding="utf-8"))
-    few = list[str]()
+    few, unknown = list[str](), list[str]()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "checkout"
         data = ROOT.parent / "shared"
@@ -206,6 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.environ[FOLDER_VARIABLE] = str(kernels)
         for name, tests in modules(given.modules):
             if given.recheck and name not in known:
+                unknown.append(name)
                 continue
             before = known.get(name, {"seed": given.seed, "changes": {}})
             seed = before["seed"] if given.recheck else given.seed
@@ -216,6 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 known[name] = {"seed": seed, "changes": became}
                 text = json.dumps(dict(sorted(known.items())), indent=1) + "\n"
                 RECORD.write_text(text, encoding="utf-8")
+    if unknown:
+        print(f"not recorded yet: {', '.join(unknown)}")
     if few:
         sys.exit(f"fewer than {LEAST} of {CHANGES} changes were noticed in {', '.join(few)}")
 
