@@ -94,7 +94,7 @@ gates: $(READY)
 # Nightly: tables of the pages are made anew; fails where a figure differs, times of a CPU apart.
 # Those of recorded drives and of many robots wait for who has the data and the hours (`bench`).
 PAGES = docs/comparison.md docs/planning.md CONTRIBUTING.md
-SECONDS = sed -E 's/[0-9.]+ s/- s/g'
+SECONDS = sed -E 's/[0-9.]+ s\b/- s/g'
 pages: $(READY)
 	$(BIN)/python benchmarks/comparison.py --out docs/comparison.md
 	$(BIN)/python benchmarks/planners.py --write docs/planning.md --pairs 10
