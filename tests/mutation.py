@@ -20,8 +20,10 @@ import argparse
 import ast
 import hashlib
 import json
+import math
 import os
 import re
+import resource
 import shlex
 import shutil
 import subprocess
@@ -29,6 +31,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,14 +57,20 @@ TESTS = {
 ALWAYS = "tests/docs/test_conventions.py::test_data_are_frozen"
 """A test that should notice changes of any part."""
 
+PYTEST = sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"
+
 RECORD = Path(__file__).with_name("mutants.json")
 """By module: the seed, and for each change the test that noticed it, empty where none did."""
 
 CHANGES, LEAST = 10, 8
 """Changes a module, and how many of them the tests must notice."""
 
-CUT_OFF = 3600.0
-"""Time by the clock after which the tests of a change are cut off [s]."""
+SLOWER, COMPILING = 2.0, 120.0
+"""Processor time that the tests of a change may take: so many times what they take without it, and
+so much more [s], for kernels that are compiled anew."""
+
+WAITING = 20.0
+"""Time by the clock after which tests are cut off that wait, in units of that time."""
 
 UNSEEN = ("_Eq_Is", "_NotEq_IsNot", "_Is_Eq", "_IsNot_NotEq")
 """Operators that mean the same for what they are used for here: short names and None."""
@@ -136,41 +145,58 @@ def chosen(module: Path, seed: int, count: int = CHANGES) -> dict[str, MutationS
     return {key: found[key] for key in ranked[:count]}
 
 
-def _collected(tests: str) -> set[str]:
-    """Return the tests there are."""
-    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", *tests.split(), ALWAYS]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return {line for line in done.stdout.splitlines() if "::" in line}
+def _processor_time() -> float:
+    """Return the processor time that processes started here, and ended, have taken [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
-def noticed_by(change: MutationSpec, tests: Sequence[str]) -> tuple[str, str]:
-    """Return the test that notices a change, empty where none does, and the difference."""
+@cache
+def _unchanged(tests: str) -> tuple[frozenset[str], float]:
+    """Return the tests of a part that pass without a change, and the time for those of one [s]."""
+    begun = _processor_time()
+    command = [*PYTEST, "-vv", *tests.split(), ALWAYS]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        sys.exit(f"these tests fail without a change: {tests}\n{done.stdout[-3000:]}")
+    passed = re.findall(r"^(\S.*) PASSED", done.stdout, re.MULTILINE)
+    return frozenset(passed), SLOWER * (_processor_time() - begun) + COMPILING
+
+
+def noticed_by(change: MutationSpec, tests: Sequence[str], allowed: float) -> tuple[str, str]:
+    """Return the test that notices a change, empty where none does in time, and the difference.
+
+    Processes of the tests are cut off too, so what fails after that time decides nothing.
+    """
     from cosmic_ray.mutating import mutate_and_test
     from cosmic_ray.work_item import TestOutcome
 
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
-    result = mutate_and_test([change], shlex.join(command), CUT_OFF)
-    difference = str(result.diff).partition("\n@@")[2].partition("\n")[2]
+    limited = "sh", "-c", 'ulimit -t "$0"; exec "$@"', str(math.ceil(allowed))
+    begun = _processor_time()
+    command = shlex.join([*limited, *PYTEST, "-x", *tests])
+    result = mutate_and_test([change], command, WAITING * allowed)
+    cut_off = result.output == "timeout" or _processor_time() - begun >= allowed
     if result.test_outcome is TestOutcome.INCOMPETENT or result.diff is None:
         sys.exit(f"{change.module_path}: the change could not be made\n{result.output}")
-    if result.output == "timeout":
-        return "", f"cut off after {CUT_OFF:.0f} s\n{difference}"
+    difference = str(result.diff).partition("\n@@")[2].partition("\n")[2]
     if result.test_outcome is TestOutcome.SURVIVED:
         return "", difference
+    if cut_off:
+        return "", f"cut off after {allowed:.0f} s of processor time\n{difference}"
     failed = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", str(result.output), re.MULTILINE)
     return failed[1] if failed else "a crash", difference
 
 
 def try_module(name: str, tests: str, record: dict[str, str], seed: int) -> dict[str, str]:
     """Change a module in some places; print what no test notices and return what became of each."""
-    there, became = _collected(tests), dict[str, str]()
+    (there, allowed), became = _unchanged(tests), dict[str, str]()
     for key, change in chosen(Path("energyplan") / name, seed).items():
         first = record.get(key, "")
         hint, by = [first] if first in there else [], ""
         if hint:
-            by, difference = noticed_by(change, hint)
+            by, difference = noticed_by(change, hint, allowed)
         if not by:
-            by, difference = noticed_by(change, [*tests.split(), ALWAYS])
+            by, difference = noticed_by(change, [*tests.split(), ALWAYS], allowed)
         became[key] = by
         if not by:
             print(f"not noticed: {name}, {key}\n{difference}\n", flush=True)

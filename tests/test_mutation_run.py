@@ -17,6 +17,9 @@ def f(x: int | None, kind: str) -> int | None:
     return x * 2
 '''
 
+CHILD = "import subprocess, sys; command = [sys.executable, '-c', 'while True: pass']"
+"""A process of the tests that is cut off before they are."""
+
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -65,17 +68,19 @@ def test_a_seed_chooses_changes_that_an_edit_elsewhere_leaves(module: Path) -> N
         ("assert module.f(2, 'other') == 4", "test_it.py::test"),
         ("import os; module.f(2, '') == 4 or os.abort()", "a crash"),
         ("while module.f(2, '') != 4: pass", ""),
+        ("import time; module.f(2, '') == 4 or time.sleep(1e6)", ""),
+        (f"{CHILD}; assert module.f(2, '') == 4 or subprocess.call(command) == 0", ""),
     ],
 )
 def test_only_a_failure_within_the_time_is_noticed(
     module: Path, body: str, by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mutation, "CUT_OFF", 10.0)
+    monkeypatch.setattr(mutation, "WAITING", 3.0)
     monkeypatch.syspath_prepend(".")
     changes = mutation.chosen(module, 0, count=1000)
     last = next(change for what, change in changes.items() if "Mul_Sub" in what)
     Path("test_it.py").write_text(f"import module\n\ndef test():\n    {body}\n")
-    found, difference = mutation.noticed_by(last, ["test_it.py"])
+    found, difference = mutation.noticed_by(last, ["test_it.py"], 5.0)
     assert found == by
     assert "-    return x * 2" in difference
     assert Path("module.py").read_text() == SOURCE
