@@ -30,6 +30,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
@@ -212,6 +213,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--record", action="store_true", help="write what became of the changes")
     parser.add_argument("--recheck", action="store_true", help="fail where a record is not kept")
     given = parser.parse_args(arguments)
+    if not (names := list(modules(given.modules))):
+        parser.error(f"no module of the numerical core is called {' or '.join(given.modules)}")
     known = json.loads(RECORD.read_text(encoding="utf-8"))
     few, unknown = list[str](), list[str]()
     with tempfile.TemporaryDirectory() as folder:
@@ -228,9 +231,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # machine code of changed kernels is of no use to anybody else
         kernels, kept = Path(folder) / "kernels", cache_folder()
         if kept.is_dir():
-            shutil.copytree(kept, kernels)
+            with suppress(shutil.Error):  # what another process is writing is compiled anew
+                shutil.copytree(kept, kernels)
         os.environ[FOLDER_VARIABLE] = str(kernels)
-        for name, tests in modules(given.modules):
+        for name, tests in names:
             if given.recheck and name not in known:
                 unknown.append(name)
                 continue
