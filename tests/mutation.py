@@ -1,94 +1,79 @@
 """How many changes of the numerical core do the tests notice? Meant for the night.
 
-Each module is changed in some places, one at a time (an operator, a comparison, a number), in a
-copy of the checkout, and the tests of its package that reach the changed function are run, quick
-ones first. A change that no test notices survives: it is printed with its difference. `make mutate`
-runs it.
+cosmic-ray changes each module in ten places, one at a time (an operator, a comparison, a number),
+in a copy of the checkout, and the tests of the module's part run. `make mutate` prints the changes
+that no test notices; `make mutate MUTATE="--record power"` writes what became of them to
+`mutants.json`, and `--recheck` fails where the tests notice fewer than eight of the ten changes of
+a module that is recorded.
 
-Tests are given processor time, not time by the clock, so that a loaded machine finds what an idle
-one finds. Tests that are cut off decide nothing: their change is counted as cut, not as noticed.
-
-Some places are not changed, and how many they are is printed by rule: annotations, what is written
-into an error, decorators that only make a function faster, and whether `zip` watches over lengths,
-which differ only by a fault of the program; texts compared by the alphabet, and `is` in place of
-`==`, as nobody would. No change is left out of the score because it seems to mean the same: whether
-a survivor changes only the work or the rounding is for its reader to judge.
-
-`--killed FILE` adds what was noticed to a list, and `--recheck FILE` makes those changes again
-wherever their lines still stand, also in another module, and names those that no test notices any
-more: so tests can be deleted. That needs no cosmic-ray.
+A seed chooses the ten: by a digest of the seed and of the changed line, so that an edit elsewhere
+in the module leaves them as they are. Tests that are cut off decide nothing: their change is not
+counted as noticed. Some places are never changed: annotations, what is written into an error,
+decorators that only make a function faster, whether `zip` compares lengths, which differ only by a
+fault of the program; texts compared by the alphabet, and `is` in place of `==`, as nobody would. No
+change is left out because it seems to mean the same: that is for its reader to judge.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import cProfile
+import hashlib
 import json
 import math
 import os
-import random
 import re
 import resource
+import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from difflib import unified_diff
 from fnmatch import fnmatch
-from itertools import accumulate
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-import pytest
+from energyplan.compilation import FOLDER_VARIABLE, cache_folder
 
 if TYPE_CHECKING:
     from cosmic_ray.work_item import MutationSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
-    "power": "tests/power", "vehicle": "tests/test_vehicle.py tests/power/test_tables.py",
+    "motion.py": "tests/test_motion.py tests/limits/test_speed.py",
+    "path.py": "tests/test_path.py tests/io",
+    "vehicle.py": "tests/test_vehicle.py tests/power/test_tables.py",
+    "battery": "tests/battery", "power": "tests/power", "steering": "tests/steering",
     "cost": "tests/cost tests/limits/test_chain.py tests/steering",
-    "steering": "tests/steering", "planning/bound": "tests/planning/test_bound.py",
+    "planning/bound": "tests/planning/test_bound.py", "limits": "tests/limits",
     "fit": "tests/fit tests/diagnosis/test_one_core.py tests/diagnosis/test_probabilities.py "
            "tests/diagnosis/test_both_sides.py tests/diagnosis/test_adequacy.py",
-    "diagnosis": "tests/diagnosis", "mission": "tests/mission", "limits": "tests/limits",
-    "battery": "tests/battery",
+    "diagnosis": "tests/diagnosis", "mission": "tests/mission",
 }  # fmt: skip
 """What is changed, below the package, and the tests that should notice."""
 
 ALWAYS = "tests/docs/test_conventions.py::test_data_are_frozen"
 """A test that should notice changes of any part."""
 
-SLOWER = 2.0
-"""How much more processor time the tests of a change may take than without it."""
+PYTEST = sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"
 
-STARTING = 30.0
-"""Processor time that the tests of a change may take besides [s]."""
+RECORD = Path(__file__).with_name("mutants.json")
+"""By module: the seed, and for each change the test that noticed it, empty where none did."""
 
-COMPILING = 90.0
-"""Processor time that they may take besides where a kernel is changed: it is compiled anew [s]."""
+CHANGES, LEAST = 10, 8
+"""Changes a module, and how many of them the tests must notice."""
+
+SLOWER, COMPILING = 2.0, 120.0
+"""Processor time that the tests of a change may take: so many times what they take without it, and
+so much more [s], for kernels that are compiled anew."""
 
 WAITING = 20.0
-"""Time by the clock after which tests are cut that wait, in units of their processor time."""
+"""Time by the clock after which tests are cut off that wait, in units of that time."""
 
-RECHECKING = 600.0
-"""Processor time that the tests of a package may take in a recheck [s]."""
-
-OUTCOME = "outcome.txt"
-"""What the tests of a change print, in the copy."""
-
-NOTICED, CUT, SURVIVED = "noticed", "cut off", "not noticed"
-"""What may become of a change."""
-
-
-UNSEEN = ("_Eq_Is$", "_NotEq_IsNot$", "_Is_Eq$", "_IsNot_NotEq$")
+UNSEEN = ("_Eq_Is", "_NotEq_IsNot", "_Is_Eq", "_IsNot_NotEq")
 """Operators that mean the same for what they are used for here: short names and None."""
 
 ORDER = ("_Lt", "_LtE", "_Gt", "_GtE")
@@ -97,413 +82,175 @@ ORDER = ("_Lt", "_LtE", "_Gt", "_GtE")
 FASTER = {"njit", "inner", "lru_cache", "cache"}
 """Decorators without which all is as before, and slower."""
 
-COMPILED = {"njit", "inner"}
-"""Decorators of what runs as machine code, where no profiler sees it."""
 
-Span = tuple[tuple[int, int], tuple[int, int]]
-"""Where a piece of source begins and ends: line and column."""
-
-
-class Score(NamedTuple):
-    """What became of the changes of a module."""
-
-    module: str
-    became: Counter[str]
-    spared: Counter[str]
-
-    def __str__(self) -> str:
-        spared = ", ".join(f"{count} {rule}" for rule, count in sorted(self.spared.items()))
-        return f"{self.module}: {_told(self.became)}; places spared: {spared or 'none'}"
+def modules(patterns: Sequence[str], root: Path = ROOT) -> Iterator[tuple[str, str]]:
+    """Yield the modules that match, below the package, and the tests of each."""
+    for part, tests in TESTS.items():
+        place = root / "energyplan" / part
+        files = [place] if place.is_file() else sorted(place.rglob("*.py"))
+        if not files:
+            sys.exit(f"energyplan/{part} has no modules; correct TESTS in tests/mutation.py")
+        for file in files:
+            name = file.relative_to(root / "energyplan").as_posix()
+            if any(fnmatch(name, f"{pattern}*") for pattern in patterns):
+                yield name, tests
 
 
-def _told(became: Counter[str]) -> str:
-    """Return how many changes were noticed, of how many, and what became of the others."""
-    tried = became.total()
-    others = "".join(f", {became[end]} {end}" for end in (SURVIVED, CUT))
-    return f"{became[NOTICED]} of {tried} noticed ({became[NOTICED] / max(tried, 1):.0%}){others}"
-
-
-def _texts(tree: ast.Module) -> list[Span]:
-    """Return the comparisons with a text."""
-    found: list[ast.AST | None] = []
+def _silent(tree: ast.Module) -> Iterator[tuple[ast.AST | None, bool]]:
+    """Yield the places where a change has no effect, and comparisons of texts (second is true)."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.Compare):
-            sides = [node.left, *node.comparators]
-            if any(isinstance(s, ast.Constant) and isinstance(s.value, str) for s in sides):
-                found.append(node)
-    return _spans(found)
+        match node:
+            case ast.Raise() | ast.If(test=ast.Name(id="TYPE_CHECKING")):
+                yield node, False
+            case ast.AnnAssign() | ast.arg():
+                yield node.annotation, False
+            case ast.FunctionDef():
+                yield node.returns, False
+                for each in node.decorator_list:
+                    if FASTER & set(ast.unparse(each).split("(")):
+                        yield each, False
+            case ast.Call(func=ast.Name(id="zip")):
+                yield from ((keyword.value, False) for keyword in node.keywords)
+            case ast.Compare():
+                sides = [node.left, *node.comparators]
+                if any(isinstance(s, ast.Constant) and isinstance(s.value, str) for s in sides):
+                    yield node, True
 
 
-def _silent(tree: ast.Module) -> list[Span]:
-    """Return the places where a change has no effect on what a program computes."""
-    found: list[ast.AST | None] = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Raise):
-            found.append(node)
-        elif isinstance(node, ast.AnnAssign | ast.arg):
-            found.append(node.annotation)
-        elif isinstance(node, ast.FunctionDef):
-            found.append(node.returns)
-            found += [d for d in node.decorator_list if FASTER & set(ast.unparse(d).split("("))]
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "zip":
-            found += [keyword.value for keyword in node.keywords]
-        elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            found.append(node)
-    return _spans(found)
-
-
-def _spans(nodes: Sequence[ast.AST | None]) -> list[Span]:
-    return [
-        ((node.lineno, node.col_offset - 1), (node.end_lineno, node.end_col_offset))
-        for node in nodes
-        if isinstance(node, ast.expr | ast.stmt)
-        and node.end_lineno is not None
-        and node.end_col_offset is not None
-    ]
-
-
-class Killed(NamedTuple):
-    """A change that a test noticed; lines are without their indentation."""
-
-    module: str
-    function: str  # the innermost one around it, "" outside of all
-    nth: int  # of the places in the function that read like this one, from 0
-    before: list[str]
-    after: list[str]
-    operator: str
-    test: str  # the file whose test noticed it first
-
-
-def _functions(source: str) -> list[str]:
-    """Return for each line the name of the innermost function around it."""
-    names = [""] * (len(source.split("\n")) + 1)
-    for node in ast.walk(ast.parse(source)):  # outer ones come first
-        if isinstance(node, ast.FunctionDef):
-            lines = range(node.lineno - 1, node.end_lineno or node.lineno)
-            names[lines.start : lines.stop] = [node.name] * len(lines)
-    return names
-
-
-def _places(source: str, before: Sequence[str]) -> list[tuple[int, str]]:
-    """Return where these lines stand in a source, and in which function."""
-    lines, names = [line.strip() for line in source.split("\n")], _functions(source)
-    return [
-        (start, names[start])
-        for start in range(len(lines) - len(before) + 1)
-        if lines[start : start + len(before)] == list(before)
-    ]
-
-
-def killed_by(module: str, before: str, after: str, operator: str, test: str) -> Killed | None:
-    """Describe a change by its lines; None if it adds lines or takes lines away alone."""
-    old, new = before.split("\n"), after.split("\n")
-    first = next(i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a != b)
-    last = next(i for i, (a, b) in enumerate(zip(old[::-1], new[::-1], strict=False)) if a != b)
-    gone = [line.strip() for line in old[first : len(old) - last]]
-    come = [line.strip() for line in new[first : len(new) - last]]
-    function = _functions(before)[first]
-    alike = [start for start, name in _places(before, gone) if name == function]
-    return (
-        Killed(module, function, alike.index(first), gone, come, operator, test)
-        if gone and come
-        else None
-    )
-
-
-def find_again(change: Killed, sources: dict[str, str]) -> tuple[str, str] | None:
-    """Return the module in which the lines of a change still stand, and its source with it made.
-
-    They are looked for in the same function of the same module, in a function of that name in any
-    module, and anywhere if they stand in one place only.
-    """
-    found = [
-        (module, start, name)
-        for module, source in sources.items()
-        if all(line in source for line in change.before)
-        for start, name in _places(source, change.before)
-    ]
-    same = [one for one in found if one[0] == change.module and one[2] == change.function]
-    named = [one for one in found if one[2] == change.function]
-    if len(same) > change.nth:
-        chosen = same[change.nth]
-    elif len(named) == 1 or len(found) == 1:
-        chosen = (named or found)[0]
-    else:
-        return None
-    module, start, _ = chosen
-    lines = sources[module].split("\n")
-    stop = start + len(change.before)
-    indents = [len(line) - len(line.lstrip()) for line in lines[start:stop]]
-    indents += indents[-1:] * (len(change.after) - len(indents))
-    made = [" " * indent + line for indent, line in zip(indents, change.after, strict=False)]
-    return module, "\n".join(lines[:start] + made + lines[stop:])
-
-
-def _first_failed() -> str:
-    """Return the file of the test that failed, as the tests of the last change printed it."""
-    printed = Path(OUTCOME).read_text(encoding="utf-8", errors="replace")
-    found = re.search(r"^(?:FAILED|ERROR) ([^:\s]+)", printed, re.MULTILINE)
-    return found[1] if found else ""
-
-
-class Recorder:
-    """Notes the functions of the package that each test calls, and how long it takes."""
-
-    def __init__(self) -> None:
-        self.tests: list[Reach] = []
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        profile, begun = cProfile.Profile(), time.process_time()
-        profile.enable()
-        try:
-            return (yield)
-        finally:
-            profile.disable()
-            took = time.process_time() - begun
-            codes = [entry.code for entry in profile.getstats() if not isinstance(entry.code, str)]
-            calls = {f"{Path(c.co_filename)}:{c.co_firstlineno}" for c in codes}
-            self.tests.append(Reach(item.nodeid, took, sorted(calls)))
-
-
-class Reach(NamedTuple):
-    """A test, what it takes [s] and what it calls, as file:line."""
-
-    test: str
-    took: float
-    calls: list[str]
-
-
-def _reaches(copy: Path, tests: str) -> list[Reach]:
-    """Run the tests of a part as they are; return what each of them calls."""
-    out = copy / "reached.json"
-    asked = [
-        sys.executable,
-        str(copy / "tests" / "mutation.py"),
-        "--record",
-        str(out),
-        *tests.split(),
-    ]
-    subprocess.run(asked, cwd=copy, check=True, stdout=subprocess.DEVNULL)
-    return [Reach(*test) for test in json.loads(out.read_text(encoding="utf-8"))]
-
-
-def _record(out: Path, tests: Sequence[str]) -> int:
-    recorder = Recorder()
-    failed = pytest.main(["-q", "-p", "no:cacheprovider", *tests], plugins=[recorder])
-    out.write_text(json.dumps(recorder.tests), encoding="utf-8")
-    return int(failed)
-
-
-def _tests_of(
-    place: tuple[int, int], file: Path, tree: ast.Module, reaches: list[Reach]
-) -> list[Reach]:
-    """Return the tests to run where this place is changed, quick ones first.
-
-    They are those that call the function; all where none is seen to: outside of functions, and in
-    kernels, of which only a test that calls the Python that they were made from is seen.
-    """
-    around = [
-        node
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef)
-        and (node.lineno, node.col_offset)
-        <= place
-        <= (node.end_lineno or 0, node.end_col_offset or 0)
-    ]
-    chosen = reaches
-    if around:
-        first = min(node.lineno for node in around)
-        outer = next(node for node in around if node.lineno == first)
-        line = min([first, *(d.lineno for d in outer.decorator_list)])
-        compiled = {ast.unparse(d).split("(")[0] for d in outer.decorator_list} & COMPILED
-        if not compiled:
-            chosen = [reach for reach in reaches if f"{file}:{line}" in reach.calls] or reaches
-    return sorted(chosen, key=lambda reach: reach.took)
-
-
-def try_tests(command: Sequence[str], allowed: float) -> str:
-    """Run tests with so much processor time [s]; return whether one noticed the change.
-
-    A failure decides only within this time, as a process of the tests may have been cut off too.
-    """
-
-    def limited() -> None:
-        seconds = math.ceil(allowed)
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-    # bytecode of one change may be as old as the source of the next
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    with Path(OUTCOME).open("wb") as printed:
-        tests = subprocess.Popen(
-            command,
-            env=environment,
-            stdout=printed,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            preexec_fn=limited,
-        )
-    waits = threading.Timer(WAITING * allowed, os.killpg, [tests.pid, signal.SIGKILL])
-    waits.start()
-    _, status, used = os.wait4(tests.pid, 0)
-    waits.cancel()
-    tests.returncode = ended = os.waitstatus_to_exitcode(status)
-    with suppress(ProcessLookupError):
-        os.killpg(tests.pid, signal.SIGKILL)  # what the tests began and left
-    if ended == pytest.ExitCode.OK:
-        return SURVIVED
-    within = used.ru_utime + used.ru_stime < allowed
-    decided = ended != pytest.ExitCode.NO_TESTS_COLLECTED and ended != -signal.SIGKILL
-    return NOTICED if within and decided else CUT
-
-
-def _rule(mutation: MutationSpec, silent: list[Span], texts: list[Span]) -> str | None:
-    """Return the rule by which a place is not changed, if any."""
-    place, name = mutation.start_pos, f"{mutation.operator_name}$"
-    if any(word in name for word in UNSEEN):
-        return "is for =="
-    if any(a <= place < b for a, b in silent):
-        return "without effect"
-    if mutation.operator_name.endswith(ORDER) and any(a <= place < b for a, b in texts):
-        return "text by the alphabet"
-    return None
-
-
-def try_module(
-    copy: Path,
-    module: Path,
-    reaches: list[Reach],
-    mutations: int,
-    seed: int,
-    killed: Path | None = None,
-    at_most: float = math.inf,
-) -> Score:
-    """Change a module of a copy in some places; print those that no test notices.
-
-    The tests of a change take `at_most` so much processor time [s]: the quick ones are run.
-    """
+def chosen(module: Path, seed: int, count: int = CHANGES) -> dict[str, MutationSpec]:
+    """Return the changes of a module that a seed chooses, by what they are."""
     from cosmic_ray.commands.init import _all_work_items
-    from cosmic_ray.mutating import use_mutation
-    from cosmic_ray.plugins import get_operator
 
-    os.chdir(copy)
-    before = module.read_text(encoding="utf-8")
-    tree = ast.parse(before)
-    silent, texts = _silent(tree), _texts(tree)
-    besides = STARTING + COMPILING * any(word in before for word in ("@njit", "@inner"))
-    places = [item.mutations[0] for item in _all_work_items([module], {})]
-    rules = [_rule(place, silent, texts) for place in places]
-    wanted = [place for place, rule in zip(places, rules, strict=True) if rule is None]
-    score = Score(str(module), Counter(), Counter(rule for rule in rules if rule is not None))
-    for place in random.Random(f"{seed} {module}").sample(wanted, min(mutations, len(wanted))):
-        tests = _tests_of(place.start_pos, copy / module, tree, reaches)
-        total = list(accumulate(test.took for test in tests))
-        tests = tests[: max(sum(took <= at_most for took in total), 1)]
-        Path("tests.txt").write_text("\n".join(test.test for test in tests), encoding="utf-8")
-        # what noticed the last change is tried first
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "--failed-first", "@tests.txt"]
-        with use_mutation(place.module_path, get_operator(place.operator_name)(), place.occurrence):
-            after = module.read_text(encoding="utf-8")
-            end = try_tests(command, besides + SLOWER * sum(test.took for test in tests))
-        score.became[end] += 1
-        if end == NOTICED and killed is not None:
-            name, operator = str(module), place.operator_name
-            change = killed_by(name, before, after, operator, _first_failed())
-            if change is not None:
-                with killed.open("a", encoding="utf-8") as out:
-                    out.write(json.dumps(change._asdict()) + "\n")
-        if end != NOTICED:
-            lines = unified_diff(before.split("\n"), after.split("\n"), lineterm="")
-            print(f"{end}: {module}\n" + "\n".join([*lines][2:]) + "\n", flush=True)
-    return score
-
-
-def recheck(copy: Path, listed: Path, patterns: Sequence[str]) -> bool:
-    """Make listed changes again where their lines still stand; return whether all are noticed."""
-    os.chdir(copy)
-    became: Counter[str] = Counter()
-    for line in listed.read_text(encoding="utf-8").splitlines():
-        change = Killed(**json.loads(line))
-        if not any(fnmatch(change.module, f"energyplan/{pattern}*") for pattern in patterns):
+    source = module.read_text(encoding="utf-8")
+    lines, places = source.split("\n"), list(_silent(ast.parse(source)))
+    found: dict[str, MutationSpec] = {}
+    for item in _all_work_items([module], {}):
+        change = item.mutations[0]
+        name, (row, column) = change.operator_name, change.start_pos
+        inside = [
+            texts
+            for node, texts in places
+            if isinstance(node, ast.expr | ast.stmt)
+            and (node.lineno, node.col_offset - 1) <= (row, column)
+            and (row, column) < (node.end_lineno or 0, node.end_col_offset or 0)
+        ]
+        if name.endswith(UNSEEN) or False in inside or (inside and name.endswith(ORDER)):
             continue
-        modules = [str(file) for file in sorted(Path("energyplan").rglob("*.py"))]
-        sources = {name: Path(name).read_text(encoding="utf-8") for name in modules}
-        found = find_again(change, sources)
-        if found is None:
-            became["gone"] += 1
-            continue
-        module, after = found
-        part = next((p for p in TESTS if f"{module}/".startswith(f"energyplan/{p}")), None)
-        tests = [[change.test], [*TESTS[part].split(), ALWAYS] if part else ["tests"]]
-        Path(module).write_text(after, encoding="utf-8")
-        ends = []
-        for files in tests:
-            files = [file for file in files if Path(file.split("::")[0]).exists()]
-            if files and NOTICED not in ends:
-                command = [sys.executable, "-m", "pytest", "-x", "-q", *files]
-                ends.append(try_tests(command, RECHECKING))
-        Path(module).write_text(sources[module], encoding="utf-8")
-        end = NOTICED if NOTICED in ends else CUT if CUT in ends else SURVIVED
-        became[end] += 1
-        if end != NOTICED:
-            lines = "\n".join([f"-{line}" for line in change.before])
-            lines += "\n" + "\n".join([f"+{line}" for line in change.after])
-            print(
-                f"{end}: {module}, {change.function}, once by {change.test}\n{lines}\n", flush=True
-            )
-    gone = became.pop("gone", 0)
-    print(f"{_told(became)}; lines of {gone} more stand nowhere any longer")
-    return became.total() == became[NOTICED]
+        line = lines[row - 1]
+        what = f"{change.definition_name or ''}: {line.strip()} @{column - line.find(line.strip())}"
+        key = what = f"{what} {name.removeprefix('core/')}"
+        while key in found:  # the same line again in the same function
+            key += "'"
+        found[key] = change
+    ranked = sorted(found, key=lambda key: hashlib.sha256(f"{seed} {key}".encode()).digest())
+    return {key: found[key] for key in ranked[:count]}
+
+
+def _processor_time() -> float:
+    """Return the processor time that processes started here, and ended, have taken [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+@cache
+def _unchanged(tests: str) -> tuple[frozenset[str], float]:
+    """Return the tests of a part that pass without a change, and the time for those of one [s]."""
+    begun = _processor_time()
+    command = [*PYTEST, "-vv", *tests.split(), ALWAYS]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        sys.exit(f"these tests fail without a change: {tests}\n{done.stdout[-3000:]}")
+    passed = re.findall(r"^(\S.*) PASSED", done.stdout, re.MULTILINE)
+    return frozenset(passed), SLOWER * (_processor_time() - begun) + COMPILING
+
+
+def noticed_by(change: MutationSpec, tests: Sequence[str], allowed: float) -> tuple[str, str]:
+    """Return the test that notices a change, empty where none does in time, and the difference.
+
+    Processes of the tests are cut off too, so what fails after that time decides nothing.
+    """
+    from cosmic_ray.mutating import mutate_and_test
+    from cosmic_ray.work_item import TestOutcome
+
+    limited = "sh", "-c", 'ulimit -t "$0"; exec "$@"', str(math.ceil(allowed))
+    begun = _processor_time()
+    command = shlex.join([*limited, *PYTEST, "-x", *tests])
+    result = mutate_and_test([change], command, WAITING * allowed)
+    cut_off = result.output == "timeout" or _processor_time() - begun >= allowed
+    if result.test_outcome is TestOutcome.INCOMPETENT or result.diff is None:
+        sys.exit(f"{change.module_path}: the change could not be made\n{result.output}")
+    difference = str(result.diff).partition("\n@@")[2].partition("\n")[2]
+    if result.test_outcome is TestOutcome.SURVIVED:
+        return "", difference
+    if cut_off:
+        return "", f"cut off after {allowed:.0f} s of processor time\n{difference}"
+    failed = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", str(result.output), re.MULTILINE)
+    return failed[1] if failed else "a crash", difference
+
+
+def try_module(name: str, tests: str, record: dict[str, str], seed: int) -> dict[str, str]:
+    """Change a module in some places; print what no test notices and return what became of each."""
+    (there, allowed), became = _unchanged(tests), dict[str, str]()
+    for key, change in chosen(Path("energyplan") / name, seed).items():
+        first = record.get(key, "")
+        hint, by = [first] if first in there else [], ""
+        if hint:
+            by, difference = noticed_by(change, hint, allowed)
+        if not by:
+            by, difference = noticed_by(change, [*tests.split(), ALWAYS], allowed)
+        became[key] = by
+        if not by:
+            print(f"not noticed: {name}, {key}\n{difference}\n", flush=True)
+    print(f"{name}: {sum(map(bool, became.values()))} of {len(became)} noticed", flush=True)
+    return became
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="*", default=["*"], help="such as power or fit/icr.py")
-    parser.add_argument("--mutations", type=int, default=25, help="changes a module")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--killed", type=Path, help="add the changes that are noticed to this list")
-    parser.add_argument("--recheck", type=Path, help="only make the changes of this list again")
-    parser.add_argument(
-        "--at-most", type=float, default=math.inf, help="processor time of a change's tests [s]"
-    )
-    parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
-    asked = parser.parse_args(arguments)
-    if asked.record:
-        sys.exit(_record(asked.record, asked.modules))
-    killed, listed = (file and file.resolve() for file in (asked.killed, asked.recheck))
+    parser.add_argument("--record", action="store_true", help="write what became of the changes")
+    parser.add_argument("--recheck", action="store_true", help="fail where a record is not kept")
+    given = parser.parse_args(arguments)
+    if not (names := list(modules(given.modules))):
+        parser.error(f"no module of the numerical core is called {' or '.join(given.modules)}")
+    known = json.loads(RECORD.read_text(encoding="utf-8"))
+    few, unknown = list[str](), list[str]()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "checkout"
         data = ROOT.parent / "shared"
         if data.is_dir():
             (Path(folder) / "shared").symlink_to(data, target_is_directory=True)
-        left_out = shutil.ignore_patterns(".git", ".venv", "build", "dist", "demo", "__pycache__")
+        left_out = shutil.ignore_patterns(
+            ".git", ".venv", "build", "dist", "demo", "__pycache__", ".kernels"
+        )
         shutil.copytree(ROOT, copy, ignore=left_out)
+        os.chdir(copy)
         os.environ["PYTHONPATH"] = str(copy)
-        if listed:
-            sys.exit(not recheck(copy, listed, asked.modules))
-        scores = []
-        for part, tests in TESTS.items():
-            place = Path("energyplan") / part
-            files = [file.relative_to(ROOT) for file in sorted((ROOT / place).rglob("*.py"))]
-            if not files:
-                parser.error(f"{place} has no modules; correct TESTS")
-            names = {file: str(file.relative_to("energyplan")) for file in files}
-            asked_for = [
-                file
-                for file in files
-                if any(fnmatch(names[file], f"{pattern}*") for pattern in asked.modules)
-            ]
-            reaches = _reaches(copy, f"{tests} {ALWAYS}") if asked_for else []
-            for module in asked_for:
-                scores.append(
-                    try_module(
-                        copy, module, reaches, asked.mutations, asked.seed, killed, asked.at_most
-                    )
-                )
-                print(scores[-1], flush=True)
-    print(f"in all {_told(sum((score.became for score in scores), Counter()))}")
+        # machine code of changed kernels is of no use to anybody else
+        kernels, kept = Path(folder) / "kernels", cache_folder()
+        if kept.is_dir():
+            with suppress(shutil.Error):  # what another process is writing is compiled anew
+                shutil.copytree(kept, kernels)
+        os.environ[FOLDER_VARIABLE] = str(kernels)
+        for name, tests in names:
+            if given.recheck and name not in known:
+                unknown.append(name)
+                continue
+            before = known.get(name, {"seed": given.seed, "changes": {}})
+            seed = before["seed"] if given.recheck else given.seed
+            became = try_module(name, tests, before["changes"], seed)
+            if sum(map(bool, became.values())) < min(LEAST, len(became)):
+                few.append(name)
+            if given.record:
+                known[name] = {"seed": seed, "changes": became}
+                text = json.dumps(dict(sorted(known.items())), indent=1) + "\n"
+                RECORD.write_text(text, encoding="utf-8")
+    if unknown:
+        print(f"not recorded yet: {', '.join(unknown)}")
+    if few:
+        sys.exit(f"fewer than {LEAST} of {CHANGES} changes were noticed in {', '.join(few)}")
 
 
 if __name__ == "__main__":

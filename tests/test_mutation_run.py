@@ -1,69 +1,86 @@
-"""What the nightly run makes of tests that fail, pass, crash, never end or wait."""
+"""Which changes the nightly run makes, what it makes of the tests' answers, and its record."""
 
 from __future__ import annotations
 
-import ast
-import sys
+import json
 from pathlib import Path
 
 import mutation
 import pytest
 
-CHILD = "import subprocess, sys; code = subprocess.call([sys.executable, '-c', 'while True: pass'])"
+SOURCE = '''
+"""A module."""
+
+def f(x: int | None, kind: str) -> int | None:
+    if kind == "plain" and x > 1:
+        raise ValueError(f"no {x + 1}")
+    return x * 2
+'''
+
+CHILD = "import subprocess, sys; command = [sys.executable, '-c', 'while True: pass']"
 """A process of the tests that is cut off before they are."""
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A module in a folder of its own."""
+    pytest.importorskip("cosmic_ray", reason="cosmic-ray is in the nightly group")
+    monkeypatch.chdir(tmp_path)
+    Path("module.py").write_text(SOURCE)
+    return Path("module.py")
+
+
+def test_what_is_changed_and_tested_exists() -> None:
+    """A folder that was renamed is found by day."""
+    there = dict(mutation.modules(["*"]))
+    assert len(there) > 50
+    files = {file for tests in there.values() for file in tests.split()}
+    assert {file for file in files if not (mutation.ROOT / file).exists()} == set()
+    assert len(dict(mutation.modules(["battery"]))) == 3
+
+
+def test_the_record_is_of_modules_that_exist_and_holds() -> None:
+    there = dict(mutation.modules(["*"]))
+    for name, entry in json.loads(mutation.RECORD.read_text()).items():
+        assert name in there
+        noticed = sum(map(bool, entry["changes"].values()))
+        assert len(entry["changes"]) <= mutation.CHANGES
+        assert noticed >= min(mutation.LEAST, len(entry["changes"])), name
+
+
+@pytest.mark.nightly
+def test_a_seed_chooses_changes_that_an_edit_elsewhere_leaves(module: Path) -> None:
+    every = mutation.chosen(module, 0, count=1000)
+    lines = {change.start_pos[0] for change in every.values()}
+    assert lines == {5, 7}  # no annotation, no text of an error
+    assert not any(what.endswith('"plain" _Eq_Lt') for what in every)
+    few = mutation.chosen(module, 0, count=3)
+    assert few.keys() < every.keys() != mutation.chosen(module, 1, count=3).keys()
+    module.write_text(f"import math\n{SOURCE}")
+    assert mutation.chosen(module, 0, count=3).keys() == few.keys()
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("body", "end"),
+    ("body", "by"),
     [
-        ("pass", mutation.SURVIVED),
-        ("assert False", mutation.NOTICED),
-        ("import os; os.abort()", mutation.NOTICED),
-        ("while True: pass", mutation.CUT),
-        ("import time; time.sleep(1e6)", mutation.CUT),
-        (f"{CHILD}; assert code == 0", mutation.CUT),
+        ("assert module.f(2, 'other') in (0, 4)", ""),
+        ("assert module.f(2, 'other') == 4", "test_it.py::test"),
+        ("import os; module.f(2, '') == 4 or os.abort()", "a crash"),
+        ("while module.f(2, '') != 4: pass", ""),
+        ("import time; module.f(2, '') == 4 or time.sleep(1e6)", ""),
+        (f"{CHILD}; assert module.f(2, '') == 4 or subprocess.call(command) == 0", ""),
     ],
 )
 def test_only_a_failure_within_the_time_is_noticed(
-    body: str, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    module: Path, body: str, by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mutation, "WAITING", 3.0)
-    monkeypatch.chdir(tmp_path)
-    tests = tmp_path / "test_it.py"
-    tests.write_text(f"def test():\n    {body}\n")
-    assert mutation.try_tests([sys.executable, "-m", "pytest", "-q", str(tests)], 5.0) == end
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"), [(1, ["b", "a", "c"]), (4, ["a", "c"]), (8, ["b", "a", "c"])]
-)
-def test_tests_that_call_a_function_are_run_and_all_of_them_for_a_kernel(
-    line: int, expected: list[str], tmp_path: Path
-) -> None:
-    source = (
-        "x = 1\n\ndef plain():\n    return 1\n\n@njit(cache=True)\ndef quick():\n    return 2\n"
-    )
-    file = tmp_path / "module.py"
-    calls = {"a": [f"{file}:3", f"{file}:6"], "b": [], "c": [f"{file}:3"]}
-    reaches = [
-        mutation.Reach(name, took, calls[name])
-        for name, took in (("c", 3.0), ("b", 1.0), ("a", 2.0))
-    ]
-    found = mutation._tests_of((line, 4), file, ast.parse(source), reaches)
-    assert [one.test for one in found] == expected
-
-
-def test_a_change_is_found_again_in_another_module() -> None:
-    before = "def f(x):\n    y = x + 1\n    y = x + 1\n    return y\n"
-    change = mutation.killed_by(
-        "a.py", before, before.replace("1\n    return", "2\n    return"), "number", "t.py"
-    )
-    assert change is not None
-    assert (change.function, change.nth, change.test) == ("f", 1, "t.py")
-    assert mutation.find_again(change, {"a.py": before, "b.py": before}) == (
-        "a.py", "def f(x):\n    y = x + 1\n    y = x + 2\n    return y\n"
-    )  # fmt: skip
-    moved = "class A:\n    def g(self):\n        y = x + 1\n"
-    assert mutation.find_again(change, {"b.py": moved}) == ("b.py", moved.replace("1", "2"))
-    assert mutation.find_again(change, {"b.py": moved, "c.py": moved}) is None
+    monkeypatch.syspath_prepend(".")
+    changes = mutation.chosen(module, 0, count=1000)
+    last = next(change for what, change in changes.items() if "Mul_Sub" in what)
+    Path("test_it.py").write_text(f"import module\n\ndef test():\n    {body}\n")
+    found, difference = mutation.noticed_by(last, ["test_it.py"], 5.0)
+    assert found == by
+    assert "-    return x * 2" in difference
+    assert Path("module.py").read_text() == SOURCE

@@ -189,7 +189,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 CHANGING = {
     "demo._Demo", "diagnosis.search.Evaluated",
     "live.watcher._Drawn", "live.watcher._Ground", "output.pages.Page",
-    "planning.search.lattice.Search", "terrain.updates.Tables",
+    "planning.search.lattice.Search", "sources._Definition", "terrain.updates.Tables",
 }  # fmt: skip
 """Dataclasses that hold what a computation has so far."""
 
@@ -219,6 +219,21 @@ def test_no_two_neighbouring_fields_share_a_comment() -> None:
                 if one and one == two
             ]
     assert copied == []
+
+
+def test_the_package_states_the_licence_of_all_that_it_contains() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    stated = {file for pattern in project["license-files"] for file in ROOT.glob(pattern)}
+    vendored = sorted((ROOT / "energyplan").rglob("vendor/*.js"))
+    assert stated == {ROOT / "LICENSE", *(file.with_suffix(".LICENSE") for file in vendored)}
+    assert len(vendored) == 2
+    kinds = {
+        "BSD-2-Clause": "Redistribution and use in source",
+        "MIT": "Permission is hereby granted",
+    }
+    texts = [file.read_text() for file in stated]
+    assert all(any(words in text for text in texts) for words in kinds.values())
+    assert project["license"].split(" AND ") == ["Apache-2.0", *kinds]
 
 
 HOUSE = Path(__file__).with_name("house.toml")

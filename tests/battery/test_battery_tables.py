@@ -93,3 +93,14 @@ def test_packs(name: str) -> None:
     assert pack.rated_current == pytest.approx(capacity / hours)
     assert pack.max_discharge_current == pytest.approx(discharge * capacity)
     assert pack.max_charge_current == pytest.approx(charge * capacity)
+
+
+def test_a_battery_that_holds_twice_as_much_has_twice_the_strings() -> None:
+    one, two = (
+        Battery.from_units("pack", "lead_acid", series=2, parallel=n, unit_capacity=7.2e4)
+        for n in (1, 2)
+    )
+    grown = one.larger(one.full_energy)
+    for name in ("capacity", "resistance", "pair_resistance", "rated_current", "max_voltage",
+                 "max_discharge_current", "max_charge_current", "full_energy"):  # fmt: skip
+        assert getattr(grown, name) == pytest.approx(getattr(two, name)), name
