@@ -17,13 +17,14 @@ from matplotlib.figure import Figure
 
 from energyplan.output.plots import style
 from energyplan.path import Path
+from energyplan.planning.driven import spending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from shapely.geometry.base import BaseGeometry
 
     from energyplan.mission import MissionReport
-    from energyplan.planning import PlanningProblem
+    from energyplan.planning import Plan, PlanningProblem
     from energyplan.reach import EnergyMap
     from energyplan.terrain import OccupancyGrid
 
@@ -127,6 +128,15 @@ def routes(
     if paths or surfaces:
         picture.set_figheight(height + 0.2 * max(style.legend(ax, above=True) - 1, 0))
     return picture
+
+
+def priced(plans: Mapping[str, Plan]) -> dict[str, Path]:
+    """Return the paths of plans by their names with what they take, all as driven or none."""
+    spent = spending(*plans.values())
+    return {
+        f"{name}: {one.energy:.0f} J": plan.path
+        for (name, plan), one in zip(plans.items(), spent, strict=True)
+    }
 
 
 def planned(problem: PlanningProblem, paths: Mapping[str, Path]) -> Figure:
