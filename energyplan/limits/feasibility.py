@@ -669,8 +669,8 @@ def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
     if factor >= 1 - ROUNDING:
         if factor < 1.00005:
             return (
-                "some limit is reached: this trajectory cannot be sped up evenly; check its path "
-                "alone, the columns x,y,yaw, for the fastest timing"
+                "some limit is reached: this trajectory cannot be sped up evenly; another timing of "
+                "its path, as check finds for x,y,yaw alone, may be faster"
             )
         return f"every limit holds up to {factor:.4g} times the speed"
     digits = 4 if factor < 0.999 else 7

@@ -47,19 +47,20 @@ class Block(NamedTuple):
     language: str
     text: str
     line: int
+    said: str  # what the page goes on with
 
 
 def blocks(page: Path) -> Iterator[Block]:
     """Yield the code blocks of a page in order."""
     text = page.read_text()
-    found = [(m.start(2), m[1] or "text", m[2]) for m in FENCED.finditer(text)]
+    found = [(m.start(2), m.end(), m[1] or "text", m[2]) for m in FENCED.finditer(text)]
     rest = FENCED.sub(lambda m: re.sub(r"[^\n]", "", m[0]), text)
     for indented in re.finditer(r"(?<=\n\n)((?:    .*\n|\n)+)", rest):
         code = textwrap.dedent(indented[1])
         language = "python" if re.match(r"from |import ", code) else "text"
-        found.append((indented.start(), language, code))
-    for place, language, code in sorted(found):
-        yield Block(language, code, text[:place].count("\n") + 1)
+        found.append((indented.start(), indented.end(), language, code))
+    for place, end, language, code in sorted(found):
+        yield Block(language, code, text[:place].count("\n") + 1, text[end:])
 
 
 def python_blocks(page: Path) -> list[Block]:
@@ -218,6 +219,30 @@ def test_python_blocks_run(page: Path, material: Path, tmp_path: Path) -> None:
             exec(compile("\n" * (block.line - 1) + block.text, str(page), "exec"), names)
 
 
+NUMBER = r"\d+(?:\.\d+)?"
+PRINTS = re.compile(rf"\s*It prints ((?:{NUMBER}|[^.\d])*)\.")
+"""The sentence after a block that says which numbers it prints."""
+
+
+def claimed(page: Path) -> list[Block]:
+    return [block for block in python_blocks(page) if PRINTS.match(block.said)]
+
+
+@pytest.mark.parametrize("page", pages(claimed))
+def test_a_block_prints_the_numbers_that_the_page_says(
+    page: Path, material: Path, tmp_path: Path
+) -> None:
+    """With all the work that the block asks for, unlike in the test above."""
+    names = namespace()
+    with contextlib.chdir(shutil.copytree(material, tmp_path / "work")):
+        for block in claimed(page):
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                exec(compile("\n" * (block.line - 1) + block.text, str(page), "exec"), names)
+            said = PRINTS.match(block.said)
+            assert said is not None
+            assert re.findall(NUMBER, out.getvalue()) == re.findall(NUMBER, said[1])
+
+
 def after_demo(page: Path) -> bool:
     """Tell whether a page goes on from what the demo makes."""
     return any("demo/" in word for words in command_lines(page) for word in words)
@@ -294,8 +319,13 @@ def test_an_example_runs_as_the_overview_says(
         folder = request.getfixturevalue("shared_data") / RECORDED[name]
     words = [str(folder) if word == "FOLDER" else word for word in lines[0]]
     monkeypatch.setattr(sys, "argv", words)
-    with contextlib.chdir(tmp_path), contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.chdir(tmp_path), contextlib.redirect_stdout(io.StringIO()) as out:
         runpy.run_path(str(ROOT / words[0]), run_name="__main__")
+    # figures in a paragraph that names the example as their source are among those it prints
+    paragraphs = [part for page in PAGES for part in page.read_text().split("\n\n")]
+    said = [part for part in paragraphs if f"(`python examples/{name}.py`)" in part]
+    figures = {figure for part in said for figure in re.findall(rf"({NUMBER}) Wh", part)}
+    assert figures <= set(re.findall(NUMBER, out.getvalue()))
 
 
 @pytest.mark.parametrize("file", sorted((DOCS / "notebooks").glob("*.ipynb")), ids=lambda f: f.stem)
