@@ -150,8 +150,9 @@ class FeasibilityReport(html.Readable):
         Above 1 the robot could go faster; another timing of its path may be faster still. 0 if no
         speed is feasible, infinite if nothing limits it. Computed when first asked for: exact
         where forces do not depend on speed; otherwise by a search downwards in steps of 10 % from
-        the largest speed that the kinematic limits allow, then by bisection to 1e-9. The set of feasible factors need not be an interval
-        (friction may fall with speed); a feasible band narrower than the step can be missed.
+        the largest speed that the kinematic limits allow, then by bisection to 1e-9. The set of
+        feasible factors need not be an interval (friction may fall with speed); a feasible band
+        narrower than the step can be missed.
         """
         return self._scale.factor
 
@@ -669,8 +670,8 @@ def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
     if factor >= 1 - ROUNDING:
         if factor < 1.00005:
             return (
-                "some limit is reached: this trajectory cannot be sped up evenly; another timing of "
-                "its path, as check finds for x,y,yaw alone, may be faster"
+                "some limit is reached: this trajectory cannot be sped up evenly; another timing "
+                "of its path, as check finds for x,y,yaw alone, may be faster"
             )
         return f"every limit holds up to {factor:.4g} times the speed"
     digits = 4 if factor < 0.999 else 7

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import importlib.util
 import io
 import json
 import re
@@ -41,6 +42,19 @@ LENGTHY = {"closing_the_loop"}
 """Pages whose commands take as long as those of all others."""
 
 Command = Callable[[list[str]], str]
+
+
+def _script(name: str) -> Any:
+    """Import a script of the benchmarks."""
+    found = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
+    assert found is not None and found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    sys.modules[name] = module
+    found.loader.exec_module(module)
+    return module
+
+
+pages_of = _script("pages")
 
 
 class Block(NamedTuple):
@@ -343,6 +357,42 @@ def test_a_notebook_runs_and_holds_no_results(file: Path, tmp_path: Path) -> Non
                 code = compile(ast.Expression(last.value), f"{file.name}, cell {k}", "eval")
                 value = eval(code, names)
                 assert getattr(value, "_repr_html_", str)() or repr(value)
+
+
+def test_tables_that_scripts_write_say_on_which_commit() -> None:
+    marks = sum(page.read_text().count("<!-- end of") for page in pages_of.PAGES)
+    found = [table for page in pages_of.PAGES for table in pages_of.tables(page)]
+    assert len(found) == marks > 0
+    assert [table.name for table in found if not table.commit] == []
+
+
+def test_a_table_that_a_script_writes_is_compared_with_what_it_was(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    text = "| a | saved | CPU time |\n|---|---|---|\n| one | 5.1 % | 0.3 s |"
+    page.write_text("Before\n\n<!-- of one: python x.py -->\n<!-- end of of one -->\n")
+    with pytest.raises(SystemExit, match="no mark"):
+        pages_of.write(page, "another", text)
+    page.write_text("Before\n\n<!-- of one: python x.py -->\nold\n<!-- end of of one -->\nAfter")
+    pages_of.write(page, "of one", text)
+    assert page.read_text().startswith("Before\n\n<!-- of one: python x.py -->\n| a |")
+    assert page.read_text().endswith("<!-- end of of one -->\nAfter")
+    (kept,) = pages_of.tables(page)
+    assert kept.commit
+    pages_of.write(page, "of one", text.replace("5.1", "5.2").replace("0.3", "0.9"))
+    assert list(pages_of.differences(kept, *pages_of.tables(page))) == []
+    pages_of.write(page, "of one", text.replace("5.1", "6.1"))
+    assert len(list(pages_of.differences(kept, *pages_of.tables(page)))) == 1
+
+
+def test_the_readme_has_the_figures_of_the_model_card() -> None:
+    """Runs, both errors and how many are in the interval, ground by ground."""
+    (grounds,) = [one for one in pages_of.tables(DOCS / "model_card.md") if one.name == "grounds"]
+    card = [[cell.strip() for cell in row] for row in grounds.rows if len(row) > 7]
+    measured = [(row[1], row[2], row[4], row[7].partition(" (")[0]) for row in card]
+    row = r"^\| \w+, .+ \| (\d+) \| ([\d.]+ %) \| ([\d.]+ %) \| (\d+ of \d+) \|$"
+    said = re.findall(row, (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(said) == len(card) - 3  # less the head, its line and the mean
+    assert [figures for figures in said if figures not in measured] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
