@@ -395,6 +395,39 @@ def test_the_readme_has_the_figures_of_the_model_card() -> None:
     assert [figures for figures in said if figures not in measured] == []
 
 
+def imported(code: str) -> Iterator[str]:
+    """Yield the names of this package that code imports."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("energyplan"):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            names = (alias.name for alias in node.names)
+            yield from (name for name in names if name.startswith("energyplan."))
+
+
+def test_what_readers_are_shown_to_import_is_in_the_reference() -> None:
+    """Of pages, examples and notebooks: a name that is listed, or one of a module that is."""
+    reference = (DOCS / "reference" / "python.md").read_text()
+    listed = set(re.findall(r"^\.\. auto\w+:: (\S+)", reference, re.MULTILINE))
+    modules = set(re.findall(r"^\.\. automodule:: (\S+)", reference, re.MULTILINE))
+    cells = [
+        "".join(cell["source"])
+        for file in (DOCS / "notebooks").glob("*.ipynb")
+        for cell in json.loads(file.read_text())["cells"]
+        if cell["cell_type"] == "code"
+    ]
+    shown = [block.text for page in PAGES for block in python_blocks(page)] + cells
+    shown += [file.read_text() for file in (ROOT / "examples").glob("*.py")]
+    names = {name for code in shown for name in imported(code)}
+    top = {f"energyplan.{name}" for name in ep.__all__}
+    known = listed | modules | top
+    packages = {name.rpartition(".")[0] for name in modules}  # with nothing of their own
+    hidden = {n for n in names - packages if not {n, n.rpartition(".")[0]} & known}
+    assert sorted(hidden) == []
+    for name in listed - modules:
+        assert getattr(importlib.import_module(name.rpartition(".")[0]), name.rpartition(".")[2])
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_and_pictures_exist(page: Path) -> None:
     targets = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
