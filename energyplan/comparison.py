@@ -60,10 +60,12 @@ class Comparison(html.Readable):
     def _summaries(self) -> list[html.Summary]:
         plans, spent = (self.energy_optimal, self.shortest), self.spent
         best, whole = self.energy_optimal, spent[1].energy
+        back = [plan.path.reverse_length for plan in plans]
         rows: list[tuple[object, ...]] = [
             (spent[0].label, *(one.energy for one in spent)),
             ("duration [s]", *(one.duration for one in spent)),
             ("length [m]", *(plan.length for plan in plans)),
+            *([("of it in reverse [m]", *back)] if max(back) > 0.01 else []),
             ("turning [deg]", *(float(np.degrees(plan.turning)) for plan in plans)),
             *([(STEADY, *(plan.energy for plan in plans))] if self.driven else []),
             ("lower bound of energy at steady speeds [J]", best.lower_bound, "-"),

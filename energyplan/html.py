@@ -62,6 +62,7 @@ def chance(probability: float) -> str:
 
 def listed(names: Sequence[str]) -> str:
     """Return names as a sentence gives them; of many the first two, and how many there are more."""
+    names = list(dict.fromkeys(names))
     if len(names) <= 3:
         return ", ".join(names)
     return f"{', '.join(names[:2])} and {len(names) - 2} more"

@@ -322,6 +322,7 @@ class Plan(html.Readable):
 
     def _summaries(self) -> list[html.Summary]:
         (spent,) = spending(self)
+        back = self.path.reverse_length
         rows: list[tuple[str, object]] = [
             (spent.label, spent.energy),
             *(
@@ -331,6 +332,7 @@ class Plan(html.Readable):
             ("duration [s]", spent.duration),
             *([("speed [m/s]", self.driven.speed)] if spent.driven else []),
             ("length [m]", self.length),
+            *([("of it in reverse [m]", back)] if back > 0.01 else []),
             ("turning [deg]", float(np.degrees(self.turning))),
             *([(STEADY, self.energy)] if spent.driven else []),
             *self._costs(),

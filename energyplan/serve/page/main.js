@@ -215,17 +215,18 @@ function verdicts(told) {
   say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
   const full = (soc) => soc == null ? "–" : `${(100 * soc).toFixed(0)} %`;
-  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], [
-    ...told.tasks.map((task) => [
+  const rows = [
+    ...told.tasks.map((task) => [task.arrival ?? Infinity, [
       task.name,
       task.verdict === "reachable" ? ["reachable", "text good"]
-        : [`out of reach: ${task.reason}${task.remedy ? `; ${task.remedy}` : ""}`, "text bad"],
+        : [`out of reach: ${task.reason.replaceAll("_", " ")}${task.remedy ? `; ${task.remedy}` : ""}`, "text bad"],
       clock(task.arrival), energy(task.energy), full(task.soc_after),
-    ]),
-    ...told.timetable.filter((row) => row.kind === "charge").map((row) => [
+    ]]),
+    ...told.timetable.filter((row) => row.kind === "charge").map((row) => [row.start, [
       row.place, `charges ${Math.round((row.end - row.start) / 60)} min`, clock(row.start), "–", full(row.soc_end),
-    ]),
-  ]));
+    ]]),
+  ].sort(([a], [b]) => a < b ? -1 : a > b ? 1 : 0);  // by time; what is out of reach comes last
+  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], rows.map(([, row]) => row)));
   const line = told.timeline;
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
