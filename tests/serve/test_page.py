@@ -157,6 +157,11 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     opened.page.wait_for_selector("#verdicts table, #status.bad", timeout=120_000)
     assert "tasks can be done" in opened.page.inner_text("#status")
     assert opened.page.locator("#verdicts tr").count() == 3
+    times = opened.page.locator("#verdicts tr td:nth-child(3)").all_inner_texts()
+    hours = [int(text.partition(":")[0]) + int(text.partition(":")[2]) / 60 for text in times]
+    assert hours == sorted(hours)
+    names = opened.page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
+    assert names == ["task 2", "task 1"]  # not in the order in which they were placed
     assert opened.page.locator("#charge canvas").count() == 1
     drawn = opened.page.locator(".leaflet-overlay-pane path[stroke='#0072b2']")
     assert drawn.count() >= 3  # out, between and back
