@@ -8,7 +8,7 @@
 to 4 t; any), `--fewest` and `--most` the number of effects, `--drives` how many drives of a robot
 are diagnosed together (1; one more judges). `--records FILE` keeps what was found of each seed, a
 line a drive: a later run with that file goes on where the former one ended. `--write` puts the
-figures into docs/diagnosis.md.
+figures into a page, docs/diagnosis.md.
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pages import write
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis import FoundEffect
@@ -46,8 +47,6 @@ from energyplan.power.effect_terms import (
 from energyplan.vehicle import Vehicle
 
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
-PAGE = Path(__file__).parents[1] / "docs" / "diagnosis.md"
-START, END = "<!-- calibration -->\n", "<!-- end of calibration -->\n"
 
 SIZES = {"small": (0.35, 0.5), "usual": (0.5, 1.2), "large": (2.5, 3.6)}
 """Sizes of robots, over that of one of 60 kg."""
@@ -343,7 +342,7 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=3)
     parser.add_argument("--drives", type=int, default=1)
     parser.add_argument("--records", type=Path)
-    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--write", type=Path, metavar="PAGE")
     asked = parser.parse_args()
     found = []
     for one in outcomes(
@@ -367,9 +366,7 @@ def main() -> None:
     text = report(found)
     print(text)
     if asked.write:
-        page = PAGE.read_text()
-        before, rest = page.split(START)
-        PAGE.write_text(before + START + text + END + rest.split(END)[1])
+        write(asked.write, "calibration", text)
 
 
 if __name__ == "__main__":

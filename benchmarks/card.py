@@ -16,7 +16,6 @@ A case that ends in an error is counted. Every run is told on stderr. All take a
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -24,6 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pages import write
 from scipy.optimize import linprog
 
 import energyplan as ep
@@ -340,17 +340,7 @@ def main() -> None:
             print(line, flush=True)
             lines.append(line)
         if given.write is not None:
-            page, text = given.write.read_text(), "\n".join(lines)
-            pattern = rf"(<!-- table: {name} -->\n).*?(\n<!-- end of table -->)"
-            page, count = re.subn(
-                pattern,
-                lambda found, text=text: f"{found[1]}{text}{found[2]}",
-                page,
-                flags=re.DOTALL,
-            )
-            if count != 1:
-                raise SystemExit(f"{given.write} has no marks <!-- table: {name} -->")
-            given.write.write_text(page)
+            write(given.write, name, "\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ that of all threads, with kernels compiled and what belongs to a map made before
 from __future__ import annotations
 
 import argparse
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -30,6 +29,7 @@ import networkx as nx
 import numpy as np
 import steering as words
 from lattice_route import Lattice
+from pages import write
 
 import energyplan as ep
 from energyplan.errors import EnergyPlanError, PlanningError
@@ -369,13 +369,7 @@ def main() -> None:
         if asked.out is None:
             print(f"{name}\n{text}\n")
             continue
-        marks = f"<!-- {name}: python benchmarks/comparison.py -->", f"<!-- end of {name} -->"
-        page = asked.out.read_text()
-        if marks[0] not in page:
-            raise SystemExit(f"{asked.out} has no mark {marks[0]}")
-        pattern = re.compile(f"{re.escape(marks[0])}.*?{re.escape(marks[1])}", re.DOTALL)
-        made = f"{marks[0]}\n{text}\n{marks[1]}"
-        asked.out.write_text(pattern.sub(lambda _, made=made: made, page))
+        write(asked.out, name, text)
 
 
 if __name__ == "__main__":

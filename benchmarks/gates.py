@@ -23,8 +23,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
 
+from pages import write
+
 HERE = Path(__file__).resolve().parent
-MARKS = "<!-- gates -->", "<!-- end of gates -->"
 
 
 class Gate(NamedTuple):
@@ -231,7 +232,7 @@ def table() -> str:
         + (f"`{gate.command}` |" if said[gate.command] == gate.name else "|")
         for gate in GATES
     ]
-    return "\n".join([MARKS[0], "| figure | gate | of |", "|---|---|---|", *rows, MARKS[1]])
+    return "\n".join(["| figure | gate | of |", "|---|---|---|", *rows])
 
 
 def main() -> None:
@@ -243,9 +244,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="PAGE.md")
     given = parser.parse_args()
     if given.write:
-        page = given.write.read_text(encoding="utf-8")
-        before, rest = page.split(MARKS[0])
-        given.write.write_text(before + table() + rest.split(MARKS[1])[1], encoding="utf-8")
+        write(given.write, "gates", table())
         return
     pattern = given.only if "*" in given.only else f"{given.only}*"
     gates = [gate for gate in GATES if fnmatch(gate.name, pattern)]

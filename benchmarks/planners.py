@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 import floors
 import numpy as np
+from pages import write
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
@@ -41,7 +42,6 @@ from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-MARKS = "<!-- measured plans -->", "<!-- end of measured plans -->"
 RIVALS = ("rrtstar", "informed_rrtstar", "bitstar")
 
 
@@ -210,9 +210,7 @@ def write_table(page: Path, grids: dict[str, OccupancyGrid], count: int) -> None
         "| map | effort | solved | gap, median / 90 % | more energy than the shortest | CPU time |",
         "|---|---|---|---|---|---|",
     ]
-    before, _, rest = page.read_text().partition(MARKS[0])
-    _, _, after = rest.partition(MARKS[1])
-    page.write_text(before + "\n".join([MARKS[0], *head, *rows, MARKS[1]]) + after)
+    write(page, "measured plans", "\n".join([*head, *rows]))
 
 
 def yard(size: int, seed: int = 0) -> OccupancyGrid:

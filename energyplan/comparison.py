@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from energyplan import html
 from energyplan.kinds import checked
-from energyplan.path import FloatArray, Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.contract import priced_plan
-from energyplan.planning.driven import stops_count
+from energyplan.planning.driven import STEADY, Spent, spending
 from energyplan.planning.space.compiled import compiled
 
 
@@ -27,17 +26,17 @@ class Comparison(html.Readable):
         The plan of least energy found.
     shortest : Plan
         The shortest plan found, driven with the least energy that its path allows. Its lower bound
-        and gap are those of its length [m].
+        and gap are those of its `cost`, a length [m].
     saving : float
-        Energy saved, as a fraction of the shortest route's; never negative. Where the goal lies
-        below the start, a fraction of what the shortest route takes beyond the energy that the
-        descent is worth.
+        Energy saved, as a fraction of the shortest route's; never negative. Both are those of
+        `spent`. Where the goal lies below the start, a fraction of what the shortest route takes
+        beyond the energy that the descent is worth.
     by_term : mapping of str to float
         Joules saved by term of the power model; negative where the route of least energy spends
         more. They add up to the energy saved.
     driven : bool
-        Whether both are of the energies that driving takes, with its stops, because these count;
-        else they are of those at steady speeds.
+        Whether the energies are those of driving both routes, with their stops; they are those at
+        steady speeds where the motors cannot drive one of them.
     """
 
     energy_optimal: Plan
@@ -49,30 +48,37 @@ class Comparison(html.Readable):
     @property
     def spent(self) -> tuple[Spent, Spent]:
         """What is compared: what the route of least energy takes, and the shortest one."""
-        return _spent(self.energy_optimal, self.driven), _spent(self.shortest, self.driven)
+        least, most = spending(self.energy_optimal, self.shortest)
+        return least, most
+
+    @property
+    def sentence(self) -> str:
+        """The saving, and of what it is a fraction."""
+        more = " beyond what the descent is worth" * (self.energy_optimal.potential < 0)
+        return f"{100 * self.saving:.1f} % of the shortest route's energy{more}"
 
     def _summaries(self) -> list[html.Summary]:
         plans, spent = (self.energy_optimal, self.shortest), self.spent
+        best, whole = self.energy_optimal, spent[1].energy
+        back = [plan.path.reverse_length for plan in plans]
         rows: list[tuple[object, ...]] = [
-            ("energy [J]", *(plan.energy for plan in plans)),
-            ("lower bound, of energy [J] and length [m]", *(plan.lower_bound for plan in plans)),
-            ("at most above the least possible [%]", *(100 * plan.gap for plan in plans)),
+            (spent[0].label, *(one.energy for one in spent)),
+            ("duration [s]", *(one.duration for one in spent)),
             ("length [m]", *(plan.length for plan in plans)),
+            *([("of it in reverse [m]", *back)] if max(back) > 0.01 else []),
             ("turning [deg]", *(float(np.degrees(plan.turning)) for plan in plans)),
-            ("duration at a steady speed [s]", *(plan.duration for plan in plans)),
+            *([(STEADY, *(plan.energy for plan in plans))] if self.driven else []),
+            ("lower bound of energy at steady speeds [J]", best.lower_bound, "-"),
+            *([("of it for the height [J]", best.potential, "-")] if best.potential else []),
+            ("at most above the least possible [%]", 100 * best.gap, "-"),
         ]
-        if self.energy_optimal.potential:
-            rows.insert(2, ("of it for the height [J]", self.energy_optimal.potential, "-"))
-        title = f"saving: {100 * self.saving:.1f} % of the shortest route's energy"
-        if not any(plan.why_not_driven for plan in plans):
-            rows.insert(
-                1, ("driven, with its stops: energy [J]", *(plan.driven.energy for plan in plans))
-            )
-            rows.append(("driven: duration [s]", *(plan.driven.duration for plan in plans)))
-        if self.driven:
-            title += ", driven with its stops"
+        title = f"saving: {self.sentence}"
         parts = [
-            (html.words(name), *(of.by_term.get(name, 0.0) for of in spent), saved)
+            (
+                html.words(name),
+                *(html.number(of.by_term.get(name, 0.0), whole=whole) for of in spent),
+                html.number(saved, whole=whole),
+            )
             for name, saved in self.by_term.items()
         ]
         notes = [note for plan in plans for note in plan.notes]
@@ -83,20 +89,6 @@ class Comparison(html.Readable):
                 parts,
             ),
         ]  # fmt: skip
-
-
-class Spent(NamedTuple):
-    """Energy [J], whole and by term of the power model."""
-
-    energy: float
-    by_term: Mapping[str, float]
-
-
-def _spent(made: Plan, driven: bool) -> Spent:
-    """Return what a plan takes, driven with its stops or at a steady speed."""
-    if driven:
-        return Spent(made.driven.energy, made.driven.breakdown)
-    return Spent(made.energy, made.breakdown)
 
 
 @checked()
@@ -112,9 +104,8 @@ def compare(
 
     Both are those of `energyplan.plan`. A plan of least energy by the lattice planner never takes
     more than the shortest one of the same effort; where one by the clock or by another planner
-    does, the shortest one stands for it. Where stops count (the cost has a speed, and stopping
-    takes energy) the energies of driving both are compared; where one cannot be driven, and
-    wherever stops do not count, those at steady speeds.
+    does, the shortest one stands for it. The energies of driving both are compared, with their
+    stops; where the motors cannot drive one of them, those at steady speeds.
 
     Parameters
     ----------
@@ -156,13 +147,13 @@ def compare(
     shortest = plan(replace(problem, objective="length"), "lattice", time_limit, effort=effort)
     cheapest = replace(problem, objective="energy")
     best = plan(cheapest, planner, time_limit, effort=effort, **options)
-    driven = stops_count(cheapest) and not (shortest.why_not_driven or best.why_not_driven)
-    if _spent(best, driven).energy > _spent(shortest, driven).energy:
+    least, most = spending(best, shortest)
+    if least.energy > most.energy:
         best = priced_plan(
             compiled(cheapest), shortest.path, best.lower_bound, best.planner,
             planning_time=best.planning_time, first_time=best.first_time, effort=best.effort,
         )  # fmt: skip
-    least, most = _spent(best, driven), _spent(shortest, driven)
+        least, most = spending(best, shortest)
     spent = max(most.energy, most.energy - best.potential)
     return Comparison(
         energy_optimal=best,
@@ -172,27 +163,5 @@ def compare(
             name: most.by_term.get(name, 0.0) - least.by_term.get(name, 0.0)
             for name in {**most.by_term, **least.by_term}
         },
-        driven=driven,
+        driven=least.driven,
     )
-
-
-class Along(NamedTuple):
-    """Distance travelled [m] and energy since the start [J] at places (n, 3) along a path."""
-
-    metres: FloatArray
-    joules: FloatArray
-    places: FloatArray
-
-
-def energy_along(path: Path, problem: PlanningProblem) -> Along:
-    """Return the energy along a path, on the problem's ground; it ends with the path's own."""
-    terrain = problem.terrain
-    if terrain.heights is None:
-        path = path.subdivide(0.1, 0.1)
-    fine = terrain.cut(path)
-    each = np.zeros(len(fine))
-    for piece in terrain.pieces(path, problem.cost):
-        each += piece.cost.segment_energy(piece.path.ds, piece.path.dtheta, piece.slope)
-    joules = np.concatenate([[0.0], np.cumsum(each)])
-    metres = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-    return Along(metres, joules, fine.vertices)

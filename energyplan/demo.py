@@ -213,18 +213,15 @@ def _routes(demo: _Demo) -> Comparison:
     write_path(result.energy_optimal.path, demo.path("routes/least-energy.csv"))
     write_path(result.shortest.path, demo.path("routes/shortest.csv"))
     plans = {"least energy": result.energy_optimal, "shortest": result.shortest}
+    terms = dict(zip(plans, (spent.by_term for spent in result.spent), strict=True))
     page.summaries(result.tables)
     demo.picture(
         "routes.png",
-        plots.routes(
-            grid,
-            {f"{label}: {p.energy:.0f} J": p.path for label, p in plans.items()},
-            surfaces=ground.polygons,
-        ),
+        plots.planned(problem, plots.priced(plans)),
         "The least-energy route turns less; the shortest one turns between the racks.",
     )
     figure = plots.figure(size=(plots.WIDTH, 2.0))
-    plots.breakdown(figure.axes[0], {label: p.breakdown for label, p in plans.items()})
+    plots.breakdown(figure.axes[0], terms)
     demo.picture("routes-energy.png", figure, "Where the energy of both routes goes.")
     return result
 

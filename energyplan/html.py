@@ -8,9 +8,16 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+ROUNDING = 1e-9
+"""Part of a whole below which a part of it is rounding."""
 
-def number(value: float, digits: int = 4) -> str:
-    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible."""
+
+def number(value: float, digits: int = 4, *, whole: float = 0.0) -> str:
+    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible.
+
+    A part or a difference of a `whole` is zero where it is rounding.
+    """
+    value = 0.0 if abs(value) <= ROUNDING * abs(whole) else value
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
 
@@ -55,6 +62,7 @@ def chance(probability: float) -> str:
 
 def listed(names: Sequence[str]) -> str:
     """Return names as a sentence gives them; of many the first two, and how many there are more."""
+    names = list(dict.fromkeys(names))
     if len(names) <= 3:
         return ", ".join(names)
     return f"{', '.join(names[:2])} and {len(names) - 2} more"

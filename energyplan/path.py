@@ -152,6 +152,11 @@ class Path(ByValue):
         return float(np.abs(self.ds).sum())
 
     @property
+    def reverse_length(self) -> float:
+        """Distance of it that the reference point travels backwards [m]."""
+        return float(-np.minimum(self.ds, 0.0).sum())
+
+    @property
     def turning(self) -> float:
         """Total turning: the sum of the turns' sizes [rad]."""
         return float(np.abs(self.dtheta).sum())

@@ -13,12 +13,9 @@ from pathlib import Path as File
 import numpy as np
 from matplotlib.figure import Figure
 
-from energyplan import steering
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, Path, PowerModel, steering
 from energyplan.output import plots
 from energyplan.output.plots import png
-from energyplan.path import Path
-from energyplan.power import PowerModel
 
 RATIOS = (0.2, 1.0, 2.7)
 HEADINGS = (0, 45, 90, 180)

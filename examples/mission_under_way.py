@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from energyplan.io.mission import read_mission
-from energyplan.mission import MissionReport, evaluate
+from energyplan import evaluate, read_mission
+from energyplan.mission import MissionReport
 
 
 def tell(title: str, report: MissionReport) -> None:

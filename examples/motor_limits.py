@@ -22,15 +22,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from energyplan import Motion, MotorLimits, Path, Pose, PowerModel
 from energyplan.limits.feasibility import check, feasible_region
 from energyplan.limits.speed import profile
-from energyplan.motion import Motion
 from energyplan.output import plots
 from energyplan.output.plots import png
-from energyplan.path import Path, Pose
-from energyplan.power import PowerModel
 from energyplan.power.effects import term
-from energyplan.vehicle import MotorLimits
 
 DRIVE = MotorLimits(
     continuous_power=250.0,

@@ -12,14 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from energyplan.comparison import compare
-from energyplan.cost import EnergyCost
-from energyplan.io.geojson import read_surfaces
-from energyplan.io.maps import read_map
+from energyplan import EnergyCost, PowerModel, compare, read_map, read_surfaces
 from energyplan.output import plots
 from energyplan.output.plots import png
 from energyplan.planning import Plan, PlanningProblem
-from energyplan.power import PowerModel
 
 WAREHOUSE = Path(__file__).parents[1] / "maps" / "warehouse.yaml"
 

@@ -15,14 +15,12 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from energyplan.comparison import compare
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, HeightMap, OccupancyGrid, PowerModel, compare
 from energyplan.output import plots
 from energyplan.output.plots import png
 from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
-from energyplan.terrain import HeightMap, OccupancyGrid, path_price
+from energyplan.terrain import path_price
 
 SIZE = (32.0, 20.0)
 START, GOAL = (2.0, 9.0, 0.0), (30.0, 9.0, 0.0)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from by_day import by_day
@@ -22,11 +24,22 @@ def test_least_energy_never_exceeds_the_shortest_routes(seed):
     )
     assert told.energy_optimal.energy <= told.shortest.energy * (1 + 1e-12)
     assert told.shortest.length <= told.energy_optimal.length * 1.002
-    assert told.saving == pytest.approx(1 - told.energy_optimal.energy / told.shortest.energy)
+    least, most = (plan.energy_driven for plan in (told.energy_optimal, told.shortest))
+    assert told.driven
+    assert told.saving == pytest.approx(1 - least / most, rel=1e-12)
     assert told.saving >= 0
-    assert sum(told.by_term.values()) == pytest.approx(
-        told.shortest.energy - told.energy_optimal.energy, rel=1e-9, abs=1e-6
-    )
+    assert sum(told.by_term.values()) == pytest.approx(most - least, rel=1e-9, abs=1e-6)
+
+
+def test_where_the_motors_cannot_drive_a_route_steady_speeds_are_compared():
+    weak = replace(COST.vehicle, motor=replace(COST.vehicle.motor, force=1.0))
+    cost = EnergyCost(replace(COST.model, vehicle=weak))
+    told = compare(PlanningProblem(pillars(0), cost, (1.2, 4, 2.0), (10.8, 4, -1.0)), effort=3_000)
+    assert told.shortest.why_not_driven
+    assert not told.driven
+    assert told.saving == pytest.approx(1 - told.energy_optimal.energy / told.shortest.energy)
+    assert "energy at steady speeds [J]" in str(told)
+    assert "as driven" not in str(told)
 
 
 def test_shortest_route_in_the_open_is_turn_drive_turn():

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from energyplan.mission import Mission
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
-    from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel
     from energyplan.terrain import HeightMap, SurfaceMap
     from energyplan.terrain import Site as Place
@@ -92,10 +91,8 @@ class Routing:
         elif self.out:
             write_path(next(iter(plans.values())).path, self.out)
         if self.plot:
-            paths = {
-                f"{name}: {planned.energy:.0f} J": planned.path for name, planned in plans.items()
-            }
-            atomic_write(self.plot, image(plots.planned(problem, paths), self.plot.suffix))
+            picture = plots.planned(problem, plots.priced(plans))
+            atomic_write(self.plot, image(picture, self.plot.suffix))
 
 
 class PricedGround(NamedTuple):
@@ -199,16 +196,14 @@ def planning(json: bool, strict: bool) -> Iterator[None]:
         raise typer.Exit(NO if strict else 0) from None
 
 
-def driven(planned: Plan, trajectory: Path | None) -> DrivenPath | None:
-    """Drive a plan and write its trajectory; None with a word why where it cannot be driven."""
+def drive_to(trajectory: Path | None, planned: Plan) -> None:
+    """Drive a plan and write its trajectory; say why where it cannot be driven."""
     from energyplan.io.tables import write_trajectory
 
     if trajectory:
         write_trajectory(planned.driven.trajectory, trajectory)
     if planned.why_not_driven:
         warn(f"the path cannot be timed: {planned.why_not_driven}")
-        return None
-    return planned.driven
 
 
 @app.command(
@@ -278,10 +273,9 @@ def plan(
         before = replace(problem, start=path.start, goal=path.end)
         with planning(json, strict):
             result = replan(before, path, start=here, map=problem.map, **spent)
-    path_driven = driven(result, routing.trajectory)
+    drive_to(routing.trajectory, result)
     routing.write(problem, {"plan": result})
-    document = {**documents.plan(result), **documents.driven_path(path_driven)}
-    answer(document, result, json=json)
+    answer(documents.plan(result), result, json=json)
 
 
 @app.command(
@@ -311,16 +305,13 @@ def compare(
     problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
         result = run(problem, planner=routing.planner, **effort.within(PLAN_TIME))
-    best = driven(result.energy_optimal, routing.trajectory)
-    one = result.shortest.path == result.energy_optimal.path
-    shortest = best if one else driven(result.shortest, None)
+    drive_to(routing.trajectory, result.energy_optimal)
+    if result.shortest.path != result.energy_optimal.path:
+        drive_to(None, result.shortest)
     routing.write(problem, {"least energy": result.energy_optimal, "shortest": result.shortest})
     if report:
         write_report(comparison_page(result, problem), report)
-    document = documents.comparison(result)
-    document["energy_optimal"] |= documents.driven_path(best)
-    document["shortest"] |= documents.driven_path(shortest)
-    answer(document, result, json=json)
+    answer(documents.comparison(result), result, json=json)
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")

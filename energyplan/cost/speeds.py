@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError
+from energyplan.html import number
 from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray
 from energyplan.power import Sides
@@ -44,12 +45,13 @@ def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
         raise InvalidInputError(
             f"speed {asked!r} is neither metres per second > 0 nor {CHEAPEST!r}; write it like 0.6"
         )
-    if speed > vehicle.motor.speed:
+    top = number(vehicle.motor.speed)  # as it is printed, which may be rounded up
+    if speed > max(vehicle.motor.speed, float(top)):
         raise InvalidInputError(
-            f"speed {speed:g} m/s is more than the treads of {vehicle.name} can do; give "
-            f"{vehicle.motor.speed:g} m/s at most"
+            f"speed {asked} m/s is more than the treads of {vehicle.name} can do; give "
+            f"{top} m/s at most"
         )
-    return speed
+    return min(speed, vehicle.motor.speed)
 
 
 def admissible_rate(

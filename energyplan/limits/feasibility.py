@@ -23,7 +23,7 @@ from energyplan import html
 from energyplan.errors import InvalidInputError
 from energyplan.kinds import checked
 from energyplan.limits.drive import Drive, Ground, Pieces
-from energyplan.limits.motor import ROUNDING, Limit, Limits, largest_within, relative
+from energyplan.limits.motor import ROUNDING, UNITS, Limit, Limits, largest_within, relative
 from energyplan.limits.motor_kernels import intervals, shortest_window, window_mean
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
@@ -123,12 +123,13 @@ class FeasibilityReport(html.Readable):
 
     def _summaries(self) -> list[html.Summary]:
         rows = [
-            (v.kind.replace("_", " "), v.side, v.start, v.end, v.peak, v.limit)
+            (f"{html.words(v.kind)} [{unit}]", v.side, v.start, v.end, v.peak, v.limit)
             for v in self.violations
+            for unit in [html.unit(UNITS[v.kind])]
         ]
         title = (
             f"{'feasible' if self.feasible else 'not feasible'}, {html.number(self.energy)} J, "
-            f"feasible up to {html.number(self.max_speed_scale)} times this speed"
+            f"feasible up to {html.number(self.max_speed_scale)} times these speeds"
         )
         header = ("limit exceeded", "side", "from [s]", "to [s]", "peak", "limit")
         return [html.Summary(title, header, rows, [self.reason])]
@@ -144,13 +145,14 @@ class FeasibilityReport(html.Readable):
 
     @property
     def max_speed_scale(self) -> float:
-        """Largest factor on the speed with which the same path is feasible.
+        """Largest factor on all speeds of the trajectory with which it is feasible.
 
-        Above 1 the robot could go faster. 0 if no speed is feasible, infinite if nothing limits
-        it. Computed when first asked for: exact where forces do not depend on speed; otherwise
-        by a search downwards in steps of 10 % from the largest speed that the kinematic limits
-        allow, then by bisection to 1e-9. The set of feasible factors need not be an interval
-        (friction may fall with speed); a feasible band narrower than the step can be missed.
+        Above 1 the robot could go faster; another timing of its path may be faster still. 0 if no
+        speed is feasible, infinite if nothing limits it. Computed when first asked for: exact
+        where forces do not depend on speed; otherwise by a search downwards in steps of 10 % from
+        the largest speed that the kinematic limits allow, then by bisection to 1e-9. The set of
+        feasible factors need not be an interval (friction may fall with speed); a feasible band
+        narrower than the step can be missed.
         """
         return self._scale.factor
 
@@ -667,7 +669,10 @@ def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
         )
     if factor >= 1 - ROUNDING:
         if factor < 1.00005:
-            return "some limit is reached: the robot can drive this path no faster"
+            return (
+                "some limit is reached: this trajectory cannot be sped up evenly; another timing "
+                "of its path, as check finds for x,y,yaw alone, may be faster"
+            )
         return f"every limit holds up to {factor:.4g} times the speed"
     digits = 4 if factor < 0.999 else 7
     return f"too fast: {what}; feasible at {factor:.{digits}g} times the speed"

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan
-    from energyplan.planning.driven import DrivenPath
     from energyplan.power import PowerModel, Residual
     from energyplan.reach import Contour, EnergyMap
 
@@ -125,20 +124,20 @@ def diagnosis(report: Diagnosis) -> Document:
     }  # fmt: skip
 
 
-def driven_path(report: DrivenPath | None) -> Document:
-    """Return what driving a plan takes; null where the motors cannot."""
-    keys = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
-            "breakdown_driven": "breakdown"}  # fmt: skip
-    return {key: plain(getattr(report, name, None)) for key, name in keys.items()}
-
-
 def plan(result: Plan) -> Document:
-    """Return what ``energyplan plan --json`` prints."""
+    """Return what ``energyplan plan --json`` prints; null for what only driving it tells."""
     keys = (
         "energy length turning lower_bound gap planning_time planner potential effort cost "
         "soft_cost breakdown notes"
     )
-    return {**picked(result, keys), "path": plain(result.path.poses())}
+    drive = None if result.why_not_driven else result.driven
+    driven = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
+              "breakdown_driven": "breakdown"}  # fmt: skip
+    return {
+        **picked(result, keys),
+        "path": plain(result.path.poses()),
+        **{key: plain(getattr(drive, name, None)) for key, name in driven.items()},
+    }
 
 
 def no_path(error: NoPathError) -> Document:

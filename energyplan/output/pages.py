@@ -17,11 +17,10 @@ from matplotlib.figure import Figure
 
 from energyplan import __version__
 from energyplan import html as _html
-from energyplan.comparison import energy_along
 from energyplan.errors import InvalidInputError
 from energyplan.html import chance, number, words
 from energyplan.output import plots
-from energyplan.output.plots.style import svg
+from energyplan.output.plots.style import LINES, svg
 from energyplan.path import wrap_angle
 from energyplan.power.empirical import described, signal
 
@@ -293,10 +292,9 @@ def comparison_page(result: Comparison, problem: PlanningProblem) -> Page:
     _models(page, problem.cost.model, problem.surfaces)
     least, most = result.spent
     page.paragraph(
-        f"{'Driven with its stops, the' if result.driven else 'The'} route of least energy takes "
-        f"{number(least.energy)} J, the shortest one {number(most.energy)} J: "
-        f"{100 * result.saving:.1f} % saved. No route takes less than "
-        f"{number(result.energy_optimal.lower_bound)} J{' at a steady speed' * result.driven}.",
+        f"{'Driven with its stops, the' if result.driven else 'At steady speeds, the'} route of "
+        f"least energy takes {number(least.energy)} J, the shortest one {number(most.energy)} J. "
+        f"That saves {result.sentence}.",
         "lead",
     )
     page.pictures(comparison_pictures(result, problem))
@@ -307,20 +305,20 @@ def comparison_page(result: Comparison, problem: PlanningProblem) -> Page:
 def comparison_pictures(result: Comparison, problem: PlanningProblem) -> Iterator[Picture]:
     """Yield both routes on the map, the energy along them, and their energy by term."""
     plans = {"least energy": result.energy_optimal, "shortest": result.shortest}
-    paths = {label: plan.path for label, plan in plans.items()}
-    yield Picture("map", plots.planned(problem, paths), "Both routes on the map.")
-    figure = plots.figure()
-    ax = figure.axes[0]
-    for (label, path), (color, dash) in zip(
-        paths.items(), ((plots.BLUE, "-"), (plots.RED, "--")), strict=True
-    ):
-        along = energy_along(path, problem)
-        ax.plot(along.metres, along.joules, color=color, ls=dash, label=label)
-    ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
-    plots.legend(ax, above=True)
-    yield Picture(
-        "energy", figure, "Energy along both routes; turns on the spot are upright steps."
-    )
+    yield Picture("map", plots.planned(problem, plots.priced(plans)), "Both routes on the map.")
+    if result.driven:
+        figure = plots.figure()
+        ax = figure.axes[0]
+        for (label, plan), (color, dash) in zip(plans.items(), LINES, strict=False):
+            drive = plan.driven
+            t, v = drive.trajectory.t, np.abs(drive.trajectory.v)
+            metres = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
+            ax.plot(metres, drive.energy_since_start, color=color, ls=dash, label=label)
+        ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
+        plots.legend(ax, above=True)
+        yield Picture(
+            "energy", figure, "Energy along both routes; turns on the spot are upright steps."
+        )
     figure = plots.figure(size=(plots.WIDTH, 2.0))
     terms = dict(zip(plans, (spent.by_term for spent in result.spent), strict=True))
     plots.breakdown(figure.axes[0], terms)

@@ -281,7 +281,11 @@ class Driven(html.Readable):
             f"{html.number(self.energy_measured, 5)} J ({100 * self.error:+.2f} %)"
         )
         header = ("term", "predicted [J]", "measured [J]")
-        return [html.Summary(title, header, self.terms, [note])]
+        rows = [
+            (name, *(html.number(part, whole=self.energy_measured) for part in parts))
+            for name, *parts in self.terms
+        ]
+        return [html.Summary(title, header, rows, [note])]
 
 
 def energy_predicted(

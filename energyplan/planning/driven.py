@@ -42,6 +42,7 @@ class DrivenPath:
     trajectory: Trajectory  # the path, timed within the limits of motors and battery
     energy: float  # what driving it takes [J]
     breakdown: Mapping[str, float]  # the same by term of the power models [J]
+    energy_since_start: FloatArray  # at each sample of the trajectory [J]
     speed: float  # tread speed that straight driving was priced at [m/s]
 
     @property
@@ -79,10 +80,12 @@ def drive_path(
             period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
         )  # fmt: skip
         drive = Drive(timed, Ground(model, surfaces, heights), cost.channels)
+        energies = drive.interval_energies()
         return DrivenPath(
             trajectory=timed,
-            energy=drive.energy(),
+            energy=float(energies.sum()),
             breakdown=drive.breakdown(),
+            energy_since_start=np.append(0.0, np.cumsum(energies)),
             speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
         )
 
@@ -174,6 +177,31 @@ def _feels_stops(model: PowerModel, speed: float) -> bool:
     )  # fmt: skip
     steady, faster, still = model.power(motion)
     return bool(abs(faster - steady) > 1e-9 * abs(steady) or still > 0)
+
+
+STEADY = "energy at steady speeds [J]"
+
+
+class Spent(NamedTuple):
+    """What a plan takes, as driven or at steady speeds."""
+
+    energy: float  # [J]
+    by_term: Mapping[str, float]  # the same by term of the power models [J]
+    duration: float  # [s]
+    driven: bool  # whether with its stops
+
+    @property
+    def label(self) -> str:
+        """What the energy is, with its unit."""
+        return "energy as driven, with its stops [J]" if self.driven else STEADY
+
+
+def spending(*plans: Plan) -> list[Spent]:
+    """Return what plans take: as driven where all of them can be, else at steady speeds."""
+    if any(plan.why_not_driven for plan in plans):
+        return [Spent(one.energy, one.breakdown, one.duration, driven=False) for one in plans]
+    drives = [plan.driven for plan in plans]
+    return [Spent(one.energy, one.breakdown, one.duration, driven=True) for one in drives]
 
 
 @dataclass(frozen=True)
@@ -293,29 +321,41 @@ class Plan(html.Readable):
         return self.driven.speed
 
     def _summaries(self) -> list[html.Summary]:
-        asked = self.problem.objective if self.problem else "energy"
-        objective = asked if isinstance(asked, str) else "objective"
-        unit = {"length": "m", "time": "s"}.get(objective, "J")
+        (spent,) = spending(self)
+        back = self.path.reverse_length
         rows: list[tuple[str, object]] = [
-            ("energy [J]", self.energy),
-            *((f"of it {html.words(name)} [J]", part) for name, part in self.breakdown.items()),
-            (f"lower bound of the {objective} [{unit}]", self.lower_bound),
-            *([(f"of it for the height [{unit}]", self.potential)] if self.potential else []),
-            ("at most above the least possible [%]", 100 * self.gap),
+            (spent.label, spent.energy),
+            *(
+                (f"of it {html.words(name)} [J]", html.number(part, whole=spent.energy))
+                for name, part in spent.by_term.items()
+            ),
+            ("duration [s]", spent.duration),
+            *([("speed [m/s]", self.driven.speed)] if spent.driven else []),
             ("length [m]", self.length),
+            *([("of it in reverse [m]", back)] if back > 0.01 else []),
             ("turning [deg]", float(np.degrees(self.turning))),
-            ("duration at a steady speed [s]", self.duration),
+            *([(STEADY, self.energy)] if spent.driven else []),
+            *self._costs(),
+            ("at most above the least possible [%]", 100 * self.gap),
         ]
-        if self.soft_cost:
-            rows.insert(1, (f"costmap [{unit}]", self.soft_cost))
-        if not self.why_not_driven:
-            rows += [
-                ("driven, with its stops: energy [J]", self.driven.energy),
-                ("driven: duration [s]", self.driven.duration),
-                ("driven: speed [m/s]", self.driven.speed),
-            ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
         return [html.Summary(title, ("", ""), rows, self.notes)]
+
+    def _costs(self) -> list[tuple[str, float]]:
+        """Return rows of the cost, where it is not the energy alone, and of its lower bound."""
+        objective = self.problem.objective if self.problem else "energy"
+        name = objective if isinstance(objective, str) else "weighted sum"
+        unit = {"length": "m", "time": "s"}.get(name, "J")
+        rows = [] if self.cost == self.energy else [
+            (f"cost: {name}{' and a little energy' * (name == 'length')} [{unit}]", self.cost)
+        ]  # fmt: skip
+        if self.soft_cost:
+            rows.append((f"of it the costmap [{unit}]", self.soft_cost))
+        of = "the cost" if rows else "energy at steady speeds"
+        rows.append((f"lower bound of {of} [{unit}]", self.lower_bound))
+        if self.potential:
+            rows.append((f"of it for the height [{unit}]", self.potential))
+        return rows
 
     @property
     def poses(self) -> FloatArray:

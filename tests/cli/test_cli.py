@@ -40,7 +40,7 @@ def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
     page = report.read_text()
     assert page.startswith("<!doctype html>")
     body = page[page.index("<body>") :]
-    assert f"{100 * result.json['saving']:.1f} % saved" in body
+    assert f"{100 * result.json['saving']:.1f} % of the shortest route" in body
     for key in ("energy_optimal", "shortest"):
         assert f">{number(result.json[key]['length'])}</td>" in body
     assert body.count("<figure>") == 3

@@ -36,6 +36,11 @@ def test_what_is_asked_is_a_speed_the_cheapest_or_the_usual_one() -> None:
             asked_speed(wrong, VEHICLE)
     with pytest.raises(InvalidInputError, match="give 1 m/s at most"):
         asked_speed("90", VEHICLE)
+    # a largest speed is accepted as it is printed, rounded to four digits
+    odd = replace(VEHICLE, motor=replace(VEHICLE.motor, speed=1.2277168))
+    assert asked_speed("1.228", odd) == 1.2277168
+    with pytest.raises(InvalidInputError, match=r"speed 1.229 m/s .* give 1.228 m/s at most"):
+        asked_speed("1.229", odd)
 
 
 @pytest.mark.parametrize("per_radian", [0.0, 0.4, 90.0])

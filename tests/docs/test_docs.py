@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import importlib.util
 import io
 import json
 import re
@@ -43,23 +44,37 @@ LENGTHY = {"closing_the_loop"}
 Command = Callable[[list[str]], str]
 
 
+def _script(name: str) -> Any:
+    """Import a script of the benchmarks."""
+    found = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
+    assert found is not None and found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    sys.modules[name] = module
+    found.loader.exec_module(module)
+    return module
+
+
+pages_of = _script("pages")
+
+
 class Block(NamedTuple):
     language: str
     text: str
     line: int
+    said: str  # what the page goes on with
 
 
 def blocks(page: Path) -> Iterator[Block]:
     """Yield the code blocks of a page in order."""
     text = page.read_text()
-    found = [(m.start(2), m[1] or "text", m[2]) for m in FENCED.finditer(text)]
+    found = [(m.start(2), m.end(), m[1] or "text", m[2]) for m in FENCED.finditer(text)]
     rest = FENCED.sub(lambda m: re.sub(r"[^\n]", "", m[0]), text)
     for indented in re.finditer(r"(?<=\n\n)((?:    .*\n|\n)+)", rest):
         code = textwrap.dedent(indented[1])
         language = "python" if re.match(r"from |import ", code) else "text"
-        found.append((indented.start(), language, code))
-    for place, language, code in sorted(found):
-        yield Block(language, code, text[:place].count("\n") + 1)
+        found.append((indented.start(), indented.end(), language, code))
+    for place, end, language, code in sorted(found):
+        yield Block(language, code, text[:place].count("\n") + 1, text[end:])
 
 
 def python_blocks(page: Path) -> list[Block]:
@@ -218,6 +233,30 @@ def test_python_blocks_run(page: Path, material: Path, tmp_path: Path) -> None:
             exec(compile("\n" * (block.line - 1) + block.text, str(page), "exec"), names)
 
 
+NUMBER = r"\d+(?:\.\d+)?"
+PRINTS = re.compile(rf"\s*It prints ((?:{NUMBER}|[^.\d])*)\.")
+"""The sentence after a block that says which numbers it prints."""
+
+
+def claimed(page: Path) -> list[Block]:
+    return [block for block in python_blocks(page) if PRINTS.match(block.said)]
+
+
+@pytest.mark.parametrize("page", pages(claimed))
+def test_a_block_prints_the_numbers_that_the_page_says(
+    page: Path, material: Path, tmp_path: Path
+) -> None:
+    """With all the work that the block asks for, unlike in the test above."""
+    names = namespace()
+    with contextlib.chdir(shutil.copytree(material, tmp_path / "work")):
+        for block in claimed(page):
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                exec(compile("\n" * (block.line - 1) + block.text, str(page), "exec"), names)
+            said = PRINTS.match(block.said)
+            assert said is not None
+            assert re.findall(NUMBER, out.getvalue()) == re.findall(NUMBER, said[1])
+
+
 def after_demo(page: Path) -> bool:
     """Tell whether a page goes on from what the demo makes."""
     return any("demo/" in word for words in command_lines(page) for word in words)
@@ -294,8 +333,13 @@ def test_an_example_runs_as_the_overview_says(
         folder = request.getfixturevalue("shared_data") / RECORDED[name]
     words = [str(folder) if word == "FOLDER" else word for word in lines[0]]
     monkeypatch.setattr(sys, "argv", words)
-    with contextlib.chdir(tmp_path), contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.chdir(tmp_path), contextlib.redirect_stdout(io.StringIO()) as out:
         runpy.run_path(str(ROOT / words[0]), run_name="__main__")
+    # figures in a paragraph that names the example as their source are among those it prints
+    paragraphs = [part for page in PAGES for part in page.read_text().split("\n\n")]
+    said = [part for part in paragraphs if f"(`python examples/{name}.py`)" in part]
+    figures = {figure for part in said for figure in re.findall(rf"({NUMBER}) Wh", part)}
+    assert figures <= set(re.findall(NUMBER, out.getvalue()))
 
 
 @pytest.mark.parametrize("file", sorted((DOCS / "notebooks").glob("*.ipynb")), ids=lambda f: f.stem)
@@ -313,6 +357,75 @@ def test_a_notebook_runs_and_holds_no_results(file: Path, tmp_path: Path) -> Non
                 code = compile(ast.Expression(last.value), f"{file.name}, cell {k}", "eval")
                 value = eval(code, names)
                 assert getattr(value, "_repr_html_", str)() or repr(value)
+
+
+def test_tables_that_scripts_write_say_on_which_commit() -> None:
+    marks = sum(page.read_text().count("<!-- end of") for page in pages_of.PAGES)
+    found = [table for page in pages_of.PAGES for table in pages_of.tables(page)]
+    assert len(found) == marks > 0
+    assert [table.name for table in found if not table.commit] == []
+
+
+def test_a_table_that_a_script_writes_is_compared_with_what_it_was(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    text = "| a | saved | CPU time |\n|---|---|---|\n| one | 5.1 % | 0.3 s |"
+    page.write_text("Before\n\n<!-- of one: python x.py -->\n<!-- end of of one -->\n")
+    with pytest.raises(SystemExit, match="no mark"):
+        pages_of.write(page, "another", text)
+    page.write_text("Before\n\n<!-- of one: python x.py -->\nold\n<!-- end of of one -->\nAfter")
+    pages_of.write(page, "of one", text)
+    assert page.read_text().startswith("Before\n\n<!-- of one: python x.py -->\n| a |")
+    assert page.read_text().endswith("<!-- end of of one -->\nAfter")
+    (kept,) = pages_of.tables(page)
+    assert kept.commit
+    pages_of.write(page, "of one", text.replace("5.1", "5.2").replace("0.3", "0.9"))
+    assert list(pages_of.differences(kept, *pages_of.tables(page))) == []
+    pages_of.write(page, "of one", text.replace("5.1", "6.1"))
+    assert len(list(pages_of.differences(kept, *pages_of.tables(page)))) == 1
+
+
+def test_the_readme_has_the_figures_of_the_model_card() -> None:
+    """Runs, both errors and how many are in the interval, ground by ground."""
+    (grounds,) = [one for one in pages_of.tables(DOCS / "model_card.md") if one.name == "grounds"]
+    card = [[cell.strip() for cell in row] for row in grounds.rows if len(row) > 7]
+    measured = [(row[1], row[2], row[4], row[7].partition(" (")[0]) for row in card]
+    row = r"^\| \w+, .+ \| (\d+) \| ([\d.]+ %) \| ([\d.]+ %) \| (\d+ of \d+) \|$"
+    said = re.findall(row, (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(said) == len(card) - 3  # less the head, its line and the mean
+    assert [figures for figures in said if figures not in measured] == []
+
+
+def imported(code: str) -> Iterator[str]:
+    """Yield the names of this package that code imports."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("energyplan"):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            names = (alias.name for alias in node.names)
+            yield from (name for name in names if name.startswith("energyplan."))
+
+
+def test_what_readers_are_shown_to_import_is_in_the_reference() -> None:
+    """Of pages, examples and notebooks: a name that is listed, or one of a module that is."""
+    reference = (DOCS / "reference" / "python.md").read_text()
+    listed = set(re.findall(r"^\.\. auto\w+:: (\S+)", reference, re.MULTILINE))
+    modules = set(re.findall(r"^\.\. automodule:: (\S+)", reference, re.MULTILINE))
+    cells = [
+        "".join(cell["source"])
+        for file in (DOCS / "notebooks").glob("*.ipynb")
+        for cell in json.loads(file.read_text())["cells"]
+        if cell["cell_type"] == "code"
+    ]
+    shown = [block.text for page in PAGES for block in python_blocks(page)] + cells
+    shown += [file.read_text() for file in (ROOT / "examples").glob("*.py")]
+    names = {name for code in shown for name in imported(code)}
+    top = {f"energyplan.{name}" for name in ep.__all__}
+    known = listed | modules | top
+    packages = {name.rpartition(".")[0] for name in modules}  # with nothing of their own
+    hidden = {n for n in names - packages if not {n, n.rpartition(".")[0]} & known}
+    assert sorted(hidden) == []
+    for name in listed - modules:
+        assert getattr(importlib.import_module(name.rpartition(".")[0]), name.rpartition(".")[2])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

@@ -60,6 +60,18 @@ def test_no_answer_is_kept_of_what_is_not_asked() -> None:
     assert {one.stem for one in answers.HERE.glob("*.json")} == set(answers.ANSWERS)
 
 
+def test_every_tolerance_of_a_route_is_finite_and_what_it_decides_is_held() -> None:
+    """Energy, bound, length and duration of a plan, each changed by more than rounding changes."""
+    (plan,) = json.loads(answers.file("plan").read_text())
+    for key, part in (("energy", 0.01), ("lower_bound", 0.001), ("length", 0.02), ("duration", 0.3),
+                      ("energy_driven", 0.01), ("gap", 0.2), ("cost", 0.01)):  # fmt: skip
+        changed = plan | {key: plan[key] * (1 + part)}
+        (found,) = answers.differences("plan", [plan], [changed])
+        assert f".{key}:" in found
+    ends = plan | {"path": plan["path"] | {"last": [0.0, 0.0, 0.0]}}
+    assert len(answers.differences("plan", [plan], [ends])) == 3
+
+
 @pytest.mark.parametrize(
     ("was", "now"),
     [

@@ -100,13 +100,30 @@ def problem() -> ep.PlanningProblem:
 
 def test_plan_and_comparison_show_their_energy(problem: ep.PlanningProblem) -> None:
     told = ep.compare(problem, effort=10_000)
-    plan = shown(told.energy_optimal)
-    assert plan.cells[plan.cells.index("energy [J]") + 1] == number(told.energy_optimal.energy)
-    both = shown(told)
-    place = both.cells.index("energy [J]")
-    energies = [number(p.energy) for p in (told.energy_optimal, told.shortest)]
-    assert both.cells[place + 1 : place + 3] == energies
-    assert f"{100 * told.saving:.1f} %" in both.text
+    plan = shown(told.energy_optimal).cells
+    both = shown(told).cells
+    driven = "energy as driven, with its stops [J]"
+    assert plan[plan.index(driven) + 1] == number(told.energy_optimal.energy_driven)
+    place = both.index(driven)
+    energies = [number(p.energy_driven) for p in (told.energy_optimal, told.shortest)]
+    assert both[place + 1 : place + 3] == energies
+    # a bound stands below what it bounds
+    steady = both.index("energy at steady speeds [J]")
+    assert both[steady + 3] == "lower bound of energy at steady speeds [J]"
+    assert float(both[steady + 4]) <= float(both[steady + 1])
+    length = ep.plan(dataclasses.replace(problem, objective="length"), effort=5_000)
+    cells = shown(length).cells
+    cost, bound = (cells.index(name) + 1 for name in (
+        "cost: length and a little energy [m]", "lower bound of the cost [m]"))  # fmt: skip
+    assert float(cells[bound]) <= float(cells[cost]) == pytest.approx(length.cost, rel=1e-3)
+
+
+def test_rounding_is_not_printed_as_a_number() -> None:
+    assert [number(x, whole=5e3) for x in (-3.183e-12, 1.421e-14, -0.0, 2e-5)] == [
+        "0", "0", "0", "2e-05",
+    ]  # fmt: skip
+    assert number(-0.0) == "0"
+    assert number(1.421e-14) == "1.421e-14"
 
 
 def test_feasibility_shows_violations(problem: ep.PlanningProblem) -> None:
@@ -115,6 +132,8 @@ def test_feasibility_shows_violations(problem: ep.PlanningProblem) -> None:
     report = ep.check(timed.scaled(3.0), MODEL)
     page = shown(report)
     assert page.text.startswith("not feasible")
+    kinds = page.cells[6::6]
+    assert kinds and all(kind.endswith((" [W]", " [m/s]", " [rad/s]", " [m/s²]")) for kind in kinds)
     assert len(page.cells) == 6 * (1 + len(report.violations))
 
 

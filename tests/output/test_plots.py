@@ -35,7 +35,9 @@ def assert_axes_have_units(ax: Axes) -> None:
 
 
 def test_prediction_shows_speeds_power_and_energy() -> None:
-    log = simulate.drive(MODEL, "figure8", power_noise=5.0)
+    drive = simulate.drive(MODEL, "figure8", power_noise=5.0)
+    stamped = {**drive.channels, "t": drive.t + 1.76416e9}  # time since 1970
+    log = replace(drive, channels=stamped)
     expected = MODEL.power(log.motion(MODEL.vehicle.icr))
     figure = plots.prediction(log, {"model": expected}, "Figure-8")
     speeds, power, energy = figure.axes
@@ -51,6 +53,8 @@ def test_prediction_shows_speeds_power_and_energy() -> None:
     drawn = np.asarray(energy.get_lines()[0].get_ydata(), float)
     assert drawn[-1] == pytest.approx(np.trapezoid(log.power, log.t) / 1e3)
     assert len(speeds.get_lines()) == 2
+    for line in (line for ax in figure.axes for line in ax.get_lines()):
+        assert np.asarray(line.get_xdata())[[0, -1]] == pytest.approx([0, log.duration], abs=1e-6)
 
 
 def test_bin_means_of_the_residual() -> None:
@@ -81,6 +85,18 @@ def test_the_last_arrow_has_the_heading_at_the_end() -> None:
     plots.route(ax, path, "route")
     arrows = next(one for one in ax.collections if isinstance(one, Quiver))
     assert (arrows.U[-1], arrows.V[-1]) == pytest.approx((np.cos(1.2), np.sin(1.2)))
+
+
+def test_arrows_point_where_the_robot_goes_and_reverse_is_said() -> None:
+    path = Path(Pose(1, 2, 0), [-2.0], [0.0])
+    ax = plots.figure().axes[0]
+    plots.route(ax, path, "route")
+    arrows = next(one for one in ax.collections if isinstance(one, Quiver))
+    assert np.asarray(arrows.U[:-1]) == pytest.approx(-np.ones(len(arrows.U) - 1))
+    assert arrows.U[-1] == pytest.approx(1.0)  # the heading at the goal
+    assert "2.0 m in reverse" in str(ax.get_lines()[0].get_label())
+    ends = [float(line.get_xdata()[0]) for line in ax.get_lines()[1:]]
+    assert ends == pytest.approx([1.0, -1.0])
 
 
 def test_breakdown_bars_add_up() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import socket
 import subprocess
@@ -17,6 +18,7 @@ import pytest
 
 import energyplan as ep
 from energyplan import simulate
+from energyplan.power import HOTEL
 
 ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
@@ -27,6 +29,8 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("data")
     for file in (ROOT / "maps").glob("warehouse*"):
         shutil.copy(file, folder)
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    ep.write_model(model.with_term(HOTEL, 40.0), folder / "hotel.yaml")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -103,11 +107,21 @@ class Opened:
 )
 def test_two_clicks_make_a_route(browser: Any, address: str, width: int, scheme: str) -> None:
     opened = Opened(browser, address, width, scheme)
+    opened.page.fill("input[name=model]", "hotel.yaml")  # at rest it draws power, too
     told = opened.route()
     assert told.endswith(" J")
     rows = opened.page.inner_text("#answer table")
     assert "slip friction" in rows
     assert "no route takes less than" in rows
+    # the saving is what the two energies beside it give, and their parts add up
+    driven = re.search(r"energy as driven, with its stops\s+([\d,]+) J\s+([\d,]+) J", rows)
+    assert driven is not None and told == f"{driven[1]} J"
+    least, most = (float(text.replace(",", "")) for text in driven.groups())
+    said = re.search(r"saves ([\d.]+) %", opened.page.inner_text("#answer p"))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(100 * (1 - least / most), abs=0.1)
+    parts = re.findall(r"^[a-z ]+\t([-\d,]+) J\t", rows.partition("energy as")[0], re.M)
+    assert sum(float(part.replace(",", "")) for part in parts) == pytest.approx(least, abs=3)
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= width
     assert (opened.errors, opened.elsewhere) == ([], [])
 
@@ -143,6 +157,11 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     opened.page.wait_for_selector("#verdicts table, #status.bad", timeout=120_000)
     assert "tasks can be done" in opened.page.inner_text("#status")
     assert opened.page.locator("#verdicts tr").count() == 3
+    times = opened.page.locator("#verdicts tr td:nth-child(3)").all_inner_texts()
+    hours = [int(text.partition(":")[0]) + int(text.partition(":")[2]) / 60 for text in times]
+    assert hours == sorted(hours)
+    names = opened.page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
+    assert names == ["task 2", "task 1"]  # not in the order in which they were placed
     assert opened.page.locator("#charge canvas").count() == 1
     drawn = opened.page.locator(".leaflet-overlay-pane path[stroke='#0072b2']")
     assert drawn.count() >= 3  # out, between and back

@@ -21,6 +21,7 @@ from energyplan.output.plots.routes import (
     mission_map,
     occupancy,
     planned,
+    priced,
     route,
     routes,
     state_of_charge,
@@ -46,5 +47,6 @@ __all__ = [
     "BLACK", "BLUE", "GREEN", "ORANGE", "PURPLE", "RED", "SKY", "WIDTH", "YELLOW", "bin_means",
     "breakdown", "energy_map", "energy_over_time", "feasible_region", "figure", "image", "legend",
     "mission_charge", "mission_map", "occupancy", "planned", "png", "power_over_time", "prediction",
-    "residual_against", "rounds", "route", "routes", "state_of_charge", "svg", "tread_speeds",
+    "priced", "residual_against", "rounds", "route", "routes", "state_of_charge", "svg",
+    "tread_speeds",
 ]  # fmt: skip

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
     """Draw the speeds of both sides over time."""
-    ax.plot(log.t, log.channel("v_left"), color=style.BLUE, lw=1.2, label="left")
-    ax.plot(log.t, log.channel("v_right"), color=style.ORANGE, lw=1.2, ls="--", label="right")
+    t = log.t - log.t[0]
+    ax.plot(t, log.channel("v_left"), color=style.BLUE, lw=1.2, label="left")
+    ax.plot(t, log.channel("v_right"), color=style.ORANGE, lw=1.2, ls="--", label="right")
     style.label(ax, "time [s]", "tread speed [m/s]", "Tread speeds")
     style.legend(ax, above=True)
     return ax
@@ -32,15 +33,17 @@ def tread_speeds(ax: Axes, log: DriveLog) -> Axes:
 
 def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
     """Draw measured and predicted power over time."""
-    ax.plot(log.t, log.power, color="0.6", lw=0.8, label="measured")
-    return _over_time(ax, log.t, predictions, "power [W]", "Power")
+    t = log.t - log.t[0]
+    ax.plot(t, log.power, color="0.6", lw=0.8, label="measured")
+    return _over_time(ax, t, predictions, "power [W]", "Power")
 
 
 def energy_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
     """Draw measured and predicted energy since the start; arguments as in `power_over_time`."""
-    ax.plot(log.t, _integral(log.t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
-    energies = {k: _integral(log.t, np.asarray(p, float)) / 1e3 for k, p in predictions.items()}
-    return _over_time(ax, log.t, energies, "energy [kJ]", "Energy since the start")
+    t = log.t - log.t[0]
+    ax.plot(t, _integral(t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
+    energies = {k: _integral(t, np.asarray(p, float)) / 1e3 for k, p in predictions.items()}
+    return _over_time(ax, t, energies, "energy [kJ]", "Energy since the start")
 
 
 def _over_time(

@@ -17,13 +17,14 @@ from matplotlib.figure import Figure
 
 from energyplan.output.plots import style
 from energyplan.path import Path
+from energyplan.planning.driven import spending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from shapely.geometry.base import BaseGeometry
 
     from energyplan.mission import MissionReport
-    from energyplan.planning import PlanningProblem
+    from energyplan.planning import Plan, PlanningProblem
     from energyplan.reach import EnergyMap
     from energyplan.terrain import OccupancyGrid
 
@@ -94,17 +95,27 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
 def route(
     ax: Axes, path: Path, label: str, color: str = style.BLUE, dash: str = "-", arrows: bool = True
 ) -> Axes:
-    """Draw a path, its start and, with `arrows`, its headings."""
+    """Draw a path from its start (a disc) to its goal (a ring); `arrows` point where it goes.
+
+    The last arrow is the heading at the goal. How much is driven in reverse stands in the legend.
+    """
     poses = path.poses()
+    if path.reverse_length >= 0.05:
+        label += f", {path.reverse_length:.1f} m in reverse"
     ax.plot(poses[:, 0], poses[:, 1], color=color, ls=dash, lw=2, label=label, zorder=3)
     ax.plot(*poses[0, :2], "o", color=color, ms=5, zorder=3)
+    ax.plot(*poses[-1, :2], "o", color=color, mfc="white", ms=7, mew=1.5, zorder=3)
     if arrows:
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+        steps = np.diff(poses[:, :2], axis=0)
+        heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        back = np.append(np.sum(steps * heading[:-1], axis=1) < 0, False)
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
         marks = np.searchsorted(along, np.linspace(0, along[-1], 8)).clip(0, len(poses) - 1)
         marks[-1] = len(poses) - 1  # after a turn on the spot
+        where = np.where(back[:, None], -heading, heading)[marks]
         ax.quiver(
-            poses[marks, 0], poses[marks, 1], np.cos(poses[marks, 2]), np.sin(poses[marks, 2]),
-            color=color, angles="xy", scale=30, width=0.004, zorder=3,
+            *poses[marks, :2].T, *where.T, color=color, angles="xy", scale=30, width=0.004,
+            zorder=4,
         )  # fmt: skip
     return ax
 
@@ -127,6 +138,15 @@ def routes(
     if paths or surfaces:
         picture.set_figheight(height + 0.2 * max(style.legend(ax, above=True) - 1, 0))
     return picture
+
+
+def priced(plans: Mapping[str, Plan]) -> dict[str, Path]:
+    """Return the paths of plans by their names with what they take, all as driven or none."""
+    spent = spending(*plans.values())
+    return {
+        f"{name}: {one.energy:.0f} J": plan.path
+        for (name, plan), one in zip(plans.items(), spent, strict=True)
+    }
 
 
 def planned(problem: PlanningProblem, paths: Mapping[str, Path]) -> Figure:

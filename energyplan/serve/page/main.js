@@ -42,7 +42,7 @@ const raised = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴" };
 const unit = (text) => text === "1" ? "" : ` ${text.replace(/\^([-\d]+)/g, (_, n) => [...n].map((c) => raised[c] ?? c).join(""))}`;
 // Energies are in J up to that of a long drive, in Wh beyond.
 const energy = (value) => value == null ? "–" : Math.abs(value) < 36000
-  ? `${Math.round(value).toLocaleString("en")} J` : `${(value / 3600).toPrecision(4)} Wh`;
+  ? `${(Math.round(value) || 0).toLocaleString("en")} J` : `${(value / 3600).toPrecision(4)} Wh`;
 const percent = (value) => `${(100 * value).toFixed(1)} %`;
 
 // the scene
@@ -138,16 +138,21 @@ function show(told) {
   chart.route(best.path, "--least");
   say("Drag a marker to plan again.");
   const lead = element("p");
-  lead.append(element("span", energy(best.energy), "big least"), ` least energy, ${percent(told.saving)} less than the shortest route.`);
-  const terms = [...new Set([...Object.keys(best.breakdown), ...Object.keys(shortest.breakdown)])];
+  // Saving, joules and terms are of one energy: that of driving with all stops, where there is one.
+  const of = told.saving_of, parts = of === "energy" ? "breakdown" : "breakdown_driven";
+  const kind = of === "energy" ? "energy at steady speeds" : "energy as driven, with its stops";
+  const beyond = best.potential < 0 ? " beyond what the descent is worth" : "";
+  lead.append(element("span", energy(best[of]), "big least"), ` least energy. That saves ${percent(told.saving)} of the shortest route's${beyond}.`);
+  const terms = [...new Set([...Object.keys(best[parts]), ...Object.keys(shortest[parts])])];
   $("answer").replaceChildren(lead, table(
     ["", ["least energy", "least"], ["shortest", "short"]],
     [
-      ...terms.map((name) => [name.replaceAll("_", " "), energy(best.breakdown[name] ?? 0), energy(shortest.breakdown[name] ?? 0)]),
-      ["energy", energy(best.energy), energy(shortest.energy)],
+      ...terms.map((name) => [name.replaceAll("_", " "), energy(best[parts][name] ?? 0), energy(shortest[parts][name] ?? 0)]),
+      [kind, energy(best[of]), energy(shortest[of])],
       ["length", `${best.length.toFixed(1)} m`, `${shortest.length.toFixed(1)} m`],
       ["turning", `${(best.turning * 180 / Math.PI).toFixed(0)}°`, `${(shortest.turning * 180 / Math.PI).toFixed(0)}°`],
-      ["no route takes less than", energy(best.lower_bound), ""],
+      ...(of === "energy" ? [] : [["energy at steady speeds", energy(best.energy), energy(shortest.energy)]]),
+      ["no route takes less than, at steady speeds", energy(best.lower_bound), "–"],
     ],
   ));
 }
@@ -210,17 +215,18 @@ function verdicts(told) {
   say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
   const full = (soc) => soc == null ? "–" : `${(100 * soc).toFixed(0)} %`;
-  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], [
-    ...told.tasks.map((task) => [
+  const rows = [
+    ...told.tasks.map((task) => [task.arrival ?? Infinity, [
       task.name,
       task.verdict === "reachable" ? ["reachable", "text good"]
-        : [`out of reach: ${task.reason}${task.remedy ? `; ${task.remedy}` : ""}`, "text bad"],
+        : [`out of reach: ${task.reason.replaceAll("_", " ")}${task.remedy ? `; ${task.remedy}` : ""}`, "text bad"],
       clock(task.arrival), energy(task.energy), full(task.soc_after),
-    ]),
-    ...told.timetable.filter((row) => row.kind === "charge").map((row) => [
+    ]]),
+    ...told.timetable.filter((row) => row.kind === "charge").map((row) => [row.start, [
       row.place, `charges ${Math.round((row.end - row.start) / 60)} min`, clock(row.start), "–", full(row.soc_end),
-    ]),
-  ]));
+    ]]),
+  ].sort(([a], [b]) => a < b ? -1 : a > b ? 1 : 0);  // by time; what is out of reach comes last
+  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], rows.map(([, row]) => row)));
   const line = told.timeline;
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
