@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import stat
 import subprocess
 import sys
 import tempfile
@@ -86,13 +87,31 @@ def cache_folder() -> Path:
     """Return where compiled kernels are kept, whether it exists or not."""
     if chosen := os.environ.get(FOLDER_VARIABLE):
         return Path(chosen)
-    if shared := os.environ.get("XDG_CACHE_HOME"):
-        return Path(shared) / "energyplan"
+    shared = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if shared.is_absolute():  # the specification has others ignored
+        return shared / "energyplan"
+    with suppress(RuntimeError):
+        if os.environ.get("HOME") != "":
+            return Path.home() / ".cache" / "energyplan"
+    user = f"-{os.getuid()}" if hasattr(os, "getuid") else ""  # no home; temporary files are shared
+    return Path(tempfile.gettempdir()) / f"energyplan{user}"
+
+
+@cache
+def _distrust(folder: Path) -> str:
+    """Return why a folder keeps no machine code, which runs when it is loaded; it is made here."""
     try:
-        return Path.home() / ".cache" / "energyplan"
-    except RuntimeError:  # no home folder; temporary files are other users' too, where these exist
-        user = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
-        return Path(tempfile.gettempdir()) / f"energyplan{user}"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        about = folder.stat()
+    except OSError as error:
+        return str(error.strerror)
+    if not hasattr(os, "getuid"):  # Windows has no such owners
+        return ""
+    if about.st_uid not in (os.getuid(), 0):
+        return f"user {about.st_uid} owns it, and could have this one run what lies there"
+    if about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return "others may write there; delete it, or take their right away"
+    return ""
 
 
 @cache
@@ -147,8 +166,14 @@ class _Locator(caching.UserWideCacheLocator):
 
     @classmethod
     def from_function(cls, function: Callable[..., object], file: str) -> _Locator | None:
-        """Return the place, which may be one to read alone; None without a file of the source."""
-        return cls(function, file) if Path(file).is_file() else None
+        """Return the place; None without a file of the source, or where no folder is to be had."""
+        if not Path(file).is_file():
+            return None
+        made = cls(function, file)
+        if why := _distrust(cache_folder()) or _distrust(Path(made._cache_path)):
+            _say_not_kept(why)
+            return None
+        return made
 
 
 class _Results(caching.CompileResultCacheImpl):
@@ -191,13 +216,15 @@ def _say_not_kept(why: str) -> None:
 
 def _can_be_kept() -> bool:
     """Tell whether machine code can be kept; where it cannot, a warning says why."""
-    try:
-        cache_folder().mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=cache_folder()).close()
-    except OSError as error:
-        _say_not_kept(str(error.strerror))
-        return False
-    return True
+    why = _distrust(cache_folder())
+    if not why:
+        try:
+            tempfile.TemporaryFile(dir=cache_folder()).close()
+        except OSError as error:
+            why = str(error.strerror)
+    if why:
+        _say_not_kept(why)
+    return not why
 
 
 class Kernel(CPUDispatcher):

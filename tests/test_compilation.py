@@ -211,6 +211,35 @@ def test_without_a_home_machine_code_is_kept_among_temporary_files(tmp_path: Pat
     assert found == [str(tmp_path / f"energyplan-{os.getuid()}"), str(tmp_path / "energyplan")]
 
 
+def test_a_home_or_a_shared_folder_without_a_name_is_none(tmp_path: Path) -> None:
+    code = "from energyplan.compilation import cache_folder\nprint(cache_folder())"
+    for given in ({"HOME": "", "XDG_CACHE_HOME": ""}, {"HOME": "", "XDG_CACHE_HOME": "here"}):
+        found = run(code, TMPDIR=str(tmp_path), **given).stdout.split()
+        assert found == [str(tmp_path / f"energyplan-{os.getuid()}")]
+
+
+@pytest.mark.parametrize("inner", [False, True])
+@pytest.mark.parametrize(("mode", "owner", "told"), [(0o777, None, "others may write"),
+                                                     (0o770, None, "others may write"),
+                                                     (0o700, 12345, "user 12345 owns it")])  # fmt: skip
+def test_code_that_others_could_have_written_is_not_run(
+    copy: Path, tmp_path: Path, mode: int, owner: int | None, told: str, inner: bool
+) -> None:
+    """Code is kept in a folder for this user alone; planted code would print another number."""
+    kept = tmp_path / "new" / "kept"
+    assert run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=str(kept)).stdout.split()[0] == "31.0"
+    folders = [kept, *kept.iterdir()]
+    assert {folder.stat().st_mode & 0o777 for folder in folders} == {0o700}
+    if owner is not None and os.getuid() != 0:
+        pytest.skip("only the superuser gives a folder away")
+    for folder in folders[1:] if inner else folders[:1]:
+        os.chown(folder, owner or os.getuid(), -1)
+        folder.chmod(mode)
+    found = run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=str(kept))
+    assert found.stdout.split()[:2] == ["31.0", "outer"]  # compiled anew
+    assert found.stderr.count("KernelCacheWarning") == 1 and told in found.stderr, found.stderr
+
+
 def test_the_command_line_says_it_in_one_line(unwritable: str, tmp_path: Path) -> None:
     trajectory = tmp_path / "trajectory.csv"
     trajectory.write_text("t,x,y,yaw,v,omega\n0,0,0,0,0.5,0\n1,0.5,0,0,0.5,0\n2,1,0,0,0.5,0\n")
