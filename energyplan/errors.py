@@ -33,6 +33,10 @@ class UnusualValueWarning(UserWarning):
     """A value is possible but not usual: perhaps it is in another unit."""
 
 
+class StorageError(EnergyPlanError):
+    """A file cannot be written because of the disk, such as a full one."""
+
+
 class UnknownNameError(InvalidInputError):
     """A preset, term, planner or place has no such name.
 

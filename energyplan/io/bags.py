@@ -246,6 +246,7 @@ BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 """Kinds of file that are read as bags, beside folders with a ``metadata.yaml``."""
 _LARGEST_SKEW = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
 _MAGIC = b"#ROSBAG V2.0\n"
+_LARGEST_CHUNK = 1 << 26  # bytes; ROS makes them of 768 kB, or of one larger message
 _LARGEST_METADATA = 1 << 23  # bytes; a topic takes a few hundred
 # What the packages that read bags raise when the bytes make no sense to them.
 _UNSOUND = (
@@ -395,6 +396,12 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
         for kind, text in definitions.items():
             store.register(get_types_from_msg(text, kind))
         with AnyReader([file], default_typestore=store) as reader:
+            for part in reader.readers:
+                if isinstance(part, rosbag1.Reader):
+                    part.chunks = {
+                        place: chunk._replace(decompressor=_bounded(chunk.decompressor))
+                        for place, chunk in part.chunks.items()
+                    }
             yield reader
     except EnergyPlanError:
         raise
@@ -407,7 +414,9 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
 
 
 def _check_beginning(file: Path) -> None:
-    """Refuse what rosbags would take into memory whole before it finds that it is no bag."""
+    """Refuse what rosbags would wait for, or take into memory whole before it finds it no bag."""
+    if file.exists() and not (file.is_file() or file.is_dir()):
+        raise ValueError("it is no regular file")
     if file.suffix.lower() == ".bag":
         with file.open("rb") as stream:
             if stream.read(len(_MAGIC)) != _MAGIC:
@@ -415,6 +424,26 @@ def _check_beginning(file: Path) -> None:
     metadata = file / "metadata.yaml"
     if is_file(metadata) and metadata.stat().st_size > _LARGEST_METADATA:
         raise ValueError(f"its metadata.yaml is larger than {_LARGEST_METADATA >> 20} MiB")
+
+
+def _bounded(unpack: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    """Return what unpacks a chunk of a ROS 1 bag, which may be small and hold gigabytes."""
+    from rosbags.rosbag1.reader import decompressors
+
+    kinds = {"bz2": ("bz2", "BZ2Decompressor"), "lz4": ("lz4.frame", "LZ4FrameDecompressor")}
+    packing = next((name for name in kinds if decompressors[name] is unpack), None)
+    if packing is None:  # it is as large as it is in the file
+        return unpack
+    module, name = kinds[packing]
+
+    def bounded(packed: bytes) -> bytes:
+        reader = getattr(import_module(module), name)()
+        content: bytes = reader.decompress(packed, max_length=_LARGEST_CHUNK)
+        if not reader.eof:
+            raise ValueError(f"a chunk is cut short, or unpacks to over {_LARGEST_CHUNK >> 20} MiB")
+        return content
+
+    return bounded
 
 
 def _database_errors() -> tuple[type[Exception], ...]:

@@ -36,6 +36,8 @@ def read_bytes(
 ) -> bytes:
     """Return a file's content."""
     try:
+        if file.exists() and not file.is_file() and not file.is_dir():
+            raise ValueError("it is no regular file")  # a pipe would be waited for
         with file.open("rb") as stream:
             content = stream.read(limit + 1)
     except (OSError, ValueError) as problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -11,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from energyplan.errors import InvalidInputError, UnknownNameError
+from energyplan.errors import InvalidInputError, StorageError, UnknownNameError
 from energyplan.io.documents import load
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -33,11 +34,12 @@ def bundled(name: str) -> Path:
 
 _PROBE = bytes(1 << 16)  # what a place must be able to take before work for it begins
 _LARGEST_JSON = 1 << 25  # bytes of a file of surfaces that is searched for names of files
+_OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # whatever the name of the file
 _MOST_FILES = 1000  # of a folder that is read as one thing
 
 
-def atomic_write(path: str | Path, content: bytes | str) -> Path:
-    """Write a file so that it is never seen half written."""
+def atomic_write(path: str | Path, content: bytes | str, *, anew: bool = False) -> Path:
+    """Write a file so that it is never seen half written; `anew` it never replaces another."""
     file = Path(path)
     data = _utf8(content) if isinstance(content, str) else content
     with _writing(file):
@@ -51,7 +53,10 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
                 stream.flush()
                 os.fsync(stream.fileno())
             Path(name).chmod(mode)
-            Path(name).replace(target)
+            if anew:
+                target.hardlink_to(name)
+            else:
+                Path(name).replace(target)
         finally:
             Path(name).unlink(missing_ok=True)
     return file
@@ -70,8 +75,10 @@ def _writing(path: Path) -> Iterator[None]:
         yield
     except (OSError, ValueError) as problem:
         reason = problem.strerror if isinstance(problem, OSError) else problem
-        raise InvalidInputError(
-            f"{str(path)!r} cannot be written: {reason}; choose another place"
+        ours = isinstance(problem, OSError) and problem.errno in _OF_THE_DISK
+        raise (StorageError if ours else InvalidInputError)(
+            f"{str(path)!r} cannot be written: {reason}; "
+            f"{'make room, or ' if ours else ''}choose another place"
         ) from None
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
-import math
 import struct
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
@@ -41,6 +41,9 @@ ALIKE = 0.75
 ROUNDING = 1e-9
 """By how much the occupancy of a pixel may miss a threshold that it equals."""
 
+_most_cells: ContextVar[int] = ContextVar("most_cells", default=MAX_CELLS)
+_BAND = 256  # rows of an image whose colours are weighed at a time
+
 LETHAL = 100
 """Value of an occupied cell of nav_msgs/OccupancyGrid."""
 
@@ -56,6 +59,25 @@ _BROKEN = (
     OSError, SyntaxError, ValueError, EOFError, OverflowError, TypeError, KeyError, IndexError,
     struct.error, MemoryError, Image.DecompressionBombError,
 )  # fmt: skip
+
+
+@contextmanager
+def at_most(cells: int) -> Iterator[None]:
+    """Refuse maps and heights of more cells inside, as a service does."""
+    token = _most_cells.set(min(cells, MAX_CELLS))
+    try:
+        yield
+    finally:
+        _most_cells.reset(token)
+
+
+def _fit(file: Path, rows: float, columns: float) -> None:
+    """Refuse a raster of too many cells."""
+    if rows * columns > (most := _most_cells.get()):
+        raise MapError(
+            f"{file}: {rows:g} rows of {columns:g} cells; at most {most} cells are read: crop or "
+            "coarsen it"
+        )
 
 
 def _lower(value: Any) -> Any:
@@ -155,7 +177,9 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
     if file.suffix == ".map":
         return _read_movingai(file)
     if file.suffix == ".geojson":
-        return read_obstacles(file)
+        drawn = read_obstacles(file)
+        _fit(file, *drawn.shape)
+        return drawn
     if file.is_dir():
         raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")
     if file.suffix not in {".yaml", ".yml"}:
@@ -229,29 +253,30 @@ def read_speed_mask(path: str | Path) -> tuple[SpeedLimit, ...]:
     return tuple(limits)
 
 
-def _values(file: Path, header: _MapHeader) -> NDArray[np.int16]:
+def _values(file: Path, header: _MapHeader) -> NDArray[np.int8]:
     """Return the cells that Nav2's map_server makes of an image: 0 to 100, and -1 for unknown."""
     image = _pixels(_image(file, header.image))
+    level = np.arange(256)
     if header.mode == "raw":
         # the pixel is the value; neither negate nor a threshold has a say
-        return np.where(image.grey <= LETHAL, image.grey, -1).astype(np.int16)
-    # of coloured pixels some releases take the mean and some the luma: the more occupied one counts
-    shades = np.stack([image.grey, image.luma]) / 255
-    occupancy = (shades if header.negate else 1.0 - shades).max(axis=0)
+        return np.where(level <= LETHAL, level, -1).astype(np.int8)[image.grey]
+    occupancy = level / 255 if header.negate else 1.0 - level / 255
     low, high = header.free_thresh, header.occupied_thresh
-    between = np.full(occupancy.shape, -1.0)
+    between = np.full(256, -1.0)
     if header.mode == "scale" and high > low:
         between = np.round(LETHAL * (occupancy - low) / (high - low))
     values = np.select(
         [occupancy >= high - ROUNDING, occupancy <= low + ROUNDING], [LETHAL, 0.0], between
     )
-    return np.where(image.opaque, values, -1).astype(np.int16)
+    # of coloured pixels some releases take the mean and some the luma: the more occupied one counts
+    shade = (np.maximum if header.negate else np.minimum)(image.grey, image.luma)
+    return np.where(image.opaque, values.astype(np.int8)[shade], np.int8(-1))
 
 
 def _image(file: Path, name: str) -> Path:
     """Return the image that a map names."""
     image = beside(file, "image", name)
-    if not image.exists():
+    if not is_file(image):
         raise MapError(f"{file}: image: there is no {name!r} beside the map; copy it there")
     return image
 
@@ -259,8 +284,8 @@ def _image(file: Path, name: str) -> Path:
 class _Pixels(NamedTuple):
     """An image, top row first, in steps of 8 bits."""
 
-    grey: NDArray[np.float64]  # mean of the colours, 0 to 255
-    luma: NDArray[np.float64]  # their brightness to the eye, 0 to 255
+    grey: NDArray[np.uint8]  # mean of the colours
+    luma: NDArray[np.uint8]  # their brightness to the eye
     opaque: NDArray[np.bool_]
 
 
@@ -274,11 +299,7 @@ def _opened(file: Path, formats: tuple[str, ...], otherwise: str) -> Iterator[Im
             warnings.catch_warnings(action="ignore"),
             Image.open(io.BytesIO(content), formats=formats) as image,
         ):
-            if image.width * image.height > MAX_CELLS:
-                raise MapError(
-                    f"{file}: {image.width} x {image.height} pixels; at most {MAX_CELLS} are "
-                    "taken: crop or coarsen it"
-                )
+            _fit(file, image.height, image.width)
             yield image
     except MapError:
         raise
@@ -292,18 +313,23 @@ def _pixels(file: Path) -> _Pixels:
     """Return the pixels of an image of any depth, with colours, a palette or alpha."""
     with _opened(file, ("PPM", "PNG", "BMP"), "not a PGM, PNG or BMP image") as image:
         clear = image.info.get("transparency")
-        if image.mode.startswith("I") or image.mode == "F":
-            deep = np.asarray(image, np.float64)  # sixteen bits
-            grey = np.round(deep / 257)
-            opaque = np.full(grey.shape, True) if clear is None else deep != clear
-            return _Pixels(grey, grey, opaque)
+        if image.mode == "F":
+            raise MapError(f"{file}: pixels of floating point; save it in 8 or 16 bits")
         if image.mode in {"1", "L"} and clear is None:
-            grey = np.asarray(image.convert("L"), np.float64)
-            return _Pixels(grey, grey, np.full(grey.shape, True))
-        rgba = np.asarray(image.convert("RGBA"), np.float64)
-        colours = rgba[..., :3]
-        luma = np.round(colours @ LUMA)
-        return _Pixels(np.round(colours.mean(axis=2)), luma, rgba[..., 3] == 255)
+            grey = np.asarray(image.convert("L"))
+            return _Pixels(grey, grey, np.broadcast_to(np.True_, grey.shape))
+        deep = image.mode.startswith("I")  # sixteen bits
+        pixels = np.asarray(image if deep else image.convert("RGBA"))
+        opaque = pixels != clear if deep else pixels[..., 3] == 255
+        grey, luma = np.empty((2, *opaque.shape), np.uint8)
+        for top in range(0, len(pixels), _BAND):  # a number of floating point has eight bytes
+            band = slice(top, top + _BAND)
+            if deep:
+                grey[band] = luma[band] = np.round(pixels[band] / 257)
+            else:
+                colours = pixels[band, :, :3].astype(np.float64)
+                grey[band], luma[band] = np.round(colours.mean(axis=2)), np.round(colours @ LUMA)
+        return _Pixels(grey, luma, opaque)
 
 
 def _read_movingai(file: Path) -> OccupancyGrid:
@@ -323,8 +349,7 @@ def _read_movingai(file: Path) -> OccupancyGrid:
         raise MapError(f"{file}: no line 'map' in the first 16; is it a MovingAI map?")
     if set(size) != {"height", "width"}:
         raise MapError(f"{file}: give 'height' and 'width' before 'map'")
-    if math.prod(size.values()) > MAX_CELLS:
-        raise MapError(f"{file}: {size} makes more than {MAX_CELLS} cells; crop the map")
+    _fit(file, size["height"], size["width"])
     rows = lines[number : number + size["height"]]
     if len(rows) < size["height"]:
         raise MapError(f"{file}: {len(rows)} rows where the height is {size['height']}")
@@ -489,11 +514,9 @@ def _from_ascii(file: Path) -> _Raster:
         if not np.isfinite(header[key]):
             raise MapError(f"{file}: {key} is {header[key]}; give a finite number")
     shape = header["nrows"], header["ncols"]
-    if any(n != round(n) or n < 2 for n in shape) or shape[0] * shape[1] > MAX_CELLS:
-        raise MapError(
-            f"{file}: {shape[0]:g} rows of {shape[1]:g}; give whole numbers from 2, and at most "
-            f"{MAX_CELLS} cells"
-        )
+    if any(n != round(n) or n < 2 for n in shape):
+        raise MapError(f"{file}: {shape[0]:g} rows of {shape[1]:g}; give whole numbers from 2")
+    _fit(file, *shape)
     values = _cells_of(file, lines, row, int(shape[0]), int(shape[1]))
     if _NO_DATA in header:
         values = np.where(values == header[_NO_DATA], np.nan, values)

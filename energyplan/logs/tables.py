@@ -538,6 +538,8 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
         raise error(f"{file} is {_OTHERS[file.suffix.lower()]}")
     if suffix is None:
         raise error(f"{file} is of an unknown type; give a .csv, .csv.gz or .parquet file")
+    if file.exists() and not file.is_file():  # a pipe would be waited for
+        raise error(f"{str(file)!r} is no regular file; copy what it gives into one")
     return suffix
 
 

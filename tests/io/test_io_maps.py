@@ -5,11 +5,15 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import os
 import struct
+import tracemalloc
 import zlib
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from math import floor
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -20,10 +24,11 @@ from PIL import Image
 
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
-from energyplan.errors import ConfigError, MapError
+from energyplan.errors import ConfigError, InvalidInputError, MapError
 from energyplan.io.documents import read_json
 from energyplan.io.geojson import read_surfaces, write_surfaces
-from energyplan.io.maps import read_map, read_site, write_map
+from energyplan.io.logs import read_log
+from energyplan.io.maps import at_most, read_heights, read_map, read_site, write_map
 from energyplan.mission import Mission, Task
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem
@@ -608,3 +613,59 @@ def test_a_site_s_faults_name_file_line_and_key(tmp_path, old, new, told):
     file.write_text(SITE.replace(old, new, 1))
     with pytest.raises(MapError, match=f"yard.yaml, {told}"):
         read_site(file, inside=True)
+
+
+@pytest.mark.parametrize("colours", [1, 3])
+def test_a_map_takes_little_memory_beside_its_cells(tmp_path, colours, monkeypatch):
+    """A small file holds many cells; 60 bytes for each would let two requests end a service."""
+    monkeypatch.setattr("energyplan.io.maps.MAX_FILE", 2**20)  # as much is set aside to read it
+    side = 1500
+    file = write(tmp_path, np.full((side, side, 3)[: 1 + (colours > 1)], 254, np.uint8))
+    read_map(file)
+    tracemalloc.start()
+    grid = read_map(file)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert not grid.occupied.any()
+    assert peak < 14 * side**2 + 2**24
+
+
+def test_a_service_reads_fewer_cells(tmp_path):
+    file = write(tmp_path, np.zeros((20, 30), np.uint8))
+    (tmp_path / "h.asc").write_text(
+        "ncols 30\nnrows 20\nxllcorner 0\nyllcorner 0\ncellsize 1\n" + "0 " * 30 + "\n"
+    )
+    with at_most(599):
+        for read, name in ((read_map, file), (read_heights, tmp_path / "h.asc")):
+            with pytest.raises(MapError, match="20 rows of 30 cells; at most 599"):
+                read(name)
+    assert read_map(file).shape == (20, 30)
+
+
+@pytest.mark.parametrize("name", ["m.yaml", "m.map", "m.geojson", "image", "h.asc", "log.csv",
+                                  "log.csv.gz", "log.parquet", "log.bag", "log.mcap"])  # fmt: skip
+def test_a_pipe_in_place_of_a_file_is_not_waited_for(tmp_path, name):
+    """Nobody writes into it: whoever opened it would wait for ever."""
+    if name == "image":
+        file = write(tmp_path, np.zeros((4, 4), np.uint8))
+        (tmp_path / "m.png").unlink()
+        os.mkfifo(tmp_path / "m.png")
+    else:
+        file = tmp_path / name
+        os.mkfifo(file)
+    read = {"m": read_map, "h": read_heights}.get(name[0], read_map)
+    if name.startswith("log"):
+        read = partial(read_log, topics="husky")
+    found = Thread(target=lambda: _error_of(read, file, told), daemon=True)
+    told = []
+    found.start()
+    found.join(60)
+    assert told, "it waits"
+    assert "regular file" in told[0] or "there is no 'm.png'" in told[0]
+
+
+def _error_of(read, file, told):
+    try:
+        read(file)
+    except InvalidInputError as error:
+        told.append(str(error))

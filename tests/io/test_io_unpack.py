@@ -48,3 +48,13 @@ def test_what_would_be_read_whole_before_it_is_known_for_a_bag_is_refused(tmp_pa
     (tmp_path / "metadata.yaml").write_bytes(b"a" * (9 << 20))
     with pytest.raises(DriveLogError, match=r"metadata\.yaml is larger than 8 MiB"):
         read_bag(tmp_path, TOPICS)
+
+
+@pytest.mark.parametrize("kind", ["ros1-bz2", "ros1-lz4"])
+def test_a_small_bag_that_unpacks_to_much_is_refused(tmp_path, monkeypatch, kind):
+    file = record(tmp_path / "a.bag", kind, padding=1 << 20)
+    assert file.stat().st_size < 1 << 15
+    assert read_bag(file, TOPICS).power.tolist() == POWER
+    monkeypatch.setattr("energyplan.io.bags._LARGEST_CHUNK", 1 << 19)
+    with pytest.raises(DriveLogError, match="unpacks to over 0 MiB"):
+        read_bag(file, TOPICS)
