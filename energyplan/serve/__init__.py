@@ -7,6 +7,7 @@ loopback address; `create_app` gives the application to any other ASGI server.
 from __future__ import annotations
 
 import ipaddress
+import logging
 import secrets
 import socket
 import sys
@@ -20,9 +21,20 @@ if TYPE_CHECKING:
 
 __all__ = ["create_app", "run"]
 
-LOOPBACK = ("localhost", "127.0.0.1", "[::1]", "testserver")
-_MOST = 256  # connections at once
-_PATIENCE = 15.0  # time after which a connection is looked at, and closed the second time [s]
+LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
+_MOST = 200  # connections at once; a process may have 256 files open on some systems
+_PATIENCE = 10.0  # time between two looks at a connection, which is to have moved by then [s]
+_LOGGERS = {"energyplan.serve": "INFO", "uvicorn": "WARNING", "py.warnings": "WARNING"}
+_LOGGING = {
+    "version": 1,
+    "disable_existing_loggers": False,
+    "formatters": {"line": {"format": "%(asctime)s %(message)s", "datefmt": "%Y-%m-%dT%H:%M:%S%z"}},
+    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
+    "loggers": {
+        name: {"handlers": ["stderr"], "level": level, "propagate": False}
+        for name, level in _LOGGERS.items()
+    },
+}
 
 
 def create_app(
@@ -70,20 +82,12 @@ def run(
         raise InvalidInputError(
             f"{host} can be reached by others; leave --no-token out, or listen on 127.0.0.1"
         )
-    try:
-        import uvicorn
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the service needs uvicorn; pip install 'energyplan[serve]'"
-        ) from error
     secret = None if open_to_all else token or secrets.token_urlsafe(16)
     app = create_app(folder, secret, workers, waiting, LOOPBACK if is_loopback(host) else ("*",))
-    config = uvicorn.Config(
-        app, log_level="warning", timeout_graceful_shutdown=3, http=_protocol(), backlog=16
-    )
+    service = server(app)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        listening = socket.create_server((host.strip("[]"), port), family=family, backlog=64)
+        listening = socket.create_server((host.strip("[]"), port), family=family)
     except OSError as problem:
         raise InvalidInputError(
             f"{host}, port {port}, cannot be listened on: {problem.strerror}; give another --port"
@@ -93,44 +97,69 @@ def run(
     sys.stderr.write(f"serving {Path(folder).resolve()} at {address}\n")
     sys.stderr.flush()
     sys.setswitchinterval(1e-3)  # so that requests are accepted while others are worked on
-    uvicorn.Server(config).run(sockets=[listening])
+    logging.captureWarnings(True)
+    service.run(sockets=[listening])
 
 
-def _protocol() -> Any:
-    """Return uvicorn's protocol with an end to connections, and to waiting for a request's head."""
-    from uvicorn.protocols.http.h11_impl import H11Protocol
-
-    most = _MOST
+def server(app: FastAPI) -> Any:
+    """Return what serves an application; it stops all work when it is told to end."""
     try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        pass
-    else:
-        most = max(1, min(_MOST, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4))
+        import uvicorn
+        from uvicorn.protocols.http.h11_impl import H11Protocol
+    except ImportError as error:
+        raise MissingDependencyError(
+            "the service needs uvicorn; pip install 'energyplan[serve]'"
+        ) from error
 
     class Bounded(H11Protocol):
+        """A connection that ends where nothing moves, as uvicorn has no end to an unread answer.
+
+        Of too many, the one whose client has kept the service waiting longest makes room: uvicorn's
+        limit would turn away the newest, whoever holds the others.
+        """
+
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self._since, self._idle = self.loop.time(), False
-            if len(self.connections) > most:
-                # The one that waits longest makes room; where all are at work, there is none.
-                others: list[Any] = [one for one in self.connections if one is not self]
-                resting = [one for one in others if one.rests()]
-                min(resting, key=lambda one: one._since, default=self).transport.abort()
+            self._heard, self._seen = self.loop.time(), None
+            if len(self.connections) > _MOST:
+                every: list[Any] = [one for one in self.connections if one is not self]
+                others = [one for one in every if one.waits and not one.transport.is_closing()]
+                min(others, key=lambda one: one._heard, default=self).transport.abort()
             self.loop.call_later(_PATIENCE, self._look)
 
-        def rests(self) -> bool:
-            """Whether there is no request that is being answered."""
-            return self.cycle is None or self.cycle.response_complete
+        def data_received(self, data: bytes) -> None:
+            self._heard = self.loop.time()
+            super().data_received(data)
+
+        @property
+        def waits(self) -> bool:
+            """Whether it is the client's turn, to send a request or to read an answer."""
+            cycle = self.cycle
+            idle = cycle is None or cycle.response_complete or cycle.more_body
+            return idle or self.flow.write_paused
 
         def _look(self) -> None:
-            """Close the connection where it rested at the last look, and does now."""
-            if self.transport.is_closing():
+            if self not in self.connections:
                 return
-            if self._idle and self.rests():
+            seen = (self._heard, self.transport.get_write_buffer_size()) if self.waits else None
+            if seen is not None and seen == self._seen:
                 self.transport.abort()
                 return
-            self._idle = self.rests()
+            self._seen = seen
             self.loop.call_later(_PATIENCE, self._look)
 
-    return Bounded
+        def shutdown(self) -> None:
+            if self.waits:
+                self.transport.abort()
+            super().shutdown()
+
+    class Server(uvicorn.Server):
+        async def shutdown(self, sockets: Any = None) -> None:
+            app.state.stop()
+            await super().shutdown(sockets)
+
+    config = uvicorn.Config(
+        app, log_config=_LOGGING, access_log=False, timeout_graceful_shutdown=3, http=Bounded,
+        backlog=1024,
+    )  # fmt: skip
+    return Server(config)

@@ -7,22 +7,24 @@ import base64
 import io
 import json
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
-from functools import partial
+from contextlib import aclosing, asynccontextmanager
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fastapi import APIRouter, FastAPI, Request, Response
-from fastapi.responses import FileResponse, StreamingResponse
+from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
+from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import ClientDisconnect
 
 from energyplan import __version__
 from energyplan.battery import Battery
 from energyplan.comparison import compare
+from energyplan.compilation import compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import asked_speed
 from energyplan.diagnosis import diagnose
@@ -32,6 +34,7 @@ from energyplan.errors import (
     InvalidInputError,
     MissingDependencyError,
     NoPathError,
+    StorageError,
     TimeLimitError,
 )
 from energyplan.fit import identify
@@ -53,7 +56,10 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import planners as known_planners
 from energyplan.reach import energy_map, energy_of_charge
 from energyplan.serve.requests import (
+    MOST_EFFORT,
+    MOST_TASKS,
     A,
+    Access,
     CheckRequest,
     DiagnoseRequest,
     Guard,
@@ -66,13 +72,22 @@ from energyplan.serve.requests import (
     problem,
     request_of,
 )
-from energyplan.serve.store import BusyError, FullError, Job, Pool, Store, UnknownFileError
+from energyplan.serve.store import (
+    BusyError,
+    Job,
+    Pool,
+    StoppingError,
+    Store,
+    UnknownFileError,
+    kind_of,
+)
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
     (UnknownFileError, 404),
+    (StoppingError, 503),
     (BusyError, 429),
     (CancelledError, 499),
-    (FullError, 507),
+    (StorageError, 507),
     (MissingDependencyError, 501),
     (TimeLimitError, 503),
     (InvalidInputError, 422),
@@ -99,13 +114,21 @@ def application(
         title="energyplan", version=__version__, lifespan=lifespan, docs_url=None, redoc_url=None,
         description="Energy-aware path planning for wheeled skid-steer robots.",
     )  # fmt: skip
-    app.add_middleware(Guard, token=token, hosts=hosts)
+    app.state.stop = service.pool.close
+    app.add_middleware(Guard, token=token)
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts, www_redirect=False)
+    app.add_middleware(Access)  # the outermost
     app.add_exception_handler(Exception, service.failed)
     app.add_exception_handler(EnergyPlanError, service.failed)
     app.add_exception_handler(HTTPException, service.failed)
     app.add_exception_handler(ClientDisconnect, service.gone)
     for router in (_files(service), _routes(service), _missions(service), _logs(service)):
         app.include_router(router, prefix="/api")
+
+    @app.get("/health", include_in_schema=False)
+    async def alive() -> Response:
+        return PlainTextResponse("ok")
+
     page = files("energyplan.serve") / "page"
     app.mount("/", StaticFiles(directory=str(page), html=True), name="page")
     return app
@@ -131,12 +154,14 @@ class _Service:
             told = problem(error.status_code, str(error.detail), str(error.detail))
             told.headers.update(error.headers or {})
             return told
+        if isinstance(error, CancelledError) and self.pool.closing:
+            error = StoppingError("the service is ending; try again in a while")
         status = next((code for kind, code in STATUS if isinstance(error, kind)), 500)
         detail = " ".join(str(error).split()).replace(f"{self.store.folder}/", "")
         if status == 500:
             return problem(500, "Error", "the service failed; see its log")
         answer = problem(status, type(error).__name__.removesuffix("Error"), detail)
-        if status == 429:
+        if isinstance(error, BusyError):
             answer.headers["Retry-After"] = "1"
         return answer
 
@@ -161,29 +186,34 @@ class _Service:
         job = self.pool.submit(lambda job: _written(work(job)))
         if "text/event-stream" in request.headers.get("accept", ""):
             return StreamingResponse(self._events(request, job), media_type="text/event-stream")
-        waiting = asyncio.wrap_future(job.future)
+        async for _ in self._progress(request, job):
+            pass
+        return Response(job.future.result(), media_type="application/json")
+
+    async def _progress(self, request: Request, job: Job) -> AsyncIterator[Document]:
+        """Yield what a job says until it is done; end it where nobody waits for it."""
+        waiting, told = asyncio.wrap_future(job.future), 0
         waiting.add_done_callback(lambda done: done.cancelled() or done.exception())
-        while not waiting.done():
-            await asyncio.wait({waiting}, timeout=0.1)
-            if not waiting.done() and await request.is_disconnected():
-                job.cancelled.set()
-                return self.problem(CancelledError("the client went away"))
-        return Response(waiting.result(), media_type="application/json")
+        try:
+            while not waiting.done() or told < len(job.said):
+                if self.pool.closing or await request.is_disconnected():
+                    raise CancelledError("the client went away")
+                for event in job.said[told:]:
+                    told += 1
+                    yield event
+                await asyncio.wait({waiting}, timeout=0.1)
+        finally:
+            job.cancelled.set()
 
     async def _events(self, request: Request, job: Job) -> AsyncIterator[str]:
         """Yield what a job says as server-sent events, its answer last."""
         try:
-            async for event in job.events():
-                yield f"event: progress\ndata: {json.dumps(event)}\n\n"
-                if await request.is_disconnected():
-                    return
-            error = job.future.exception()
-            if error is None:
-                yield f"event: answer\ndata: {job.future.result().decode()}\n\n"
-            else:
-                yield f"event: problem\ndata: {bytes(self.problem(error).body).decode()}\n\n"
-        finally:
-            job.cancelled.set()
+            async with aclosing(self._progress(request, job)) as progress:
+                async for event in progress:
+                    yield f"event: progress\ndata: {json.dumps(event)}\n\n"
+            yield f"event: answer\ndata: {job.future.result().decode()}\n\n"
+        except Exception as error:  # noqa: BLE001  the answer has begun: a status comes too late
+            yield f"event: problem\ndata: {bytes(self.problem(error).body).decode()}\n\n"
 
     def cost(self, name: str, battery: bool) -> EnergyCost:
         """Return the cost of a model's motions."""
@@ -330,16 +360,35 @@ def _routes(service: _Service) -> APIRouter:
     return router
 
 
+@cache
+def _compiled() -> None:
+    """Compile what the service may call, before a limit of time begins."""
+    compile_kernels("energyplan")
+
+
 def _missions(service: _Service) -> APIRouter:
     router, store, routes = APIRouter(), service.store, Routes()
 
     def evaluated(job: Job, asked: MissionRequest) -> Document:
         if (asked.mission is None) == (asked.document is None):
             raise InvalidInputError("give either mission, the name of a file, or document")
-        if asked.mission is not None:
-            mission = read_mission(store.path(asked.mission), inside=True)
+        file = None if asked.mission is None else store.path(asked.mission)
+        if "robots" in (asked.document or ()) or (file and kind_of(file) == "fleets"):
+            raise InvalidInputError(
+                "it is a fleet, and one robot's missions are served; energyplan mission takes its "
+                "file"
+            )
+        if file is not None:
+            mission = read_mission(file, inside=True)
         else:
             mission = mission_from(asked.document or {}, store.folder)
+        if len(mission.tasks) > MOST_TASKS or (mission.planning_effort or 0) > MOST_EFFORT:
+            raise InvalidInputError(
+                f"the mission has more than {MOST_TASKS} tasks, or a planning_effort above "
+                f"{MOST_EFFORT}; energyplan mission has no such limit"
+            )
+        _compiled()
+        job.limit(asked.time_limit)
         told = evaluate(mission, routes=routes)
         names = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
         along = {name: documents.plain(getattr(told.timeline, name)) for name in names}

@@ -4,23 +4,36 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import logging
+import time
 from typing import Annotated, Any, Literal, TypeVar
+from urllib.parse import quote
 
 import numpy as np
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    WithJsonSchema,
+)
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from energyplan.errors import InvalidInputError
+from energyplan.io.documents import MAX_NODES
 from energyplan.io.maps import SiteFile
 from energyplan.path import FloatArray
 
 LONGEST, MOST_EFFORT = 60.0, 5_000_000
 """Largest time limit [s] and effort that a request may ask for."""
 
-MOST_ROWS = 200_000
-"""Largest number of samples of a trajectory in a request."""
+MOST_ROWS, MOST_TASKS = 200_000, 500
+"""Largest number of samples of a trajectory in a request, and of tasks of a mission."""
 
 PoseRow = Annotated[list[float], Field(min_length=3, max_length=3, examples=[[2.0, 2.0, 0.0]])]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -102,11 +115,26 @@ def request_of(kind: type[A], body: bytes) -> A:
         raise InvalidInputError("; ".join(places[:20])) from None
 
 
+def _few(document: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Refuse a document of more values than a file may hold."""
+    waiting, count = [document], 0
+    while waiting:
+        item: Any = waiting.pop()
+        inner = [*item.values()] if isinstance(item, dict) else item
+        if isinstance(inner, list):
+            waiting += inner
+            count += len(inner)
+        if count > MAX_NODES:
+            raise ValueError(f"it holds more than {MAX_NODES} values")
+    return document
+
+
 class MissionRequest(_Asked):
     """A mission: a file of the data folder, or what such a file would hold."""
 
     mission: Name | None = None
-    document: dict[str, Any] | None = None
+    document: Annotated[dict[str, Any] | None, AfterValidator(_few)] = None
+    time_limit: float = Field(LONGEST, gt=0, le=LONGEST)
 
 
 class Robot(_Asked):
@@ -143,8 +171,11 @@ class DiagnoseRequest(IdentifyRequest):
 
 LARGEST = {"POST": 6 * 2**20, "PUT": 64 * 2**20}
 """Largest body of a request [byte]."""
+HELD = 128 * 2**20
+"""Largest sum of the bodies of all requests in hand [byte]."""
 DEADLINE = 30.0
 """Time in which the body of a request must come [s]."""
+_LOG = logging.getLogger("energyplan.serve")
 _HEADERS = [
     (b"content-security-policy", b"default-src 'none'; script-src 'self'; style-src 'self'; "
      b"img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -161,28 +192,49 @@ def problem(status: int, title: str, detail: str, **more: Any) -> JSONResponse:
     return JSONResponse(body, status, media_type="application/problem+json")
 
 
-class Guard:
-    """Refuses requests by another host name, without the token, too large or too slow."""
+class Access:
+    """Writes a line of the log for each request, and the headers that keep other sites out."""
 
-    def __init__(
-        self, app: ASGIApp, token: str | None, hosts: tuple[str, ...], deadline: float = DEADLINE
-    ) -> None:
-        self.app, self.token, self.hosts, self.deadline = app, token, hosts, deadline
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        begun, status = time.perf_counter(), 500
+
+        async def sealed(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                message = {**message, "headers": [*message["headers"], *_HEADERS]}
+            await send(message)
+
+        try:
+            await self.app(scope, receive, sealed)
+        finally:
+            client, port = scope.get("client") or ("-", 0)
+            request, seconds = f"{scope['method']} {quote(scope['path'])}", time.perf_counter()
+            _LOG.info('%s:%s "%s" %d %.3f s', client, port, request, status, seconds - begun)
+
+
+class Guard:
+    """Refuses requests without the token, too large or too slow."""
+
+    def __init__(self, app: ASGIApp, token: str | None, deadline: float = DEADLINE) -> None:
+        self.app, self.token, self.deadline = app, token, deadline
+        self.held = 0  # bytes of the bodies of all requests in hand
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-
-        async def sealed(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                message = {**message, "headers": [*message["headers"], *_HEADERS]}
-            await send(message)
-
         refused = self._refusal(scope)
         if refused is not None:
-            await refused(scope, receive, sealed)
+            await refused(scope, receive, send)
             return
         most = LARGEST.get(scope["method"], 0)
         until = asyncio.get_running_loop().time() + self.deadline
@@ -198,28 +250,30 @@ class Guard:
             except TimeoutError:
                 text = f"the body did not come within {self.deadline:g} s"
                 raise HTTPException(408, text, {"Connection": "close"}) from None
-            held += len(message.get("body", b""))
+            size = len(message.get("body", b""))
+            held, self.held = held + size, self.held + size
             whole = not message.get("more_body", False)
             if held > most:
                 raise HTTPException(413, f"the body is larger than {most} bytes")
+            if self.held > HELD:
+                text = "the bodies of other requests take all the room there is; try again"
+                raise HTTPException(429, text, {"Connection": "close", "Retry-After": "1"})
             return message
 
-        await self.app(scope, bounded, sealed)
+        try:
+            await self.app(scope, bounded, send)
+        finally:
+            self.held -= held
 
     def _refusal(self, scope: Scope) -> JSONResponse | None:
-        headers = {key.decode("latin-1"): one.decode("latin-1") for key, one in scope["headers"]}
-        host = headers.get("host", "")
-        name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-        if "*" not in self.hosts and name not in self.hosts:
-            return problem(421, "WrongHost", f"the service is not called {name!r}")
+        headers = Headers(scope=scope)
         if self.token is not None and scope["path"].startswith(("/api/", "/openapi.json")):
             scheme, _, given = headers.get("authorization", "").partition(" ")
             right = hmac.compare_digest(given.strip().encode(), self.token.encode())
             if scheme.lower() != "bearer" or not right:
                 return problem(401, "Unauthorized", "send the token as 'Authorization: Bearer'")
-        if scope["method"] == "POST" and not headers.get("content-type", "").startswith(
-            "application/json"
-        ):
+        kind = headers.get("content-type", "")
+        if scope["method"] == "POST" and not kind.startswith("application/json"):
             return problem(415, "WrongType", "send JSON, as Content-Type: application/json")
         size, most = headers.get("content-length", "0"), LARGEST.get(scope["method"], 0)
         if size.isdigit() and int(size) > most:

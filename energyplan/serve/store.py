@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-import asyncio
-import errno
 import os
 import re
 import threading
-from collections.abc import AsyncIterator, Callable, Hashable
+import time
+from collections import defaultdict
+from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
-from energyplan.errors import CancelledError, EnergyPlanError, InvalidInputError
+from energyplan.errors import (
+    CancelledError,
+    EnergyPlanError,
+    InvalidInputError,
+    TimeLimitError,
+)
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.files import atomic_write, files_behind
-from energyplan.io.maps import PARTS, SiteFile, read_site
+from energyplan.io.maps import PARTS, SiteFile, at_most, read_site
 from energyplan.planning.budget import cancellable
 from energyplan.terrain import OccupancyGrid, Site
 
@@ -36,15 +42,12 @@ KINDS = {
 _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
 _LONGEST = 200  # letters of a name
 _KEPT = 32  # files whose content is kept
+_CELLS = 2**24  # most cells of a map, and of all maps that are kept
 _Stamp = tuple[tuple[Path, int, int, int, int], ...]
 
 
 class UnknownFileError(InvalidInputError):
     """The data folder has no such file."""
-
-
-class FullError(EnergyPlanError):
-    """There is no room left for a file."""
 
 
 class Store:
@@ -56,6 +59,7 @@ class Store:
             raise InvalidInputError(f"the data folder {folder} is no folder; create it first")
         self._kept: dict[Hashable, tuple[_Stamp, Any]] = {}
         self._lock = threading.Lock()
+        self._turns: dict[Hashable, threading.Lock] = defaultdict(threading.Lock)
 
     def names(self) -> dict[str, list[str]]:
         """Return the names of all files by kind.
@@ -69,7 +73,7 @@ class Store:
                 continue
             yaml = file.suffix.lower() in (".yaml", ".yml")
             for kind, ends in KINDS.items():
-                if name.lower().endswith(ends) and (not yaml or _kind_of(file) == kind):
+                if name.lower().endswith(ends) and (not yaml or kind_of(file) == kind):
                     found[kind].append(name)
         return found
 
@@ -118,40 +122,31 @@ class Store:
         """Write a new file, whole or not at all; one that is there is never replaced."""
         if not name.lower().endswith((*sum(KINDS.values(), ()), ".png", ".pgm")):
             raise InvalidInputError(f"{name!r} does not end like a file that the service reads")
-        file = self._inside(name)
-        part = file.with_name(f".{threading.get_ident()}.{file.name}"[:200])
-        try:
-            atomic_write(part, content)
-            try:
-                os.link(part, file)
-            finally:
-                part.unlink()
-        except FileExistsError:
-            raise InvalidInputError(
-                f"the data folder has a file {name!r}; choose another name"
-            ) from None
-        except OSError as problem:
-            kind = FullError if problem.errno in (errno.ENOSPC, errno.EDQUOT) else InvalidInputError
-            raise kind(f"{name!r} cannot be written: {problem.strerror}") from None
-        return file
+        return atomic_write(self._inside(name), content, anew=True)
 
     def read(self, name: str, read: Callable[[Path], T], *more: Hashable) -> T:
         """Return what a file holds, read anew where it, or a file that it names, has changed."""
         file = self.path(name)
         key = (more or read, file)
-        with self._lock:
+        with self._turns[key]:  # who comes next finds what the first has read
             known = self._kept.get(key)
-        if known is not None and _stamp([part[0] for part in known[0]]) == known[0]:
-            found: T = known[1]
-            return found
-        stamp = _stamp([file, *files_behind(file)])  # before it is read: what changes then is seen
-        made = read(file)
-        with self._lock:
+            if known is not None and _stamp([part[0] for part in known[0]]) == known[0]:
+                found: T = known[1]
+                return found
+            stamp = _stamp([file, *files_behind(file)])  # before: what changes then is seen
             self._kept.pop(key, None)
-            while len(self._kept) >= _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = stamp, made
+            made = read(file)
+            with self._lock:
+                self._kept[key] = stamp, made
+                while len(self._kept) > _KEPT or _cells(self._kept) > _CELLS:
+                    self._kept.pop(next(iter(self._kept)))
         return made
+
+
+def _cells(kept: dict[Hashable, tuple[_Stamp, Any]]) -> int:
+    """Return how many cells the maps of some content have; their tables are as large."""
+    grids = (getattr(made, "grid", made) for _, made in kept.values())
+    return sum(grid.occupied.size for grid in grids if isinstance(grid, OccupancyGrid))
 
 
 def _stamp(files: list[Path]) -> _Stamp:
@@ -167,11 +162,13 @@ def _stamp(files: list[Path]) -> _Stamp:
     return tuple(found)
 
 
-def _kind_of(file: Path) -> str:
-    """Return which kind of YAML file this is, by its keys."""
+def kind_of(file: Path) -> str:
+    """Return which kind of YAML file this is, by its keys; a fleet is none of `KINDS`."""
     with file.open("rb") as stream:
         text = stream.read(65536).decode("utf-8", "replace")
     keys = set(re.findall(r"^(\w+)\s*:", text, re.MULTILINE))
+    if "robots" in keys:
+        return "fleets"
     if "tasks" in keys:
         return "missions"
     return "maps" if {"image", "resolution"} <= keys or "map" in keys else "models"
@@ -184,28 +181,37 @@ class BusyError(EnergyPlanError):
     """As much work waits as may wait; try again later."""
 
 
+class StoppingError(BusyError):
+    """The service is ending; another one, or the next, has the answer."""
+
+
 class Job:
     """A piece of work: its answer, what it says on its way, and whether it is still wanted."""
 
     def __init__(self) -> None:
         self.cancelled = threading.Event()
         self.future: Future[Any] = Future()
-        self._said: list[dict[str, Any]] = []
+        self.said: list[dict[str, Any]] = []
+        self._until = inf
 
     def say(self, event: str, **values: Any) -> None:
-        """Tell who waits how far the work is; ends the work where nobody waits."""
+        """Report progress; raise `CancelledError` where nobody waits any more."""
         if self.cancelled.is_set():
             raise CancelledError("the request was cancelled")
-        self._said.append({"event": event, **values})
+        self.said.append({"event": event, **values})
 
-    async def events(self) -> AsyncIterator[dict[str, Any]]:
-        """Yield what the work says until it is done."""
-        told = 0
-        while not self.future.done() or told < len(self._said):
-            for event in self._said[told:]:
-                told += 1
-                yield event
-            await asyncio.sleep(0.05)
+    def limit(self, seconds: float) -> None:
+        """Have the work end within a time from now on [s]."""
+        self._until = time.monotonic() + seconds
+
+    @property
+    def late(self) -> bool:
+        """Whether its time is over."""
+        return time.monotonic() > self._until
+
+    def unwanted(self) -> bool:
+        """Whether to end."""
+        return self.cancelled.is_set() or self.late
 
 
 class Pool:
@@ -214,33 +220,46 @@ class Pool:
     def __init__(self, workers: int | None = None, waiting: int = 32) -> None:
         self.workers = workers or os.cpu_count() or 1
         self.waiting = waiting
-        self.load = 0  # pieces of work that are done or wait
+        self.closing = False
+        self._jobs: set[Job] = set()  # that are done or wait
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="energyplan")
         self._lock = threading.Lock()
 
+    @property
+    def load(self) -> int:
+        """Number of pieces of work that are done or wait."""
+        return len(self._jobs)
+
     def submit(self, work: Callable[[Job], Any]) -> Job:
         """Have a piece of work done."""
+        job = Job()
         with self._lock:
+            if self.closing:
+                raise StoppingError("the service is ending; try again in a while")
             if self.load >= self.workers + self.waiting:
                 raise BusyError(f"{self.waiting} requests wait already; try again in a while")
-            self.load += 1
-        job = Job()
-
-        def run() -> None:
-            try:
-                job.say("started")
-                with cancellable(job.cancelled.is_set):
-                    job.future.set_result(work(job))
-            except BaseException as error:  # noqa: BLE001  whoever waits is told
-                job.future.set_exception(error)
-            finally:
-                with self._lock:
-                    self.load -= 1
-
-        job.say("queued")
-        self._threads.submit(run)
+            self._jobs.add(job)
+            job.say("queued")
+            self._threads.submit(self._run, job, work)
         return job
 
+    def _run(self, job: Job, work: Callable[[Job], Any]) -> None:
+        try:
+            job.say("started")
+            with cancellable(job.unwanted), at_most(_CELLS):
+                job.future.set_result(work(job))
+        except BaseException as error:  # noqa: BLE001  whoever waits is told
+            if isinstance(error, CancelledError) and job.late and not job.cancelled.is_set():
+                error = TimeLimitError("time was over before the answer; give more time_limit")
+            job.future.set_exception(error)
+        finally:
+            with self._lock:
+                self._jobs.discard(job)
+
     def close(self) -> None:
-        """End it; work that has not begun is dropped."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
+        """End all work, and take no more."""
+        with self._lock:
+            self.closing = True
+            for job in self._jobs:
+                job.cancelled.set()
+        self._threads.shutdown(wait=False)
