@@ -41,6 +41,9 @@ _PLANNING = 20.0
 _CELLS = 30_000
 """Most cells of the coarse grid."""
 
+_TOGETHER = 8
+"""Most places whose ways to all others are found in one call."""
+
 _OCTILE = np.cos(np.pi / 8)
 """Least distance over way along the eight directions of a grid."""
 
@@ -382,7 +385,12 @@ def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> 
     cells = np.floor(grid.to_cells(points) / stride).astype(int)
     index = cells[:, 1] * open_cells.shape[1] + cells[:, 0]
     spacing = stride * grid.resolution
-    ways = dijkstra(_graph(open_cells), directed=False, indices=index)[:, index] * spacing
+    graph = _graph(open_cells)
+    few = range(0, len(index), _TOGETHER)  # SciPy holds Python's lock all the while
+    found = [
+        dijkstra(graph, directed=False, indices=index[k : k + _TOGETHER])[:, index] for k in few
+    ]
+    ways = np.concatenate(found) * spacing
     straight = np.linalg.norm(points[:, None] - points[None], axis=-1)
     return np.asarray(np.maximum(_OCTILE * ways - 2 * np.sqrt(2) * spacing, straight))
 

@@ -11,6 +11,7 @@ import logging
 import secrets
 import socket
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["create_app", "run"]
 
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
-_MOST = 200  # connections at once; a process may have 256 files open on some systems
+_MOST = 512  # connections at once, where the system lets a process open three times as many files
+_UNREAD = 1 << 18  # bytes of answers that the system keeps for a client that does not read them
 _PATIENCE = 10.0  # time between two looks at a connection, which is to have moved by then [s]
 _LOGGERS = {"energyplan.serve": "INFO", "uvicorn": "WARNING", "py.warnings": "WARNING"}
 _LOGGING = {
@@ -85,13 +87,7 @@ def run(
     secret = None if open_to_all else token or secrets.token_urlsafe(16)
     app = create_app(folder, secret, workers, waiting, LOOPBACK if is_loopback(host) else ("*",))
     service = server(app)
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        listening = socket.create_server((host.strip("[]"), port), family=family)
-    except OSError as problem:
-        raise InvalidInputError(
-            f"{host}, port {port}, cannot be listened on: {problem.strerror}; give another --port"
-        ) from None
+    listening = listen(host, port)
     address = f"http://{host}:{listening.getsockname()[1]}/"
     address += f"#token={secret}" if secret else ""
     sys.stderr.write(f"serving {Path(folder).resolve()} at {address}\n")
@@ -99,6 +95,19 @@ def run(
     sys.setswitchinterval(1e-3)  # so that requests are accepted while others are worked on
     logging.captureWarnings(True)
     service.run(sockets=[listening])
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return the socket of an address; connections have its limits."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        made = socket.create_server((host.strip("[]"), port), family=family)
+    except OSError as problem:
+        raise InvalidInputError(
+            f"{host}, port {port}, cannot be listened on: {problem.strerror}; give another --port"
+        ) from None
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNREAD)
+    return made
 
 
 def server(app: FastAPI) -> Any:
@@ -111,6 +120,13 @@ def server(app: FastAPI) -> Any:
             "the service needs uvicorn; pip install 'energyplan[serve]'"
         ) from error
 
+    most = _MOST
+    with suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        most = min(most, files // 3) if files > 0 else most
+
     class Bounded(H11Protocol):
         """A connection that ends where nothing moves, as uvicorn has no end to an unread answer.
 
@@ -121,7 +137,7 @@ def server(app: FastAPI) -> Any:
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
             self._heard, self._seen = self.loop.time(), None
-            if len(self.connections) > _MOST:
+            if len(self.connections) > most:
                 every: list[Any] = [one for one in self.connections if one is not self]
                 others = [one for one in every if one.waits and not one.transport.is_closing()]
                 min(others, key=lambda one: one._heard, default=self).transport.abort()
