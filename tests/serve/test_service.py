@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import errno
+import http.client
 import io
 import json
 import os
+import re
 import shutil
+import signal
+import socket
+import subprocess
+import sys
 import threading
+import urllib.request
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,25 +29,28 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+import yaml
 from PIL import Image
+from scipy.sparse.csgraph import dijkstra
 
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import InvalidInputError
 from energyplan.io.config import write_model
+from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.tables import write_log
+from energyplan.mission.legs import shortest_ways
 from energyplan.output import documents
 from energyplan.power import HOTEL
 
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
-import uvicorn
 from fastapi.testclient import TestClient
 from starlette.exceptions import HTTPException
 
 from energyplan.serve import create_app, is_loopback, run, server
 from energyplan.serve.requests import Guard, problem
-from energyplan.serve.store import BusyError, Job, Pool
+from energyplan.serve.store import BusyError, Job, Pool, Store
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "quadriga:full:concrete"
@@ -94,8 +106,6 @@ def test_no_path_is_an_answer(client: TestClient) -> None:
 
 def test_a_mission_by_file_and_by_content_agree(client: TestClient, folder: Path) -> None:
     by_file = client.post("/api/mission", json={"mission": "round.yaml"})
-    import yaml
-
     content = yaml.safe_load((folder / "round.yaml").read_text())
     by_content = client.post("/api/mission", json={"document": content})
     assert by_file.status_code == by_content.status_code == 200, by_content.text
@@ -343,7 +353,7 @@ def test_connections_on_which_nothing_moves_are_ended(monkeypatch: pytest.Monkey
     """At the second look, whether no head comes or no answer is read; work is waited for."""
     wires = Wires(monkeypatch, most=10)
     unread, read, works = (wires.connect(WHOLE) for _ in range(3))
-    half, trickles = (wires.connect(HALF) for _ in range(2))
+    _, trickles = (wires.connect(HALF) for _ in range(2))
     for one in (unread, read):  # more is written than the client has read
         one.cycle.more_body = False
         one.pause_writing()
@@ -515,3 +525,201 @@ def test_others_are_served_only_with_a_token(folder: Path, tmp_path: Path) -> No
     assert [is_loopback(h) for h in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "robot")] == [
         True, True, True, False, False,
     ]  # fmt: skip
+
+
+def test_health_needs_no_secret_and_tells_none(folder: Path) -> None:
+    with TestClient(create_app(folder, token="secret"), LOCAL) as client:
+        answer = client.get("/health")
+        assert (answer.status_code, answer.text) == (200, "ok")
+
+
+def test_a_line_of_the_log_tells_who_asked_what_and_what_came_of_it(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "energyplan.serve")
+    with TestClient(create_app(folder, token="secret"), LOCAL) as client:
+        client.get("/health")
+        client.post("/api/plan%0A", json={})
+        client.get("/health", headers={"Host": "elsewhere.example"})
+    told = [record.getMessage() for record in caplog.records if record.name == "energyplan.serve"]
+    assert [re.sub(r"\d\.\d{3} s$", "TIME", line) for line in told] == [
+        'testclient:50000 "GET /health" 200 TIME',
+        'testclient:50000 "POST /api/plan%0A" 401 TIME',
+        'testclient:50000 "GET /health" 400 TIME',
+    ]
+
+
+def test_the_names_of_this_machine_are_known_in_any_case(client: TestClient) -> None:
+    for name in ("LOCALHOST:8321", "127.0.0.1", "[::1]:8321"):
+        assert client.get("/health", headers={"Host": name}).status_code == 200
+    assert client.get("/health", headers={"Host": "testserver"}).status_code == 400
+
+
+def test_a_mission_has_bounds(client: TestClient, folder: Path) -> None:
+    content = yaml.safe_load((folder / "round.yaml").read_text())
+
+    def refused(**change: Any) -> str:
+        document = {**content, **change}
+        answer = client.post("/api/mission", json={"document": document, "time_limit": 1e-3})
+        return f"{answer.status_code} {answer.json()['detail']}"
+
+    many = [{"name": f"t{k}", "pose": [2, 2, 0]} for k in range(501)]
+    assert refused(strange=[0] * 50_000) == (
+        "422 document: Value error, it holds more than 50000 values"
+    )
+    assert "422 the mission has more than 500 tasks" in refused(tasks=many)
+    assert "422 the mission has more than" in refused(planning_effort=1e15)
+    assert refused().startswith("503 time was over before the answer")
+    (folder / "much.yaml").write_text(yaml.safe_dump({**content, "tasks": many}))
+    answer = client.post("/api/mission", json={"mission": "much.yaml"})
+    assert (answer.status_code, "500 tasks" in answer.text) == (422, True)
+
+
+def test_others_are_heard_while_the_ways_of_many_tasks_are_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """SciPy holds Python's lock during a call; so many places at once took seconds."""
+    places: list[int] = []
+
+    def counted(graph: Any, *, indices: Any, **more: Any) -> Any:
+        places.append(len(indices))
+        return dijkstra(graph, indices=indices, **more)
+
+    grid = ep.OccupancyGrid(np.zeros((40, 40), bool), 0.5)
+    points = np.random.default_rng(1).uniform(5, 15, (50, 2))
+    vehicle = ep.Vehicle.preset("quadriga")
+    monkeypatch.setattr("energyplan.mission.legs.dijkstra", counted)
+    shortest_ways(grid, vehicle, points)
+    assert sum(places) == 50 and max(places) <= 8
+
+
+def test_a_fleet_is_not_offered_and_refused_with_the_command_that_takes_it(
+    client: TestClient, folder: Path
+) -> None:
+    shutil.copy(bundled("fleet_warehouse.yaml"), folder)
+    assert "round.yaml" in client.get("/api/files").json()["missions"]
+    assert "fleet_warehouse.yaml" not in client.get("/api/files").text
+    fleet = yaml.safe_load((folder / "fleet_warehouse.yaml").read_text())
+    for asked in ({"mission": "fleet_warehouse.yaml"}, {"document": fleet}):
+        answer = client.post("/api/mission", json=asked)
+        assert answer.status_code == 422
+        assert "it is a fleet" in answer.text and "energyplan mission takes" in answer.text
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO])
+def test_a_full_disk_is_the_services_fault(
+    client: TestClient, folder: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def full(handle: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("energyplan.io.files.os.fsync", full)
+    answer = client.put("/api/files/d.csv", content=b"t,v\n")
+    assert answer.status_code == 507
+    assert answer.json()["detail"].startswith(f"'d.csv' cannot be written: {os.strerror(number)}")
+    assert not [file for file in folder.iterdir() if "d.csv" in file.name]
+
+
+def test_a_map_is_read_once_for_all_who_wait_for_it(folder: Path) -> None:
+    store, both, count = Store(folder), threading.Barrier(2), []
+
+    def read(file: Path) -> str:
+        count.append(file)
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.5)  # for another who reads it too
+        return "read"
+
+    with ThreadPoolExecutor(2) as pool:
+        found = [pool.submit(store.read, "room.yaml", read) for _ in range(2)]
+        assert [one.result() for one in found] == ["read", "read"]
+    assert len(count) == 1
+
+
+def test_the_service_reads_maps_up_to_a_size(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("energyplan.serve.store._CELLS", 40 * 100 - 1)
+    with TestClient(create_app(folder), LOCAL) as client:
+        answer = client.get("/api/maps/room.yaml")
+    assert (answer.status_code, "at most 3999 cells" in answer.text) == (422, True)
+
+
+def test_bodies_under_way_have_a_limit_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("energyplan.serve.requests.HELD", 150)
+    statuses: list[int] = []
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        try:
+            while (await receive())["more_body"]:
+                pass
+            statuses.append(200)
+        except HTTPException as error:
+            statuses.append(error.status_code)
+            assert (error.headers or {})["Retry-After"] == "1"
+
+    async def ask() -> None:
+        guard, gate = Guard(app, None), asyncio.Event()
+
+        async def slow() -> Any:
+            await gate.wait()
+            return {"type": "http.request", "body": b"", "more_body": False}
+
+        def put(*messages: Any) -> Any:
+            left = list(messages)
+
+            async def receive() -> Any:
+                return left.pop(0) if left else await slow()
+
+            return guard(
+                {"type": "http", "method": "PUT", "path": "/", "headers": []}, receive, ask
+            )
+
+        part = {"type": "http.request", "body": bytes(100), "more_body": True}
+        first = asyncio.create_task(put(part))
+        await asyncio.sleep(0)
+        await put(part)  # beside the first
+        gate.set()
+        await first
+        await put(part)  # when it is done
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(asyncio.run, ask()).result()
+    assert statuses == [429, 200, 200]
+
+
+def test_a_stop_ends_all_work_and_says_come_again(folder: Path) -> None:
+    app = create_app(folder, workers=1)
+    asked = {**QUERY, "goal": [20, 12, 1.5], "effort": 5_000_000, "planner": "rrtstar"}
+    with TestClient(app, LOCAL) as client, ThreadPoolExecutor(3) as pool:
+        waiting = [pool.submit(client.post, "/api/plan", json=asked) for _ in range(2)]
+        stream = pool.submit(
+            client.post, "/api/plan", json=asked, headers={"Accept": "text/event-stream"}
+        )
+        while client.get("/api/health").json()["load"] < 3:
+            pass
+        app.state.stop()
+        answers = [one.result(60) for one in waiting]
+        answers.append(client.post("/api/plan", json=asked))
+        assert [one.status_code for one in answers] == [503] * 3
+        assert all("is ending" in one.text and one.headers["Retry-After"] for one in answers)
+        assert stream.result(60).text.splitlines()[-3] == "event: problem"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_service_without_a_traceback(folder: Path, number: int) -> None:
+    command = [sys.executable, "-m", "energyplan", "serve", str(folder), "--port", "0"]
+    process = subprocess.Popen([*command, "--no-token"], stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    port = int(process.stderr.readline().rpartition(":")[2].strip("/\n"))
+    asked = {**QUERY, "goal": [20, 12, 1.5], "effort": 5_000_000, "planner": "rrtstar"}
+    link = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
+    link.request("POST", "/api/plan", json.dumps(asked), _JSON)
+    with socket.create_connection(("127.0.0.1", port), 60) as half:
+        half.sendall(b"POST /api/plan HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n"
+                     b"Content-Type: application/json\r\n\r\n{")  # fmt: skip
+        load = 0
+        while load < 1:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/health") as answer:
+                load = json.load(answer)["load"]
+        process.send_signal(number)
+        assert link.getresponse().status == 503
+        _, log = process.communicate(timeout=120)
+    assert "Traceback" not in log and "POST /api/plan" in log, log
