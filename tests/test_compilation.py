@@ -219,9 +219,14 @@ def test_a_home_or_a_shared_folder_without_a_name_is_none(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("inner", [False, True])
-@pytest.mark.parametrize(("mode", "owner", "told"), [(0o777, None, "others may write"),
-                                                     (0o770, None, "others may write"),
-                                                     (0o700, 12345, "user 12345 owns it")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mode", "owner", "told"),
+    [
+        (0o777, None, "others may write"),
+        (0o770, None, "others may write"),
+        (0o700, 12345, "user 12345 owns it"),
+    ],
+)
 def test_code_that_others_could_have_written_is_not_run(
     copy: Path, tmp_path: Path, mode: int, owner: int | None, told: str, inner: bool
 ) -> None:

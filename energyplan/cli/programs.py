@@ -152,8 +152,8 @@ def serve(
         str | None,
         Option(
             envvar="ENERGYPLAN_TOKEN",
-            help="Secret that each request must carry. Default: a random one, printed with the "
-            "address.",
+            help="Secret that each request must carry; the environment keeps it from the list of "
+            "processes. Default: a random one, printed with the address.",
         ),
     ] = None,
     no_token: Annotated[

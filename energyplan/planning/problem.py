@@ -269,11 +269,15 @@ class PlanningProblem:
             ("start", self.start, StartInCollisionError),
             ("goal", self.goal, GoalInCollisionError),
         ):
-            place = f"{name} ({pose.x:.3f}, {pose.y:.3f}, {np.degrees(pose.yaw):.1f} deg)"
+            # far away `f` would write all digits out, up to 309
+            x, y = (f"{v:.3f}" if abs(v) < 1e7 else f"{v:g}" for v in pose[:2])
+            place = f"{name} ({x}, {y}, {np.degrees(pose.yaw):.1f} deg)"
             if not grid.inside(pose[:2]):
                 rows, columns = grid.shape
-                x, y = grid.to_world(np.clip(grid.to_cells(pose[:2]), 0, (columns, rows)))
-                where = _nearest_free(grid, self.robot, Pose(float(x), float(y), pose.yaw))
+                near = grid.to_world(np.clip(grid.to_cells(pose[:2]), 0, (columns, rows)))
+                where = _nearest_free(
+                    grid, self.robot, Pose(float(near[0]), float(near[1]), pose.yaw)
+                )
                 raise OutsideMapError(
                     f"the {place} lies outside the map; it covers {grid.describe_extent()}; {where}"
                 )

@@ -136,7 +136,8 @@ def server(app: FastAPI) -> Any:
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self._heard, self._seen = self.loop.time(), None
+            self._heard = self.loop.time()
+            self._seen: tuple[float, int] | None = None
             if len(self.connections) > most:
                 every: list[Any] = [one for one in self.connections if one is not self]
                 others = [one for one in every if one.waits and not one.transport.is_closing()]

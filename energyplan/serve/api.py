@@ -6,7 +6,7 @@ import asyncio
 import base64
 import io
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import aclosing, asynccontextmanager
 from functools import cache, partial
 from importlib.resources import files
@@ -190,7 +190,7 @@ class _Service:
             pass
         return Response(job.future.result(), media_type="application/json")
 
-    async def _progress(self, request: Request, job: Job) -> AsyncIterator[Document]:
+    async def _progress(self, request: Request, job: Job) -> AsyncGenerator[Document]:
         """Yield what a job says until it is done; end it where nobody waits for it."""
         waiting, told = asyncio.wrap_future(job.future), 0
         waiting.add_done_callback(lambda done: done.cancelled() or done.exception())

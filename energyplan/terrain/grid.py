@@ -37,8 +37,8 @@ def to_raster(points: ArrayLike, origin: Pose, resolution: float) -> FloatArray:
     """Return world points (..., 2) [m] as (column, row)."""
     at = numbers(points, "points", MapError, last=2, words="x, y [m]")
     c, s = np.cos(origin.yaw), np.sin(origin.yaw)
-    turned = (at - np.array(origin[:2])) @ np.array([[c, -s], [s, c]])
-    return np.asarray(turned / resolution)
+    with np.errstate(over="ignore"):  # what lies so far away is off any map
+        return np.asarray((at - np.array(origin[:2])) @ np.array([[c, -s], [s, c]]) / resolution)
 
 
 def from_raster(cells: ArrayLike, origin: Pose, resolution: float) -> FloatArray:

@@ -312,7 +312,7 @@ class Wires:
         self.now, self.timers = 0.0, list[Any]()
         self.loop = Mock(
             call_later=lambda delay, look: self.timers.append(look), time=lambda: self.now,
-            create_task=lambda work: Mock(closed=work.close()),
+            create_task=lambda work, **_: Mock(closed=work.close()),
         )  # fmt: skip
         self.config = server(Mock()).config
         self.config.app = Mock()
@@ -418,6 +418,7 @@ def test_no_name_leaves_the_data_folder(client: TestClient, name: str) -> None:
         ({"model": "quadriga:full:lava"}, 422, "lava"),
         ({"planner": "none"}, 422, "none"),
         ({"start": [-50, 2, 0]}, 409, "outside the map"),
+        ({"start": [1e308, 2, 0]}, 409, "the start (1e+308, 2.000, 0.0 deg) lies outside"),
     ],
 )
 def test_bad_requests_are_told_what_is_wrong(
