@@ -6,7 +6,7 @@ import asyncio
 import base64
 import io
 import json
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from contextlib import aclosing, asynccontextmanager
 from functools import cache, partial
 from importlib.resources import files
@@ -223,12 +223,29 @@ class _Service:
 
 def _written(document: Document) -> bytes:
     """Write an answer; numbers are finite, and there is an end to it."""
-    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
-    if len(text) > MOST:
-        raise EnergyPlanError(
-            f"the answer has {len(text) >> 20} MiB, and at most {MOST >> 20} are sent; ask for less"
-        )
-    return text
+    parts, size = list[str](), 0
+    for part in _parts(document):
+        parts.append(part)
+        size += len(part)
+        if size > MOST:
+            raise EnergyPlanError(f"the answer has over {MOST >> 20} MiB; ask for less")
+    return "".join(parts).encode()
+
+
+def _parts(value: Any) -> Iterator[str]:
+    """Yield JSON in small parts: Python does nothing else while one is encoded."""
+    if isinstance(value, dict) and value:
+        for k, (key, item) in enumerate(value.items()):
+            yield f"{',' if k else '{'}{json.dumps(key)}:"
+            yield from _parts(item)
+        yield "}"
+    elif isinstance(value, list | tuple) and value and isinstance(value[0], dict | list | tuple):
+        for k, item in enumerate(value):
+            yield "," if k else "["
+            yield from _parts(item)
+        yield "]"
+    else:
+        yield json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
 def _noted(found: Document, notes: list[str]) -> Document:
@@ -389,7 +406,7 @@ def _missions(service: _Service) -> APIRouter:
             )
         _compiled()
         job.limit(asked.time_limit)
-        told = evaluate(mission, routes=routes)
+        told = evaluate(mission, lambda text: job.say(text), routes=routes)
         names = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
         along = {name: documents.plain(getattr(told.timeline, name)) for name in names}
         return {**documents.mission(told, trajectories=True), "timeline": along}

@@ -15,6 +15,8 @@ from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from energyplan.errors import (
     CancelledError,
     EnergyPlanError,
@@ -42,7 +44,7 @@ KINDS = {
 _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
 _LONGEST = 200  # letters of a name
 _KEPT = 32  # files whose content is kept
-_CELLS = 2**24  # most cells of a map, and of all maps that are kept
+_CELLS, _MOST = 2**24, 2**25  # most cells of a map, and of all that is kept beside the newest
 _Stamp = tuple[tuple[Path, int, int, int, int], ...]
 
 
@@ -138,15 +140,20 @@ class Store:
             made = read(file)
             with self._lock:
                 self._kept[key] = stamp, made
-                while len(self._kept) > _KEPT or _cells(self._kept) > _CELLS:
-                    self._kept.pop(next(iter(self._kept)))
+                kept = self._kept
+                while len(kept) > _KEPT or (len(kept) > 1 and _cells(kept) > _MOST):
+                    kept.pop(next(iter(kept)))
         return made
 
 
 def _cells(kept: dict[Hashable, tuple[_Stamp, Any]]) -> int:
-    """Return how many cells the maps of some content have; their tables are as large."""
-    grids = (getattr(made, "grid", made) for _, made in kept.values())
-    return sum(grid.occupied.size for grid in grids if isinstance(grid, OccupancyGrid))
+    """Return how many cells the maps, costs and heights of some content have."""
+    count = 0
+    for _, made in kept.values():
+        for part in vars(made).values() if isinstance(made, Site) else (made,):
+            for name in ("occupied", "costs", "heights"):
+                count += np.size(getattr(part, name, ()))
+    return count
 
 
 def _stamp(files: list[Path]) -> _Stamp:
@@ -195,8 +202,8 @@ class Job:
         self._until = inf
 
     def say(self, event: str, **values: Any) -> None:
-        """Report progress; raise `CancelledError` where nobody waits any more."""
-        if self.cancelled.is_set():
+        """Report progress; raise `CancelledError` where the work is unwanted."""
+        if self.unwanted():
             raise CancelledError("the request was cancelled")
         self.said.append({"event": event, **values})
 

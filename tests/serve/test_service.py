@@ -570,7 +570,7 @@ def test_a_mission_has_bounds(client: TestClient, folder: Path) -> None:
     )
     assert "422 the mission has more than 500 tasks" in refused(tasks=many)
     assert "422 the mission has more than" in refused(planning_effort=1e15)
-    assert refused().startswith("503 time was over before the answer")
+    assert refused(start=[1.5, 2.5, 0]).startswith("503 time was over before the answer")
     (folder / "much.yaml").write_text(yaml.safe_dump({**content, "tasks": many}))
     answer = client.post("/api/mission", json={"mission": "much.yaml"})
     assert (answer.status_code, "500 tasks" in answer.text) == (422, True)
@@ -724,3 +724,24 @@ def test_a_signal_ends_the_service_without_a_traceback(folder: Path, number: int
         assert link.getresponse().status == 503
         _, log = process.communicate(timeout=120)
     assert "Traceback" not in log and "POST /api/plan" in log, log
+
+
+def test_maps_that_are_kept_have_a_limit_together(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("energyplan.serve.store._MOST", 3 * 40 * 100)
+    store, read = Store(folder), list[str]()
+
+    def made(name: str) -> Any:
+        def build(file: Path) -> ep.OccupancyGrid:
+            read.append(name)
+            return ep.OccupancyGrid(np.zeros((40, 100), bool), 0.1)
+
+        return store.read("room.yaml", build, name)
+
+    for name in "abcabc":
+        made(name)
+    assert read == ["a", "b", "c"]
+    for name in "dbca":  # the oldest went
+        made(name)
+    assert read == ["a", "b", "c", "d", "a"]
