@@ -569,7 +569,7 @@ def test_a_mission_has_bounds(client: TestClient, folder: Path) -> None:
         "422 document: Value error, it holds more than 50000 values"
     )
     assert "422 the mission has more than 500 tasks" in refused(tasks=many)
-    assert "422 the mission has more than" in refused(planning_effort=1e15)
+    assert "planning_effort above" in refused(planning_effort=6_000_000)
     assert refused(start=[1.5, 2.5, 0]).startswith("503 time was over before the answer")
     (folder / "much.yaml").write_text(yaml.safe_dump({**content, "tasks": many}))
     answer = client.post("/api/mission", json={"mission": "much.yaml"})
