@@ -86,7 +86,7 @@ class Scene(ByValue):
     objective: str
     clearance: float  # kept from obstacles on the way [m]
     planner: str
-    planning_time: float | None  # for each route [s], where no effort is given
+    planning_time: float  # for each route [s]; infinite where the effort counts
     planning_effort: int | None
 
     @cached_property
@@ -135,12 +135,10 @@ class Scene(ByValue):
             objective="time" if hurried else self.objective, clearance=self.clearance,
         )  # fmt: skip
         for patience in (1, 10):
-            limit, effort = (
-                None if one is None else patience * one
-                for one in (self.planning_time, self.planning_effort)
-            )
+            effort = None if self.planning_effort is None else patience * self.planning_effort
+            limit = patience * self.planning_time
             try:
-                return Route(plan(problem, self.planner, limit or np.inf, effort=effort).path)
+                return Route(plan(problem, self.planner, limit, effort=effort).path)
             except TimeLimitError as error:
                 last = str(error)
             except PlanningError as error:
@@ -351,7 +349,7 @@ class Legs:
                 objective=mission.objective,
                 clearance=mission.clearance,
                 planner=mission.planner,
-                planning_time=self._planning_time if mission.planning_effort is None else None,
+                planning_time=self._planning_time,
                 planning_effort=mission.planning_effort,
             )
             self._scenes[payload] = self._made.setdefault(scene, scene)
@@ -361,6 +359,8 @@ class Legs:
     def _planning_time(self) -> float:
         """Time for each route [s]: a free order takes about four routes a task."""
         mission = self.mission
+        if mission.planning_effort is not None:
+            return np.inf
         if mission.planning_time is not None:
             return mission.planning_time
         routes, most = (4, 0.5) if mission.order == "free" else (2, 1.0)
