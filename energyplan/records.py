@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, fields
-from functools import wraps
+from functools import partial, wraps
 from math import radians
 from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, dataclass_transform, get_args
@@ -73,6 +73,8 @@ def _same(one: Any, other: Any) -> bool:
         return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(_same(one[k], other[k]) for k in one)
+    if isinstance(one, partial) and isinstance(other, partial):
+        return _same(_parts(one), _parts(other))
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     return bool(one == other)
@@ -84,7 +86,13 @@ def _key(value: object) -> object:
         return value.shape, plain.tobytes()
     if isinstance(value, Mapping):
         return frozenset((name, _key(item)) for name, item in value.items())
+    if isinstance(value, partial):
+        value = _parts(value)
     return tuple(map(_key, value)) if isinstance(value, tuple) else value
+
+
+def _parts(function: partial[Any]) -> tuple[Any, ...]:
+    return function.func, function.args, function.keywords
 
 
 def _compared(record: Any) -> Iterator[Any]:

@@ -204,7 +204,7 @@ class Routes:
 
     def __init__(self) -> None:
         self._scenes: OrderedDict[Scene, OrderedDict[Hashable, Any]] = OrderedDict()
-        self._size = 0
+        self.size = 0  # memory that they take, about [B]
         self._lock = Lock()
 
     def __len__(self) -> int:
@@ -213,7 +213,7 @@ class Routes:
     def __getstate__(self) -> dict[str, Any]:
         with self._lock:
             scenes = OrderedDict((scene, known.copy()) for scene, known in self._scenes.items())
-            return {"_scenes": scenes, "_size": self._size}
+            return {"_scenes": scenes, "size": self.size}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _lock=Lock())
@@ -236,12 +236,12 @@ class Routes:
             known = self._scenes[scene]
             self._scenes.move_to_end(scene)
             if key not in known:
-                self._size += _memory(found)
+                self.size += _memory(found)
                 known[key] = found
-            while self._size > _SHARED or len(self._scenes) > _SCENES:
+            while self.size > _SHARED or len(self._scenes) > _SCENES:
                 oldest, known = next(iter(self._scenes.items()))
                 if known:
-                    self._size -= _memory(known.popitem(last=False)[1])
+                    self.size -= _memory(known.popitem(last=False)[1])
                 if not known:
                     del self._scenes[oldest]
 
