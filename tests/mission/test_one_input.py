@@ -330,8 +330,8 @@ def test_routes_do_not_depend_on_the_battery_and_are_planned_once(
 
 @pytest.mark.parametrize("speed", [1.0, "cheapest"])
 def test_legs_of_a_mission_at_another_speed_are_those_of_that_mission(speed: Any) -> None:
-    """With computers that draw 60 W a slow drive takes more than a quick one at its best."""
-    known = replace(model(), covariance=None).with_term(HOTEL, 60.0)
+    """With computers that draw 300 W a slow drive takes more than a quick one at its best."""
+    known = replace(model(), covariance=None).with_term(HOTEL, 300.0)
     asked = replace(mission(), model=known, payload_models={}, confidence=0.5, speed=0.2)
     slow = Legs(asked)
     slow.leg(0, 1, 0.0)
@@ -353,7 +353,7 @@ def test_shared_routes_have_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(legs, "_SCENES", 2)
     for speed in (0.5, 0.6, 0.7):
         evaluate(replace(asked, speed=speed), routes=routes)
-    assert 0 < len(routes) < 10
+    assert 0 < len(routes) <= 10  # of two scenes
 
 
 # -- the service -----------------------------------------------------------------------------------
