@@ -332,7 +332,9 @@ def test_routes_do_not_depend_on_the_battery_and_are_planned_once(
 def test_legs_of_a_mission_at_another_speed_are_those_of_that_mission(speed: Any) -> None:
     """With computers that draw 300 W a slow drive takes more than a quick one at its best."""
     known = replace(model(), covariance=None).with_term(HOTEL, 300.0)
-    asked = replace(mission(), model=known, payload_models={}, confidence=0.5, speed=0.2)
+    asked = replace(
+        mission(), model=known, surfaces=None, payload_models={}, confidence=0.5, speed=0.2
+    )
     slow = Legs(asked)
     slow.leg(0, 1, 0.0)
     before = slow.lower_bounds(0.0)[0, 1]
