@@ -191,7 +191,7 @@ PARTS = [
         required=False, window=(41.0, 500.0), power_spread=30.0, dwell_spread=30.0,
     ), {"prize": "all tasks fit", "required": "all tasks fit"}),
     Part(charging, ("chargers", 0), Charger, like(
-        name="other", pose=(1.2, 1.3, 0.0), power=300.0, until=0.8,
+        name="other", pose=(1.2, 1.3, 0.0), power=300.0, until=0.8, temperature=25.0,
     )),
     Part(charging, ("spreads",), Spreads, like(
         soc=0.03, capacity=0.03, health=0.03, temperature=4.0, power=0.2, dwell=0.2, run=0.2,
@@ -203,6 +203,7 @@ PARTS = [
         pair_time=30.0, peukert=1.1, rated_current=1.0, charge_efficiency=0.8,
         cutoff_voltage=float(np.median(battery().ocv_points)), cutoff_soc=0.1, max_voltage=37.0,
         max_discharge_current=1.0, max_charge_current=1.0, temperature=5.0,
+        min_charge_temperature=20.0, max_charge_temperature=12.0,
         derating_temperature=battery().derating_temperature + 3.0,
         derating_factor=0.9 * battery().derating_factor, resistance_coefficient=0.1,
         health=0.9, notes=("a note",),
