@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -345,7 +345,7 @@ class Trajectory(ByValue):
         """
         import pandas as pd
 
-        return pd.DataFrame({key: np.array(values) for key, values in vars(self).items()})
+        return pd.DataFrame({one.name: np.array(getattr(self, one.name)) for one in fields(self)})
 
     @checked(PathError)
     def scaled(self, factor: float) -> Trajectory:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, fields
-from functools import wraps
+from functools import partial, wraps
 from math import radians
 from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, dataclass_transform, get_args
@@ -65,12 +65,16 @@ class ReadOnly:
 
 
 def _same(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         if type(one) is not type(other):
             return False
         return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(_same(one[k], other[k]) for k in one)
+    if isinstance(one, partial) and isinstance(other, partial):
+        return _same(_parts(one), _parts(other))
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     return bool(one == other)
@@ -78,10 +82,17 @@ def _same(one: Any, other: Any) -> bool:
 
 def _key(value: object) -> object:
     if isinstance(value, np.ndarray):
-        return value.shape, (value + 0.0).tobytes()  # of -0 as of 0
+        plain = value if value.dtype.kind == "b" else value + 0.0  # of -0 as of 0
+        return value.shape, plain.tobytes()
     if isinstance(value, Mapping):
         return frozenset((name, _key(item)) for name, item in value.items())
+    if isinstance(value, partial):
+        value = _parts(value)
     return tuple(map(_key, value)) if isinstance(value, tuple) else value
+
+
+def _parts(function: partial[Any]) -> tuple[Any, ...]:
+    return function.func, function.args, function.keywords
 
 
 def _compared(record: Any) -> Iterator[Any]:
@@ -91,16 +102,31 @@ def _compared(record: Any) -> Iterator[Any]:
 class ByValue(ReadOnly):
     """Base of dataclasses with arrays among their fields: equal where all fields are.
 
-    Declare them with ``eq=False``: what `dataclass` writes cannot compare arrays.
+    Declare them with ``eq=False``: what `dataclass` writes cannot compare arrays. The hash is
+    worked out once; another process has another one.
     """
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in super().__getstate__().items() if name != "_hash"}
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return all(map(_same, _compared(self), _compared(other)))
+        return self is other or all(map(_same, _compared(self), _compared(other)))
 
     def __hash__(self) -> int:
-        return hash(tuple(map(_key, _compared(self))))
+        known = vars(self).get("_hash")
+        if known is None:
+            known = vars(self)["_hash"] = hash(tuple(map(_key, _compared(self))))
+        return int(known)
+
+    def bare(self) -> Any:
+        """Return a copy that has its fields, and nothing of what was worked out from them."""
+        other = object.__new__(type(self))
+        for part in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, part.name)
+            vars(other)[part.name] = value.bare() if isinstance(value, ByValue) else value
+        return other
 
 
 # -- units ---------------------------------------------------------------------------------------

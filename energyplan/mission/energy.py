@@ -10,21 +10,23 @@ errors add up instead of averaging out; only the noise of the drive itself is ea
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.battery import Battery
+from energyplan.battery import Battery, BatteryModel
 from energyplan.errors import MissionError
 from energyplan.fit.doubts import unfounded
 from energyplan.limits.drive import Drive, Ground
-from energyplan.mission.types import Mission
+from energyplan.mission.types import Mission, Spreads, Task
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
+from energyplan.records import ByValue
+from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
 
 _USUAL_SPEED = 1.0
@@ -81,17 +83,23 @@ class _Source(NamedTuple):
     roots: tuple[FloatArray, ...]
 
 
-def _battery_shares(mission: Mission, power: float) -> tuple[dict[str, float], float]:
-    """Return by which share of the energy the battery delivers less, by what is open of it.
+_OF_BATTERY = ("capacity of the battery", "health of the battery", "temperature of the battery")
+"""What is open about what a battery holds."""
 
-    Beside it comes the energy of one standard deviation of the state of charge [J].
-    """
-    battery, spreads = mission.battery, mission.spreads
-    shares = {"capacity of the battery": spreads.capacity}
+
+class Gauge(NamedTuple):
+    """What is open about a battery."""
+
+    shares: tuple[float, float, float]  # by which share of the energy it delivers less, by source
+    soc: float  # energy of one standard deviation of the state of charge [J]
+
+
+def gauge_of(battery: BatteryModel, spreads: Spreads, power: float) -> Gauge:
+    """Return what is open about a battery at a power [W]."""
     stored = float(battery.usable_energy(power, 1.0))
-    gauge = spreads.soc * (stored or battery.full_energy)
+    soc = spreads.soc * (stored or battery.full_energy)
     if not isinstance(battery, Battery):
-        return shares, gauge
+        return Gauge((spreads.capacity, 0.0, 0.0), soc)
 
     def usable(changed: Battery) -> float:
         return float(changed.usable_energy(power, 1.0))
@@ -107,9 +115,8 @@ def _battery_shares(mission: Mission, power: float) -> tuple[dict[str, float], f
     aged = max(battery.health - spreads.health, 0.1 * battery.health)
     better, worse = (usable(replace(battery, health=h)) for h in (fresh, aged))
     steps = (fresh - aged) / spreads.health if spreads.health else 1.0
-    shares["health of the battery"] = (better - worse) / told / steps
-    shares["temperature of the battery"] = (warm - cold) / told / 2.0
-    return shares, gauge
+    health, temperature = (better - worse) / told / steps, (warm - cold) / told / 2.0
+    return Gauge((spreads.capacity, health, temperature), soc)
 
 
 class Priced(NamedTuple):
@@ -122,49 +129,49 @@ class Priced(NamedTuple):
     energy: Estimate
 
 
-class Grounds:
-    """The power models of a mission, by surface and payload, with their unknowns."""
+@dataclass(eq=False)
+class Grounds(ByValue):
+    """The power models of a mission, by surface and payload, with their unknowns.
 
-    def __init__(self, mission: Mission) -> None:
-        self._mission = mission
+    What a mission has under the same names decides them, and nothing else.
+    """
+
+    model: PowerModel
+    surfaces: SurfaceMap | None
+    heights: HeightMap | None
+    payload_models: Mapping[str, Mapping[float, PowerModel]]
+    confidence: float
+    coefficient_spread: float
+    spreads: Spreads
+    tasks: tuple[Task, ...]
+    waiting: float
+
+    @classmethod
+    def of(cls, mission: Mission) -> Grounds:
+        """Return the grounds of a mission."""
+        return cls(**{part.name: getattr(mission, part.name) for part in fields(cls)})
+
+    def __post_init__(self) -> None:
         self.labels: list[str] = []  # what each shared unknown belongs to
-        surfaces = mission.surfaces
-        bare = [mission.model, *(s.model for s in (surfaces.surfaces if surfaces else ()))]
-        self._sources: list[_Source] = []
-        self._source_of: list[int] = []
-        seen: dict[tuple[str, bytes], int] = {}
-        for model in bare:
-            key = (model.name, model.coefficients.tobytes())
-            if key not in seen:
-                seen[key] = len(self._sources)
-                self._sources.append(self._source(model))
-            self._source_of.append(seen[key])
+        bare = self.model, *(s.model for s in (self.surfaces.surfaces if self.surfaces else ()))
+        seen = {model: self._source(model) for model in dict.fromkeys(bare)}
+        self._sources = list(seen.values())
+        self._source_of = [[*seen].index(model) for model in bare]
         self._known: dict[tuple[int, float], PowerModel] = {}
         self._directions: dict[tuple[int, float], FloatArray] = {}
         self._idle: dict[tuple[int, float], Estimate] = {}
-        tools = dict.fromkeys((task.power, task.power_spread) for task in mission.tasks)
-        self._shares, self._gauge = _battery_shares(mission, self.driving_power)
-        numbers = range(len(mission.tasks))
+        tools = dict.fromkeys((task.power, task.power_spread) for task in self.tasks)
+        numbers = range(len(self.tasks))
         unknowns = [(_RUN, None), *((_TOOLS, tool) for tool in tools),
-                    *((label, None) for label in self._shares), *((_DWELLS, k) for k in numbers),
+                    *((label, None) for label in _OF_BATTERY), *((_DWELLS, k) for k in numbers),
                     *((_WAITS, k) for k in numbers), (_SPEED, None), (_GAUGE, None)]  # fmt: skip
         self._place: dict[tuple[str, object], int] = {
             key: len(self.labels) + k for k, key in enumerate(unknowns)
         }
         self.labels += [label for label, _ in unknowns]
         for model in (model for source in self._sources for model in source.models):
-            if reason := unfounded(model, mission.confidence, mission.coefficient_spread):
+            if reason := unfounded(model, self.confidence, self.coefficient_spread):
                 raise MissionError(reason, ("model",))
-
-    def under(self, mission: Mission) -> Grounds:
-        """Return these grounds for a mission that differs in battery, charge or speed.
-
-        What is open about a battery depends on the battery.
-        """
-        other = copy(self)
-        other._mission, other._idle = mission, {}
-        other._shares, other._gauge = _battery_shares(mission, other.driving_power)
-        return other
 
     @property
     def size(self) -> int:
@@ -188,7 +195,7 @@ class Grounds:
         return Estimate(0.0, np.zeros(self.size))
 
     def _source(self, model: PowerModel) -> _Source:
-        heavier = self._mission.payload_models.get(model.name, {})
+        heavier = self.payload_models.get(model.name, {})
         nodes = sorted({0.0: model, **heavier}.items())
         terms = [term.name for term in model.terms]
         for payload, other in nodes:
@@ -225,7 +232,7 @@ class Grounds:
         weights[upper - 1], weights[upper] = 1.0 - share, share
         return weights
 
-    def model(self, region: int, payload: float) -> PowerModel:
+    def model_of(self, region: int, payload: float) -> PowerModel:
         """Return the model of a region (0 outside all surfaces) with a payload [kg]."""
         key = (self._source_of[region], payload)
         if key not in self._known:
@@ -251,17 +258,26 @@ class Grounds:
             source = self._sources[key[0]]
             weights = self._weights(source, payload)
             columns = [w * root for w, root in zip(weights, source.roots, strict=True)]
-            spread = self._mission.coefficient_spread * self.model(region, payload).coefficients
+            spread = self.coefficient_spread * self.model_of(region, payload).coefficients
             self._directions[key] = np.column_stack([*columns, np.diag(spread)])
         return self._directions[key]
 
+    def laden(self, payload: float) -> SurfaceMap | None:
+        """Return the surfaces with a payload [kg] on board; their areas to keep out of left out."""
+        if self.surfaces is None:
+            return None
+        laden = (
+            replace(surface, model=self.model_of(k, payload))
+            for k, surface in enumerate(self.surfaces.surfaces, start=1)
+        )
+        return replace(self.surfaces, surfaces=tuple(laden), keep_out=())
+
     def drive(self, trajectory: Trajectory, payload: float) -> Drive:
         """Return a trajectory over the grounds with a payload [kg], as the battery feels it."""
-        mission = self._mission
         first, *others = (
-            self.model(k, payload).battery_side() for k in range(len(self._source_of))
+            self.model_of(k, payload).battery_side() for k in range(len(self._source_of))
         )
-        ground = Ground(first, mission.surfaces, mission.heights, tuple(others))
+        ground = Ground(first, self.surfaces, self.heights, tuple(others))
         return Drive(trajectory, ground)
 
     def priced(self, trajectory: Trajectory, payload: float) -> Priced:
@@ -282,7 +298,7 @@ class Grounds:
         source = self._sources[self._source_of[region]]
         found = [m.residual.run_spread for m in source.models if m.residual is not None]
         known = [spread for spread in found if spread is not None]
-        return max(known) if known else self._mission.spreads.run
+        return max(known) if known else self.spreads.run
 
     def _holdout(self, region: int, payload: float) -> _Holdout:
         """Return what a model missed on the hold-out; models between payloads are weighed."""
@@ -301,7 +317,7 @@ class Grounds:
         """Return the energy of standing still for so long [s]."""
         key = (region, payload)
         if key not in self._idle:
-            motion = _straight(self.model(region, payload), 0.0)
+            motion = _straight(self.model_of(region, payload), 0.0)
             self._idle[key] = self._one(region, motion, np.ones(1), payload)[0]
         second = self._idle[key]
         # The residual is what the model misses while driving.
@@ -309,7 +325,7 @@ class Grounds:
 
     def work(self, region: int, task: int, payload: float) -> Estimate:
         """Return the energy of doing a task, standing still with its tool."""
-        asked, spreads = self._mission.tasks[task], self._mission.spreads
+        asked, spreads = self.tasks[task], self.spreads
         idle = self.idle(region, asked.dwell, payload)
         drawn = asked.power + self.idle(region, 1.0, payload).mean
         tool = spreads.power * asked.power if asked.power_spread is None else asked.power_spread
@@ -317,21 +333,21 @@ class Grounds:
         done = done + self._unknown(_TOOLS, tool * asked.dwell, (asked.power, asked.power_spread))
         return done + self._unknown(_DWELLS, self._dwell_spread(task) * drawn, task)
 
-    def waiting(self, region: int, task: int, payload: float) -> Estimate:
+    def waited(self, region: int, task: int, payload: float) -> Estimate:
         """Return the energy of the time lost before a task begins."""
-        idle = self.idle(region, self._mission.waiting, payload)
-        spread = self._mission.spreads.waiting * idle.mean
+        idle = self.idle(region, self.waiting, payload)
+        spread = self.spreads.waiting * idle.mean
         return idle + self._unknown(_WAITS, spread, task)
 
     # -- time -------------------------------------------------------------------------------------
 
     def driving_time(self, duration: float) -> FloatArray:
         """Return how a drive's duration changes with each unknown [s], shape (size,)."""
-        return self._sensitivity(_SPEED, self._mission.spreads.speed * duration)
+        return self._sensitivity(_SPEED, self.spreads.speed * duration)
 
     def waiting_time(self, task: int) -> FloatArray:
         """Return how the time lost before a task changes with each unknown [s]."""
-        spread = self._mission.spreads.waiting * self._mission.waiting
+        spread = self.spreads.waiting * self.waiting
         return self._sensitivity(_WAITS, spread, task)
 
     def dwell_time(self, task: int) -> FloatArray:
@@ -339,9 +355,9 @@ class Grounds:
         return self._sensitivity(_DWELLS, self._dwell_spread(task), task)
 
     def _dwell_spread(self, task: int) -> float:
-        asked = self._mission.tasks[task]
+        asked = self.tasks[task]
         told = asked.dwell_spread
-        return self._mission.spreads.dwell * asked.dwell if told is None else told
+        return self.spreads.dwell * asked.dwell if told is None else told
 
     def _sensitivity(self, label: str, value: float, which: object = None) -> FloatArray:
         sensitivity = np.zeros(self.size)
@@ -354,31 +370,27 @@ class Grounds:
 
     # -- battery ----------------------------------------------------------------------------------
 
-    def from_battery(self, energy: Estimate) -> Estimate:
+    def from_battery(self, energy: Estimate, gauge: Gauge) -> Estimate:
         """Return an energy as the battery's charge feels it.
 
         A battery that holds less than it should is emptied by a drive as one that holds what it
         should is by a dearer drive.
         """
         sensitivity = energy.sensitivity.copy()
-        for label, share in self._shares.items():
+        for label, share in zip(_OF_BATTERY, gauge.shares, strict=True):
             sensitivity[self._place[label, None]] += share * energy.mean
         return replace(energy, sensitivity=sensitivity)
 
-    @property
-    def gauge(self) -> Estimate:
-        """What is open about the charge after it was read off the gauge, as an energy."""
-        return self._unknown(_GAUGE, self._gauge)
+    def after_reading(self, gauge: Gauge) -> Estimate:
+        """Return what is open about the charge after it was read off the gauge, as an energy."""
+        return self._unknown(_GAUGE, gauge.soc)
 
-    @property
-    def driving_power(self) -> float:
-        """Power of driving straight on, at the speed asked or a usual one [W]."""
-        mission = self._mission
-        model = self.model(0, mission.payload)
+    def driving_power(self, payload: float, speed: float | None) -> float:
+        """Return the power of driving straight on, at a tread speed or a usual one [W]."""
+        model = self.model_of(0, payload)
         vehicle = model.vehicle
-        asked = mission.tread_speed or np.inf
-        speed = min(asked, vehicle.usual_speed, vehicle.motor.speed, _USUAL_SPEED)
-        power = model.battery_side().power(_straight(model, float(speed)))
+        usual = min(speed or np.inf, vehicle.usual_speed, vehicle.motor.speed, _USUAL_SPEED)
+        power = model.battery_side().power(_straight(model, float(usual)))
         return max(float(power[0]), 1.0)
 
     def _one(
@@ -388,7 +400,7 @@ class Grounds:
 
         Beside the energy comes the variance of the power at each instant [W^2].
         """
-        model, source = self.model(region, payload), self._sources[self._source_of[region]]
+        model, source = self.model_of(region, payload), self._sources[self._source_of[region]]
 
         def power(change: FloatArray | float = 0.0) -> FloatArray:
             changed = model.with_coefficients(model.coefficients + change)

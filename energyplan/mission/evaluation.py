@@ -21,7 +21,7 @@ from energyplan import html
 from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError, UnknownNameError
 from energyplan.kinds import checked
-from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, State, Walk
+from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
 from energyplan.mission.order import attempt, best_stops, finish
 from energyplan.mission.types import Mission, Remedy
 from energyplan.path import FloatArray, Path, Pose, Trajectory
@@ -726,7 +726,7 @@ class Evaluation:
             return True
         changed = self.mission.with_remedy(remedy)
         anew = remedy.kind in ("drop", "speed", "cheapest_speed")
-        legs = Legs(changed, None, self.legs.routes) if anew else self.legs.under(changed)
+        legs = self.legs.under(changed, anew=anew)
         again = Evaluation(changed, None, legs)
         again.go()
         name = self.mission.tasks[k].name
@@ -764,11 +764,11 @@ def evaluate_many(
     it needed are handed to the others. A mission that fails is told with its error.
     """
     known = Routes() if routes is None else routes
-    first: dict[int, tuple[bytes, Mission]] = {}
-    rest: dict[int, tuple[bytes, Mission]] = {}
+    first: dict[int, tuple[Scene, Mission]] = {}
+    rest: dict[int, tuple[Scene, Mission]] = {}
     for k, mission in enumerate(missions):
         try:
-            kind = Legs(mission).digest
+            kind = Legs(mission).planned_in
         except EnergyPlanError as failed:
             yield Evaluated(k, None, failed)
             continue
@@ -781,7 +781,7 @@ def evaluate_many(
             error, report, k = done.exception(), None, flying[done]
             if error is None:
                 report, planned = done.result()
-                known.of(turn[k][0]).update(planned.of(turn[k][0]))
+                known.update(planned)
             yield Evaluated(k, report, error)
 
 

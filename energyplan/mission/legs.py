@@ -6,31 +6,33 @@ the bound.
 
 from __future__ import annotations
 
-import hashlib
+from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
-from typing import NamedTuple
+from threading import Lock
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-import shapely
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.mission.energy import Estimate, Grounds
+from energyplan.mission.energy import Estimate, Gauge, Grounds, gauge_of
 from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.driven import drive_path
 from energyplan.planning.space.compiled import compiled
 from energyplan.power import PowerModel
+from energyplan.records import ByValue
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
+
+Made = TypeVar("Made")
 
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
@@ -68,37 +70,197 @@ class Leg:
 
 @dataclass(frozen=True)
 class Route:
-    """A way that was planned, and how it is timed by each model that was asked."""
+    """A way that was planned."""
 
     path: Path
     trouble: str = ""
     detail: str = ""
-    timed: dict[Hashable, Trajectory] = field(default_factory=dict)
 
 
-_REMEMBERED = 32
-"""Most sets of routes, one for each map and cost, that are kept at a time."""
+@dataclass(frozen=True, eq=False)
+class Scene(ByValue):
+    """All that decides how the robot drives with one payload: no method looks at anything else."""
+
+    map: OccupancyGrid  # obstacles, with what must be kept out of occupied
+    model: PowerModel  # power outside all surfaces, with the payload on board
+    surfaces: SurfaceMap | None  # grounds with models of their own, and speed limits
+    heights: HeightMap | None
+    speed: float | None  # tread speed [m/s]; None stands for the cheapest
+    objective: str
+    clearance: float  # kept from obstacles on the way [m]
+    planner: str
+    planning_time: float  # for each route [s]; infinite where the effort counts
+    planning_effort: int | None
+
+    @cached_property
+    def cost(self) -> EnergyCost:
+        """The cost of motions outside all surfaces."""
+        return EnergyCost(self.model, battery=True, speed=self.speed)
+
+    @cached_property
+    def slower(self) -> tuple[EnergyCost, SurfaceMap | None]:
+        """The cost and the surfaces of driving at any speed up to the one asked.
+
+        A drive is slower where it speeds up, turns or stops, and may take less there.
+        """
+
+        def up_to(model: PowerModel) -> PowerModel:
+            if self.speed is None:
+                return model
+            return replace(model, vehicle=model.vehicle.up_to(self.speed))
+
+        surfaces = self.surfaces
+        if surfaces is not None:
+            slow = (replace(one, model=up_to(one.model)) for one in surfaces.surfaces)
+            surfaces = replace(surfaces, surfaces=tuple(slow))
+        return EnergyCost(up_to(self.model), battery=True), surfaces
+
+    @cached_property
+    def symmetric(self) -> bool:
+        """Whether a way costs the same driven backwards, so that one plan serves both."""
+        if self.heights is not None:
+            return False
+        angle = np.linspace(0.0, np.pi, 65)
+        ds, turn = np.cos(angle), np.sin(angle)
+        costs = (self.cost,) if self.surfaces is None else self.surfaces.costs(self.cost)
+        return all(
+            np.allclose(c.segment_energy(ds, turn), c.segment_energy(-ds, -turn), rtol=1e-6)
+            for c in costs
+        )
+
+    def plan(self, start: Pose, goal: Pose, hurried: bool) -> Route:
+        """Plan the route of least energy from pose to pose; in a hurry that of least time."""
+        still = Path(start, np.zeros(0), np.zeros(0), self.cost.icr.longitudinal)
+        if start == goal:
+            return Route(still)
+        problem = PlanningProblem(
+            self.map, self.cost, start, goal, surfaces=self.surfaces, heights=self.heights,
+            objective="time" if hurried else self.objective, clearance=self.clearance,
+        )  # fmt: skip
+        for patience in (1, 10):
+            effort = None if self.planning_effort is None else patience * self.planning_effort
+            limit = patience * self.planning_time
+            try:
+                return Route(plan(problem, self.planner, limit, effort=effort).path)
+            except TimeLimitError as error:
+                last = str(error)
+            except PlanningError as error:
+                return Route(still, "no_path", str(error))
+        return Route(still, "time", last)
+
+    def drive(self, path: Path, hurried: bool) -> Trajectory:
+        """Return a path's trajectory, as a plan of the same path is driven."""
+        cost = self.cost
+        if hurried and cost.speed is None:
+            cost = replace(cost, speed=cost.vehicle.motor.speed)
+        return drive_path(
+            path, cost, self.surfaces, self.heights, grid=self.map, period=_PERIOD
+        ).trajectory
+
+    def lower_bounds(self, poses: Sequence[Pose], ways: FloatArray) -> FloatArray:
+        """Return what it takes at least from pose to pose [J], shape (n, n).
+
+        The greater of the least energy without obstacles and that of the shortest way round them;
+        infinite where there is no way. On slopes that is the least price on any slope, and what
+        the height is worth.
+        """
+        cost, surfaces = self.slower
+        at = np.array(poses)
+        turn = wrap_angle(at[:, None, 2] - at[None, :, 2])
+        if self.heights is None:
+            costs = (cost,) if surfaces is None else surfaces.costs(cost)
+            bounds = [
+                np.maximum(
+                    steering.energy(at[:, None], at[None, :], c),
+                    c.lower_bound().energy(ways, turn),
+                )
+                for c in costs
+            ]
+            return np.asarray(np.min(bounds, axis=0))
+        query = compiled(
+            PlanningProblem(
+                self.map, cost, poses[0], poses[0], surfaces=surfaces, heights=self.heights
+            )
+        )
+        # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin
+        ways = np.maximum(ways - 2.0 * np.hypot(*cost.icr.centre), 0.0)
+        height = np.array([query.height_potential(pose) for pose in poses])
+        least, turns = query.least, np.abs(turn)
+        return np.asarray(
+            least.metre * ways + least.radian * turns + height[None, :] - height[:, None]
+        )
+
+
+_SHARED = 2**25
+"""Most memory of all routes and trajectories that are shared [B]: about 1,000 of 60 m."""
+
+_SCENES = 32
+"""Most scenes whose routes are shared."""
 
 
 class Routes:
-    """Routes planned so far; evaluations that are handed the same one share them.
+    """Routes planned so far and how they are driven; who is handed the same one shares them.
 
-    A route is told apart by the map, the costs and the planner that decide it.
+    They are found by the value of all that decides them. Beyond 32 MB, or 32 scenes, what was used
+    longest ago goes first: of the scenes, then of the routes in it.
     """
 
     def __init__(self) -> None:
-        self._sets: dict[bytes, dict[tuple[Pose, Pose, bool], Route]] = {}
+        self._scenes: OrderedDict[Scene, OrderedDict[Hashable, Any]] = OrderedDict()
+        self.size = 0  # memory that they take, about [B]
+        self._lock = Lock()
 
     def __len__(self) -> int:
-        return sum(map(len, self._sets.values()))
+        return sum(map(len, self._scenes.values()))
 
-    def of(self, digest: bytes) -> dict[tuple[Pose, Pose, bool], Route]:
-        """Return the routes that one map, cost and planner decide."""
-        found = self._sets.pop(digest, {})
-        self._sets[digest] = found
-        for oldest in list(self._sets)[:-_REMEMBERED]:
-            self._sets.pop(oldest, None)  # another thread may have been quicker
-        return found
+    def __getstate__(self) -> dict[str, Any]:
+        with self._lock:
+            scenes = OrderedDict((scene, known.copy()) for scene, known in self._scenes.items())
+            return {"_scenes": scenes, "size": self.size}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _lock=Lock())
+
+    def get(self, scene: Scene, key: Hashable) -> Any:
+        """Return what is known of a route in a scene, or None."""
+        with self._lock:
+            known = self._scenes.get(scene)
+            if known is None or key not in known:
+                return None
+            self._scenes.move_to_end(scene)
+            known.move_to_end(key)
+            return known[key]
+
+    def put(self, scene: Scene, key: Hashable, found: Any) -> None:
+        """Keep what is known of a route in a scene."""
+        with self._lock:
+            if scene not in self._scenes:
+                self._scenes[scene.bare()] = OrderedDict()
+            known = self._scenes[scene]
+            self._scenes.move_to_end(scene)
+            if key not in known:
+                self.size += _memory(found)
+                known[key] = found
+            while self.size > _SHARED or len(self._scenes) > _SCENES:
+                oldest, known = next(iter(self._scenes.items()))
+                if known:
+                    self.size -= _memory(known.popitem(last=False)[1])
+                if not known:
+                    del self._scenes[oldest]
+
+    def update(self, other: Routes) -> None:
+        """Take over what another one knows."""
+        if other is not self:
+            for scene, known in other._scenes.items():
+                for key, found in known.items():
+                    self.put(scene, key, found)
+
+
+def _memory(found: Any) -> int:
+    """Return about how much memory a route or a trajectory takes [B]."""
+    if isinstance(found, Route):
+        found = found.path
+    return 1000 + sum(v.nbytes for v in vars(found).values() if isinstance(v, np.ndarray))
 
 
 class Legs:
@@ -112,10 +274,14 @@ class Legs:
         mission: Mission,
         progress: Callable[[str], None] | None = None,
         routes: Routes | None = None,
+        former: Legs | None = None,
     ) -> None:
         self.mission = mission
         self.routes = Routes() if routes is None else routes
-        self.grounds = Grounds(mission)
+        # what was worked out, by the value of all that decides it
+        self._made: dict[Hashable, Any] = {} if former is None else former._made
+        grounds = Grounds.of(mission)
+        self.grounds: Grounds = self._made.setdefault(grounds, grounds)
         self._progress = progress
         home = mission.start if mission.home is None else mission.home
         places: list[Task | Charger] = [*mission.tasks, *mission.chargers]
@@ -128,17 +294,14 @@ class Legs:
             self.names.append("home")
         self._legs: dict[tuple[int, int, float, bool], Leg] = {}
         self._bounds: dict[float, FloatArray] = {}
-        self._costs: dict[tuple[float, bool], tuple[EnergyCost, SurfaceMap | None]] = {}
-        self._routes = self.routes.of(self.digest)
+        self._scenes: dict[float, Scene] = {}
+        self.planned_in = self.scene(mission.payload)  # decides the routes
 
-    def under(self, mission: Mission) -> Legs:
-        """Return these legs for a mission that differs in battery, charge, reserve or speed."""
-        other = copy(self)
-        other.mission = mission
-        other.grounds = self.grounds.under(mission)
-        if mission.speed != self.mission.speed:
-            # The routes stay; times and energies change.
-            other._legs, other._costs = {}, {}
+    def under(self, mission: Mission, anew: bool = False) -> Legs:
+        """Return these legs for another mission; unless planned anew, their routes stay."""
+        other = Legs(mission, self._progress, self.routes, self)
+        if not anew:
+            other.planned_in = self.planned_in
         return other
 
     # -- places -----------------------------------------------------------------------------------
@@ -154,88 +317,76 @@ class Legs:
         surfaces = self.mission.surfaces
         return 0 if surfaces is None else int(surfaces.region_at(self.poses[node][:2]))
 
-    # -- bounds -----------------------------------------------------------------------------------
-
-    def cost(self, payload: float, slower: bool = False) -> tuple[EnergyCost, SurfaceMap | None]:
-        """Return the cost and the surfaces with a payload [kg] on board.
-
-        A drive is slower where it speeds up, turns or stops, and may take less there: what bounds
-        its energy is the cost of driving at any speed up to the one asked, or `slower`.
-        """
-        key = payload, slower
-        if key not in self._costs:
-            speed, surfaces = self.mission.tread_speed, self.mission.surfaces
-
-            def model(region: int) -> PowerModel:
-                found = self.grounds.model(region, payload)
-                if not slower or speed is None:
-                    return found
-                return replace(found, vehicle=found.vehicle.up_to(speed))
-
-            if surfaces is not None:
-                laden = [
-                    replace(surface, model=model(k))
-                    for k, surface in enumerate(surfaces.surfaces, start=1)
-                ]
-                surfaces = replace(surfaces, surfaces=tuple(laden))
-            cost = EnergyCost(model(0), battery=True, speed=None if slower else speed)
-            self._costs[key] = cost, surfaces
-        return self._costs[key]
-
-    def lower_bounds(self, payload: float) -> FloatArray:
-        """Return what it takes at least from node to node [J], shape (n, n).
-
-        The greater of the least energy without obstacles and that of the shortest way round them;
-        infinite where there is no way.
-        """
-        if payload not in self._bounds:
-            if self.mission.heights is not None:
-                self._bounds[payload] = self._bounds_on_slopes(payload)
-                return self._bounds[payload]
-            cost, surfaces = self.cost(payload, slower=True)
-            costs = (cost,) if surfaces is None else surfaces.costs(cost)
-            poses = np.array(self.poses)
-            turn = wrap_angle(poses[:, None, 2] - poses[None, :, 2])
-            bounds = [
-                np.maximum(
-                    steering.energy(poses[:, None], poses[None, :], c),
-                    c.lower_bound().energy(self._ways, turn),
-                )
-                for c in costs
-            ]
-            self._bounds[payload] = np.asarray(np.min(bounds, axis=0))
-        return self._bounds[payload]
-
-    def _bounds_on_slopes(self, payload: float) -> FloatArray:
-        """Bound energies by the least prices on any slope, and by what the height is worth."""
-        mission, (cost, surfaces) = self.mission, self.cost(payload, slower=True)
-        here = self.poses[0]
-        problem = PlanningProblem(
-            mission.map, cost, here, here, surfaces=surfaces, heights=mission.heights
-        )
-        query = compiled(problem)
-        poses = np.array(self.poses)
-        turn = np.abs(wrap_angle(poses[:, None, 2] - poses[None, :, 2]))
-        # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin
-        ways = np.maximum(self._ways - 2.0 * np.hypot(*cost.icr.centre), 0.0)
-        height = np.array([query.height_potential(pose) for pose in self.poses])
-        return np.asarray(
-            query.least.metre * ways + query.least.radian * turn + height[None, :] - height[:, None]
-        )
+    # -- battery ----------------------------------------------------------------------------------
 
     @cached_property
-    def _ways(self) -> FloatArray:
+    def driving_power(self) -> float:
+        """Power of driving straight on, at the speed asked or a usual one [W]."""
+        return self.grounds.driving_power(self.mission.payload, self.mission.tread_speed)
+
+    @cached_property
+    def _gauge(self) -> Gauge:
+        return gauge_of(self.mission.battery, self.mission.spreads, self.driving_power)
+
+    @property
+    def gauge(self) -> Estimate:
+        """What is open about the charge after it was read off the gauge, as an energy."""
+        return self.grounds.after_reading(self._gauge)
+
+    def from_battery(self, energy: Estimate) -> Estimate:
+        """Return an energy as the battery's charge feels it."""
+        return self.grounds.from_battery(energy, self._gauge)
+
+    # -- legs -------------------------------------------------------------------------------------
+
+    def scene(self, payload: float) -> Scene:
+        """Return what decides drives with a payload [kg] on board."""
+        if payload not in self._scenes:
+            mission, grounds = self.mission, self.grounds
+            scene = Scene(
+                map=mission.free_map,
+                model=grounds.model_of(0, payload),
+                surfaces=grounds.laden(payload),
+                heights=mission.heights,
+                speed=mission.tread_speed,
+                objective=mission.objective,
+                clearance=mission.clearance,
+                planner=mission.planner,
+                planning_time=self._planning_time,
+                planning_effort=mission.planning_effort,
+            )
+            self._scenes[payload] = self._made.setdefault(scene, scene)
+        return self._scenes[payload]
+
+    @property
+    def _planning_time(self) -> float:
+        """Time for each route [s]: a free order takes about four routes a task."""
         mission = self.mission
-        points = np.array(self.poses)[:, :2]
-        return shortest_ways(mission.free_map, mission.vehicle, points)
+        if mission.planning_effort is not None:
+            return np.inf
+        if mission.planning_time is not None:
+            return mission.planning_time
+        routes, most = (4, 0.5) if mission.order == "free" else (2, 1.0)
+        return float(np.clip(_PLANNING / (routes * len(mission.tasks)), 0.1, most))
+
+    def lower_bounds(self, payload: float) -> FloatArray:
+        """Return what it takes at least from node to node [J], shape (n, n)."""
+        if payload not in self._bounds:
+            scene, poses = self.scene(payload), tuple(self.poses)
+            vehicle, points = self.mission.vehicle, np.array(poses)[:, :2]
+            ways = self._once(
+                (scene.map, vehicle, poses), lambda: shortest_ways(scene.map, vehicle, points)
+            )
+            self._bounds[payload] = self._once(
+                (scene, poses), lambda: scene.lower_bounds(poses, ways)
+            )
+        return self._bounds[payload]
 
     def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
         """Tell whether the route from node to node is known."""
-        here, there = self.poses[start], self.poses[goal]
-        known = (here, there, hurried) in self._routes
-        return known or (self._symmetric and (there, here, hurried) in self._routes)
-
-    # -- legs -------------------------------------------------------------------------------------
+        scene, here, there = self.planned_in, self.poses[start], self.poses[goal]
+        known = (scene, here, there, hurried) in self._made
+        return known or (scene.symmetric and (scene, there, here, hurried) in self._made)
 
     def leg(self, start: int, goal: int, payload: float, hurried: bool = False) -> Leg:
         """Return the leg from node to node with a payload [kg] on board.
@@ -247,124 +398,56 @@ class Legs:
             self._legs[key] = self._priced(self._route(start, goal, hurried), payload, hurried)
         return self._legs[key]
 
+    def _once(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """Return what is made once of all that decides it."""
+        if key not in self._made:
+            self._made[key] = make()
+        made: Made = self._made[key]
+        return made
+
+    def _shared(self, scene: Scene, key: tuple[Hashable, ...], make: Callable[[], Made]) -> Made:
+        """Return what is made once in a scene, by this mission or another one."""
+
+        def found() -> Made:
+            known: Made | None = self.routes.get(scene, key)
+            if known is None:
+                self.routes.put(scene, key, known := make())
+            return known
+
+        return self._once((scene, *key), found)
+
     def _route(self, start: int, goal: int, hurried: bool) -> Route:
         """Plan from node to node, for the payload at the start of the mission."""
-        key = self.poses[start], self.poses[goal], hurried
-        if key not in self._routes:
-            self._routes[key] = self._planned(start, goal, hurried)
-        return self._routes[key]
+        here, there, scene = self.poses[start], self.poses[goal], self.planned_in
 
-    @property
-    def digest(self) -> bytes:
-        """Digest of all that decides a route but its ends."""
-        mission, grid = self.mission, self.mission.map
-        cost, surfaces = self.cost(mission.payload)
-        grounds = () if surfaces is None else surfaces.surfaces
-        areas = () if surfaces is None else surfaces.keep_out
-        asked = (
-            hashlib.sha256(np.packbits(grid.occupied).tobytes()).digest(),
-            grid.shape, grid.resolution, tuple(grid.origin),
-            _told(cost.model),
-            *((shapely.to_wkb(ground.area), _told(ground.model)) for ground in grounds),
-            *(shapely.to_wkb(area) for area in areas),
-            _shaped(mission.heights),
-            self.mission.tread_speed, mission.objective, mission.planner, self.planning_time,
-            mission.planning_effort, mission.clearance,
-        )  # fmt: skip
-        return hashlib.sha256(repr(asked).encode()).digest()
+        def planned() -> Route:
+            if here != there and scene.symmetric and there < here:
+                # one plan serves both ways; which one it is depends on the poses alone, so that a
+                # mission is the same whatever was planned on its map before
+                back = self._route(goal, start, hurried)
+                return Route(back.path.reversed(), back.trouble, back.detail)
+            if self._progress is not None and here != there:
+                quickly = ", in a hurry" if hurried else ""
+                self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
+            return scene.plan(here, there, hurried)
 
-    def _planned(self, start: int, goal: int, hurried: bool) -> Route:
-        mission = self.mission
-        here, there = self.poses[start], self.poses[goal]
-        cost, surfaces = self.cost(mission.payload)
-        still = Path(here, np.zeros(0), np.zeros(0), cost.icr.longitudinal)
-        if here == there:
-            return Route(still)
-        if self._symmetric and there < here:
-            # one plan serves both ways; which one it is depends on the poses alone, so that a
-            # mission is the same whatever was planned on its map before
-            back = self._route(goal, start, hurried)
-            way = still if back.trouble else back.path.reversed()
-            return Route(way, back.trouble, back.detail)
-        if self._progress is not None:
-            quickly = ", in a hurry" if hurried else ""
-            self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
-        problem = PlanningProblem(
-            mission.map, cost, here, there, surfaces=surfaces, heights=mission.heights,
-            objective="time" if hurried else mission.objective, clearance=mission.clearance,
-        )  # fmt: skip
-        for patience in (1, 10):
-            try:
-                limit, effort = patience * self.planning_time, mission.planning_effort
-                effort = None if effort is None else patience * effort
-                return Route(plan(problem, mission.planner, limit, effort=effort).path)
-            except TimeLimitError as error:
-                last = str(error)
-            except PlanningError as error:
-                return Route(still, "no_path", str(error))
-        return Route(still, "time", last)
-
-    @property
-    def planning_time(self) -> float:
-        """Time for each route [s]: a free order takes about four routes a task."""
-        mission = self.mission
-        if mission.planning_time is not None:
-            return mission.planning_time
-        routes, most = (4, 0.5) if mission.order == "free" else (2, 1.0)
-        return float(np.clip(_PLANNING / (routes * len(mission.tasks)), 0.1, most))
-
-    @cached_property
-    def _symmetric(self) -> bool:
-        """Whether a way costs the same driven backwards, so that one plan serves both."""
-        if self.mission.heights is not None:
-            return False
-        cost, surfaces = self.cost(self.mission.payload)
-        angle = np.linspace(0.0, np.pi, 65)
-        ds, turn = np.cos(angle), np.sin(angle)
-        return all(
-            np.allclose(c.segment_energy(ds, turn), c.segment_energy(-ds, -turn), rtol=1e-6)
-            for c in ((cost,) if surfaces is None else surfaces.costs(cost))
-        )
+        return self._shared(scene, (here, there, hurried), planned)
 
     def _priced(self, route: Route, payload: float, hurried: bool) -> Leg:
         path, trouble, detail = route.path, route.trouble, route.detail
+        scene, key = self.scene(payload), (path, hurried)
         if not trouble and len(path):
             try:
-                trajectory = self._timed(route, payload, hurried)
-                return Leg(path, trajectory, *self.grounds.priced(trajectory, payload))
+                trajectory = self._shared(scene, key, lambda: scene.drive(path, hurried))
+                priced = self._once(
+                    (self.grounds, payload, scene, *key),
+                    lambda: self.grounds.priced(trajectory, payload),
+                )
+                return Leg(path, trajectory, *priced)
             except InfeasibleMotionError as error:
                 trouble, detail = "motor", str(error)
         energy = replace(self.grounds.nothing, mean=np.inf if trouble else 0.0)
         return Leg(path, None, np.zeros(0), np.zeros(0), energy, trouble, detail)
-
-    def _timed(self, route: Route, payload: float, hurried: bool) -> Trajectory:
-        """Return the route's trajectory, as a plan of the same route is driven."""
-        mission = self.mission
-        cost, surfaces = self.cost(payload)
-        if hurried and cost.speed is None:
-            cost = replace(cost, speed=cost.vehicle.motor.speed)
-        others = () if surfaces is None else tuple(_told(s.model) for s in surfaces.surfaces)
-        key = cost.speed, _told(cost.model), others
-        if key not in route.timed:
-            route.timed[key] = drive_path(
-                route.path, cost, surfaces, mission.heights, grid=mission.free_map, period=_PERIOD
-            ).trajectory
-        return route.timed[key]
-
-
-def _shaped(heights: HeightMap | None) -> object:
-    """Return what decides a route of a height map."""
-    if heights is None:
-        return None
-    return hashlib.sha256(heights.heights.tobytes()).digest(), heights.resolution, heights.origin
-
-
-def _told(model: PowerModel) -> tuple[object, ...]:
-    """Return everything about a model that decides a route."""
-    values = [getattr(model.vehicle, item.name) for item in fields(model.vehicle)]
-    vehicle = [v.tobytes() if isinstance(v, np.ndarray) else v for v in values]
-    terms = tuple((term.name, tuple(term.params.items())) for term in model.terms)
-    return terms, model.coefficients.tobytes(), tuple(vehicle)
 
 
 def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> FloatArray:
@@ -492,7 +575,7 @@ class Walk:
         """The condition at the start."""
         mission, nothing = self.mission, self.legs.grounds.nothing
         told, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
-        gauge, origin = self.legs.grounds.gauge, (mission.soc, mission.time)
+        gauge, origin = self.legs.gauge, (mission.soc, mission.time)
         known = np.zeros(self.legs.grounds.size)
         return State(0, mission.payload, mission.time, known, gauge, nothing, origin, told, least)
 
@@ -567,7 +650,7 @@ class Walk:
         energy: Estimate,
         leg: Leg | None = None,
     ) -> State:
-        spent = state.spent + self.legs.grounds.from_battery(energy)
+        spent = state.spent + self.legs.from_battery(energy)
         more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
         # what it may take beyond the expectation is drawn where the power is uncertain
         shares = spread if spread.any() else np.ones(len(spread))
@@ -601,7 +684,7 @@ class Walk:
         charger = self.mission.chargers[state.node - self.legs.chargers[0]]
         low = self._charge(state.worst, charger, self.at_least(charger.until))
         high = self._charge(state.expected, charger, charger.until)
-        gauge = self.legs.grounds.gauge
+        gauge = self.legs.gauge
         enough = high[0][-1]
         last = min(max(low[0][-1], enough), leave_by - state.time)
         if last <= _INSTANT:
@@ -666,7 +749,7 @@ class Walk:
             leg = self.legs.leg(state.node, node, state.payload, hurried)
             return Attempt(leg.trouble, state, state, leg.detail)
         grounds, region = self.legs.grounds, self.legs.region(node)
-        lost = grounds.waiting(region, task, there.payload)
+        lost = grounds.waited(region, task, there.payload)
         there = self._stay(there, "wait", self.mission.waiting, lost)
         there = replace(there, lateness=there.lateness + grounds.waiting_time(task))
         latest = self.latest(there)

@@ -593,7 +593,7 @@ class Matrix:
         self._each = self.exact and len(loads) < _MOST_LOADS
         self._levels = np.linspace(low, high, 1 if low == high else _LEVELS)
         self._inflation = 1.0
-        self._power = walk.legs.grounds.driving_power
+        self._power = walk.legs.driving_power
         self._cache: dict[tuple[float, bool], FloatArray] = {}
 
     @property
@@ -621,7 +621,7 @@ class Matrix:
         """Return what an energy counts, as the battery feels it."""
         if not self._caution or not np.isfinite(energy.mean):
             return energy.mean
-        felt = self._walk.legs.grounds.from_battery(energy)
+        felt = self._walk.legs.from_battery(energy)
         return felt.upper(self._caution * self._walk.quantile)
 
     def _all(self, payload: float, hurried: bool = False) -> FloatArray:
@@ -649,7 +649,7 @@ class Matrix:
     def _times(self, hurried: bool = False) -> FloatArray:
         """Tell the times between places: straight on at full speed where no route is planned."""
         legs, payload = self._walk.legs, self._state.payload
-        speed = legs.cost(payload)[0].admissible_speed(0.0)
+        speed = legs.scene(payload).cost.admissible_speed(0.0)
         poses = np.array(legs.poses)[:, :2]
         apart = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
         times: FloatArray = np.asarray(apart / float(speed), float)
@@ -669,7 +669,7 @@ class Matrix:
         grounds, service, lasting, idle = walk.legs.grounds, [], [], []
         for k in self._tasks:
             region = walk.legs.region(k + 1)
-            done = grounds.waiting(region, k, payload) + grounds.work(region, k, payload)
+            done = grounds.waited(region, k, payload) + grounds.work(region, k, payload)
             service.append(self._counted(done))
             spread = np.linalg.norm(grounds.waiting_time(k) + grounds.dwell_time(k))
             more = self._late * walk.quantile * float(spread)

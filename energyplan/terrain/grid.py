@@ -15,7 +15,7 @@ from energyplan import html
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, instance, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
-from energyplan.records import ReadOnly
+from energyplan.records import ByValue
 from energyplan.terrain import collision as _collision
 from energyplan.terrain.updates import (
     distance_to_blocked,
@@ -80,7 +80,7 @@ def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False)
-class OccupancyGrid(ReadOnly, html.Readable):
+class OccupancyGrid(ByValue, html.Readable):
     """A grid of square cells that are occupied, unknown or free.
 
     Parameters
@@ -519,7 +519,7 @@ PIECE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class CostMap(ReadOnly):
+class CostMap(ByValue):
     """Costs of cells from 0 (none) to 1 (the highest)."""
 
     costs: FloatArray  # (rows, columns): costs

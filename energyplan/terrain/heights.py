@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.errors import MapError
 from energyplan.kinds import check_fields, checked, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
-from energyplan.records import ReadOnly
+from energyplan.records import ByValue
 from energyplan.terrain.grid import ORIGIN, extent_in_words, from_raster, to_raster
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ STILL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class HeightMap(ReadOnly):
+class HeightMap(ByValue):
     """Heights at the nodes of a square grid, bilinear in between.
 
     Parameters

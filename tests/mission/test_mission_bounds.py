@@ -71,7 +71,7 @@ def test_a_drive_that_is_slower_where_that_takes_less_is_bounded_too(speed: floa
     motor = replace(model.vehicle.motor, acceleration=0.05)
     model = replace(model, vehicle=replace(model.vehicle, motor=motor))
     legs = Legs(corridor(1e6, {"a": 8.0}, 5.0, model=model, speed=speed))
-    steady = legs.cost(0.0)[0].segment_energy(3.0, 0.0)
+    steady = legs.scene(0.0).cost.segment_energy(3.0, 0.0)
     driven = legs.leg(0, 1, 0.0).energy.mean
     assert driven < 0.8 * steady
     assert legs.lower_bounds(0.0)[0, 1] <= driven
