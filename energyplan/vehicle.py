@@ -18,7 +18,7 @@ from energyplan.records import ByValue
 ICR = Annotated[float, Within((-1e3, 1e3), (-20, 20), "m")]
 Power = Annotated[float, Within((0, 1e6), (0, 5e4), "W", endless=True)]
 Speed = Annotated[float, Within((1e-3, 50), (0.05, 15), "m/s", endless=True)]
-Size = Annotated[float, Within((0.01, 30), (0.1, 6), "m")]
+Size = Annotated[float, Within((0.01, 30), (0.1, 6), "m", "not centimetres")]
 Positions = Annotated[NDArray[np.float64], Within((-30, 30), (-6, 6), "m")]
 Mass = Annotated[float, Within((0.05, 1e5), (0.5, 5e3), "kg", "not grams")]
 

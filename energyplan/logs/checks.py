@@ -886,10 +886,12 @@ def _repeats(drive: Drive) -> _Found:
         often = np.count_nonzero(hangs) >= 3 and share >= 0.01
         if not often or not len(usual) or np.mean(usual > 1) > 0.05:
             continue
-        # Without noise, all that is driven steadily repeats.
+        # Without noise, all that is driven steadily repeats, but for rounding in its last digits.
         lively = np.mean(turned[np.repeat(hangs, counts)]) >= 0.5
         repeats = np.append(False, np.diff(values) == 0.0)
-        if not lively or (np.ptp(held) > 0.0 and np.mean(repeats[steady]) > 0.5):
+        bends = np.abs(np.diff(values, 3))[~(repeats[1:-2] | repeats[2:-1] | repeats[3:])]
+        smooth = len(bends) and np.median(bends) <= 1e-9 * np.ptp(values)
+        if not lively or smooth or (np.ptp(held) > 0.0 and np.mean(repeats[steady]) > 0.5):
             continue
         what = "hangs"
         if np.all(held == 0.0):

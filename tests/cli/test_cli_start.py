@@ -114,7 +114,9 @@ def test_the_pose_tells_a_wheel_radius_that_nobody_gave(tmp_path: Path) -> None:
 
 def test_a_mistake_in_the_measures_is_told(tmp_path: Path, run: Run) -> None:
     file, out = write_log(drive(), tmp_path / "own.csv"), tmp_path / "p.yaml"
-    wrong = ("--track", 40, "--wheelbase", 62, "--mass", 30, "--json")
+    code, _, error = run("start", file, "--track", 40, "--wheelbase", 62, "--mass", 30)
+    assert code == 2 and "give 0.01 to 30 m (not centimetres)" in error
+    wrong = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 0.03, "--json")
     code, text, _ = run("start", file, *wrong, "--out", out)
     told = json.loads(text)
     assert code == 3
@@ -123,7 +125,7 @@ def test_a_mistake_in_the_measures_is_told(tmp_path: Path, run: Run) -> None:
     failed = [check for check in told["checks"] if not check["ok"]]
     assert failed
     assert all({"what", "value", "expected", "ok"} <= set(check) for check in told["checks"])
-    assert "track and wheelbase are in cm" in failed[0]["remedy"]
+    assert "the mass is in t" in failed[0]["remedy"]
     code, _, _ = run("start", file, *wrong, "--out", out, "--accept")
     assert code == 0
     assert out.exists()

@@ -181,14 +181,14 @@ def test_runs_that_nothing_explains_are_predicted_by_two_terms_and_a_little_of_o
 
 
 def test_units_and_size_of_the_robot_do_not_matter() -> None:
-    """Ten thousand times the mass and the power: the same weight and friction."""
+    """A thousand times the mass and the power: the same weight and friction."""
     small = runs(5, 0.2, seed=3)
     large = [
-        DriveLog({n: v * (1e4 if n.startswith("p_") else 1.0) for n, v in log.channels.items()},
+        DriveLog({n: v * (1e3 if n.startswith("p_") else 1.0) for n, v in log.channels.items()},
                  log.name)
         for log in small
     ]  # fmt: skip
-    heavy = VEHICLE.with_mass(1e4 * VEHICLE.mass)
+    heavy = VEHICLE.with_mass(1e3 * VEHICLE.mass)
     one, other = averaged(*fitted(small, ())), averaged(*fitted(large, (), heavy))
     assert one is not None
     assert other is not None
@@ -196,7 +196,7 @@ def test_units_and_size_of_the_robot_do_not_matter() -> None:
     assert other.average is not None
     assert other.average.weight == pytest.approx(one.average.weight, rel=1e-6)
     np.testing.assert_allclose(
-        other.fitted.model.coefficients, [1.0, 1e4] * one.fitted.model.coefficients, rtol=1e-6
+        other.fitted.model.coefficients, [1.0, 1e3] * one.fitted.model.coefficients, rtol=1e-6
     )
 
 

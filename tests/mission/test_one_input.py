@@ -381,9 +381,9 @@ def test_the_service_sees_a_speed_limit_that_was_lowered(tmp_path: Path) -> None
         "battery: quadriga\nstart: [1.2, 2.5, 0]\nconfidence: 0.5\nplanning_effort: 100\n"
         "speed: 1.0\ntasks:\n- {name: look, pose: [6, 2.5, 0]}\n"
     )
-    with TestClient(create_app(tmp_path)) as client:
+    with TestClient(create_app(tmp_path), "http://127.0.0.1") as client:
         quick, slow = asked(client, 1.0), asked(client, 0.1)
-    with TestClient(create_app(tmp_path)) as fresh:
+    with TestClient(create_app(tmp_path), "http://127.0.0.1") as fresh:
         assert asked(fresh, 0.1) == slow > quick + 2 * 0.9 * (3.0 / 0.1 - 3.0 / 1.0)
 
 
