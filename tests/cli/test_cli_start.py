@@ -116,7 +116,7 @@ def test_a_mistake_in_the_measures_is_told(tmp_path: Path, run: Run) -> None:
     file, out = write_log(drive(), tmp_path / "own.csv"), tmp_path / "p.yaml"
     code, _, error = run("start", file, "--track", 40, "--wheelbase", 62, "--mass", 30)
     assert code == 2 and "give 0.01 to 30 m (not centimetres)" in error
-    wrong = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 0.06, "--json")
+    wrong = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 150 * 9.81, "--json")
     code, text, _ = run("start", file, *wrong, "--out", out)
     told = json.loads(text)
     assert code == 3
@@ -125,7 +125,7 @@ def test_a_mistake_in_the_measures_is_told(tmp_path: Path, run: Run) -> None:
     failed = [check for check in told["checks"] if not check["ok"]]
     assert failed
     assert all({"what", "value", "expected", "ok"} <= set(check) for check in told["checks"])
-    assert "the mass is in t" in failed[0]["remedy"]
+    assert "the mass is a weight in N" in failed[0]["remedy"]
     code, _, _ = run("start", file, *wrong, "--out", out, "--accept")
     assert code == 0
     assert out.exists()
