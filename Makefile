@@ -6,9 +6,18 @@ READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs-ready
 NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+SYNC := $(BIN)/uv sync --quiet --locked --inexact --all-extras --group test \
+	--python $(BIN)/python --no-build-isolation-package energyplan
+# uv comes as the lock has it, by pip: it asks for nothing but Python.
+define LOCKED_UV
+import tomllib
+uv, = (one for one in tomllib.load(open('uv.lock', 'rb'))['package'] if one['name'] == 'uv')
+print('uv==' + uv['version'], *('--hash=' + wheel['hash'] for wheel in uv['wheels']))
+endef
+export LOCKED_UV
 OUT ?= demo
 
-.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate recheck lowest pictures loop bench gates pages dist lock clean
+.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate recheck lowest pictures loop bench gates pages dist lock release clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -116,27 +125,41 @@ dist: $(READY)
 bench: $(READY)
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-LOCK = $(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --all-extras \
-	--no-header --quiet pyproject.toml
 lock: $(READY)
-	$(LOCK) --upgrade --group test -o requirements-test.lock
-	$(LOCK) --group test --group docs -c requirements-test.lock -o requirements-docs.lock
-	$(LOCK) --group test --group nightly -c requirements-test.lock -o requirements-nightly.lock
+	$(BIN)/uv lock --upgrade
 
-$(READY): requirements-test.lock pyproject.toml
+# What VERSION needs before it is tagged; prints what to do then, and changes nothing.
+RELEASED = energyplan/__init__.py CITATION.cff ros/energyplan_interfaces/package.xml \
+	ros/energyplan_ros/package.xml ros/energyplan_ros/setup.py
+release:
+	@stop() { echo "release: $$1" >&2; exit 1; }; \
+	[ "$(VERSION)" ] || stop "give the version, as in make release VERSION=1.2.3"; \
+	for file in $(RELEASED); do \
+		grep -qE 'version(__ = |: |=|>)"?$(subst .,\.,$(VERSION))["<]?' $$file || stop "$$file has another version"; \
+	done; \
+	grep -q '^## $(VERSION)$$' CHANGELOG.md || stop "CHANGELOG.md has no section $(VERSION)"; \
+	! grep -q '^## Unreleased' CHANGELOG.md || stop "CHANGELOG.md has a section Unreleased"; \
+	! grep -q 'github.com/OWNER/' pyproject.toml || stop "pyproject.toml: fill in the owner's name under project.urls"; \
+	[ -z "$$(git status --porcelain)" ] || stop "the tree holds what is not committed"; \
+	[ -z "$$(git tag --list v$(VERSION))" ] || stop "the tag v$(VERSION) is there already"; \
+	echo "Ready. The tag starts the workflow that tests, builds and publishes:"; \
+	echo "    git tag --annotate v$(VERSION) --message 'energyplan $(VERSION)' && git push origin v$(VERSION)"
+
+$(READY): uv.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("energyplan needs Python 3.11 or later; set PYTHON=/path/to/python3.11")'
 	@echo "creating the environment in $(VENV) (about a minute)"
 	$(PYTHON) -m venv --clear $(VENV)
-	$(PIP) --require-hashes -r requirements-test.lock
-	$(PIP) --no-build-isolation --no-deps -e .
+	@$(BIN)/python -c "$$LOCKED_UV" > $(VENV)/uv.txt
+	$(PIP) --require-hashes -r $(VENV)/uv.txt
+	$(SYNC) --compile-bytecode
 	@touch $(READY)
 
-$(DOCS_READY): requirements-docs.lock $(READY)
-	$(PIP) --require-hashes -r requirements-docs.lock
+$(DOCS_READY): $(READY)
+	$(SYNC) --group docs
 	@touch $@
 
-$(NIGHTLY_READY): requirements-nightly.lock $(READY)
-	$(PIP) --require-hashes -r requirements-nightly.lock
+$(NIGHTLY_READY): $(READY)
+	$(SYNC) --group nightly
 	@touch $@
 
 clean:
