@@ -1,14 +1,15 @@
 """How the documentation is built: ``sphinx-build -W -b html docs docs/_build``."""
 
 import sys
-from importlib.metadata import version as installed
 from pathlib import Path
+
+from energyplan import __version__
 
 sys.path.append(str(Path(__file__).parent))
 
 project = "energyplan"
 author = "the energyplan developers"
-release = version = installed("energyplan")
+release = version = __version__
 
 extensions = [
     "command_reference",

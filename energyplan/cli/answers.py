@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Ready-made models that the command in hand uses, with their sources; never changed in place."""
-OLD_KEYS = {"energy_predicted": "energy_told", "energy_measured": "energy_taken"}
-"""Keys that an answer also has by their names of the last release."""
 NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
 _ESCAPED = {
@@ -50,14 +48,6 @@ def warn(text: str) -> None:
     sys.stderr.write(printable(text) + "\n")
 
 
-def _both_names(value: Any) -> Any:
-    """Return an answer with the energies of a drive by their names of the last release, too."""
-    if isinstance(value, dict):
-        old = {OLD_KEYS[key]: value[key] for key in value if key in OLD_KEYS}
-        return {key: _both_names(one) for key, one in value.items()} | old
-    return [_both_names(one) for one in value] if isinstance(value, list) else value
-
-
 def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
     """Print the answer, as JSON or as text, of which a list holds parts; JSON names presets."""
     presets = [
@@ -68,7 +58,7 @@ def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
         document = {**document, "preset": presets}
     warn_with_answer()
     if json:
-        say(jsonlib.dumps(_both_names(document), indent=1, allow_nan=False))
+        say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
         say("\n".join(map(str, text)) if isinstance(text, list) else str(text))
 

@@ -38,11 +38,6 @@ def misuse(error: typer.TyperException) -> str:
         message += " (or a project's, by --project)"
     if message.startswith("Got unexpected extra argument"):
         message += "; a pose, a list and a value with blanks are one word each, as in 2.0,3.5,90deg"
-    if message.startswith("No such option"):
-        name = getattr(error, "option_name", "")
-        of_mission = name if context.command.name == "mission" else ""
-        if moved := MOVED_OPTIONS.get(name) or _MISSION_OPTIONS.get(of_mission):
-            message = f"{name} {moved}"
     if message.startswith("No such option") and isinstance(context.command, TyperGroup):
         message = (
             message.partition(" (Possible")[0] + ", before a command; give it after the command"
@@ -137,40 +132,6 @@ Will the battery last?   energyplan mission MISSION.yaml
 
 All commands: energyplan --help. One command: energyplan plan --help."""
 
-RENAMED = {
-    "cost-table": "export table",
-    "fleet": "mission",
-    "icr": "identify --spin",
-    "log": "start LOG, without --out",
-    "nav2-lattice": "export lattice",
-    "plan-edges": "export graph",
-    "replan": "plan --former PATH",
-    "rmf": "examples/openrmf_config.py",
-}
-"""Commands of the last release, and what does their work now."""
-_OF_SITE = "is a key of a site's file, which --map takes (docs/maps lists its keys)"
-_OF_MISSION = "is a key of a mission's file (docs/missions lists its keys)"
-_OF_VEHICLE = "is a key of a vehicle's or a project's file"
-MOVED_OPTIONS = {
-    **dict.fromkeys(("--heights", "--speed-mask", "--costmap"), _OF_SITE),
-    **dict.fromkeys(("--surfaces", "--keepout", "--clearance"), _OF_SITE),
-    **dict.fromkeys(("--task", "--soc"), _OF_MISSION),
-    "--done": "is not needed: take tasks that were done out of the mission's file",
-    **dict.fromkeys(("--length", "--width"), _OF_VEHICLE),
-    "--speed": "is the key usual_speed of a vehicle's file",
-    "--tolerance": "is the key tracking_tolerance of a vehicle's file",
-    "--seed": "is a part of --sensors, as in --sensors seed=3",
-    "--charger": "is the argument back of energyplan.energy_map, in Python",
-    "--former-map": "is the map of energyplan.planning.replanning.replan, in Python",
-    "--time-limit": "is the key planning_time of a mission's file; --effort limits the work",
-    "--without": "is gone; name the terms that stay by --terms",
-}
-"""Options that are given elsewhere, and where."""
-_MISSION_OPTIONS = dict.fromkeys(
-    ("--map", "--model", "--battery", "--start", "--reserve", "--return", "--confidence",
-     "--spread"), _OF_MISSION,
-)  # fmt: skip
-
 
 class _Group(TyperGroup):
     """A group of commands; without one it says what to do first, or lists those of a subgroup."""
@@ -179,8 +140,6 @@ class _Group(TyperGroup):
         if not args and not ctx.resilient_parsing:
             say(ctx.get_help() if ctx.parent else _FIRST_STEPS)
             raise typer.Exit(0)
-        if args and ctx.parent is None and (successor := RENAMED.get(args[0])):
-            raise InvalidInputError(f"{args[0]} is now {successor}; see energyplan --help")
         return super().parse_args(ctx, args)
 
 

@@ -19,8 +19,10 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def bundle() -> dict[str, Path]:
-    """Return the files that come with the library by name."""
-    folders = (_PACKAGE / "bundle", _PACKAGE.parent / "maps", _PACKAGE.parent / "examples")
+    """Return the files that come with the library by name: the package's, or the checkout's."""
+    checkout = [_PACKAGE.parent / name for name in ("maps", "examples")]
+    packed = _PACKAGE / "bundle"  # is in every installed package, and in no checkout
+    folders = [packed] if packed.is_dir() else checkout
     return {file.name: file for folder in folders if folder.is_dir() for file in folder.iterdir()}
 
 

@@ -326,12 +326,10 @@ plna | Did you mean 'plan'
 {plan} --goal 2,2,0 --model office.yaml | line 1
 {plan} --goal 2,2,0 --model office.yaml | seems to be a map
 {plan} --goal 2,2,0 --costmap-weight 5 | a site's file that names a costmap
-{plan} --goal 2,2,0 --heights h.asc | --heights is a key of a site's file
-{plan} --goal 2,2,0 --tolerance 0.1 | tracking_tolerance
+{plan} --goal 2,2,0 --heights h.asc | No such option: --heights; see energyplan plan --help
 range --start 2,2,0 --energy 5kJ | '5kJ' should be a valid number in J
 range --map {surfaces} --model model.yaml --start 1.2,2,0 | these are surfaces and no obstacles
 {plan} --goal 2,2,0 --clearance -1 | clearance is -1.0 m
-{plan} --goal 2,2,0 --costmap c.yaml | --costmap is a key of a site's file
 range {site} --energy 5000 --spread -1 | give
 range {site} --energy -3 | the energy is -3.0 J; give a positive number
 range {site} --out range.tif | .asc
@@ -339,16 +337,14 @@ range {site} --soc 0.5 | --battery
 range {site} --spread 0.1 | --confidence
 range {site} --battery quadriga --energy 5 | give one
 range --map office.yaml --model quadriga:full:marble --start 1.2,2,0 --confidence 0.95 | spread
-range {site} --energy 5000 --surfaces s.geojson | --surfaces is a key of a site's file
-range {site} --energy 5000 --speed 1 | usual_speed
 mission absent.yaml | absent.yaml
 mission model.yaml | this file seems to be a power model
 mission round.yaml --fail a@1 | has robots
-mission round.yaml --soc '5 %' | --soc is a key of a mission's file
-mission --map office.yaml | --map is a key of a mission's file
+mission round.yaml --soc '5 %' | No such option: --soc
+mission --map office.yaml | No such option: --map
 mission | MISSION.yaml
+icr a.csv --vehicle quadriga | No such command 'icr'
 start a.csv --track nan --out new.yaml | --track is nan; give a number
-watch a.csv --once --mission round.yaml --done zz | take tasks that were done out
 design --model model.yaml --duration 1e9 | give
 export lattice --model model.yaml --out l.json --resolution 1e-9 | give
 serve . --port=99999 | '99999' should be less than
@@ -383,16 +379,6 @@ def test_without_a_command_it_says_what_to_do_first(run: Run) -> None:
     code, out, error = run("export")
     assert (code, error) == (0, "")
     assert "lattice" in out
-
-
-def test_a_command_of_the_last_release_names_its_successor(
-    run: Run,
-) -> None:
-    for former, now in (("icr", "identify --spin"), ("fleet", "mission"), ("log", "start")):
-        code, out, error = run(former, "a.csv", "--vehicle", "quadriga")
-        assert (code, out) == (2, "")
-        assert f"{former} is now {now}" in error
-        assert len(error.splitlines()) == 1
 
 
 def test_a_project_is_no_second_vehicle_beside_a_model(folder: Path, run: Run) -> None:
