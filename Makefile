@@ -135,15 +135,17 @@ release:
 	@stop() { echo "release: $$1" >&2; exit 1; }; \
 	[ "$(VERSION)" ] || stop "give the version, as in make release VERSION=1.2.3"; \
 	for file in $(RELEASED); do \
-		grep -qE 'version(__ = |: |=|>)"?$(subst .,\.,$(VERSION))["<]?' $$file || stop "$$file has another version"; \
+		grep -qE 'version(__ = |: |=|>)"?$(subst .,\.,$(VERSION))(["<]|$$)' $$file \
+			|| stop "$$file has another version"; \
 	done; \
 	grep -q '^## $(VERSION)$$' CHANGELOG.md || stop "CHANGELOG.md has no section $(VERSION)"; \
 	! grep -q '^## Unreleased' CHANGELOG.md || stop "CHANGELOG.md has a section Unreleased"; \
-	! grep -q 'github.com/OWNER/' pyproject.toml || stop "pyproject.toml: fill in the owner's name under project.urls"; \
+	! grep -q 'github.com/OWNER/' pyproject.toml \
+		|| stop "pyproject.toml: fill in the owner's name under project.urls"; \
 	[ -z "$$(git status --porcelain)" ] || stop "the tree holds what is not committed"; \
 	[ -z "$$(git tag --list v$(VERSION))" ] || stop "the tag v$(VERSION) is there already"; \
 	echo "Ready. The tag starts the workflow that tests, builds and publishes:"; \
-	echo "    git tag --annotate v$(VERSION) --message 'energyplan $(VERSION)' && git push origin v$(VERSION)"
+	echo "    git tag --annotate v$(VERSION) --message v$(VERSION) && git push origin v$(VERSION)"
 
 $(READY): uv.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("energyplan needs Python 3.11 or later; set PYTHON=/path/to/python3.11")'

@@ -18,7 +18,6 @@ import shlex
 import shutil
 import sys
 import textwrap
-import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +25,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import own_robot
 import pytest
-import yaml
 
 import energyplan as ep
 from energyplan import cli, simulate
@@ -439,11 +437,3 @@ def test_every_page_is_in_the_table_of_contents() -> None:
     listed = re.findall(r"^(\w[\w/]*)$", (DOCS / "index.md").read_text(), re.MULTILINE)
     pages = {page.stem for page in PAGES[1:]} - {"index"}
     assert pages == {name for name in listed if "/" not in name}
-
-
-def test_the_citation_names_this_version() -> None:
-    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert str(cited["version"]) == ep.__version__ == project["version"]
-    own, *_ = project["license"].split(" AND ")  # what comes after is of vendored scripts
-    assert cited["license"] == own

@@ -1,0 +1,202 @@
+"""What is published: one version, complete archives, what a release asks for, the image."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from hatchling.builders.sdist import SdistBuilder
+from hatchling.builders.wheel import WheelBuilder
+
+import energyplan as ep
+from energyplan.cli import commands
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+ROS = ROOT / "ros"
+
+
+def published() -> list[str]:
+    """Return the files of the source archive."""
+    files = SdistBuilder(str(ROOT)).recurse_included_files()
+    return sorted(Path(file.path).relative_to(ROOT).as_posix() for file in files)
+
+
+def test_every_package_and_the_citation_have_the_version_of_the_library() -> None:
+    assert "version" in PROJECT["dynamic"]
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    stated = {file: ElementTree.parse(file).findtext("version") for file in ROS.rglob("*.xml")}
+    stated |= {
+        file: re.findall(r'version="(.*)"', file.read_text())[0] for file in ROS.rglob("setup.py")
+    }
+    assert len(stated) == 3
+    assert {str(cited["version"]), *stated.values()} == {ep.__version__}
+    changes = re.findall(r"^## (.*)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert ep.__version__ in changes[:2]
+    own, *_ = PROJECT["license"].split(" AND ")  # what comes after is of vendored scripts
+    assert cited["license"] == own
+
+
+def test_the_address_that_the_owner_fills_in_stands_in_one_place() -> None:
+    address = PROJECT["urls"]["Repository"]
+    owner = re.fullmatch(r"https://github\.com/([\w-]+)/energyplan", address)
+    assert owner
+    place = f"{owner[1]}/energyplan".encode()
+    assert [file for file in published() if place in (ROOT / file).read_bytes()] == [
+        "pyproject.toml"
+    ]
+
+
+def test_the_archives_hold_what_runs_and_what_tests_it() -> None:
+    needed = {
+        ".ci/run", ".github/workflows/ci.yml", ".pre-commit-config.yaml", ".readthedocs.yaml",
+        "CITATION.cff", "CONTRIBUTING.md", "Containerfile", "Makefile", "docs/conf.py",
+        "examples/mission_yard.yaml", "maps/make_maps.py", "ros/energyplan_ros/package.xml",
+        "tests/conftest.py", "tests/docs/house.toml", "uv.lock",
+    }  # fmt: skip
+    assert needed - set(published()) == set()
+    wheel = {file.distribution_path for file in WheelBuilder(str(ROOT)).recurse_included_files()}
+    assert {path.partition("/")[0] for path in wheel} == {"energyplan"}
+    bundled = {Path(path).name for path in wheel if path.startswith("energyplan/bundle/")}
+    maps = {file.name for file in (ROOT / "maps").iterdir() if file.is_file()} - {"make_maps.py"}
+    assert bundled == {*maps, "mission_warehouse.yaml", "fleet_warehouse.yaml"}
+    assert {"energyplan/py.typed", "energyplan/__init__.pyi"} <= wheel
+
+
+def test_an_installed_package_reads_its_own_files_not_those_beside_it(tmp_path: Path) -> None:
+    """Many packages leave a folder `examples` or `maps` among the installed ones."""
+    skipped = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "energyplan", tmp_path / "energyplan", ignore=skipped)
+    shutil.copytree(ROOT / "maps", tmp_path / "energyplan" / "bundle")
+    for name in ("maps", "examples"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "warehouse.yaml").write_text("another package's\n")
+    asked = "from energyplan.io.files import bundle; print(*bundle().values(), sep='\\n')"
+    done = subprocess.run(
+        [sys.executable, "-c", asked], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    found = done.stdout.splitlines()
+    assert {Path(file).parent for file in found} == {tmp_path.resolve() / "energyplan" / "bundle"}
+
+
+FAULTS = {
+    "": "",
+    "energyplan/__init__.py": '__version__ = "9.8.70"\n',
+    "CITATION.cff": "version: 9.8.6\n",
+    "ros/energyplan_ros/package.xml": "<version>9x8.7</version>\n",
+    "CHANGELOG.md": "# Changelog\n\n## Unreleased\n\n## 9.8.7\n",
+    "pyproject.toml": '[project.urls]\nRepository = "https://github.com/OWNER/"\n',
+    "the tree": "uncommitted",
+    "the tag v9.8.7": "tag",
+}
+"""What stands in the way of release 9.8.7: the file at fault, and what it holds."""
+
+
+@pytest.mark.skipif(not all(map(shutil.which, ("git", "make"))), reason="needs git and make")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_release_waits_for_tree_versions_changelog_and_tag(tmp_path: Path, fault: str) -> None:
+    sound = {
+        "energyplan/__init__.py": '__version__ = "9.8.7"\n',
+        "CITATION.cff": "version: 9.8.7\n",
+        "ros/energyplan_interfaces/package.xml": "<version>9.8.7</version>\n",
+        "ros/energyplan_ros/package.xml": "<version>9.8.7</version>\n",
+        "ros/energyplan_ros/setup.py": 'version="9.8.7",\n',
+        "CHANGELOG.md": "# Changelog\n\n## 9.8.7\n",
+        "pyproject.toml": '[project.urls]\nRepository = "https://github.com/somebody/"\n',
+    }
+    for name, text in (sound | {fault: FAULTS[fault]} if fault in sound else sound).items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    git = ["git", "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    steps = [["init", "-q"], ["add", "."], ["commit", "-qm", "all"]]
+    for step in [*steps, *([["tag", "v9.8.7"]] if FAULTS[fault] == "tag" else [])]:
+        subprocess.run([*git, *step], cwd=tmp_path, check=True)
+    if FAULTS[fault] == "uncommitted":
+        (tmp_path / "new.txt").touch()
+    call = ["make", "--no-print-directory", "release", "VERSION=9.8.7"]
+    done = subprocess.run(call, cwd=tmp_path, capture_output=True, text=True)
+    if fault:
+        assert done.returncode != 0
+        assert done.stderr.startswith(f"release: {fault}")
+    else:
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "git tag --annotate v9.8.7" in done.stdout
+
+
+def _image() -> list[list[str]]:
+    """Return the steps of the container's image, each as its words."""
+    lines = (ROOT / "Containerfile").read_text().splitlines()
+    return [shlex.split(line) for line in lines if line and not line.startswith("#")]
+
+
+def test_the_image_copies_all_that_the_wheel_is_built_from() -> None:
+    copied = [ROOT / name for step, *names in _image() if step == "COPY" for name in names[:-1]]
+    assert all(path.exists() for path in copied)
+    needed = [Path(file.path) for file in WheelBuilder(str(ROOT)).recurse_included_files()]
+    needed += [ROOT / "pyproject.toml", ROOT / "uv.lock", ROOT / PROJECT["readme"]]
+    needed += [file for pattern in PROJECT["license-files"] for file in ROOT.glob(pattern)]
+    missing = [f for f in needed if not any(f == top or top in f.parents for top in copied)]
+    assert missing == []
+
+
+def test_the_image_starts_commands_with_options_that_exist() -> None:
+    steps = _image()
+    assert steps[-1][0] == "CMD"
+    called = [words for step, *words in steps if step == "RUN"]
+    called.append(re.findall(r'"(.*?)"', (ROOT / "Containerfile").read_text().split("CMD")[-1]))
+    own = [words[1:] for words in called if words[0] == "energyplan"]
+    for name, *options in own:
+        commands().commands[name].make_context(name, options)
+    assert [name for name, *_ in own] == ["warmup", "serve"]
+    for program, command, *options in (words for words in called if words[0] in ("pip", "uv")):
+        call = [sys.executable, "-m", program, command, "--help"]
+        said = subprocess.run(call, capture_output=True, text=True, check=True).stdout
+        assert [o for o in options if o.startswith("--") and not re.search(rf"{o}\b", said)] == []
+    assert {words[0] for words in called} == {"pip", "uv", "useradd", "energyplan"}
+    extras = [words[k + 1] for words in called for k, word in enumerate(words) if word == "--extra"]
+    assert extras == ["serve"]
+    assert set(extras) <= PROJECT["optional-dependencies"].keys()
+
+
+def test_hooks_are_the_tools_of_lint() -> None:
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    used = {" ".join(hook["entry"].split()[:2]).removeprefix(".venv/bin/") for hook in hooks}
+    recipe = re.search(r"^lint:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert recipe
+    lint = re.findall(r"\$\(BIN\)/([\w-]+(?: check| format)?)", recipe[1])
+    assert used == set(lint)
+
+
+def test_pages_are_built_elsewhere_as_here() -> None:
+    there = yaml.safe_load((ROOT / ".readthedocs.yaml").read_text())
+    assert there["sphinx"] == {"configuration": "docs/conf.py", "fail_on_warning": True}
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"]
+    (install,) = there["python"]["install"]
+    assert set(install["groups"]) <= groups.keys()
+
+
+def test_the_lock_names_no_place_but_the_public_index() -> None:
+    locked = tomllib.loads((ROOT / "uv.lock").read_text())["package"]
+    sources = [one["source"] for one in locked if one["name"] != "energyplan"]
+    assert len(sources) > 100
+    assert {tuple(source) for source in sources} == {("registry",)}
+    assert len({source["registry"] for source in sources}) == 1
+
+
+@pytest.mark.parametrize("form", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")))
+def test_a_form_asks_for_what_is_needed(form: Path) -> None:
+    body = yaml.safe_load(form.read_text())["body"]
+    required = {one["id"] for one in body if one.get("validations", {}).get("required")}
+    if form.stem == "bug":
+        assert required == {"command", "output", "version"}
+        assert "files" in {one["id"] for one in body}
+    assert required
