@@ -184,12 +184,12 @@ def test_pages_are_built_elsewhere_as_here() -> None:
     assert set(install["groups"]) <= groups.keys()
 
 
-def test_the_lock_names_no_place_but_the_public_index() -> None:
-    locked = tomllib.loads((ROOT / "uv.lock").read_text())["package"]
-    sources = [one["source"] for one in locked if one["name"] != "energyplan"]
-    assert len(sources) > 100
-    assert {tuple(source) for source in sources} == {("registry",)}
-    assert len({source["registry"] for source in sources}) == 1
+def test_the_lock_names_no_mirror_and_no_folder() -> None:
+    text = (ROOT / "uv.lock").read_text()
+    locked = [one for one in tomllib.loads(text)["package"] if one["name"] != "energyplan"]
+    assert len(locked) > 100
+    assert {str(one["source"]) for one in locked} == {"{'registry': 'INDEX'}"}
+    assert set(re.findall(r'url = "(.*?//.*?)/', text)) == {"FILES"}
 
 
 @pytest.mark.parametrize("form", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")))
