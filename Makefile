@@ -8,13 +8,14 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SYNC := $(BIN)/uv sync --quiet --locked --inexact --all-extras --group test \
 	--python $(BIN)/python --no-build-isolation-package energyplan
-# uv comes as the lock has it, by pip: it asks for nothing but Python.
+# uv comes as the lock has it, by pip: it asks for nothing but Python. It trusts whom pip trusts.
 define LOCKED_UV
 import tomllib
 uv, = (one for one in tomllib.load(open('uv.lock', 'rb'))['package'] if one['name'] == 'uv')
 print('uv==' + uv['version'], *('--hash=' + wheel['hash'] for wheel in uv['wheels']))
 endef
 export LOCKED_UV
+export UV_SYSTEM_CERTS := true
 OUT ?= demo
 
 .PHONY: demo test compiled nightly shuffled lint docs fuzz mutate recheck lowest pictures loop bench gates pages dist lock release clean
