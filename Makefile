@@ -6,16 +6,6 @@ READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs-ready
 NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-SYNC := $(BIN)/uv sync --quiet --locked --inexact --all-extras --group test \
-	--python $(BIN)/python --no-build-isolation-package energyplan
-# uv comes as the lock has it, by pip: it asks for nothing but Python. It trusts whom pip trusts.
-define LOCKED_UV
-import tomllib
-uv, = (one for one in tomllib.load(open('uv.lock', 'rb'))['package'] if one['name'] == 'uv')
-print('uv==' + uv['version'], *('--hash=' + wheel['hash'] for wheel in uv['wheels']))
-endef
-export LOCKED_UV
-export UV_SYSTEM_CERTS := true
 OUT ?= demo
 
 .PHONY: demo test compiled nightly shuffled lint docs fuzz mutate recheck lowest pictures loop bench gates pages dist lock release clean
@@ -126,8 +116,12 @@ dist: $(READY)
 bench: $(READY)
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
+LOCK = $(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --all-extras \
+	--no-header --quiet pyproject.toml
 lock: $(READY)
-	$(BIN)/uv lock --upgrade
+	$(LOCK) --upgrade --group test -o requirements-test.lock
+	$(LOCK) --group test --group docs -c requirements-test.lock -o requirements-docs.lock
+	$(LOCK) --group test --group nightly -c requirements-test.lock -o requirements-nightly.lock
 
 # What VERSION needs before it is tagged; prints what to do then, and changes nothing.
 RELEASED = energyplan/__init__.py CITATION.cff ros/energyplan_interfaces/package.xml \
@@ -148,21 +142,20 @@ release:
 	echo "Ready. The tag starts the workflow that tests, builds and publishes:"; \
 	echo "    git tag --annotate v$(VERSION) --message v$(VERSION) && git push origin v$(VERSION)"
 
-$(READY): uv.lock pyproject.toml
+$(READY): requirements-test.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("energyplan needs Python 3.11 or later; set PYTHON=/path/to/python3.11")'
 	@echo "creating the environment in $(VENV) (about a minute)"
 	$(PYTHON) -m venv --clear $(VENV)
-	@$(BIN)/python -c "$$LOCKED_UV" > $(VENV)/uv.txt
-	$(PIP) --require-hashes -r $(VENV)/uv.txt
-	$(SYNC) --compile-bytecode
+	$(PIP) --require-hashes -r requirements-test.lock
+	$(PIP) --no-build-isolation --no-deps -e .
 	@touch $(READY)
 
-$(DOCS_READY): $(READY)
-	$(SYNC) --group docs
+$(DOCS_READY): requirements-docs.lock $(READY)
+	$(PIP) --require-hashes -r requirements-docs.lock
 	@touch $@
 
-$(NIGHTLY_READY): $(READY)
-	$(SYNC) --group nightly
+$(NIGHTLY_READY): requirements-nightly.lock $(READY)
+	$(PIP) --require-hashes -r requirements-nightly.lock
 	@touch $@
 
 clean:
