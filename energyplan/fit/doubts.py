@@ -14,7 +14,13 @@ from scipy.stats import f as fisher
 from energyplan.errors import MissingChannelError, NotIdentifiableError
 from energyplan.fit.drive import SCALES, Drive, speed_noise
 from energyplan.fit.regressors import Linear, equations_of, is_lossy, linearise_drive, power_of
-from energyplan.fit.solvers import autocorrelation, correlation_time, least_squares
+from energyplan.fit.solvers import (
+    NORMAL_MAD,
+    SensorNoise,
+    autocorrelation,
+    correlation_time,
+    least_squares,
+)
 from energyplan.html import number, unit
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -341,7 +347,9 @@ def ends_in_words(model: PowerModel) -> list[str]:
 _FLOOR = 0.01
 """What is no more than this fraction of the root mean square power is as good as nothing."""
 _CHANCE = 1e-3  # that noise alone is called coloured, over all lengths of means
-_RESTING = 20  # samples at rest that tell the noise
+_RESTING = 20  # samples at rest that may tell the noise
+_TELLING = 30  # independent ones that do
+_LIKE = 0.25  # variance at rest, over that of white noise while driving, from which they do
 _STEADY = 3.0  # standard errors by which coefficients move where a model lacks nothing
 _MOVED = 0.01  # part of a coefficient by which it may move all the same
 _SIGMA = 4.0  # standard deviations that noise does not exceed
@@ -454,50 +462,61 @@ def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) ->
     return Beside(residuals, step[:own], np.sqrt(np.diag(covariance)[:own]))
 
 
+def _noises(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> list[SensorNoise]:
+    """Return what noise the power may have, by standstill if it tells, else by its spectrum."""
+    own = [(d, r) for d, r in zip(drives, residuals, strict=True) if d.hold is None and len(r) > 4]
+    residual = np.concatenate([r for _, r in own]) if own else np.zeros(0)
+    white = float(np.median([speed_noise(d.power) for d, _ in own])) ** 2 if own else 0.0
+    found = [SensorNoise(float(len(residual)), white)] if own else []
+    rests = [
+        r[d.rests] for d, r in zip(drives, residuals, strict=True)
+        if np.count_nonzero(d.rests) >= _RESTING
+    ]  # fmt: skip
+    if rests:
+        rest = np.concatenate([some - np.median(some) for some in rests])
+        # A load that comes and goes at rest is no noise: what most samples scatter by is.
+        spread = NORMAL_MAD * float(np.median(np.abs(rest)))
+        stops = np.cumsum([len(part) for part in rests]).tolist()
+        pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+        usual = np.clip(rest, -_SIGMA * spread, _SIGMA * spread)
+        repeats = autocorrelation(usual, pieces).repeats
+        found.append(SensorNoise.of_repeats(float(len(rest)), spread**2, repeats))
+        if spread**2 > _LIKE * white and len(rest) > _TELLING * repeats:
+            return found
+    if own:
+        period = float(np.median([drive.clock.period for drive, _ in own]))
+        spectral = SensorNoise.of(residual, period)
+        return [*found, spectral] if spectral is not None else found
+    if not found:  # between readings that are held the power really changes
+        held = [speed_noise(d.power[d.hold.first]) for d in drives if d.hold is not None]
+        found.append(SensorNoise(float(sum(map(len, residuals))), float(np.median(held or [0.0])) ** 2))
+    return found
+
+
 def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequacy:
     """Compare what a model leaves of the drives that it was fitted to with their noise."""
-    rests: list[FloatArray] = []
-    whites: list[float] = []
-    seldom: list[float] = []  # of readings between which the power really changes
-    for drive, residual in zip(drives, residuals, strict=True):
-        if len(residual) > 4:
-            readings = drive.power if drive.hold is None else drive.power[drive.hold.first]
-            (whites if drive.hold is None else seldom).append(speed_noise(readings))
-        if np.count_nonzero(drive.rests) >= _RESTING:
-            resting = residual[drive.rests]
-            rests.append(resting - np.median(resting))
     every = np.concatenate(residuals)
     size = float(np.sqrt(np.mean(np.concatenate([d.power for d in drives]) ** 2)))
-    known = whites or ([] if rests else seldom) or [0.0]
-    noise, repeats, told = float(np.median(known)), 1.0, float(len(every))
-    if rests:
-        rest = np.concatenate(rests)
-        # A load that comes and goes at rest is no noise: what most samples scatter by is.
-        spread = 1.4826 * float(np.median(np.abs(rest)))
-        if spread > 0:
-            stops = np.cumsum([len(part) for part in rests]).tolist()
-            pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
-            usual = np.clip(rest, -_SIGMA * spread, _SIGMA * spread)
-            repeats = autocorrelation(usual, pieces).repeats if spread > 0.5 * noise else 1.0
-            # Noise that lasts is known by as many samples as are independent.
-            told = len(rest) / repeats if repeats > 1.0 else told
-        noise = max(noise, spread)
-    noise = max(noise, _FLOOR * size)
-    repeats = max(repeats, *(drive.hold.rows if drive.hold else 1.0 for drive in drives), 1.0)
+    floor, known = (_FLOOR * size) ** 2, _noises(drives, residuals)
+    rows = max([1.0, *(float(drive.hold.rows) for drive in drives if drive.hold)])
     slow = []
     for k in range(len(SCALES)):
         windows = [drive.windows[k] for drive in drives]
         means = np.concatenate([w.mean(r) for w, r in zip(windows, residuals, strict=True)])
         number = float(np.median(np.concatenate([w.counts for w in windows])))
-        own = noise * float(np.sqrt(min(repeats / number, 1.0)))
+        noise = max(known, key=lambda one: one.of_means(number))
+        same = max(noise.variance, floor) * min(rows / number, 1.0)  # which rows of one reading are
+        own = float(np.sqrt(max(noise.of_means(number), same)))
+        repeats = max(noise.repeats, rows)
         independent = min(float(len(means)), len(every) / repeats)
-        by_chance = float(fisher.isf(_CHANCE / len(SCALES), independent, told))
-        limit = float(np.hypot(own * np.sqrt(by_chance), _FLOOR * size))
+        by_chance = float(fisher.isf(_CHANCE / len(SCALES), independent, noise.count / repeats))
+        limit = float(np.hypot(own * np.sqrt(by_chance), np.sqrt(floor)))
         shown = float(np.sqrt(np.mean(means**2)))
         slow.append((shown / limit, own, shown, windows[0].length))
     beyond, slow_noise, slow_residual, time = max(slow, key=lambda one: one[0])
     missing = tuple(max(shown**2 - own**2, 0.0) for _, own, shown, _ in slow)
+    variance = max(floor, *(one.variance for one in known))
     return Adequacy(
-        noise, float(np.sqrt(np.mean(every**2))), slow_noise, slow_residual, beyond > 1.0, time,
-        missing,
+        float(np.sqrt(variance)), float(np.sqrt(np.mean(every**2))), slow_noise, slow_residual,
+        beyond > 1.0, time, missing,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from scipy import optimize
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linprog, lsq_linear
-from scipy.signal import lfilter, oaconvolve
+from scipy.signal import lfilter, oaconvolve, welch
 from scipy.stats import norm, rankdata
 
 from energyplan.errors import NotIdentifiableError
@@ -317,6 +317,76 @@ def autocorrelation(
         kept = min(max(1.0 - absorbed[0], _LEAST_KEPT), 1.0)
         rho = _extended((observed + observed[0] / kept * absorbed) * count / pairs, count, longest)
     return Correlation(rho, kept)
+
+
+_SEGMENT = 4.0  # length of the segments whose spectra are compared [s]
+_LOWEST = 0.4  # below this frequency a residual may be systematic [Hz]
+_LONGEST = 0.3  # memory of a sensor's noise, at most [s]
+_FEW_BINS = 6  # frequencies below which only white noise can be told
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Noise of a sensor: white noise, and a first-order autoregression."""
+
+    count: float  # samples that tell it
+    white: float  # variance of a sample
+    lasting: float = 0.0  # variance of a sample, of the autoregression
+    rho: float = 0.0  # correlation of its neighbouring samples
+
+    @classmethod
+    def of(cls, residual: FloatArray, period: float) -> SensorNoise | None:
+        """Fit the spectrum of a residual above the frequencies of systematic errors."""
+        # Medians over time and a robust fit over frequencies: no event and no tone is noise.
+        # Source: Welch (1967), IEEE Trans. Audio Electroacoust. 15, 70-73.
+        length = min(round(_SEGMENT / period), len(residual) // 2)
+        if length < 2 * _FEW_BINS:
+            return None
+        frequency, power = welch(
+            residual, 1.0 / period, nperseg=length, detrend="linear", average="median"
+        )
+        kept = (frequency > _LOWEST) & (np.arange(len(frequency)) < length // 2) & (power > 0.0)
+        if np.count_nonzero(kept) < _FEW_BINS:
+            return None
+        cos = np.cos(2.0 * np.pi * period * frequency[kept])
+        measured = np.log(power[kept] / (2.0 * period))
+        scatter = max(float(np.sqrt(2.0 * length / len(residual))), 0.1)
+
+        def misfit(x: FloatArray) -> FloatArray:
+            rho = np.exp(-period / x[2])
+            lasting = np.exp(x[1]) * (1.0 - rho**2) / (1.0 - 2.0 * rho * cos + rho**2)
+            return np.asarray((np.log(np.exp(x[0]) + lasting) - measured) / scatter)
+
+        low, high = float(measured.min()), float(measured.max())
+        found = optimize.least_squares(
+            misfit, [low, 0.5 * (low + high), 0.3 * _LONGEST], loss="soft_l1",
+            bounds=([low - 20.0, low - 20.0, 1e-3], [high + 1.0, high + 5.0, _LONGEST]),
+        )  # fmt: skip
+        white, lasting = np.exp(found.x[:2]).tolist()
+        return cls(float(len(residual)), white, lasting, float(np.exp(-period / found.x[2])))
+
+    @classmethod
+    def of_repeats(cls, count: float, variance: float, repeats: float) -> SensorNoise:
+        """Return noise of which so many neighbouring samples make one independent sample."""
+        return cls(count, 0.0, variance, (repeats - 1.0) / (repeats + 1.0))
+
+    @property
+    def variance(self) -> float:
+        """Variance of a sample."""
+        return self.white + self.lasting
+
+    @property
+    def repeats(self) -> float:
+        """How many neighbouring samples make one independent sample."""
+        lasting = self.lasting * (1.0 + self.rho) / (1.0 - self.rho)
+        return (self.white + lasting + 1e-300) / (self.variance + 1e-300)
+
+    def of_means(self, number: float) -> float:
+        """Variance of means over so many samples."""
+        rho, rest = self.rho, 1.0 - self.rho
+        shared = (1.0 + rho) / (rest * number)
+        shared -= 2.0 * rho * (1.0 - rho**number) / (rest * number) ** 2
+        return self.white / number + self.lasting * shared
 
 
 def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:

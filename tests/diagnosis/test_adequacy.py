@@ -7,13 +7,14 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from energyplan import DriveLog, PowerModel, simulate
+from energyplan import DriveLog, PowerModel, diagnose, identify, simulate
 from energyplan.diagnosis.candidates import Part
 from energyplan.diagnosis.judge import final_fit
 from energyplan.fit.doubts import Adequacy, adequacy, left_over, predicted, shown_of_contacts
 from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem
 from energyplan.path import FloatArray
+from energyplan.power import TABLE_II
 from energyplan.power.effects import COPPER_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
@@ -65,3 +66,22 @@ def test_what_contacts_hold_on_straights_is_no_residual(
     noise = 3.0 * np.sqrt(drive.equations)
     assert before > 3.0 * noise
     assert after < 0.5 * before  # what is left are moments at which a turn begins or ends
+
+
+@pytest.mark.parametrize("preset", sorted(TABLE_II))
+@pytest.mark.parametrize("seed", [6, 17])
+def test_noise_that_a_sensor_remembers_for_a_moment_is_no_effect(preset: str, seed: int) -> None:
+    """Drives as of the demo, which obey the model: noise of 10 W a side, correlated over 0.2 s."""
+    truth = PowerModel.preset(preset)
+    spiral, figure8 = (
+        simulate.drive(
+            truth, shape, duration=duration, power_noise=10.0, correlation_time=0.2,
+            speed_noise=0.005, seed=seed, name=shape,
+        )
+        for shape, duration in (("spiral", 90.0), ("figure8", 40.0))
+    )  # fmt: skip
+    for log in (spiral, figure8):
+        found = identify(log, truth.vehicle)
+        assert found.adequacy.adequate
+        assert not [text for text in found.warnings if "lacks something" in text]
+    assert diagnose(spiral, figure8, truth.vehicle).verdict != "unexplained"
