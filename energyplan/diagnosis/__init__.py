@@ -18,6 +18,7 @@ from energyplan.diagnosis.judge import (
     MassCentre,
     Prediction,
     Tested,
+    beyond,
     energies,
     explains,
     final_fit,
@@ -293,10 +294,16 @@ class _Case:
             maps = []
         if maps:
             outcome = test([part for part in outcome.effects if part not in maps])
-        vague = list[Part]()
-        while choose and (least := least_known(outcome.fitted.model, outcome.effects)) is not None:
-            vague.append(least)
-            outcome = test([part for part in outcome.effects if part is not least])
+        vague, wild = list[Part](), list[Part]()
+        while choose:
+            model, effects = outcome.fitted.model, outcome.effects
+            if (worst := beyond(model, effects)) is not None:
+                wild.append(worst)
+            elif (worst := least_known(model, effects)) is not None:
+                vague.append(worst)
+            else:
+                break
+            outcome = test([part for part in effects if part is not worst])
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality = outcome.fitted, outcome.quality
         weighed = (
@@ -332,12 +339,15 @@ class _Case:
             *self.limits,
             *open_in_words(told.model, told.assumed),
             *ends_in_words(told.model),
+            *([] if outcome.fight is None else [outcome.fight.in_words]),
+            *self._of_totals(chosen),
             *advice_of_model(
                 found,
                 {entry.name: entry for entry in self.entries},
                 used,
                 [part.effect.name for part in maps],
                 [part.effect for part in vague],
+                [part.effect for part in wild],
                 fitted.model,
                 quality,
                 left,
@@ -345,7 +355,7 @@ class _Case:
                 SIGNIFICANCE,
             ),
             *advice_of_predictions(
-                names, *errors, known, quality, held, undated, searched.untested
+                names, *errors, known, quality, held, undated, searched.untested, average
             ),
             *(() if average is None else [note_of(average, names)]),
             *few_drives(len(self.logs[0])),
@@ -388,6 +398,15 @@ class _Case:
             after_undated=undated,
             average=average,
         )
+
+    def _of_totals(self, parts: Sequence[Part]) -> list[str]:
+        """Say what totals do not show of losses."""
+        if self.problem.drives[0].equations == 2 or not any(part.lossy for part in parts):
+            return []
+        return [
+            "of losses, the total power shows those in arcs alone, and not the heat of sides that "
+            "push against each other on straights: log the power of both sides, with its sign"
+        ]
 
     def _common(self, parts: Sequence[Part]) -> list[Term]:
         """Terms that many robots have; of one that was found, with what was found."""

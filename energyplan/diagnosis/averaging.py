@@ -34,7 +34,7 @@ from energyplan.fit.estimate import (
     left_out,
     weighted,
 )
-from energyplan.fit.regressors import Design
+from energyplan.fit.regressors import Design, held_forces
 from energyplan.fit.solvers import Bounds, lad
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -48,6 +48,7 @@ _LEAST = 0.1  # of the usual power, that a run counts as drawing at least
 _PART = 1.0  # of the usual power, that a kind of motion counts as: it is but a part of a run
 _NEGLIGIBLE = 0.02  # weight that is not worth a further term
 _TOGETHER = 2  # most terms of an extension
+_PAIRED = 6  # runs from which on two further terms are more than luck
 _RATHER = 0.5  # weight from which on an explanation is more than a suspicion
 _SHOWN = 0.05  # weight from which on an extension is named
 _SLOW = 1  # scale at which an explanation is told to leave nothing: two seconds
@@ -86,6 +87,22 @@ class _Windows:
         block = design.longest_blocks
         return cls(design.drives[block], block, np.concatenate(time), np.concatenate(power))
 
+    def sizes(
+        self, fold: NDArray[np.intp], errors: FloatArray, sides: FloatArray | None,
+        values: FloatArray,
+    ) -> FloatArray:  # fmt: skip
+        """Sizes of errors, and of those of what the sides exchange in turns, where it is known."""
+        if sides is None:
+            return np.abs(errors)
+        exchanged = sides[:, -1]
+        lost = np.bincount(
+            fold, self.time * (np.sum(sides[:, :-1] * values[fold], axis=1) - exchanged)
+        )
+        energy = np.maximum(
+            np.abs(np.bincount(fold, self.time * exchanged)), _LEAST * self.energies(fold)
+        )
+        return np.asarray(0.5 * (np.abs(errors) + np.abs(lost) / energy))
+
     def energies(self, fold: NDArray[np.intp], least: float = _LEAST) -> FloatArray:
         """Measured energy of each fold [J]; of one that took less, a share of the usual power."""
         energy, seconds = (
@@ -110,6 +127,7 @@ class _Member:
     values: FloatArray  # (k,): coefficients
     covariance: FloatArray
     errors: FloatArray  # (folds,): relative errors of energies
+    sizes: FloatArray  # (folds,): sizes of those that it is weighed by
     handicap: float  # taken from the logarithm of its odds
     explains: bool = False  # whether it is the explanation
 
@@ -123,6 +141,7 @@ class _Explanation:
     handicap: float
     whole: Design  # as it predicts runs to come
     grams: FloatArray  # of what it is fitted to, by block
+    sides: FloatArray | None  # of what the sides exchange in turns
     own: NDArray[np.bool_]  # which of its terms are fitted
     leaves_nothing: bool
 
@@ -140,12 +159,8 @@ class _Explanation:
         errors = problem.reference(design)
         nothing = bool(errors[_SLOW] <= _NOTHING * problem.floor[_SLOW])
         names = tuple(part.effect.name for part in parts)
-        return cls(fitted, names, handicap, whole, weighted(design, errors), own, nothing)
-
-    @property
-    def lossy(self) -> bool:
-        """Whether coefficients multiply each other."""
-        return any(term.kind == "loss" for term in self.fitted.model.terms)
+        sides = _exchanged(problem, design)
+        return cls(fitted, names, handicap, whole, weighted(design, errors), sides, own, nothing)
 
     def member(self, windows: _Windows, fold: NDArray[np.intp]) -> _Member:
         """Fit it without each fold."""
@@ -157,8 +172,9 @@ class _Explanation:
         power = self.whole.longest[0][:, -1] - columns[:, ~self.own] @ values[~self.own]
         errors = windows.misses(fold, columns[:, self.own], power, refits)
         covariance = np.zeros((len(values),) * 2) if model.covariance is None else model.covariance
+        sizes = windows.sizes(fold, errors, self.sides, refits)
         return _Member(
-            self.names, model.terms, values, covariance, errors, self.handicap, explains=True
+            self.names, model.terms, values, covariance, errors, sizes, self.handicap, explains=True
         )
 
 
@@ -170,13 +186,14 @@ class _Table:
     windows: _Windows
     terms: tuple[Term, ...]
     design: Design
+    sides: FloatArray | None  # of what the sides exchange in turns
     fitted: JointFit
     given: dict[str, float]  # terms that every member has, and their coefficients
     ratio: FloatArray | None  # of the two terms, where drives leave both open
 
     @classmethod
     def of(
-        cls, plain: Problem, explanation: _Explanation, parts: Sequence[Part],
+        cls, problem: Problem, plain: Problem, explanation: _Explanation, parts: Sequence[Part],
         common: Sequence[Term],
     ) -> _Table:  # fmt: skip
         """Average the columns of drives over windows."""
@@ -193,7 +210,8 @@ class _Table:
         given |= {} if both else {name: values[name] for name in open_}
         terms = (*PAPER, *usual, *common)
         return cls(
-            plain, _Windows.of(plain, explanation.whole), terms, plain.design(terms), fitted, given,
+            plain, _Windows.of(plain, explanation.whole), terms, plain.design(terms),
+            _exchanged(problem, problem.design(terms)), fitted, given,
             np.array([values[term.name] for term in PAPER]) if both else None,
         )  # fmt: skip
 
@@ -211,6 +229,8 @@ class _Table:
         count = int(fold.max()) + 1
         refits = np.array([self._fit(short[of_row != k], fixed, terms) for k in range(count)])
         errors = self.windows.misses(fold, long[:, :-1], long[:, -1], refits)
+        sides = None if self.sides is None else self.sides[:, [*at, -1]]
+        sizes = self.windows.sizes(fold, errors, sides, refits)
         moved = refits - values
         covariance = (count - 1) / count * moved.T @ moved
         if self.fitted.model.covariance is not None:  # what no drive tells, leaving one out doesn't
@@ -219,14 +239,15 @@ class _Table:
             theirs = [names.index(terms[k].name) for k in open_]
             covariance[np.ix_(open_, open_)] += self.fitted.model.covariance[np.ix_(theirs, theirs)]
         names = [term.name for term in extension]
-        return _Member(tuple(names), terms, values, covariance, errors, float(len(extension)))
+        handicap = float(len(extension))
+        return _Member(tuple(names), terms, values, covariance, errors, sizes, handicap)
 
     def _fit(self, table: FloatArray, fixed: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """Fit the terms that are not fixed by least absolute errors, within their ends."""
         values, free = np.array(fixed), np.isnan(fixed)
         if not free.any():
             return values
-        X, ends = table[:, :-1], np.array([term.bounds for term in terms])
+        X, ends = table[:, :-1], self.problem.ends(terms)
         y = table[:, -1] - X[:, ~free] @ values[~free]
         if self.ratio is None:
             values[free] = lad(X[:, free], y, Bounds(*ends[free].T))
@@ -242,9 +263,10 @@ class _Table:
     def extensions(self, fold: NDArray[np.intp]) -> list[_Member]:
         """Fit all sets of one or two further terms that resist whatever the robot does."""
         common = [term for term in self.terms if term not in PAPER and term.name not in self.given]
+        most = _TOGETHER if len(self.problem.drives) >= _PAIRED else 1
         made = (
             self.member(some, fold)
-            for size in range(1, _TOGETHER + 1) for some in combinations(common, size)
+            for size in range(1, most + 1) for some in combinations(common, size)
         )  # fmt: skip
         return [one for one in made if self._resists(one)]
 
@@ -262,7 +284,7 @@ class _Table:
 
 def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArray:
     """Return the weights of models: pseudo Bayesian model averaging, bootstrapped."""
-    errors = np.abs([one.errors[telling] for one in members])
+    errors = np.array([one.sizes[telling] for one in members])
     count = errors.shape[1]
     prior = np.exp([-one.handicap for one in members])
     further = np.array([not one.explains for one in members]) & (np.arange(len(members)) > 0)
@@ -287,12 +309,12 @@ def averaged(
     few = int(telling.sum()) < FEWEST_RUNS
     if few and not picked and (count == 1 or not parts):
         return None
-    plain = problem.as_predicted
+    plain = problem.of_totals
     handicap = picked * float(np.log(max(tried, 1)))
     explanation = _Explanation.of(problem, plain, fitted, parts, handicap)
     if few and explanation.leaves_nothing:
         return None
-    table = _Table.of(plain, explanation, parts, () if few else common)
+    table = _Table.of(problem, plain, explanation, parts, () if few else common)
     windows = table.windows
     if not np.all(windows.energies(windows.run) > 0.0):
         return None
@@ -310,9 +332,6 @@ def averaged(
     # All must be predicted: runs that are to come, and motions and ground that are in them.
     what, members, weights = min(compared, key=lambda one: float(one[2][-1]))
     own = float(weights[-1]) if members[-1].explains else 0.0
-    if explanation.lossy:
-        weights = weights * (np.array([one.explains for one in members]) == (own > _RATHER))
-        weights, own = weights / weights.sum(), float(own > _RATHER)
     shown = telling if what == "run" else np.ones(len(members[0].errors), bool)
     errors = np.array([one.errors[shown] for one in members])
     missed = None
@@ -320,7 +339,7 @@ def averaged(
         missed = float(np.sqrt(np.mean((weights @ errors) ** 2)))
     if 1.0 - own < _NEGLIGIBLE:
         return None if missed is None else Averaged(replace(fitted, run_error=missed), None)
-    model = _mixed(fitted, members, weights)
+    model = _mixed(plain, fitted, members, weights)
     about = by_name(model.terms, model.coefficients)
     between = RunSpread.of(
         plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
@@ -346,7 +365,14 @@ def _telling(problem: Problem) -> NDArray[np.bool_]:
     return np.asarray(energy > _LEAST * energy.sum() / seconds.sum() * seconds)
 
 
-def _mixed(fitted: JointFit, members: Sequence[_Member], weights: FloatArray) -> PowerModel:
+def _exchanged(problem: Problem, design: Design) -> FloatArray | None:
+    """Return what each of the longest windows shows of the difference of the sides in turns."""
+    return design.rows[-1] if problem.drives[0].equations == 2 else None
+
+
+def _mixed(
+    plain: Problem, fitted: JointFit, members: Sequence[_Member], weights: FloatArray
+) -> PowerModel:
     """Average coefficients; their covariance includes by how much the models differ."""
     kept = [k for k, weight in enumerate(weights) if weight > 0.0]
     every = {term.name: term for k in kept for term in members[k].terms}
@@ -359,13 +385,45 @@ def _mixed(fitted: JointFit, members: Sequence[_Member], weights: FloatArray) ->
         row[at] = one.values
         covariance[np.ix_(at, at)] += weights[k] * one.covariance
     mean = weights[kept] @ values
+    terms = list(every.values())
+    mean *= [_share(plain, term, members, weights, terms, mean) for term in terms]
     centred = values - mean
     covariance += centred.T @ (weights[kept][:, None] * centred)
+    # What all models put at nothing is no part of what is handed on.
+    there = [k for k, term in enumerate(terms) if term in PAPER or mean[k] != 0.0]
+    covariance = covariance[np.ix_(there, there)]
     model = fitted.model
     return PowerModel(
-        model.vehicle, tuple(every.values()), mean,
+        model.vehicle, tuple(terms[k] for k in there), mean[there],
         0.5 * (covariance + covariance.T), None, model.name,
     )  # fmt: skip
+
+
+def _share(
+    plain: Problem, loss: Term, members: Sequence[_Member], weights: FloatArray,
+    terms: Sequence[Term], mean: FloatArray,
+) -> float:  # fmt: skip
+    """Return by what to multiply the mean of a loss, so that mean powers are those of the models.
+
+    It acts on forces, which are averaged too.
+    """
+    if loss.kind != "loss":
+        return 1.0
+
+    def lost(terms: Sequence[Term], values: FloatArray) -> float:
+        total = 0.0
+        for drive in plain.drives:
+            forces = held_forces(drive, plain.vehicle, terms, values)
+            own = loss.function(drive.held, plain.vehicle, forces, **loss.params)
+            total += float(drive.weights @ own.total)
+        return total * float(values[list(terms).index(loss)])
+
+    wanted = sum(
+        float(weight) * lost(one.terms, one.values)
+        for one, weight in zip(members, weights, strict=True) if weight > 0.0 and loss in one.terms
+    )  # fmt: skip
+    made = lost(terms, mean)
+    return wanted / made if made > 0.0 else 1.0
 
 
 def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
@@ -418,6 +476,6 @@ def note_of(told: Average, names: Sequence[str]) -> str:
         f"misses its energy by {100 * told.explanation_error:.1f} % and the two terms by "
         f"{100 * told.cautious_error:.1f} %"
     )
-    if own and told.weight < _RATHER:
+    if own and told.weight < _RATHER and told.explanation_error >= told.cautious_error:
         text += ". The explanation is a suspicion only: it predicts them no better"
     return text

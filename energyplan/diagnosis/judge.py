@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 from scipy.stats import norm
 from scipy.stats import t as student
@@ -25,6 +25,7 @@ from energyplan.diagnosis.result import (
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, SearchResult
 from energyplan.errors import VehicleError
+from energyplan.fit.contacts import Held, preload
 from energyplan.fit.doubts import (
     Adequacy,
     adequacy,
@@ -45,14 +46,11 @@ from energyplan.fit.estimate import (
     joint_fit,
 )
 from energyplan.fit.regressors import (
-    Held,
     equations_of,
     held_forces,
     is_lossy,
     losses_of,
-    preload,
     slip_limit,
-    straights,
 )
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
@@ -389,105 +387,83 @@ def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
     return sized[int(np.argmax(ratios))]
 
 
+def beyond(model: PowerModel, parts: Sequence[Part]) -> Part | None:
+    """Return an effect of a size that is not believed on the vehicle."""
+    for part in parts:
+        low, high = part.effect.limits(model.vehicle)
+        if part.terms and not low <= part.effect.value(model) <= high:
+            return part
+    return None
+
+
 # -- what it costs that the sides push against each other on straights -----------------------------
 
 _WORTH = 0.01  # share of the energy that is worth naming
-_CHANCE = 0.01  # chance that none is there, from which on it is not named
+_FEWEST_RUNS = 3  # that show how much it differs; of fewer, it differs by as much as it is
 
 
 @dataclass(frozen=True)
-class WheelFight:
-    """The moment that contacts hold on straights, as one that costs as much at any time."""
+class StraightHeat:
+    """Heat of the moment between the sides, by second of straight driving."""
 
-    size: float  # friction coefficient of a steady moment that costs as much
-    std_error: float  # standard error of that coefficient
-    share: float  # share of the drives' energy that it costs
-    p_value: float  # chance that another drive as long pays nothing for it, from blocks
+    rate: float  # mean over the runs [W]
+    std_error: float  # by which a run to come differs from it [W]
+    share: float  # share of the drives' energy that it takes
     model: PowerModel  # the model with the term
+
+    @property
+    def in_words(self) -> str:
+        """How much it is, and what saves it."""
+        return (
+            f"{100 * self.share:.2g} % of the energy, {self.rate:.2g} +- {self.std_error:.2g} W on "
+            "straights, is heat of the two sides that push against each other while the controller "
+            "corrects the heading: a dead band of the heading of some 0.01 rad, or a slower servo, "
+            "saves it"
+        )
 
     def effect(self, entry: Effect) -> FoundEffect:
         """Return it as an effect of a diagnosis."""
+        chance = float(norm.sf(self.rate / max(self.std_error, 1e-12)))
         return FoundEffect(
-            entry.name, entry.symbol, self.size, entry.unit, self.std_error,
-            Evidence(0.0, 0.0, self.p_value), 1.0 - self.p_value, (),
+            entry.name, entry.symbol, self.rate, entry.unit, self.std_error,
+            Evidence(0.0, 0.0, chance), 1.0 - chance, (),
             {"share of the energy": self.share}, entry.meaning, entry.planner,
         )  # fmt: skip
 
 
-def find_wheel_fight(problem: Problem, model: PowerModel) -> WheelFight | None:
-    """Find what the moment between the sides costs while contacts hold."""
-    if not all(is_lossy(drive, model.terms) for drive in problem.drives):
-        return None
-    cases = [_Case.of(drive, problem.vehicle, model) for drive in problem.drives]
-    spent = np.concatenate([case.cost(case.moment) for case in cases])
-    total = float(spent.sum())
-    energy = sum(float(drive.weights @ drive.power) for drive in problem.drives)
-    if not total > _WORTH * abs(energy):
-        return None
-
-    def steady(size: float) -> FloatArray:
-        return np.concatenate([case.cost(size * case.unit) for case in cases])
-
-    most = max(slip_limit(model.terms, model.coefficients), 1e-6)
-    size = most
-    if steady(most).sum() > total:
-        size = float(brentq(lambda one: float(steady(one).sum()) - total, 0.0, most))
-    # The moment is not steady: blocks differ from what a steady one costs.
-    error = float(np.linalg.norm(spent - steady(size)))
-    low, high = 0.99 * size, 1.01 * size
-    slope = float((steady(high) - steady(low)).sum()) / (high - low)
-    if not slope > 0.0:
-        return None
-    deviation = error / slope
-    chance = float(norm.sf(total / max(error, 1e-12)))
-    if chance > _CHANCE:
-        return None
-    extended = model.with_term(WHEEL_FIGHT, size)
-    if extended.covariance is not None:
-        covariance = np.array(extended.covariance)
-        covariance[-1, -1] = deviation**2
-        extended = extended.with_coefficients(extended.coefficients, covariance)
-    return WheelFight(size, deviation, total / energy, chance, extended)
-
-
-@dataclass(frozen=True)
-class _Case:
-    """A drive, where its contacts hold, and the moment between its sides."""
-
-    drive: Drive
-    held: Held
-    moment: FloatArray
-    unit: FloatArray
-
-    @classmethod
-    def of(cls, drive: Drive, vehicle: Vehicle, model: PowerModel) -> _Case:
-        terms, values = model.terms, model.coefficients
+def straight_heat(problem: Problem, model: PowerModel) -> StraightHeat | None:
+    """Find the heat that the measured moments between the sides make on straights."""
+    vehicle, terms, values = problem.vehicle, model.terms, model.coefficients
+    joules, seconds = [], []
+    for drive in problem.drives:
+        if drive.between is None or not is_lossy(drive, terms):
+            return None
         losses = losses_of(drive, vehicle, terms, values)
         forces = held_forces(drive, vehicle, terms, values)
         limit = vehicle.slip_moment * slip_limit(terms, values)
-        if drive.between is not None:
-            found = preload(drive, drive.between, vehicle, losses, forces, limit)
-            # Where contacts hardly hold, a turn begins or ends: that costs friction of turning.
-            moment = np.where(found.alone, 0.0, found.moment)
-            unit = vehicle.slip_moment * np.sign(moment)
-        else:
-            known = replace(model, vehicle=vehicle)
-            power = equations_of(known, replace(drive, fitted=False))[:, 0]
-            told = straights(drive, vehicle, losses, forces, limit, power)
-            moment = np.zeros(len(drive.t))
-            driven = drive.holds & (drive.held.v_left != 0.0)
-            if told is not None:
-                moment = np.where(driven, told.forces.right * drive.motion.icr.slip_track, 0.0)
-            # A steady moment that costs as much is one on all straights.
-            unit = vehicle.slip_moment * driven
-        return cls(drive, Held.of(drive, vehicle, losses, forces), moment, unit)
-
-    def cost(self, moment: FloatArray) -> FloatArray:
-        """Energy of each block that losses take because of a moment between the sides [J]."""
-        power = np.zeros(len(self.drive.t))
-        power[self.drive.holds] = self.held.cost(moment[self.drive.holds])
-        block = cut(self.drive.t, BLOCK)
-        return np.asarray(np.bincount(block, self.drive.weights * power), float)
+        found = preload(drive, drive.between, vehicle, losses, forces, limit)
+        # Where contacts hardly hold, a turn begins or ends: that costs friction of turning.
+        moment = np.where(found.alone, 0.0, found.moment)[drive.holds]
+        heat = Held.of(drive, vehicle, losses, forces).cost(moment)
+        weights = (drive.weights * (drive.held.v_left != 0.0))[drive.holds]
+        joules.append(float(weights @ heat))
+        seconds.append(float(weights.sum()))
+    energy = sum(float(drive.weights @ drive.power) for drive in problem.drives)
+    driven, time = np.array(seconds) > 0.0, np.array(seconds)
+    if not sum(joules) > _WORTH * abs(energy):
+        return None
+    rate, count = sum(joules) / float(time.sum()), int(driven.sum())
+    variance = rate**2
+    if count >= _FEWEST_RUNS:
+        apart = np.array(joules)[driven] / time[driven] - rate
+        between = float(time[driven] @ apart**2 / time.sum()) * count / (count - 1)
+        variance = between * (1.0 + 1.0 / count)
+    extended = model.with_term(WHEEL_FIGHT, rate)
+    if extended.covariance is not None:
+        covariance = np.array(extended.covariance)
+        covariance[-1, -1] = variance
+        extended = extended.with_coefficients(extended.coefficients, covariance)
+    return StraightHeat(rate, float(np.sqrt(variance)), sum(joules) / energy, extended)
 
 
 # -- a set of effects as a model, and what that leaves of the training drives ----------------------
@@ -543,7 +519,7 @@ class Tested:
     effects: tuple[Part, ...]  # the effects
     added: Part | None  # A smooth term that the model has beside them
     fitted: JointFit  # the model
-    fight: WheelFight | None
+    fight: StraightHeat | None
     quality: Adequacy  # what the model leaves, against noise
     dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
     left: list[Dependence]  # those that are reasons
@@ -586,7 +562,7 @@ def tested(
     fitted = final_fit(problem, parts if added is None else (*parts, added))
     if not parts and added is None and plain is not None:
         fitted = replace(fitted, model=plain, assumed=())
-    fight = find_wheel_fight(problem, fitted.model) if fights else None
+    fight = straight_heat(problem, fitted.model) if fights else None
     if fight is not None:
         fitted = replace(fitted, model=fight.model)
     quality = adequacy(problem.drives, left_over(fitted.model, problem.drives))
@@ -627,7 +603,7 @@ def energies(
 ) -> tuple[EnergyPrediction, ...]:
     """Predict the energy of drives that took no part, with intervals."""
     model = fitted.model
-    plain = problem.as_predicted
+    plain = problem.of_totals
     design = plain.design(fitted.model.terms, None, by_name(model.terms, model.coefficients))
     values = np.array(model.coefficients)
     spread = RunSpread.of(design, values)

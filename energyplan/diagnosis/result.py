@@ -249,6 +249,7 @@ def advice_of_model(
     used: Sequence[Effect],
     maps: Sequence[str],
     vague: Sequence[Effect],
+    wild: Sequence[Effect],
     model: PowerModel,
     quality: Adequacy,
     left: Sequence[Dependence],
@@ -279,6 +280,12 @@ def advice_of_model(
             f"{html.words(dropped.name)} was dropped: its size is less than two standard errors, "
             "so that another one, or none, fits these drives about as well; to tell it: "
             f"{dropped.manoeuvre}"
+        )
+    for dropped in wild:
+        low, high = dropped.limits(model.vehicle)
+        yield (
+            f"{html.words(dropped.name)} was dropped: its size would be beyond {low:.3g} to "
+            f"{high:.3g} {dropped.unit}, the range that is possible for this vehicle"
         )
     if not quality.adequate:
         unknown = "" if left else ", and no recorded channel explains it"
@@ -333,6 +340,7 @@ def advice_of_predictions(
     held: bool,
     undated: Residual | None,
     untested: Sequence[tuple[str, str]],
+    average: Average | None,
 ) -> Iterator[str]:
     """Say what the hold-out drives tell of a model, and what could not be tested."""
     names = _listed(effects)
@@ -350,11 +358,12 @@ def advice_of_predictions(
         else:
             yield f"{line}they differ from the training drives; record more of both"
     if not held:
+        better = average is not None and average.explanation_error < average.cautious_error
         yield (
             f"{names or 'resistance and friction alone'} fit the training drives (rmse "
-            f"{quality.residual:.3g} W) and not the hold-out drives ({known.rmse:.3g} W): do not "
-            "believe them; something else, or another state of robot or ground, is behind it. Give "
-            "both kinds of drives to learn from"
+            f"{quality.residual:.3g} W) and not the hold-out drives ({known.rmse:.3g} W): "
+            f"{'' if better else 'do not believe them; '}something else, or another state of robot "
+            "or ground, is behind it. Give both kinds of drives to learn from"
         )
     if undated is not None:
         yield (

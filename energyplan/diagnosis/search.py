@@ -52,14 +52,13 @@ def possible(problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
     """Tell whether coefficients, and the sizes of effects, are within their ranges."""
     terms = terms_of(parts)
     slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    for term, value, wide in zip(terms, found.values, slack, strict=True):
-        low, high = term.bounds
+    ends = problem.ends(terms)
+    for term, value, wide, (low, high) in zip(terms, found.values, slack, ends, strict=True):
         # What is at its upper end is estimated beyond it as often as not; none is no effect.
         above = float(wide) + _OVER * abs(high)
         if not low - (float(wide) if term in PAPER else 0.0) <= value <= high + above:
             return False
-    most = np.array([term.bounds[1] for term in terms])
-    model = PowerModel(problem.vehicle, tuple(terms), np.minimum(found.values, most))
+    model = PowerModel(problem.vehicle, tuple(terms), np.minimum(found.values, ends[:, 1]))
     for part in parts:
         low, high = part.effect.limits(problem.vehicle)
         if part.terms and not low <= part.effect.value(model) <= high:
@@ -158,7 +157,6 @@ class Evaluated:
     problem: Problem
     sound: bool
     parts: tuple[Part, ...]
-    odds: float = 0.0
     gains: dict[int, Gain] = field(default_factory=dict)
 
 
@@ -288,7 +286,7 @@ class Search:
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
         """Return the time offset of the power at which a model predicts best."""
-        terms, unknown = terms_of(parts), problem.as_predicted
+        terms, unknown = terms_of(parts), problem.of_totals
 
         def loss(late: Late) -> float:
             design = unknown.delayed(late).design(terms)
@@ -536,9 +534,7 @@ class Search:
 
     def score(self, one: Evaluated) -> float:
         """Return the logarithm of an evaluated set's likelihood, that of its innovations."""
-        return (
-            float(self.quick.problem.likelihood(one.fit.errors * one.shares, one.counts)) - one.odds
-        )
+        return float(self.quick.problem.likelihood(one.fit.errors * one.shares, one.counts))
 
     def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
         """Fit a set as it is, losses included."""
@@ -562,8 +558,7 @@ class Search:
         found = fit(design, errors)
         sound = possible(problem, parts, found)
         shares = innovations(design, residuals(design, found.values))
-        odds = problem.odds(terms, found.values)
-        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts), odds)
+        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts))
 
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
         """Return what a part is worth in a set, against the set without it."""

@@ -392,12 +392,12 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
     """Return what the powers of a drive show of what contacts hold, beyond a prediction [W]."""
     changes = any(term.name in (SLIP_CHANGE.name, TRACTION_CHANGE.name) for term in model.terms)
     undated = changes and "changed" not in drive.motion.channels
-    if undated or not is_lossy(drive, model.terms):
+    if undated or drive.between is None or not is_lossy(drive, model.terms):
         return None
     keep = [k for k, term in enumerate(model.terms) if term.name != WHEEL_FIGHT.name]
     some = PowerModel(model.vehicle, tuple(model.terms[k] for k in keep), model.coefficients[keep])
-    told = equations_of(some, replace(drive, fitted=True))[:, 0]
-    alone = equations_of(model, replace(drive, between=None, fitted=False))[:, 0]
+    told = equations_of(some, drive)[:, 0]
+    alone = equations_of(model, replace(drive, between=None))[:, 0]
     return told - alone if np.any(told != alone) else None
 
 
@@ -489,7 +489,8 @@ def _noises(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> list[Se
         return [*found, spectral] if spectral is not None else found
     if not found:  # between readings that are held the power really changes
         held = [speed_noise(d.power[d.hold.first]) for d in drives if d.hold is not None]
-        found.append(SensorNoise(float(sum(map(len, residuals))), float(np.median(held or [0.0])) ** 2))
+        white = float(np.median(held or [0.0])) ** 2
+        found.append(SensorNoise(float(sum(map(len, residuals))), white))
     return found
 
 

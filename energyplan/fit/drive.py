@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter, savgol_filter
 
@@ -514,6 +514,7 @@ def _near(
 MOMENT = 0.5
 """Time over which what contacts hold is taken for one [s]."""
 
+_CLEAR = 4.0  # of the yaw rate up to which contacts may hold, from which on they slide
 _ALL = 0.999  # share of a reading's time in which contacts slide
 _STILL = 0.99  # of a sample that shows the robot at rest, at least
 _PERIOD_ROUNDING = 1e-6  # of samples a period
@@ -534,9 +535,7 @@ class Drive:
     battery: bool = False  # whether it was measured at the battery
     late: Late = ON_TIME  # by how much the logged power is behind the motion
     between: FloatArray | None = None  # (n,) [W]
-    breakaway: float = 0.0  # yaw rate up to which contacts hold [rad/s]
-    drift: float = 0.0  # yaw rate by which steering drifts about a straight [rad/s]
-    fitted: bool = False  # whether a model is fitted to it
+    breakaway: float = 0.0  # yaw rate up to which contacts may hold [rad/s]
     hold: Hold | None = None  # readings of the power, where they stand in several rows each
     steps: Steps = NO_STEPS  # of the speeds' sensors
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
@@ -596,7 +595,7 @@ class Drive:
     @cached_property
     def holds(self) -> NDArray[np.bool_]:
         """Tell where contacts hold, so that the moment of friction is anything up to its limit."""
-        return np.asarray(np.abs(self.motion.omega) <= max(self.breakaway, self.drift))
+        return np.asarray(np.abs(self.motion.omega) <= self.breakaway)
 
     @property
     def equations(self) -> int:
@@ -608,19 +607,35 @@ class Drive:
         """Measured power of each equation, shape (n, equations) [W]; see `observed`."""
         if self.between is None:
             return self.power[:, None]
-        return np.column_stack([self.power, self.between * self.slides])
+        return np.column_stack([self.power * self.settled, self.between * self.slides])
 
     @cached_property
     def slides(self) -> FloatArray:
-        """One where the difference of the sides follows from the motion, else zero."""
-        turn = np.where(self.holds, 0.0, np.sign(self.motion.omega))
-        width = self.samples_in(MOMENT)
-        settled = np.abs(uniform_filter1d(turn, width, mode="nearest")) > 1.0 - 0.5 / width
+        """The sign of the turn where the difference of the sides follows from it, else zero."""
+        clear = np.abs(self.motion.omega) > _CLEAR * self.breakaway
+        turn = np.where(clear, np.sign(self.motion.omega), 0.0)
+        mean = uniform_filter1d(turn, width := self.samples_in(MOMENT), mode="nearest")
+        return self._throughout(np.where(np.abs(mean) > 1.0 - 0.5 / width, turn, 0.0))
+
+    @cached_property
+    def settled(self) -> FloatArray:
+        """Zero while contacts change from holding to sliding or back, else one."""
+        if self.breakaway == 0.0:
+            return np.ones(len(self.t))
+        ends = (minimum_filter1d, maximum_filter1d)
+        width, holds = self.samples_in(2.0 * MOMENT), self.holds.astype(float)
+        least, most = (end(holds, width, mode="nearest") for end in ends)
+        return self._throughout(np.where(least == most, 1.0, 0.0))
+
+    def _throughout(self, signs: FloatArray) -> FloatArray:
+        """Return signs of samples as the log shows them, zero where a reading mixes them."""
         # Whole samples later, so that no delay makes the samples that count fewer.
         by = round(self.late.mean / self.clock.period)
-        at = np.clip(np.arange(len(self.t)) - by, 0, len(self.t) - 1)
-        shown = np.asarray(settled[at], float)
-        return shown if self.hold is None else (self.hold.shown(shown) > _ALL).astype(float)
+        shown = signs[np.clip(np.arange(len(self.t)) - by, 0, len(self.t) - 1)]
+        if self.hold is None:
+            return np.asarray(shown)
+        mean = self.hold.shown(shown)
+        return np.where(np.abs(mean) > _ALL, np.sign(mean), 0.0)
 
     @cached_property
     def between_noise(self) -> float:
@@ -635,8 +650,8 @@ class Drive:
         """Return predictions of each equation, shape (n, equations, ...), as the log shows them."""
         seen = self.seen(table)
         if self.between is not None:
-            seen = np.array(seen)
-            seen[:, 1] *= self.slides.reshape(-1, *[1] * (table.ndim - 2))
+            counts = np.column_stack([self.settled, self.slides])
+            seen = seen * counts.reshape(*counts.shape, *[1] * (table.ndim - 2))
         return seen
 
     @cached_property
@@ -746,7 +761,7 @@ def check_long_enough(*lists: Sequence[DriveLog]) -> None:
 
 def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
     """Prepare training drives; very many samples are thinned, to four a window at least."""
-    drives = [replace(Drive.of(log, vehicle), fitted=True) for log in logs]
+    drives = [Drive.of(log, vehicle) for log in logs]
     total = sum(len(drive.t) for drive in drives)
     period = max(drive.clock.period for drive in drives)
     step = min(int(np.ceil(total / _MANY)), int(SCALES[0] / (4 * period)))

@@ -8,19 +8,21 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 from scipy.optimize import brentq
 from scipy.special import fdtrc
 from scipy.stats import norm
 from scipy.stats import t as student
 
 from energyplan.fit.doubts import usual_effects, with_usual
-from energyplan.fit.drive import SCALES, Drive, Late, Steps, columns_of, parted, prepared
+from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, Steps, columns_of, parted, prepared
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
+from energyplan.fit.solvers import least_squares
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
-from energyplan.power.effect_terms import COPPER_LOSS
-from energyplan.power.effects import Effect
+from energyplan.power.effect_terms import HOLDING
+from energyplan.power.effects import Effect, most_of
 from energyplan.vehicle import Vehicle
 
 # -- fits of a sum of terms to drives, with cross-validation and jackknife -------------------------
@@ -197,6 +199,9 @@ _KEPT = 0.1  # of friction and resistance in a step, at least
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
 _SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better
 
+_RESTING = 20  # samples at rest that tell what is drawn there
+_SURE = 3.0  # standard errors within which that is
+
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
 
 
@@ -206,7 +211,6 @@ class Tables:
 
     columns: list[FloatArray]  # (n, equations, k): of each drive
     targets: list[FloatArray]  # (n, equations): power that they are to explain [W]
-    odds: float
 
 
 @dataclass(frozen=True)
@@ -257,6 +261,41 @@ class Problem:
             allowed = _SLIP_LAW**2 * float(np.mean(np.concatenate(gaps) ** 2))
             self.floor = np.append(self.floor, np.full(len(SCALES), allowed))
 
+    @cached_property
+    def _rests(self) -> list[NDArray[np.bool_]]:
+        """Samples of each drive at which the robot has come to rest."""
+        return [
+            minimum_filter1d(drive.rests.astype(float), drive.samples_in(2.0 * MOMENT)) > 0.0
+            for drive in self.drives
+        ]
+
+    @cached_property
+    def _drawn_at_rest(self) -> float:
+        """Most power that the drives may draw at rest [W]."""
+        pairs = zip(self.drives, self._rests, strict=True)
+        power = np.concatenate([drive.power[rests] for drive, rests in pairs])
+        if len(power) < _RESTING:
+            return np.inf
+        one = np.ones((len(power), 1))
+        mean, variance, _ = least_squares(one, power, [slice(0, len(power))])
+        return max(float(mean[0] + _SURE * np.sqrt(variance[0, 0])), 0.0)
+
+    def ends(self, terms: Sequence[Term]) -> FloatArray:
+        """Return the range of each coefficient that vehicle and logs admit, shape (k, 2).
+
+        No term draws more at rest than the logs show there.
+        """
+        found = []
+        for term in terms:
+            low, high = term.bounds[0], most_of(term, self.vehicle)
+            if term.kind == "power" and np.isfinite(self._drawn_at_rest):
+                pairs = zip(self.drives, self._rests, strict=True)
+                rest = [columns_of(term, one, self.vehicle)[some, 0] for one, some in pairs]
+                unit = float(np.mean(np.concatenate(rest)))
+                high = min(high, self._drawn_at_rest / unit) if unit > 0.0 else high
+            found.append((low, max(low, high)))
+        return np.array(found).reshape(-1, 2)
+
     def on(self, drives: Sequence[Drive]) -> Problem:
         """Return the problem on other drives."""
         return Problem(drives, self.vehicle)
@@ -301,11 +340,6 @@ class Problem:
             return self
         return self.on([replace(drive, between=None) for drive in self.drives])
 
-    @property
-    def as_predicted(self) -> Problem:
-        """The totals of the drives as those to come are predicted: nothing known of contacts."""
-        return self.on([replace(drive, between=None, fitted=False) for drive in self.drives])
-
     def delayed(self, late: Late) -> Problem:
         """Return the drives with their power taken to be logged late."""
         return self.on([replace(drive, late=late) for drive in self.drives])
@@ -319,28 +353,22 @@ class Problem:
 
     def tables(self, terms: Sequence[Term], values: FloatArray) -> Tables:
         """Return, for each drive, the columns of the terms and the power they are to explain."""
-        columns, targets, odds = [], [], 0.0
+        columns, targets = [], []
         for drive in self.drives:
             if is_lossy(drive, terms):
                 about = linearise_drive(drive, self.vehicle, terms, values)
                 columns.append(about.columns)
                 targets.append(drive.measured - about.power + about.columns @ values)
-                odds += about.odds
             else:
                 found = np.stack([columns_of(t, drive, self.vehicle) for t in terms], axis=-1)
                 columns.append(drive.observed(found))
                 targets.append(drive.measured)
-        return Tables(columns, targets, odds)
+        return Tables(columns, targets)
 
     def design_about(self, terms: Sequence[Term], values: FloatArray) -> Design:
         """Return the design of some terms, losses linearised about `values`."""
         about = self.tables(terms, values)
         return Design.of(self.drives, about.columns, about.targets)
-
-    def odds(self, terms: Sequence[Term], values: FloatArray) -> float:
-        """Return what it took from the likelihood that what contacts hold was not known."""
-        lossy = [drive for drive in self.drives if is_lossy(drive, terms)]
-        return sum(linearise_drive(d, self.vehicle, terms, values, ()).odds for d in lossy)
 
     def design(
         self,
@@ -384,7 +412,7 @@ class Problem:
         loss = np.array([term.kind == "loss" for term in terms])
         paid = loss | np.array([term in PAPER for term in terms])
         return _Tried(
-            values, design, gram, float(misfit) + about.odds, float(misfit - hoped), least, paid,
+            values, design, gram, float(misfit), float(misfit - hoped), least, paid,
             loss,
         )  # fmt: skip
 
@@ -414,121 +442,53 @@ class Problem:
         return errors
 
 
-# -- the yaw rate up to which contacts hold, from the power of both sides --------------------------
+# -- what the powers of both sides show, and whether their sensors know which way ------------------
 
-_SLIP_SPEEDS = np.geomspace(0.003, 0.15, 12)  # mean slip speeds at which classes end [m/s]
-_SCATTER = 0.4  # misfit of the moment between the sides, over it, from which they do not slide
 _CLEAR = 3.0  # noise beyond which a side should return power
 _RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
 _LITTLE = 0.4  # of the resistance, with which sides return much
 _BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
 _TURNS = 20  # fits in which signs settle, at most
-_LOST = 0.5  # such misfit at its least, from which the difference tells nothing
-_ENOUGH = 20  # samples that a class needs
-_LOSSES = (COPPER_LOSS, REGENERATION_LOSS)  # by which a total shows what contacts hold
-_CLEARLY = 5.0  # logarithm of the odds from which on they do
-_PERIOD, _SAMPLES, _DRIVES = 0.1, 20_000, 10  # of means, and of what is enough to tell that
-_LEFT = 0.1  # share of the samples that must slide
+_LOST = 0.5  # misfit of the moment between the sides, over it, from which it tells nothing
+_ENOUGH = 20  # samples that a sign needs
+_LEFT = 0.01  # share of the samples that must slide
 
 
 def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
     """Return drives as they are fitted: each side an equation, where it slides."""
     usual = (effect for effect in usual_effects(effects) if not effect.grid)
     terms = [term for effect in usual for term in effect.terms]
-    return with_breakaway(Problem(prepared(logs, vehicle), vehicle), terms)
+    return with_sides(Problem(prepared(logs, vehicle), vehicle), terms)
 
 
-def with_breakaway(problem: Problem, usual: Sequence[Term]) -> Problem:
-    """Return the drives with the yaw rate up to which their contacts hold."""
-    vehicle = problem.vehicle
-    edges = _SLIP_SPEEDS / (vehicle.slip_moment / float(vehicle.loads.sum()))
-    # In the slowest class steering drifts about a straight, and no sensor is sure which way.
-    drifting = [replace(drive, drift=float(edges[0]), fields={}) for drive in problem.drives]
-    problem = Problem(drifting, vehicle)
-    if problem.drives[0].equations == 1:
-        return _of_totals(problem, usual)
-    terms = [*PAPER, *usual]
-    sure = problem.of_totals
-    for edge in [*edges[::-1], 0.0]:
-        sure = _holding(problem, float(edge))
-        if sure.drives[0].equations == 2:
-            break
-    if sure.drives[0].equations == 1:
-        return _of_totals(problem, usual)
-    design = sure.design(terms)
-    values = fit(design, sure.reference(design)).values
-    scatter = _scatter(problem, terms, values, edges)
-    told = np.flatnonzero(np.isfinite(scatter))
-    if not len(told) or scatter[told].min() > _LOST or _unsigned(sure, terms, values):
-        return _of_totals(problem, usual)
-    # What is misfitted throughout is no matter of holding, but of what the model lacks.
-    usual_misfit = float(np.median(scatter[told[len(told) // 2 :]]))
-    slides = told[scatter[told] < max(_SCATTER, 2.0 * usual_misfit)]
-    held = told[told < (slides[0] if len(slides) else len(edges))]
-    return _holding(problem, float(edges[held[-1]]) if len(held) else 0.0)
-
-
-def _of_totals(problem: Problem, usual: Sequence[Term]) -> Problem:
-    """Return the totals of drives, with contacts that hold where steering drifts, or do not."""
-    drives = problem.of_totals.drives
-    free, held = (
-        problem.on([replace(one, breakaway=breakaway, drift=0.0, fields={}) for one in drives])
-        for breakaway in (0.0, drives[0].drift)
-    )
-    drifting = (
-        one.holds & (one.motion.omega != 0.0) & (one.motion.v != 0.0) for one in held.drives
-    )
-    if not any(some.any() for some in drifting):
-        return free
-    slides, sticks = (
-        max(_likelihood(some, [*PAPER, *usual, HOTEL, loss]) for loss in _LOSSES)
-        for some in (one.averaged(_PERIOD).excerpt(_SAMPLES, _DRIVES) for one in (free, held))
-    )
-    return held if sticks > slides + _CLEARLY else free
-
-
-def _likelihood(problem: Problem, terms: Sequence[Term]) -> float:
-    """Logarithm of the likelihood of terms, with what it took that moments were not known."""
-    errors = problem.reference(problem.design(terms))
-    design = problem.design(terms, errors)
-    found = fit(design, errors)
-    likelihood = float(problem.likelihood(found.errors, design.evidence))
-    return likelihood - problem.odds(terms, found.values)
-
-
-def _holding(problem: Problem, breakaway: float) -> Problem:
-    """Return the drives with a breakaway; with the total alone where they hardly slide then."""
+def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
+    """Return the drives with contacts that may hold, or their totals if the sides tell nothing."""
+    vehicle, terms, total = problem.vehicle, [*PAPER, *usual], problem.of_totals
+    if problem is total:
+        return problem
+    breakaway = HOLDING / (vehicle.slip_moment / float(vehicle.loads.sum()))
     drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
-    held = problem.on(drives)
-    share = np.mean(np.concatenate([drive.slides for drive in held.drives]))
-    return held if share > _LEFT else held.of_totals
+    problem = problem.on(drives)
+    slides = np.concatenate([drive.slides for drive in problem.drives]) != 0.0
+    if np.mean(slides) <= _LEFT:
+        return total
+    design = problem.design(terms)
+    values = fit(design, problem.reference(design)).values
+    if _misfit(problem, terms, values) > _LOST or _unsigned(problem, terms, values):
+        return total
+    return problem
 
 
-def _scatter(
-    problem: Problem, terms: Sequence[Term], values: FloatArray, edges: FloatArray
-) -> FloatArray:
-    """Misfit of the moment between the sides in classes of yaw rate, beyond that of noise."""
-    pushes, residuals, rates, noises = [], [], [], []
+def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray) -> float:
+    """Return the misfit of the moment between sliding sides over it, beyond that of noise."""
+    size = beyond = 0.0
     for drive in problem.drives:
         columns = np.column_stack([columns_of(t, drive, problem.vehicle)[:, 1] for t in terms])
-        push = columns[:, terms.index(SLIP)] * values[terms.index(SLIP)]
-        if drive.between is not None:
-            pushes.append(push)
-            residuals.append(drive.between - columns @ values)
-            rates.append(np.abs(drive.motion.omega))
-            noises.append(np.full(len(push), drive.between_noise))
-    push, residual, rate, noise = (
-        np.concatenate(parts) for parts in (pushes, residuals, rates, noises)
-    )
-    found = np.full(len(edges), np.nan)
-    for k, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
-        mine = (rate > low) & (rate <= high) & (push != 0.0)
-        if np.count_nonzero(mine) < _ENOUGH:
-            continue
-        size = float(push[mine] @ push[mine])
-        beyond = float(residual[mine] @ residual[mine]) - float(noise[mine] @ noise[mine])
-        found[k] = np.sqrt(max(beyond, 0.0) / size)
-    return found
+        left = drive.measured[:, 1] - drive.slides * (columns @ values)
+        push = drive.slides * columns[:, terms.index(SLIP)] * values[terms.index(SLIP)]
+        size += float(push @ push)
+        beyond += float(left @ left) - np.count_nonzero(drive.slides) * drive.between_noise**2
+    return float(np.sqrt(max(beyond, 0.0) / max(size, 1e-300)))
 
 
 def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
@@ -539,7 +499,7 @@ def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bo
         if drive.between is None:
             continue
         for side, measured in _sides(drive, problem, terms, values):
-            returns = (side < -_CLEAR * drive.between_noise) & (drive.slides > 0.0)
+            returns = (side < -_CLEAR * drive.between_noise) & (drive.slides != 0.0)
             faint += int(np.count_nonzero(side < 0.0))
             lowest = min(lowest, float(measured.min()))
             due.append(-side[returns])
@@ -685,10 +645,7 @@ def _rise_with_speed(
     for factor in (1.0 + _SHARE, 1.0 - _SHARE):
         motion = drive.motion
         faster = replace(motion, v_left=factor * motion.v_left, v_right=factor * motion.v_right)
-        moved = replace(
-            drive, motion=faster, breakaway=factor * drive.breakaway, drift=factor * drive.drift,
-            fitted=False, fields={},
-        )  # fmt: skip
+        moved = replace(drive, motion=faster, breakaway=factor * drive.breakaway, fields={})
         ends.append(linearise_drive(moved, vehicle, terms, values, ()).power)
     return np.asarray((ends[0] - ends[1]) / (2.0 * _SHARE))
 
@@ -748,7 +705,7 @@ def _within(
     assumed: Sequence[str],
 ) -> FloatArray:  # fmt: skip
     """Put coefficients that are beyond an end of their range there, and fit the others again."""
-    least, most = np.array([term.bounds for term in terms]).T
+    least, most = problem.ends(terms).T
     fixed = np.array([term.name in assumed for term in terms])
     while np.any(beyond := (values < least) | (values > most)):
         fixed |= beyond

@@ -17,6 +17,9 @@ from energyplan.vehicle import GRAVITY, Vehicle
 _ANY = (-np.inf, np.inf)
 _POSITIVE = (0.0, np.inf)
 
+HOLDING = 0.01
+"""Mean slip speed up to which contacts may hold any moment up to that of sliding [m/s]."""
+
 
 # -- ground and gravity ---------------------------------------------------------------------------
 
@@ -132,14 +135,11 @@ def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float) -> Si
     return tread_forces(motion, moment=-vehicle.slip_moment * np.sign(motion.omega) * missing)
 
 
-def wheel_fight(motion: Motion, vehicle: Vehicle) -> Sides:
-    """Moment that contacts hold on a straight: the sides push against each other.
-
-    It takes no power itself: one side returns what the other draws. Losses count its forces.
-    """
-    turning = np.abs(motion.omega) * motion.icr.half_track > 1e-6 * np.abs(motion.v)
-    straight = ~turning & (motion.v != 0.0)
-    return tread_forces(motion, moment=vehicle.slip_moment * straight)
+def wheel_fight(motion: Motion, vehicle: Vehicle) -> FloatArray:
+    """Heat of the sides that push against each other while contacts hold, on straights."""
+    radius = vehicle.slip_moment / float(vehicle.loads.sum())
+    straight = (radius * np.abs(motion.omega) <= HOLDING) & (motion.v != 0.0)
+    return np.asarray(straight, float)
 
 
 # -- time and place -------------------------------------------------------------------------------
@@ -276,8 +276,8 @@ MOBILISATION = Term(
     bounds=(-2.0, 2.0), meaning="slip friction that is smaller in wide turns than in a spin",
 )  # fmt: skip
 WHEEL_FIGHT = Term(
-    "wheel_fight", "mu_f", "1", "force", wheel_fight, bounds=(0.0, 2.0),
-    meaning="sides that push against each other on a straight, at a cost if drives lose energy",
+    "wheel_fight", "P_f", "W", "power", wheel_fight, bounds=_POSITIVE,
+    meaning="heat of sides that push against each other on straights, in drives that lose energy",
 )  # fmt: skip
 WARM_UP = Term(
     "warm_up", "K_0", "N", "force", warm_up, {"time_constant": 60.0}, bounds=_POSITIVE,

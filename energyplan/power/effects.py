@@ -52,8 +52,8 @@ from energyplan.vehicle import Vehicle
 
 __all__ = [
     "AIR_DRAG", "ANGULAR_INERTIA", "COPPER_LOSS", "GRADE", "LINEAR_INERTIA", "SPECIFIC_FORCE",
-    "VISCOUS_LOSS", "WARM_UP", "Effect", "catalogue", "effect", "empirical_term", "reads_slope",
-    "term", "with_weight",
+    "VISCOUS_LOSS", "WARM_UP", "Effect", "catalogue", "effect", "empirical_term", "most_of",
+    "reads_slope", "term", "with_weight",
 ]  # fmt: skip
 
 Acts = Literal["motion", "change", "place", "kinematics", "hold", "log"]
@@ -273,7 +273,7 @@ _ENTRIES = (
         "payload_change", (SLIP_CHANGE, TRACTION_CHANGE), "dm", "kg",
         "payload taken up or set down at some time, or another surface from then on",
         "weigh the robot, or climb the same ramp, before and after",
-        "as the state after it", (-1e5, 1e5), size=_payload, acts="change", of_mass=(-0.9, 2.0),
+        "as the state after it", (-1e5, 1e5), size=_payload, acts="change", of_mass=(-0.5, 1.0),
     ),
     Effect(
         "surface_border", (SLIP_BEYOND, TRACTION_BEYOND), "dmu", "1",
@@ -293,7 +293,7 @@ _ENTRIES = (
               grid={"slip_speed": (0.03, 0.08, 0.2)}),
     Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True, common=True,
               grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)}),
-    Effect.of(WHEEL_FIGHT, plausible=(0.0, 2.0), acts="hold",
+    Effect.of(WHEEL_FIGHT, plausible=(0.0, 1e4), acts="hold",
               manoeuvre="drive a straight line with the steering control off"),
     Effect.of(TOWED_DRAG, plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed"),
     Effect.of(TOWING_FORCE, plausible=(-1e4, 1e4),
@@ -381,6 +381,19 @@ def term(name: str) -> Term:
     if name.startswith("empirical_"):
         return empirical_term(name)
     raise UnknownNameError("power term", name, known)
+
+
+def most_of(term: Term, vehicle: Vehicle) -> float:
+    """Return the largest coefficient of a term that is believed on a vehicle.
+
+    Examples
+    --------
+    >>> most_of(LINEAR_INERTIA, Vehicle.preset("quadriga:empty"))
+    166.2
+    """
+    known = (entry for entry in catalogue().values() if entry.size is None)
+    limits = [one.limits(vehicle) for one in known if [t.name for t in one.terms] == [term.name]]
+    return min([term.bounds[1], *(high for _, high in limits)])
 
 
 def reads_slope(model: PowerModel) -> bool:
