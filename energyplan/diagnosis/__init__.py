@@ -307,7 +307,7 @@ class _Case:
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
         fitted, quality = outcome.fitted, outcome.quality
         weighed = (
-            averaged(best.problem, fitted, parts, len(self.entries), self._common(parts))
+            averaged(best.problem, fitted, parts, self._common(parts))
             if choose else None
         )  # fmt: skip
         told = fitted if weighed is None else weighed.fitted

@@ -9,6 +9,7 @@ explanation that fits them may be wrong about the first motion that they do not 
 
 The two terms, and one or two further terms that many robots have, are fitted by least absolute
 errors of means over half a second, as `identify` fits samples, and fitted again without each run.
+Losses that the powers of both sides measure are no matter of weights: every model has them.
 """
 
 from __future__ import annotations
@@ -87,22 +88,6 @@ class _Windows:
         block = design.longest_blocks
         return cls(design.drives[block], block, np.concatenate(time), np.concatenate(power))
 
-    def sizes(
-        self, fold: NDArray[np.intp], errors: FloatArray, sides: FloatArray | None,
-        values: FloatArray,
-    ) -> FloatArray:  # fmt: skip
-        """Sizes of errors, and of those of what the sides exchange in turns, where it is known."""
-        if sides is None:
-            return np.abs(errors)
-        exchanged = sides[:, -1]
-        lost = np.bincount(
-            fold, self.time * (np.sum(sides[:, :-1] * values[fold], axis=1) - exchanged)
-        )
-        energy = np.maximum(
-            np.abs(np.bincount(fold, self.time * exchanged)), _LEAST * self.energies(fold)
-        )
-        return np.asarray(0.5 * (np.abs(errors) + np.abs(lost) / energy))
-
     def energies(self, fold: NDArray[np.intp], least: float = _LEAST) -> FloatArray:
         """Measured energy of each fold [J]; of one that took less, a share of the usual power."""
         energy, seconds = (
@@ -127,7 +112,6 @@ class _Member:
     values: FloatArray  # (k,): coefficients
     covariance: FloatArray
     errors: FloatArray  # (folds,): relative errors of energies
-    sizes: FloatArray  # (folds,): sizes of those that it is weighed by
     handicap: float  # taken from the logarithm of its odds
     explains: bool = False  # whether it is the explanation
 
@@ -141,7 +125,6 @@ class _Explanation:
     handicap: float
     whole: Design  # as it predicts runs to come
     grams: FloatArray  # of what it is fitted to, by block
-    sides: FloatArray | None  # of what the sides exchange in turns
     own: NDArray[np.bool_]  # which of its terms are fitted
     leaves_nothing: bool
 
@@ -159,8 +142,16 @@ class _Explanation:
         errors = problem.reference(design)
         nothing = bool(errors[_SLOW] <= _NOTHING * problem.floor[_SLOW])
         names = tuple(part.effect.name for part in parts)
-        sides = _exchanged(problem, design)
-        return cls(fitted, names, handicap, whole, weighted(design, errors), sides, own, nothing)
+        return cls(fitted, names, handicap, whole, weighted(design, errors), own, nothing)
+
+    def measured(self, problem: Problem) -> tuple[Term, ...]:
+        """Return losses, and their heat on straights, that the powers of both sides measure."""
+        terms = self.fitted.model.terms
+        lossy = any(term.kind == "loss" for term in terms)
+        if problem.drives[0].equations == 1 or not lossy:
+            return ()
+        pairs = zip(terms, self.own, strict=True)
+        return tuple(term for term, own in pairs if term.kind == "loss" or not own)
 
     def member(self, windows: _Windows, fold: NDArray[np.intp]) -> _Member:
         """Fit it without each fold."""
@@ -172,9 +163,8 @@ class _Explanation:
         power = self.whole.longest[0][:, -1] - columns[:, ~self.own] @ values[~self.own]
         errors = windows.misses(fold, columns[:, self.own], power, refits)
         covariance = np.zeros((len(values),) * 2) if model.covariance is None else model.covariance
-        sizes = windows.sizes(fold, errors, self.sides, refits)
         return _Member(
-            self.names, model.terms, values, covariance, errors, sizes, self.handicap, explains=True
+            self.names, model.terms, values, covariance, errors, self.handicap, explains=True
         )
 
 
@@ -185,10 +175,11 @@ class _Table:
     problem: Problem
     windows: _Windows
     terms: tuple[Term, ...]
-    design: Design
-    sides: FloatArray | None  # of what the sides exchange in turns
+    shown: Design  # what the terms are fitted to
+    design: Design  # as they predict runs to come
     fitted: JointFit
     given: dict[str, float]  # terms that every member has, and their coefficients
+    measured: tuple[Term, ...]  # those of them that the powers of both sides measure
     ratio: FloatArray | None  # of the two terms, where drives leave both open
 
     @classmethod
@@ -206,12 +197,18 @@ class _Table:
         )  # fmt: skip
         open_ = [term.name for term in PAPER if term.name in fitted.assumed]
         both = len(open_) == len(PAPER)
-        given = {term.name: values[term.name] for term in usual}
+        measured = explanation.measured(problem)
+        given = {term.name: values[term.name] for term in (*usual, *measured)}
         given |= {} if both else {name: values[name] for name in open_}
-        terms = (*PAPER, *usual, *common)
+        terms = (*PAPER, *usual, *measured, *common)
+        shown = design = plain.design(terms, None, values, rounds=1)
+        if measured:  # the moments of these very drives are known, and their heat
+            still = [0.0 if term.kind == "power" and term in measured else 1.0 for term in terms]
+            shown = problem.design(terms, None, values, rounds=1)
+            shown = replace(shown, rows=tuple(rows * [*still, 1.0] for rows in shown.rows))
         return cls(
-            plain, _Windows.of(plain, explanation.whole), terms, plain.design(terms),
-            _exchanged(problem, problem.design(terms)), fitted, given,
+            plain, _Windows.of(plain, explanation.whole), terms, shown, design, fitted, given,
+            measured,
             np.array([values[term.name] for term in PAPER]) if both else None,
         )  # fmt: skip
 
@@ -220,27 +217,26 @@ class _Table:
         beside = [term for term in self.terms if term.name in self.given and term not in PAPER]
         terms = (*PAPER, *beside, *extension)
         at = [self.terms.index(term) for term in terms]
-        short, long = (table[:, [*at, -1]] for table in (self.design.rows[0], self.design.rows[-1]))
+        pick = [*at, -1]
+        short, long = self.shown.rows[0][:, pick], self.design.rows[-1][:, pick]
         fixed = np.array([self.given.get(term.name, np.nan) for term in terms])
         values = self._fit(short, fixed, terms)
-        block = self.design.blocks[0]
+        block = self.shown.blocks[0]
         last = np.searchsorted(self.windows.block, np.arange(int(block.max()) + 1), "right") - 1
         of_row = fold[np.maximum(last, 0)][block]
         count = int(fold.max()) + 1
         refits = np.array([self._fit(short[of_row != k], fixed, terms) for k in range(count)])
         errors = self.windows.misses(fold, long[:, :-1], long[:, -1], refits)
-        sides = None if self.sides is None else self.sides[:, [*at, -1]]
-        sizes = self.windows.sizes(fold, errors, sides, refits)
         moved = refits - values
         covariance = (count - 1) / count * moved.T @ moved
         if self.fitted.model.covariance is not None:  # what no drive tells, leaving one out doesn't
             names = [term.name for term in self.fitted.model.terms]
-            open_ = [k for k, term in enumerate(terms) if term.name in self.fitted.assumed]
+            known = {*self.fitted.assumed, *(term.name for term in self.measured)}
+            open_ = [k for k, term in enumerate(terms) if term.name in known]
             theirs = [names.index(terms[k].name) for k in open_]
             covariance[np.ix_(open_, open_)] += self.fitted.model.covariance[np.ix_(theirs, theirs)]
         names = [term.name for term in extension]
-        handicap = float(len(extension))
-        return _Member(tuple(names), terms, values, covariance, errors, sizes, handicap)
+        return _Member(tuple(names), terms, values, covariance, errors, float(len(extension)))
 
     def _fit(self, table: FloatArray, fixed: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """Fit the terms that are not fixed by least absolute errors, within their ends."""
@@ -284,7 +280,7 @@ class _Table:
 
 def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArray:
     """Return the weights of models: pseudo Bayesian model averaging, bootstrapped."""
-    errors = np.array([one.sizes[telling] for one in members])
+    errors = np.abs([one.errors[telling] for one in members])
     count = errors.shape[1]
     prior = np.exp([-one.handicap for one in members])
     further = np.array([not one.explains for one in members]) & (np.arange(len(members)) > 0)
@@ -299,7 +295,6 @@ def averaged(
     problem: Problem,
     fitted: JointFit,
     parts: Sequence[Part] = (),
-    tried: int = 1,
     common: Sequence[Term] = (),
 ) -> Averaged | None:
     """Average two terms, extensions and an explanation, by how each predicts unseen runs."""
@@ -310,8 +305,7 @@ def averaged(
     if few and not picked and (count == 1 or not parts):
         return None
     plain = problem.of_totals
-    handicap = picked * float(np.log(max(tried, 1)))
-    explanation = _Explanation.of(problem, plain, fitted, parts, handicap)
+    explanation = _Explanation.of(problem, plain, fitted, parts, float(picked))
     if few and explanation.leaves_nothing:
         return None
     table = _Table.of(problem, plain, explanation, parts, () if few else common)
@@ -363,11 +357,6 @@ def _telling(problem: Problem) -> NDArray[np.bool_]:
     energy = np.array([float(drive.weights @ drive.power) for drive in problem.drives])
     seconds = np.array([float(drive.weights.sum()) for drive in problem.drives])
     return np.asarray(energy > _LEAST * energy.sum() / seconds.sum() * seconds)
-
-
-def _exchanged(problem: Problem, design: Design) -> FloatArray | None:
-    """Return what each of the longest windows shows of the difference of the sides in turns."""
-    return design.rows[-1] if problem.drives[0].equations == 2 else None
 
 
 def _mixed(

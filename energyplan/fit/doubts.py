@@ -402,12 +402,15 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
 
 
 def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
-    """Return what a model leaves of each drive's power, what contacts hold taken out [W]."""
+    """Return what a model leaves of each drive's power, what contacts hold taken out [W].
+
+    While they change from holding to sliding or back, no model says what they do.
+    """
     left = []
     for drive in drives:
         shown = shown_of_contacts(model, drive)
         residual = drive.power - predicted(model, drive)
-        left.append(residual if shown is None else residual - shown)
+        left.append(residual if shown is None else (residual - shown) * drive.settled)
     return left
 
 

@@ -386,7 +386,7 @@ class SensorNoise:
         rho, rest = self.rho, 1.0 - self.rho
         shared = (1.0 + rho) / (rest * number)
         shared -= 2.0 * rho * (1.0 - rho**number) / (rest * number) ** 2
-        return self.white / number + self.lasting * shared
+        return float(self.white / number + self.lasting * shared)
 
 
 def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:

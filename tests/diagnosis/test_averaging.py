@@ -99,7 +99,7 @@ def test_what_other_motions_do_not_bear_counts_little(robot: str, count: int) ->
     problem = Problem(prepared(logs, vehicle), vehicle)
     parts = (Part(catalogue()["turn_asymmetry"]),)
     alone = final_fit(problem, parts)
-    told = averaged(problem, alone, parts, tried=30)
+    told = averaged(problem, alone, parts)
     assert told is not None
     assert told.average is not None
     assert told.average.weight < 0.3
@@ -129,7 +129,7 @@ def test_an_explanation_that_leaves_nothing_stays_alone() -> None:
     log = simulate.identification_drive(truth, seed=1, power_noise=1.0)
     problem = Problem(prepared([log], VEHICLE), VEHICLE)
     parts = (Part(catalogue()["towing_force"]),)
-    assert averaged(problem, final_fit(problem, parts), parts, tried=30) is None
+    assert averaged(problem, final_fit(problem, parts), parts) is None
 
 
 def test_an_effect_the_hold_out_cannot_show_is_not_looked_for() -> None:
@@ -146,7 +146,7 @@ def test_an_explanation_that_foretells_runs_counts_alone() -> None:
     """A load that every run has: two terms miss it by far, the explanation does not."""
     parts = (Part(Effect.of(HOTEL)),)
     problem, fit = fitted(runs(6, 0.0, hotel=60.0), parts)
-    told = averaged(problem, fit, parts, 35, [term("viscous_loss"), term("friction_mobilisation")])
+    told = averaged(problem, fit, parts, [term("viscous_loss"), term("friction_mobilisation")])
     assert told is not None
     assert told.average is None or told.average.weight > 0.9
 
@@ -166,7 +166,7 @@ def test_intervals_are_no_narrower_than_what_runs_left_out_are_missed_by() -> No
 
 def test_runs_that_nothing_explains_are_predicted_by_two_terms_and_a_little_of_others() -> None:
     problem, fit = fitted(runs(8, 0.25, seed=10), ())
-    told = averaged(problem, fit, (), 35, [term("viscous_loss"), term("friction_mobilisation")])
+    told = averaged(problem, fit, (), [term("viscous_loss"), term("friction_mobilisation")])
     assert told is not None
     assert told.average is not None
     assert told.average.weight == 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from by_day import by_day
 
 from energyplan import DriveLog, diagnose, simulate
 from energyplan.fit.drive import prepared
-from energyplan.fit.estimate import Problem, fit, with_breakaway
+from energyplan.fit.estimate import Problem, fit, with_sides
 from energyplan.motion import Motion
 from energyplan.power import (
     DRIVE_LOSS,
@@ -174,68 +173,11 @@ def test_sides_that_push_against_each_other_are_named_where_that_costs_energy() 
     assert abs(told.after.energy_error) < 0.02
 
 
-@pytest.mark.parametrize("seed", by_day([1, 3, 5], [1]))
-def test_a_total_tells_losses_where_a_controller_keeps_the_robot_straight(seed: int) -> None:
-    """Its corrections turn the robot by next to nothing: there contacts hold any moment."""
-
-    def total(log: DriveLog) -> DriveLog:
-        sides = log.sides
-        assert sides is not None
-        kept = {k: v for k, v in log.channels.items() if k not in ("p_left", "p_right")}
-        return DriveLog({**kept, "power": sides.left + sides.right}, log.name)
-
-    train, other = (total(_tracked(LOSSY, seed + k)) for k in (0, 1))
-    told = diagnose(train, other, LOSSY.vehicle)
-    first, last = (effect.name for effect in told.effects)
-    assert first == "regeneration_efficiency"
-    assert last == "wheel_fight"
-    assert _round_trip(told.model) == pytest.approx(0.85 * 0.5, abs=0.02)
-    assert abs(told.after.energy_error) < 0.02
-    assert told.after.rmse < 0.95 * told.before.rmse
-    assert told.verdict == "effect_found"
-
-
-def test_what_a_total_shows_of_sides_that_push_against_each_other_is_foretold() -> None:
-    """Turns too slight for the wheels' readings slide: without them a model foretold far less."""
-    truth = PowerModel.preset("quadriga:full:concrete").with_term(COPPER_LOSS, 4.5e-4)
-
-    def driven(
-        pattern: Sequence[tuple[str, float]], speeds: Sequence[float], seed: int
-    ) -> DriveLog:
-        slight = [
-            part for v in speeds
-            for part in (simulate.Setpoint(v - 5e-4, v + 5e-4, hold=6.0), ("rest", 3.0))
-        ]  # fmt: skip
-        return simulate.drive(
-            truth, [*pattern, *slight], power_noise=4.0, speed_noise=0.003, seed=seed,
-            measured="total", without={"x", "y", "yaw", "yaw_rate", "accel_x"},
-        )  # fmt: skip
-
-    train = driven(simulate.IDENTIFICATION, (0.5, 0.4, -0.4, 0.3, 0.55, -0.3), 0)
-    other = driven([("survey", 40.0), ("figure8", 20.0)], (0.35, -0.45, 0.5, 0.25), 1)
-    told = diagnose(train, other, truth.vehicle)
-    assert [effect.name for effect in told.effects] == ["copper_loss", "wheel_fight"]
-    assert told.after.rmse < 0.5 * told.before.rmse
-    assert abs(told.after.energy_error) < 0.05
-    straight = Motion.from_twist(0.5, 0.0, truth.vehicle.icr)
-    assert float(told.model.power(straight)) > 1.1 * float(truth.power(straight))
-
-
 def test_sides_that_push_against_each_other_cost_nothing_without_losses() -> None:
     model = PowerModel.preset("quadriga:full:concrete")
     told = diagnose(_tracked(model, 3), _tracked(model, 4), model.vehicle)
     assert "wheel_fight" not in [effect.name for effect in told.effects]
     assert told.after.energy_error == pytest.approx(0.0, abs=0.01)
-
-
-def test_the_yaw_rate_up_to_which_contacts_hold_is_fitted() -> None:
-    model = PowerModel.preset("quadriga:full:concrete")
-    vehicle = model.vehicle
-    held = with_breakaway(Problem(prepared([_tracked(model, 5)], vehicle), vehicle), ())
-    assert 0.006 < held.drives[0].breakaway < 0.05  # corrections turn at up to 0.008 rad/s
-    plain = simulate.identification_drive(model, power_noise=3.0, seed=5)
-    free = with_breakaway(Problem(prepared([plain], vehicle), vehicle), ())
-    assert free.drives[0].breakaway == 0.0
 
 
 @pytest.mark.parametrize(
@@ -260,4 +202,4 @@ NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.002, "without": {"
 
 def _equations(log: DriveLog, vehicle: Vehicle) -> int:
     problem = Problem(prepared([log], vehicle), vehicle)
-    return with_breakaway(problem, ()).drives[0].equations
+    return with_sides(problem, ()).drives[0].equations

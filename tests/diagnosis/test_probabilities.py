@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from energyplan import PowerModel, diagnose, simulate
 from energyplan.fit.drive import quiet, reading_noise
 from energyplan.motion import Motion
-from energyplan.power import effects
-from energyplan.power.effect_terms import DRAGGING_LEFT
 from energyplan.vehicle import TreadICR
 
 ICR = TreadICR(0.45, 0.45)
@@ -50,33 +47,3 @@ def test_a_gyroscope_tells_slight_turns() -> None:
     assert np.mean(plain.omega[turns] > 0) < 0.5
     assert np.mean(told.omega[turns] > 0) > 0.95
     assert np.mean(told.omega[straight] == 0.0) > 0.95
-
-
-def test_a_dragging_side_beside_copper_loss_on_a_total_without_a_gyroscope() -> None:
-    # Two stretches turn by less than the wheels show. Taken for straight ones, what copper loss
-    # takes there was told as other ground, or as a drag of another kind.
-    model = PowerModel.preset("quadriga:full:concrete").with_term(effects.COPPER_LOSS, 4.5e-4)
-    model = model.with_term(DRAGGING_LEFT, 40.0)
-    slight = [
-        simulate.Setpoint(0.4992, 0.5008, hold=8.0), ("rest", 3.0),
-        simulate.Setpoint(-0.3992, -0.4008, hold=6.0),
-    ]  # fmt: skip
-    train, other = (
-        simulate.drive(
-            model, [*pattern, *slight], rate=10.0, power_noise=4.0, speed_noise=0.003,
-            measured="total", without={"x", "y", "yaw", "yaw_rate", "accel_x"}, seed=seed,
-        )
-        for seed, pattern in enumerate(
-            ([("spin", 20.0), ("straight", 16.0), ("spiral", 30.0), ("survey", 20.0)],
-             [("survey", 40.0), ("figure8", 20.0)])
-        )
-    )  # fmt: skip
-    told = diagnose(train, other, model.vehicle)
-    names = [one.name for one in told.effects]
-    assert names == ["copper_loss", "dragging_wheel_left", "wheel_fight"]
-    for one, true in zip(told.effects[:2], (4.5e-4, 40.0), strict=True):
-        assert one.value == pytest.approx(true, rel=0.1)
-    assert told.effects[0].probability > 0.99
-    # The other drive has such stretches, too: what they cost there is told by those of the first.
-    assert told.after.rmse < 0.6 * told.before.rmse
-    assert told.verdict == "effect_found"

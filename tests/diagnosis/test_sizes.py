@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from energyplan import DriveLog, PowerModel, Vehicle, diagnose, simulate
-from energyplan.diagnosis.judge import _Case
-from energyplan.fit.drive import prepared
 from energyplan.power import HOTEL
 from energyplan.power.effect_terms import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.power.effects import COPPER_LOSS, catalogue
@@ -33,19 +28,6 @@ def test_a_load_at_rest_beside_losses_is_as_far_off_as_its_error_says() -> None:
         beside.append((load.value - 30.0) / load.std_error)
     assert np.sqrt(np.mean(np.square(beside))) < 1.6
     assert abs(np.mean(beside)) < 1.2
-
-
-def test_what_the_beginning_of_a_turn_costs_is_no_fight_of_the_sides() -> None:
-    """Samples next to those that slide have a moment of their own, that of turning."""
-    truth = ROBOT.with_term(COPPER_LOSS, 4e-4)
-    log = simulate.identification_drive(truth, seed=1)
-    (drive,) = prepared([log], ROBOT.vehicle)
-    drive = replace(drive, drift=0.01, fields={})
-    case = _Case.of(drive, ROBOT.vehicle, truth)
-    beside = drive.holds & (maximum_filter1d((~drive.holds).astype(float), 3) > 0.0)
-    assert np.count_nonzero(beside & (drive.motion.omega != 0.0)) > 5
-    assert not case.moment[beside].any()
-    assert case.moment.any()
 
 
 def test_no_effect_is_told_whose_size_is_anything() -> None:

@@ -11,12 +11,11 @@ from numpy.testing import assert_allclose
 
 from energyplan import simulate
 from energyplan.fit import identify
-from energyplan.fit.drive import Drive, Late, prepared, quiet
+from energyplan.fit.drive import Drive, prepared, quiet
 from energyplan.fit.estimate import Problem, fit
 from energyplan.fit.regressors import (
     linearise_drive,
     power_of,
-    straights,
 )
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -27,7 +26,6 @@ from energyplan.power import (
     SLIP,
     TRACTION,
     PowerModel,
-    Sides,
     Term,
 )
 from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA, catalogue
@@ -100,22 +98,6 @@ def _lossy(turn: float, loss: str, wide: bool = True, **options: Any) -> tuple[P
     return Problem(prepared([log], model.vehicle), model.vehicle), list(model.terms)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.4])
-@pytest.mark.parametrize("loss", ["copper_loss", "regeneration"])
-def test_what_contacts_hold_on_a_straight_is_told_by_the_total(loss: str, late: float) -> None:
-    problem, terms = _lossy(8e-4, loss, delays={"power": late})
-    problem = problem.delayed(Late(late))
-    design = problem.design(terms)
-    found = fit(design, problem.reference(design)).values
-    true = PowerModel.preset("quadriga:full:concrete").coefficients
-    size = {"copper_loss": 4.5e-4, "regeneration": 0.5}[loss]
-    assert_allclose(found, [*true, size], rtol=0.06)
-    # Each stretch's moment took a factor from the likelihood; without losses there is none.
-    assert problem.odds(terms, found) > 4.0
-    assert problem.odds(terms[:2], found[:2]) == 0.0
-    assert problem.odds(terms, np.array([*true, 0.0])) == 0.0
-
-
 @pytest.mark.parametrize("loss", [(COPPER_LOSS, 3e-4), (DRIVE_LOSS, 0.2), (REGENERATION_LOSS, 0.5)])
 def test_derivatives_with_losses_are_those_of_the_models_power(loss: tuple[Term, float]) -> None:
     rng = np.random.default_rng(4)
@@ -141,7 +123,7 @@ def test_derivatives_count_that_what_contacts_hold_follows_the_coefficients() ->
         model, seed=3, rate=10.0, power_noise=4.0, speed_noise=0.004, without={"accel_x"}
     )
     (drive,) = prepared([log], model.vehicle)
-    drive = replace(drive, breakaway=0.05, drift=0.05, fields={})
+    drive = replace(drive, breakaway=0.05, fields={})
     driven = drive.holds & (drive.held.v_left != 0.0)
     values, terms = model.coefficients, model.terms
     about = linearise_drive(drive, model.vehicle, terms, values)
@@ -166,43 +148,13 @@ def test_a_fit_with_losses_that_starts_where_it_ends_is_settled() -> None:
         assert_allclose(one, other)
 
 
-def test_a_stretch_holds_what_its_power_tells_up_to_the_limit_of_friction() -> None:
-    """By copper's loss, which grows with the square: a quarter of the most is half the moment."""
-    seconds, loss, limit = [6.0, 6.0, 30.0], 4.5e-4, 100.0
-    stretch = np.repeat(range(3), (np.array(seconds) / PERIOD).astype(int))
-    v = np.array([0.6, -0.6, 0.6])[stretch]
-    most = 1.5 * limit  # contacts at rest hold half as much again
-    push = most / ICR.slip_track
-    dearest = 2.0 * loss * push**2
-    t = PERIOD * np.arange(len(v))
-    # the last one holds nothing, and what the model misses comes and goes: 1 W on two seconds
-    missed = np.where(t // 2.0 % 2 == 0, 1.0, -1.0)
-    power = np.where(stretch < 2, dearest * np.array([0.25, 2.0, 0.0])[stretch], missed)
-    drive = Drive("made", t, Motion(v, v, ICR), power)
-    none = np.zeros(len(v))
-    losses = [(COPPER_LOSS, loss)]
-    found = straights(drive, MODEL.vehicle, losses, Sides(none, none), limit, none)
-    assert found is not None
-    assert_allclose(found.forces.right, push * np.array([0.5, 1.0, 0.0])[stretch], rtol=1e-4)
-    assert_allclose(found.forces.left, -found.forces.right)
-    # only what is less than the most, and more than nothing, is unknown
-    assert_allclose(found.pattern, dearest * np.array([1.0, 0.0, 0.0])[stretch])
-    # a mean is known to what is missed on most windows, as a standard deviation, and to a hundredth
-    error = np.hypot(1.4826, 0.01 * np.sqrt(np.mean(power**2)))
-    assert found.odds == pytest.approx(2.0 * np.log(dearest / (np.sqrt(2.0 * np.pi) * error)))
-
-
 def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:
     problem, terms = _lossy(8e-4, "copper_loss")
     values = np.array([*PowerModel.preset("quadriga:full:concrete").coefficients, 4.5e-4])
     model = PowerModel(problem.vehicle, tuple(terms), values)
     (drive,) = problem.drives
-    assert drive.fitted
     unseen = replace(drive, power=np.zeros(len(drive.t)), fields={})
     assert_allclose(power_of(model, drive), power_of(model, unseen), rtol=0, atol=0)
-    for one, other in zip(problem.as_predicted.drives, problem.drives, strict=True):
-        assert not one.fitted
-        assert_allclose(one.power, other.power)
 
 
 def test_a_part_of_a_drive_goes_on_warming_up() -> None:

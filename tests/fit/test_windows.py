@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import drive as drive_module
+from energyplan.fit.contacts import preload
 from energyplan.fit.drive import (
     BLOCK,
     DELAYS,
@@ -26,7 +27,7 @@ from energyplan.fit.drive import (
     prepared,
     split_drives,
 )
-from energyplan.fit.regressors import Design, linearise_drive, preload
+from energyplan.fit.regressors import Design, linearise_drive
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (
