@@ -150,8 +150,7 @@ class _Explanation:
         lossy = any(term.kind == "loss" for term in terms)
         if problem.drives[0].equations == 1 or not lossy:
             return ()
-        pairs = zip(terms, self.own, strict=True)
-        return tuple(term for term, own in pairs if term.kind == "loss" or not own)
+        return tuple(term for term in terms if term.kind == "loss")
 
     def member(self, windows: _Windows, fold: NDArray[np.intp]) -> _Member:
         """Fit it without each fold."""
@@ -203,7 +202,7 @@ class _Table:
         terms = (*PAPER, *usual, *measured, *common)
         shown = design = plain.design(terms, None, values, rounds=1)
         if measured:  # the moments of these very drives are known, and their heat
-            still = [0.0 if term.kind == "power" and term in measured else 1.0 for term in terms]
+            still = [0.0 if term.name == WHEEL_FIGHT.name else 1.0 for term in terms]
             shown = problem.design(terms, None, values, rounds=1)
             shown = replace(shown, rows=tuple(rows * [*still, 1.0] for rows in shown.rows))
         return cls(

@@ -21,7 +21,6 @@ from energyplan.fit.solvers import least_squares
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
-from energyplan.power.effect_terms import HOLDING
 from energyplan.power.effects import Effect, most_of
 from energyplan.vehicle import Vehicle
 
@@ -444,12 +443,14 @@ class Problem:
 
 # -- what the powers of both sides show, and whether their sensors know which way ------------------
 
+_HOLDING = 0.01  # mean slip speed up to which contacts may hold [m/s]
 _CLEAR = 3.0  # noise beyond which a side should return power
 _RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
 _LITTLE = 0.4  # of the resistance, with which sides return much
 _BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
 _TURNS = 20  # fits in which signs settle, at most
 _LOST = 0.5  # misfit of the moment between the sides, over it, from which it tells nothing
+_SLIDES = 0.3  # misfit in slight turns up to which contacts slide there; simulated ones: 0.2
 _ENOUGH = 20  # samples that a sign needs
 _LEFT = 0.01  # share of the samples that must slide
 
@@ -466,29 +467,31 @@ def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
     vehicle, terms, total = problem.vehicle, [*PAPER, *usual], problem.of_totals
     if problem is total:
         return problem
-    breakaway = HOLDING / (vehicle.slip_moment / float(vehicle.loads.sum()))
+    breakaway = _HOLDING / (vehicle.slip_moment / float(vehicle.loads.sum()))
     drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
-    problem = problem.on(drives)
-    slides = np.concatenate([drive.slides for drive in problem.drives]) != 0.0
+    held = problem.on(drives)
+    slides = np.concatenate([drive.slides for drive in held.drives]) != 0.0
     if np.mean(slides) <= _LEFT:
         return total
-    design = problem.design(terms)
-    values = fit(design, problem.reference(design)).values
-    if _misfit(problem, terms, values) > _LOST or _unsigned(problem, terms, values):
+    design = held.design(terms)
+    values = fit(design, held.reference(design)).values
+    if _misfit(held, terms, values, np.inf) > _LOST or _unsigned(held, terms, values):
         return total
-    return problem
+    slight = _misfit(problem, terms, values, breakaway)
+    return held if _SLIDES < slight < np.inf else problem  # which slides however little it turns
 
 
-def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray) -> float:
-    """Return the misfit of the moment between sliding sides over it, beyond that of noise."""
+def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray, most: float) -> float:
+    """Return the misfit of the moment over it, beyond noise, in turns of at most a yaw rate."""
     size = beyond = 0.0
     for drive in problem.drives:
         columns = np.column_stack([columns_of(t, drive, problem.vehicle)[:, 1] for t in terms])
-        left = drive.measured[:, 1] - drive.slides * (columns @ values)
-        push = drive.slides * columns[:, terms.index(SLIP)] * values[terms.index(SLIP)]
+        turns = drive.slides * (np.abs(drive.motion.omega) <= most)
+        left = turns * (drive.measured[:, 1] * drive.slides - columns @ values)
+        push = turns * columns[:, terms.index(SLIP)] * values[terms.index(SLIP)]
         size += float(push @ push)
-        beyond += float(left @ left) - np.count_nonzero(drive.slides) * drive.between_noise**2
-    return float(np.sqrt(max(beyond, 0.0) / max(size, 1e-300)))
+        beyond += float(left @ left) - np.count_nonzero(turns) * drive.between_noise**2
+    return float(np.sqrt(max(beyond, 0.0) / size)) if size > 0.0 else np.inf
 
 
 def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:

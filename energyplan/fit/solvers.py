@@ -11,7 +11,7 @@ from scipy import optimize
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linprog, lsq_linear
-from scipy.signal import lfilter, oaconvolve, welch
+from scipy.signal import detrend, lfilter, oaconvolve, welch
 from scipy.stats import norm, rankdata
 
 from energyplan.errors import NotIdentifiableError
@@ -343,7 +343,7 @@ class SensorNoise:
         if length < 2 * _FEW_BINS:
             return None
         frequency, power = welch(
-            residual, 1.0 / period, nperseg=length, detrend="linear", average="median"
+            residual, 1.0 / period, nperseg=length, detrend=detrend, average="median"
         )
         kept = (frequency > _LOWEST) & (np.arange(len(frequency)) < length // 2) & (power > 0.0)
         if np.count_nonzero(kept) < _FEW_BINS:

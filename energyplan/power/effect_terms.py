@@ -17,9 +17,6 @@ from energyplan.vehicle import GRAVITY, Vehicle
 _ANY = (-np.inf, np.inf)
 _POSITIVE = (0.0, np.inf)
 
-HOLDING = 0.01
-"""Mean slip speed up to which contacts may hold any moment up to that of sliding [m/s]."""
-
 
 # -- ground and gravity ---------------------------------------------------------------------------
 
@@ -135,11 +132,11 @@ def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float) -> Si
     return tread_forces(motion, moment=-vehicle.slip_moment * np.sign(motion.omega) * missing)
 
 
-def wheel_fight(motion: Motion, vehicle: Vehicle) -> FloatArray:
-    """Heat of the sides that push against each other while contacts hold, on straights."""
-    radius = vehicle.slip_moment / float(vehicle.loads.sum())
-    straight = (radius * np.abs(motion.omega) <= HOLDING) & (motion.v != 0.0)
-    return np.asarray(straight, float)
+def wheel_fight(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
+    """Heat of sides that push against each other on a straight, where contacts hold a moment."""
+    turning = np.abs(motion.omega) * motion.icr.half_track > 1e-6 * np.abs(motion.v)
+    straight = ~turning & (motion.v != 0.0)
+    return Sides(0.5 * straight, 0.5 * straight)
 
 
 # -- time and place -------------------------------------------------------------------------------
@@ -276,7 +273,7 @@ MOBILISATION = Term(
     bounds=(-2.0, 2.0), meaning="slip friction that is smaller in wide turns than in a spin",
 )  # fmt: skip
 WHEEL_FIGHT = Term(
-    "wheel_fight", "P_f", "W", "power", wheel_fight, bounds=_POSITIVE,
+    "wheel_fight", "P_f", "W", "loss", wheel_fight, bounds=_POSITIVE,
     meaning="heat of sides that push against each other on straights, in drives that lose energy",
 )  # fmt: skip
 WARM_UP = Term(
