@@ -100,6 +100,11 @@ class PowerRegression:
         self.pieces = pieces_of(drives)
         self._linear = not any(is_lossy(drive, model.terms) for drive in drives)
 
+    @property
+    def bounds(self) -> Bounds:
+        """Range of each coefficient that vehicle and logs admit."""
+        return Bounds(*self._problem.ends(self._start.terms).T)
+
     def powers(self, model: PowerModel) -> list[FloatArray]:
         """Return the predicted power of each drive [W]."""
         return [predicted(model, drive) for drive in self._drives]
@@ -274,9 +279,10 @@ class Foretold:
 
 def without_each(parts: Sequence[Drive], model: PowerModel) -> list[FloatArray]:
     """Return the power of each drive by the model's terms fitted to all the others [W]."""
-    bounds, found = Bounds(*np.array([term.bounds for term in model.terms], float).T), []
+    found = list[FloatArray]()
     for k, part in enumerate(parts):
-        others = PowerRegression([*parts[:k], *parts[k + 1 :]], model).solve("lad", bounds)
+        rest = PowerRegression([*parts[:k], *parts[k + 1 :]], model)
+        others = rest.solve("lad", rest.bounds)
         found += PowerRegression([part], others).powers(others)
     return found
 
@@ -706,7 +712,7 @@ def identify(
         model = replace(joint.model, name=name)
         warnings += open_in_words(model, joint.assumed)
     else:
-        model = problem.solve(method, bounds)
+        model = problem.solve(method, problem.bounds)
     if len(linear) < len(terms):
         doubts = check_identifiable(model, _stacked(model, clean, ready), turning)
     warnings += doubts

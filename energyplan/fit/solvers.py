@@ -68,7 +68,9 @@ def weighted_least_squares(
     keep = value > 1e-14 * value[-1]
     root = np.sqrt(value[keep])[:, None] * vector[:, keep].T
     target = (vector[:, keep].T @ moment) / np.sqrt(value[keep])
-    found = lsq_linear(root, target, (bounds.lower * scale, bounds.upper * scale), tol=1e-14)
+    least, most = bounds.lower * scale, bounds.upper * scale
+    most = np.maximum(most, np.nextafter(least, np.inf))  # of a coefficient that can be but one
+    found = lsq_linear(root, target, (least, most), tol=1e-14)
     return np.asarray(bounds.clip(found.x / scale))
 
 

@@ -1,0 +1,48 @@
+"""What is handed on is possible: by what the log shows at rest, and by the vehicle's mass."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from energyplan import DriveLog, PowerModel, diagnose, simulate
+from energyplan.diagnosis import Diagnosis
+from energyplan.motion import Motion
+from energyplan.power.effects import catalogue
+
+ROBOT = PowerModel.preset("quadriga:full:concrete")
+EFFECTS = [catalogue()[name] for name in ("hotel_load", "viscous_loss", "payload_change")]
+
+
+def told(more: float, friction: float) -> Diagnosis:
+    """Diagnose drives that take more power while they move, on less friction from a time on."""
+    slippery = ROBOT.with_coefficients(ROBOT.coefficients * friction)
+    drives = []
+    for seed, pattern in enumerate((simulate.IDENTIFICATION, simulate.VALIDATION)):
+        log = simulate.drive(
+            ROBOT, pattern, power_noise=3.0, speed_noise=0.002, seed=seed,
+            changes=[(60.0, slippery)] if friction < 1.0 else [],
+        )  # fmt: skip
+        moves = np.maximum(abs(log.channel("v_left")), abs(log.channel("v_right"))) > 0.02
+        own = {side: log.channel(side) + 0.5 * more * moves for side in ("p_left", "p_right")}
+        drives.append(DriveLog({**log.channels, **own}, f"drive {seed}"))
+    return diagnose(drives[0], drives[1], ROBOT.vehicle, effects=EFFECTS)
+
+
+def test_no_constant_load_where_the_power_is_zero_at_rest() -> None:
+    found = told(17.0, 1.0)
+    assert "hotel_load" not in [effect.name for effect in found.effects]
+    still = Motion.from_twist(0.0, 0.0, found.model.vehicle.icr)
+    assert float(found.model.power(still)) < 1.0
+
+
+def test_a_robot_sets_down_no_more_than_half_of_itself() -> None:
+    """Friction that falls by 0.6 is another surface: no 88 kg of 147 kg were set down."""
+    found = told(0.0, 0.4)
+    assert "payload_change" not in [effect.name for effect in found.effects]
+    assert found.verdict == "unexplained"
+
+
+def test_a_load_that_is_set_down_is_still_found() -> None:
+    found = told(0.0, 0.7)
+    (change,) = (effect for effect in found.effects if effect.name == "payload_change")
+    assert abs(change.value + 0.3 * ROBOT.vehicle.mass) < 0.05 * ROBOT.vehicle.mass
