@@ -80,8 +80,6 @@ class Routing:
         """Write the first of some plans as a table, or all as a recording; draw them all."""
         from energyplan.io.files import atomic_write
         from energyplan.io.tables import write_path
-        from energyplan.output import plots
-        from energyplan.output.plots import image
 
         if self.out and self.out.suffix == opt.RECORDING:
             from energyplan.ros.messages import write_recording
@@ -91,6 +89,9 @@ class Routing:
         elif self.out:
             write_path(next(iter(plans.values())).path, self.out)
         if self.plot:
+            from energyplan.output import plots
+            from energyplan.output.plots import image
+
             picture = plots.planned(problem, plots.priced(plans))
             atomic_write(self.plot, image(picture, self.plot.suffix))
 
@@ -300,7 +301,6 @@ def compare(
     from energyplan.comparison import compare as run
     from energyplan.io.documents import parse_pose
     from energyplan.output import documents
-    from energyplan.output.pages import comparison_page
 
     problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
@@ -310,6 +310,8 @@ def compare(
         drive_to(None, result.shortest)
     routing.write(problem, {"least energy": result.energy_optimal, "shortest": result.shortest})
     if report:
+        from energyplan.output.pages import comparison_page
+
         write_report(comparison_page(result, problem), report)
     answer(documents.comparison(result), result, json=json)
 
@@ -405,11 +407,9 @@ def reach(
     Computes the energy that it takes to reach each place of a map, and to come back if asked.
     """
     from energyplan.io.documents import parse_pose
-    from energyplan.io.files import atomic_write
     from energyplan.io.mission import read_battery
     from energyplan.io.tables import write_contours, write_energies
-    from energyplan.output import documents, plots, text
-    from energyplan.output.plots import image
+    from energyplan.output import documents, text
     from energyplan.reach import energy_map, energy_of_charge
 
     if battery and energy is not None:
@@ -438,6 +438,10 @@ def reach(
     if contours:
         write_contours(areas, contours)
     if plot:
+        from energyplan.io.files import atomic_write
+        from energyplan.output import plots
+        from energyplan.output.plots import image
+
         atomic_write(plot, image(plots.energy_map(found, problem.map), plot.suffix))
     answer(documents.energy_map(found, areas), text.energy_map(found, areas), json=json)
 
@@ -484,7 +488,6 @@ def mission(
     from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
-    from energyplan.output.pages import mission_page
 
     document = load(file, MissionError)
     if "robots" in document.data:
@@ -506,6 +509,8 @@ def mission(
         for k, leg in enumerate(result.trajectories, start=1):
             write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
     if report:
+        from energyplan.output.pages import mission_page
+
         write_report(mission_page(result), report)
     answer(documents.mission(result, bool(trajectories)), text.mission(result), json=json)
     verdict(result.feasible, strict)

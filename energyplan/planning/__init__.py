@@ -175,7 +175,7 @@ def plan(
     problem, bare, notes = checked_ends(problem)
     function = declared.function
     _check_call(name, function, options)
-    compile_planning(bare)
+    compile_planning(bare, load=effort is None)
     prepare(bare, guided=declared.bound)
 
     def solve(asked: PlanningProblem, budget: Budget) -> Candidate:

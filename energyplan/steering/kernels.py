@@ -22,7 +22,7 @@ import math
 from math import cos, sin
 from typing import NamedTuple
 
-from energyplan.compilation import Floats, FloatTable, njit
+from energyplan.compilation import Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
 from energyplan.steering import static_words as words
@@ -42,7 +42,7 @@ class Between(NamedTuple):
     turn: float  # turn to the left [rad], in [0, 2 pi)
 
 
-@njit
+@inner
 def between_poses(
     dx: float, dy: float, theta0: float, theta1: float, half_track: float, longitudinal: float,
     lateral: float,
@@ -99,7 +99,7 @@ class Switches(NamedTuple):
     z2: float
 
 
-@njit
+@inner
 def _free_switches(x: float, y: float, eta: float) -> Switches:
     """Return the pivots that reach ``(x, y)`` within the sweep.
 
@@ -121,7 +121,7 @@ def _free_switches(x: float, y: float, eta: float) -> Switches:
     return choice
 
 
-@njit
+@inner
 def _sweep(
     start: float, stop: float, z1: float, z2: float, sign: float, ds: Floats, dtheta: Floats,
     n: int,
@@ -144,7 +144,7 @@ def _sweep(
     return n
 
 
-@njit
+@inner
 def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     """Append a straight line unless its length is zero."""
     if length == 0.0:
@@ -153,7 +153,7 @@ def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     return n + 1
 
 
-@njit
+@inner
 def _word_path(
     word: Word, x: float, y: float, eta: float, ds: Floats, dtheta: Floats,
 ) -> int:  # fmt: skip
@@ -226,7 +226,7 @@ def steer_path(
     return n
 
 
-@njit
+@inner
 def chord_factor(dtheta: float) -> float:
     """Length of the chord of an arc, in units of the arc's length."""
     half = 0.5 * dtheta

@@ -19,7 +19,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, njit
+from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
 from energyplan.steering.kernels import (
@@ -80,7 +80,7 @@ class KernelProblem(NamedTuple):
     goal: Pose  # pose of the centre of the tread ICRs at the goal
 
 
-@njit
+@inner
 def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: float) -> float:
     """Price of a motion on one class of surface."""
     turned = half_track * dtheta
@@ -98,7 +98,7 @@ def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: f
     )
 
 
-@njit
+@inner
 def turn_prices(setting: KernelProblem) -> Floats:
     """Price of a radian of turning on each class of surface, on the level.
 
@@ -120,7 +120,7 @@ def turn_prices(setting: KernelProblem) -> Floats:
     return found
 
 
-@njit
+@inner
 def surface_at(setting: KernelProblem, pose: Pose) -> int:
     """Class of the surface that the robot is on, that of the nearest cell outside the map."""
     rows, columns = setting.surface.shape
@@ -132,7 +132,7 @@ def surface_at(setting: KernelProblem, pose: Pose) -> int:
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
 
 
-@njit
+@inner
 def height_at(hills: Hills, x: float, y: float) -> float:
     """Height of a point, bilinear between the nodes; that of the raster's edge beyond it."""
     dx = x - hills.x
@@ -151,7 +151,7 @@ def height_at(hills: Hills, x: float, y: float) -> float:
     return float(low * (1.0 - v) + high * v)
 
 
-@njit
+@inner
 def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
     """Price of a motion on slopes, less what the rise of its reference point is worth."""
     hills = setting.hills
@@ -245,7 +245,7 @@ def free_energy(setting: KernelProblem, pose: Pose) -> float:
     return steer_energy(goal.x - pose.x, goal.y - pose.y, pose.yaw, goal.yaw, setting.steering)
 
 
-@njit
+@inner
 def motions_cost(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
@@ -260,7 +260,7 @@ def motions_cost(
     return total
 
 
-@njit
+@inner
 def drive(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
@@ -279,7 +279,7 @@ def drive(
     return total
 
 
-@njit
+@inner
 def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: Floats) -> int:
     """Write the motion that turns on the spot, drives straight, and turns on the spot."""
     dx = to.x - pose.x
@@ -297,10 +297,18 @@ def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: F
     return 3
 
 
-@njit
+@inner
 def pose_at(poses: FloatTable, k: int) -> Pose:
     """Return a row of poses as a pose."""
     return Pose(poses[k, 0], poses[k, 1], poses[k, 2])
+
+
+@inner
+def put_pose(poses: FloatTable, k: int, pose: Pose) -> None:
+    """Write a pose into a row; Numba takes a second to compile a general assignment to a row."""
+    poses[k, 0] = pose.x
+    poses[k, 1] = pose.y
+    poses[k, 2] = pose.yaw
 
 
 @njit
