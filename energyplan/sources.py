@@ -140,7 +140,8 @@ def source_digest(file: Path, name: str) -> str:
 
 def kernels_of(file: Path) -> list[str]:
     """Return the names of the kernels that a module defines."""
-    if not re.search(rf"^@({'|'.join(DECORATORS)})$", file.read_text(encoding="utf-8"), re.MULTILINE):
+    decorated = rf"^@({'|'.join(DECORATORS)})$"
+    if not re.search(decorated, file.read_text(encoding="utf-8"), re.MULTILINE):
         return []
     return [
         statement.name

@@ -407,7 +407,6 @@ def reach(
     Computes the energy that it takes to reach each place of a map, and to come back if asked.
     """
     from energyplan.io.documents import parse_pose
-    from energyplan.io.mission import read_battery
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, text
     from energyplan.reach import energy_map, energy_of_charge
@@ -424,6 +423,8 @@ def reach(
     drive = Drive(model, at_battery=at_battery or battery is not None)
     problem = problem_of(Site(map_file), drive, pose, pose)
     if battery:
+        from energyplan.io.mission import read_battery  # with all of missions
+
         charge = 1.0 if soc is None else _fraction("--soc", soc)
         energy = energy_of_charge(problem.cost, read_battery(battery), charge)
     usable = None if energy is None else (1.0 - kept) * energy
