@@ -238,6 +238,8 @@ class Vehicle(ByValue, html.Readable):
     tracking_tolerance : float
         How far the vehicle may leave its path [m]: corners are rounded so far, where the ground is
         free, instead of stopping at them. With 0 it stops.
+    reverse : bool
+        Whether it may drive backwards. Where it may not, it still turns on the spot.
 
     Raises
     ------
@@ -264,6 +266,7 @@ class Vehicle(ByValue, html.Readable):
     battery_return: Annotated[float, Within((0, 1e6), (0, 1e5), "W", endless=True)] = np.inf
     usual_speed: Speed = np.inf
     tracking_tolerance: Annotated[float, Within((0, 10), (0, 0.5), "m")] = 0.0
+    reverse: bool = True
 
     def __post_init__(self) -> None:
         check_fields(self, VehicleError)

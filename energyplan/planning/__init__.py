@@ -44,7 +44,7 @@ PLANNERS = {
     "lattice": Planner(
         "energyplan.planning.search.planner:plan",
         surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
-        costmap=True, turning=True,
+        costmap=True, turning=True, forwards=True,
     ),
     **{
         name: Planner(

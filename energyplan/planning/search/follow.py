@@ -169,9 +169,11 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 if shared & (np.uint64(1) << np.uint64(h)) == 0:
                     cost[h] = inf
                     continue
-                aslant = abs(h - way) % (HEADINGS // 2)
-                aslant = min(aslant, HEADINGS // 2 - aslant)
-                cost[h] += length * aside[int(aslant + 0.5)]
+                turned = abs(h - way) % HEADINGS
+                turned = min(turned, HEADINGS - turned)
+                aslant = min(turned, HEADINGS // 2 - turned)
+                backwards = turned > HEADINGS // 4 and setting.gear != 0
+                cost[h] += inf if backwards else length * aside[int(aslant + 0.5)]
         for h in range(HEADINGS):
             came[k, h] = h
             if free & (np.uint64(1) << np.uint64(h)) == 0 and k > 0:

@@ -210,6 +210,8 @@ def grow(
             elif motion >= 2:
                 ds = sign * max(half, setting.least_radius) * lattice.turn
                 step = 1 if motion < 4 else -1
+            if ds * setting.gear < 0.0:
+                continue
             dtheta = step * lattice.turn
             heading = (index + step) % lattice.headings
             there = arc_end(here, ds, dtheta)

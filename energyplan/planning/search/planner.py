@@ -465,6 +465,8 @@ def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
             if totals[i] >= best[j] * (1.0 - 1e-6):
                 break
             joined = steering.path(poses[i], poses[j], cost)
+            if problem.reversing(joined) is not None:
+                continue
             if problem.terrain.obstacles.path_free(joined, problem.robot):
                 best[j] = totals[i]
                 parts.append((joined.ds, joined.dtheta))

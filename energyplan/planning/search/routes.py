@@ -222,7 +222,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
                     continue
             else:
                 k = n - 2
-                if along[b, k] == 0:
+                if along[b, k] == 0 or along[b, k] * setting.gear < 0:
                     continue
                 ahead = along[b, k] > 0
                 there, common = _stepped(places, midway, place, arc, k, stride)

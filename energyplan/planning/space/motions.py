@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
+from energyplan.steering.forwards import forwards
 from energyplan.steering.kernels import (
     MAX_SEGMENTS,
     arc_end,
@@ -72,6 +73,7 @@ class KernelProblem(NamedTuple):
     steering: StaticSteering  # the static cost that steering solves
     half_track: float  # half the slip track [m]
     least_radius: float  # of arcs; zero where any turn is allowed [m]
+    gear: int  # 0 drives both ways, 1 forwards only; -1 that searched from the end
     lateral: float  # y of the centre of the tread ICRs in the body frame [m]
     reach: float  # distance of the body's furthest corner [m]
     least_metre: float  # what each metre of a motion costs at least, beside `least_radian`
@@ -298,6 +300,15 @@ def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: F
 
 
 @inner
+def backs_up(ds: Floats, count: int) -> bool:
+    """Tell whether any of some motions drives backwards."""
+    least = 0.0
+    for k in range(count):
+        least = min(least, ds[k])
+    return least < 0.0
+
+
+@inner
 def pose_at(poses: FloatTable, k: int) -> Pose:
     """Return a row of poses as a pose."""
     return Pose(poses[k, 0], poses[k, 1], poses[k, 2])
@@ -318,7 +329,8 @@ def join(
     """Join two poses by the cheapest free motion known, if it costs less than `limit`.
 
     Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
-    room at times.
+    room at times. Where the robot does not reverse and the exact motion does, two turns with a
+    straight line between them stand for it.
     """
     dx = to.x - pose.x
     dy = to.y - pose.y
@@ -326,12 +338,15 @@ def join(
     if even and steer_energy(dx, dy, pose.yaw, to.yaw, setting.steering) >= limit:
         return inf, 0
     count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
+    if setting.gear != 0 and backs_up(ds, count):
+        count = forwards(pose, to, setting.steering, setting.least_radius == 0.0, ds, dtheta)
     cost = drive(setting, pose, ds, dtheta, count, limit)
     if cost < inf and even:
         return cost, count
     other_ds = np.empty(3)
     other_dtheta = np.empty(3)
-    for way in range(2 if setting.least_radius == 0.0 else 0):
+    ways = 1 if setting.gear != 0 else 2
+    for way in range(ways if setting.least_radius == 0.0 else 0):
         n = spin_drive_spin(pose, to, way == 1, other_ds, other_dtheta)
         other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost))
         if other < cost:

@@ -151,8 +151,8 @@ def _key(pose: Pose, room: float, reach: float) -> int:
 
 @njit
 def escape(
-    space: Space, body: Body, grown: Body, end: Pose, half: float, spins: bool, reach: float,
-    inwards: bool, needed: float, tests: int,
+    space: Space, body: Body, grown: Body, end: Pose, half: float, spins: bool, reverse: bool,
+    reach: float, inwards: bool, needed: float, tests: int,
 ) -> Escape:  # fmt: skip
     """Search until enough poses with room are known, or so many motions were tested."""
     nodes = SETTINGS.nodes
@@ -193,6 +193,8 @@ def escape(
                 most_ds = 0.0
             if kind >= 4:
                 most_ds = half * 0.5 * pi * (1.0 if kind < 6 else -1.0)
+            if most_ds < 0.0 and not reverse:
+                continue
             if most_ds == 0.0 and not spins:
                 continue
             free = _free_part(
@@ -328,7 +330,8 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     space, body, setting = query.grid.space, query.body, query.setting
     tree = escape(
         space, body, query.grown, pose, max(setting.half_track, setting.least_radius),
-        setting.least_radius == 0.0, setting.reach, goal, turn, int(budget.left / UNITS.motion) + 1,
+        setting.least_radius == 0.0, setting.gear == 0, setting.reach, goal, turn,
+        int(budget.left / UNITS.motion) + 1,
     )  # fmt: skip
     budget.spend(UNITS.motion * tree.tests)
     ways: list[tuple[float, Segments]] = []

@@ -144,6 +144,9 @@ def bidirectional_search(
         along = cos(begin.yaw + h * turn)
         across = sin(begin.yaw + h * turn)
         for k in range(NEIGHBOURS):
+            forward = along * STEP_I[k] + across * STEP_J[k]
+            if setting.gear != 0 and forward * (1 - 2 * who) < -1e-9:
+                continue
             to_h = (h + STEP_H[k]) % headings
             to_key = ((i + STEP_I[k]) << BITS | (j + STEP_J[k])) * headings + to_h
             slot = slot_of(table, key, to_key)
@@ -174,7 +177,7 @@ def bidirectional_search(
                 narrow[other] = not pose_free(setting.space, wide, x, y, yaw)
             step = setting.reach * turn
             if STEP_H[k] == 0:
-                ahead = abs(along * STEP_I[k] + across * STEP_J[k])
+                ahead = abs(forward)
                 aside = abs(along * STEP_J[k] - across * STEP_I[k])
                 step = cell * (ahead + SETTINGS.aside * aside)
             if narrow[other]:
