@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
-from energyplan.steering.forwards import forwards
+from energyplan.steering.forwards import arcs_forwards, forward_energy, forward_path
 from energyplan.steering.kernels import (
     MAX_SEGMENTS,
     arc_end,
@@ -244,7 +244,11 @@ def motion_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) ->
 def free_energy(setting: KernelProblem, pose: Pose) -> float:
     """Least cost from a pose to the goal if there were no obstacles."""
     goal = setting.goal
-    return steer_energy(goal.x - pose.x, goal.y - pose.y, pose.yaw, goal.yaw, setting.steering)
+    dx = goal.x - pose.x
+    dy = goal.y - pose.y
+    if setting.gear != 0 and setting.least_radius == 0.0:
+        return forward_energy(dx, dy, pose.yaw, goal.yaw, setting.steering)
+    return steer_energy(dx, dy, pose.yaw, goal.yaw, setting.steering)
 
 
 @inner
@@ -329,8 +333,8 @@ def join(
     """Join two poses by the cheapest free motion known, if it costs less than `limit`.
 
     Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
-    room at times. Where the robot does not reverse and the exact motion does, two turns with a
-    straight line between them stand for it.
+    room at times. Where the robot does not reverse and the exact motion does, the exact one
+    forwards, or one of arcs, stands for it.
     """
     dx = to.x - pose.x
     dy = to.y - pose.y
@@ -339,7 +343,10 @@ def join(
         return inf, 0
     count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
     if setting.gear != 0 and backs_up(ds, count):
-        count = forwards(pose, to, setting.steering, setting.least_radius == 0.0, ds, dtheta)
+        if setting.least_radius > 0.0:
+            count = arcs_forwards(pose, to, setting.steering, ds, dtheta)
+        else:
+            count = forward_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
     cost = drive(setting, pose, ds, dtheta, count, limit)
     if cost < inf and even:
         return cost, count
