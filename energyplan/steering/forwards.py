@@ -15,7 +15,7 @@ arc, between them.
 
 from __future__ import annotations
 
-from math import acos, asin, atan2, cos, hypot, inf, pi, sin, sqrt
+from math import acos, atan2, cos, hypot, inf, pi, sin, sqrt
 from typing import NamedTuple
 
 from energyplan.compilation import Floats, FloatTable, inner, njit
@@ -95,10 +95,16 @@ def _root(far: float, m: float, c: float) -> float:
         step = length - value / slope if slope > 0.0 else low
         if not low < step < high:
             step = 0.5 * (low + high)
-        if abs(step - length) <= 1e-15 * far:
+        if abs(step - length) <= 1e-15 * length:
             break
         length = step
     return length
+
+
+@inner
+def _angle(q: float, rest: float) -> float:
+    """Return the angle whose sine is q, which is so much below 1: exact near a right angle too."""
+    return atan2(q, sqrt(max(rest, 0.0) * (1.0 + q)))
 
 
 @inner
@@ -154,10 +160,11 @@ def _at_upper_end(x: float, y: float, eta: float, c: float, side: float, best: F
         across = vx * s + vy * k
         inside = m * m + 16.0 * turn * (4.0 * c + 2.0 + across)
         root = sqrt(max(inside, 0.0))
-        for q in ((m + root) / (8.0 * turn), (m - root) / (8.0 * turn)):
+        other_root = -2.0 * (4.0 * c + 2.0 + across) / (m + root)
+        for q in ((m + root) / (8.0 * turn), other_root):
             if inside < 0.0 or not 0.0 < q <= 1.0:
                 continue
-            tau = asin(q)
+            tau = _angle(q, (2.0 - m - across) / (4.0 * turn + 4.0 * turn * q - m))
             length = 2.0 * c * cos(tau) / q
             h = TWO_PI - 2.0 * tau - eta
             other = vx * k - vy * s - length * cos(2.0 * tau) + 2.0 * sin(2.0 * tau) - m * cos(tau)
@@ -191,10 +198,11 @@ def _beyond_both_ends(x: float, y: float, eta: float, c: float, best: Forward) -
         (-2.0 * s, 0.0, 2.0, False, False),
     ):  # fmt: skip
         far = hypot(x - kx, y - ky)
-        q = (m - far + sqrt((m - far) ** 2 + 64.0 * turn * c)) / (8.0 * turn)
+        root = sqrt((m - far) ** 2 + 64.0 * turn * c)
+        q = (m - far + root) / (8.0 * turn) if far < m else 8.0 * c / (root + far - m)
         if not 0.0 < q <= 1.0:
             continue
-        tau = asin(q)
+        tau = _angle(q, (4.0 + far - m) * q / (4.0 * (turn * q + c)))
         length = 2.0 * c * cos(tau) / q
         cost = turn * (4.0 * (pi - tau) - 2.0 * eta) + 2.0 * length
         if cost >= best.cost:

@@ -10,8 +10,8 @@ from scipy.optimize import linprog
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.power import PowerModel
-from energyplan.vehicle import TreadICR
+from energyplan.power import HOTEL, PowerModel
+from energyplan.vehicle import MotorLimits, TreadICR
 
 STEP = 2.0 * math.pi / 36
 
@@ -91,8 +91,8 @@ def test_what_leads_forwards_anyway_takes_no_more() -> None:
 
 
 def test_a_cost_that_is_not_static_is_refused() -> None:
-    lossy = replace(PowerModel.preset("quadriga:full:concrete").vehicle, drive_efficiency=0.8)
-    model = replace(PowerModel.preset("quadriga:full:concrete"), vehicle=lossy)
-    cost = EnergyCost(model, at_battery=True)
+    full = PowerModel.preset("quadriga:full:marble")
+    limited = replace(full, vehicle=replace(full.vehicle, motor=MotorLimits(speed=1.2)))
+    cost = EnergyCost(limited.with_term(HOTEL, 80.0))
     with pytest.raises(InvalidInputError, match="static models only"):
         steering.energy((0, 0, 0), (1, 0, 0), cost, reverse=False)

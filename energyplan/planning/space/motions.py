@@ -246,7 +246,7 @@ def free_energy(setting: KernelProblem, pose: Pose) -> float:
     goal = setting.goal
     dx = goal.x - pose.x
     dy = goal.y - pose.y
-    if setting.gear != 0 and setting.least_radius == 0.0:
+    if setting.gear != 0:
         return forward_energy(dx, dy, pose.yaw, goal.yaw, setting.steering)
     return steer_energy(dx, dy, pose.yaw, goal.yaw, setting.steering)
 
