@@ -8,6 +8,7 @@ import pytest
 
 import energyplan as ep
 from energyplan.errors import InvalidPathError, UnsupportedPlannerError
+from energyplan.io.tables import read_trajectory
 from energyplan.planning import Candidate, Planner
 from energyplan.terrain import OccupancyGrid
 
@@ -110,3 +111,15 @@ def test_the_vehicles_file_and_the_option_say_it(tmp_path: File, run) -> None:
     ]
     assert lengths[0] == lengths[1] > 1.9
     assert lengths[2] == 0.0
+
+
+def test_no_leg_of_a_mission_drives_backwards(tmp_path: File, run) -> None:
+    file = MAPS.parent / "examples" / "mission_warehouse.yaml"
+    slowest = []
+    for more in ("yes", "no"):
+        legs = tmp_path / more
+        done = run("mission", file, "--reverse", more, "--effort", 500, "--trajectories", legs)
+        assert done.code == 0, done.err
+        slowest.append(min(read_trajectory(leg).v.min() for leg in legs.glob("*.csv")))
+    assert slowest[0] < -0.1
+    assert slowest[1] >= -1e-9
