@@ -49,7 +49,7 @@ def test_no_plan_drives_backwards_on_any_bundled_map(name: str, more: dict) -> N
     ends = free_poses(grid, 4, seed=len(name))
     for start, goal in zip(ends[::2], ends[1::2], strict=True):
         plan = ep.plan(problem(grid, start, goal, **more), effort=4000)
-        assert plan.reverse_length == 0.0
+        assert plan.path.reverse_length == 0.0
         assert (plan.path.ds >= -1e-9).all()
         assert plan.lower_bound <= plan.cost * (1 + 1e-9)
         with_it = ep.plan(problem(grid, start, goal, MODEL.vehicle, **more), effort=4000)
@@ -60,9 +60,9 @@ def test_a_goal_behind_is_reached_by_turning_and_a_plan_says_how_far_it_reverses
     hall = OccupancyGrid(np.zeros((200, 300), bool), resolution=0.05)
     ends = (8.0, 5.0, 0.0), (6.0, 5.0, 0.0)
     back = ep.plan(problem(hall, *ends, MODEL.vehicle), effort=2000)
-    assert back.reverse_length == pytest.approx(2.0)
+    assert back.path.reverse_length == pytest.approx(2.0)
     round_about = ep.plan(problem(hall, *ends), effort=2000)
-    assert round_about.reverse_length == 0.0
+    assert round_about.path.reverse_length == 0.0
     # on open ground the exact motion is known, and is the plan
     assert round_about.energy == pytest.approx(
         float(ep.steering.energy(*ends, COST, reverse=False)), rel=1e-3
@@ -87,7 +87,7 @@ def test_a_way_there_and_back_costs_no_less_and_a_comparison_keeps_to_it() -> No
     grid = ep.read_map(MAPS / "warehouse.yaml")
     start, goal = (2.0, 2.0, 0.0), (20.0, 12.0, np.pi / 2)
     found = ep.compare(problem(grid, start, goal), effort=4000)
-    assert found.energy_optimal.reverse_length == found.shortest.reverse_length == 0.0
+    assert found.energy_optimal.path.reverse_length == found.shortest.path.reverse_length == 0.0
     maps = [
         ep.energy_map(problem(grid, start, start, vehicle), energy=1500.0, back=start)
         for vehicle in (MODEL.vehicle, FORWARDS)
