@@ -349,9 +349,12 @@ class CompiledProblem:
 
     def value(self, path: Path) -> float:
         """Return the objective's value of a path, asked of the models themselves."""
-        price = self.terrain.price(path, self.problem.cost)
-        value = self.objective.value(price.energy, path.length, price.duration)
-        return value + self.soft_cost(path)
+        cost, duration = self.problem.cost, 0.0
+        pieces = self.terrain.pieces(path, cost)
+        energy = float(sum(piece.cost.energy(piece.path, piece.slope) for piece in pieces))
+        if self.problem.weights.get("time"):
+            duration = self.terrain.price(path, cost).duration
+        return self.objective.value(energy, path.length, duration) + self.soft_cost(path)
 
 
 def compiled(problem: PlanningProblem) -> CompiledProblem:
