@@ -31,7 +31,7 @@ import numpy as np
 from numba import types
 from numba.core import caching, config, event, sigutils
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from numba.np import numpy_support
 from numpy.typing import NDArray
 

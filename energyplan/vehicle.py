@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -374,7 +374,7 @@ class Vehicle(ByValue, html.Readable):
         cog: ArrayLike = (0.0, 0.0),
         icr: TreadICR | None = None,
         motor: MotorLimits | None = None,
-        **limits: float,
+        **limits: Any,
     ) -> Vehicle:
         """Build a four-wheeled vehicle that is symmetric about its centre.
 
@@ -394,8 +394,8 @@ class Vehicle(ByValue, html.Readable):
             Tread ICRs; predicted by `predict_icr` where not given.
         motor : MotorLimits, optional
             Limits of each side's motor.
-        **limits : float
-            Efficiencies, limits, usual speed and tolerance, as in `Vehicle`.
+        **limits : object
+            Efficiencies, limits, usual speed, tolerance and reversing, as in `Vehicle`.
 
         Returns
         -------
