@@ -157,8 +157,11 @@ GATES = (
          most=0.5, unit=" %"),
     Gate("service: median over the library's time", SERVICE,
          r"^ +1 +[\d.]+ +0 +\d+ +\d+ +(\d+) ", most=20, unit=" ms"),
-    Gate("first plan: cold, CPU", COLD, r"^plan +cold +[\d.]+ +([\d.]+)", most=90, unit=" s"),
-    Gate("first plan: warm, CPU", COLD, r"^plan +warm +[\d.]+ +([\d.]+)", most=4, unit=" s"),
+    Gate("start: a cold plan, over the imports", COLD, r"^plan +cold +[\d.]+ +([\d.]+)", most=175),
+    Gate("start: a warm plan, over the imports", COLD, r"^plan +warm +[\d.]+ +([\d.]+)", most=4),
+    Gate("start: --help, over the imports", COLD, r"^help +warm +[\d.]+ +([\d.]+)", most=0.6),
+    Gate("replanning where the rest is kept: CPU", COLD, r"^replan .*: ([\d.]+) ms", most=60,
+         unit=" ms"),
 )
 # fmt: on
 

@@ -23,6 +23,7 @@ from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+from types import FunctionType
 from typing import Annotated, Any, NamedTuple, ParamSpec, TypeVar, cast, get_args, get_origin
 from typing import get_type_hints as hints_of
 
@@ -30,6 +31,7 @@ import numpy as np
 from numba import types
 from numba.core import caching, config, event, sigutils
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.nrt import rtsys
 from numba.np import numpy_support
 from numpy.typing import NDArray
 
@@ -155,8 +157,13 @@ class _Locator(caching.UserWideCacheLocator):
         super().__init__(function, file)
         self._cache_path = str(cache_folder() / "kernels")
         name = f"{function.__module__}.{function.__qualname__}"
-        made_of = kernel_digests().get(name) or source_digest(Path(file), function.__qualname__)
-        self._digest = hashlib.sha256(f"{name}:{made_of}:{_compiler()}".encode()).hexdigest()[:24]
+        source = function.__code__.co_name
+        made_of = kernel_digests().get(f"{function.__module__}.{source}") or source_digest(
+            Path(file), source
+        )
+        kind = type(KERNELS.get(name)).__name__
+        made_of = f"{name}:{kind}:{made_of}:{_compiler()}"
+        self._digest = hashlib.sha256(made_of.encode()).hexdigest()[:24]
 
     def get_source_stamp(self) -> str:
         """Return the digest of all that the machine code depends on."""
@@ -188,7 +195,9 @@ class _Cache(caching.FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return machine code from disk; whatever is wrong with its file, it is compiled anew."""
         with suppress(Exception):
-            return super().load_overload(sig, target_context)
+            # Numba would first import all that it compiles with; machine code needs its runtime
+            rtsys.initialize(target_context)
+            return self._load_overload(sig, target_context)
         with suppress(OSError):
             self.flush()
         return None
@@ -232,9 +241,10 @@ def _can_be_kept() -> bool:
 class Kernel(CPUDispatcher):
     """A function that is compiled for the types of its annotations, whatever it is called with."""
 
-    def __init__(self, function: Callable[..., object]) -> None:
-        super().__init__(function, targetoptions=dict(_OPTIONS))
+    def __init__(self, function: Callable[..., object], **options: bool) -> None:
+        super().__init__(function, targetoptions=_OPTIONS | options)
         self.name = f"{function.__module__}.{function.__qualname__}"
+        self._kept = False
 
     @cached_property
     def declared(self) -> tuple[Any, ...]:
@@ -253,8 +263,11 @@ class Kernel(CPUDispatcher):
 
     @property
     def kept(self) -> bool:
-        """Whether its machine code is loaded, or there is a file of it."""
-        return bool(self.overloads) or (self.disk is not None and self.disk.file.is_file())
+        """Whether its machine code is loaded, or there was a file of it."""
+        if not self._kept:
+            on_disk = self.disk is not None and self.disk.file.is_file()
+            self._kept = on_disk or bool(self.overloads)
+        return self._kept
 
     def compile(self, sig: Any = None) -> Any:
         """Compile it for the declared types, or load it; for others where these do not convert."""
@@ -279,13 +292,37 @@ class Kernel(CPUDispatcher):
         )
 
 
-def njit(function: Callable[P, R]) -> Callable[P, R]:
+class InnerKernel(Kernel):
+    """A kernel for other kernels: without the entry for Python, which takes long to compile."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        super().__init__(function, no_cpython_wrapper=True)
+
+    @cached_property
+    def entry(self) -> Kernel:
+        """The same function with an entry for Python, compiled where that is needed after all."""
+        other = FunctionType(self.py_func.__code__, self.py_func.__globals__)
+        other.__qualname__ = f"{self.py_func.__qualname__}.entry"
+        other.__module__, other.__annotations__ = self.__module__, self.py_func.__annotations__
+        return Kernel(other)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run it from Python."""
+        return self.entry(*arguments)
+
+
+def njit(function: Callable[P, R], kind: type[Kernel] = Kernel) -> Callable[P, R]:
     """Compile a function to machine code that holds no GIL, for the types of its annotations."""
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    made = Kernel(function)
+    made = kind(function)
     KERNELS[made.name] = made
     return cast("Callable[P, R]", made)
+
+
+def inner(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function as `njit` does, for being called by kernels."""
+    return njit(function, InnerKernel)
 
 
 def _numba_type(annotation: Any) -> Any:
@@ -326,10 +363,11 @@ class Preparation(NamedTuple):
     seconds: float  # time it took [s]
 
 
-def compile_kernels(*modules: str, processes: int = 2) -> Preparation:
-    """Compile all kernels of some modules, or packages, or load them from disk.
+def compile_kernels(*modules: str, processes: int = 2, load: bool = False) -> Preparation:
+    """Compile those kernels of some modules, or packages, that are not on disk yet.
 
-    Two processes begin at either end of the list and meet where all has been kept.
+    Two processes begin at either end of the list and meet where all has been kept. What is on disk
+    is loaded when it is first called, or at once where a clock is about to start.
     """
     begun = time.perf_counter()
     inside = tuple(f"{module}." for module in modules)
@@ -342,8 +380,9 @@ def compile_kernels(*modules: str, processes: int = 2) -> Preparation:
         for kernel in missing:
             if not kernel.kept:
                 kernel.compile()
-    for kernel in wanted:
-        kernel.compile()
+    for kernel in wanted if load else ():
+        if not (isinstance(kernel, InnerKernel) or kernel.overloads):
+            kernel.compile()
     seconds = time.perf_counter() - begun
     return Preparation(tuple(names), len(wanted) - len(names), kept, processes, seconds)
 

@@ -154,7 +154,7 @@ class Path(ByValue):
     @property
     def reverse_length(self) -> float:
         """Distance of it that the reference point travels backwards [m]."""
-        return float(-np.minimum(self.ds, 0.0).sum())
+        return float(np.abs(np.minimum(self.ds, 0.0)).sum())
 
     @property
     def turning(self) -> float:

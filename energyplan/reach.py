@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.fit.doubts import unfounded
 from energyplan.kinds import checked, numbers
 from energyplan.path import FloatArray, Pose, as_pose
 from energyplan.planning.budget import Budget
@@ -49,6 +48,8 @@ class UpperPrices:
 
 def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> UpperPrices:
     """Return prices that bound the energy of paths with a probability."""
+    from energyplan.fit.doubts import unfounded  # slow to import, and rarely needed
+
     if not 0.5 <= confidence < 1.0:
         raise InvalidInputError(f"the confidence is {confidence}; give a part from 0.5 to below 1")
     if not 0.0 <= spread < 1.0:
@@ -348,7 +349,7 @@ def _reversed(setting: KernelProblem) -> KernelProblem:
     """Return a problem in which each motion costs what it does driven the other way."""
     half = DIRECTIONS // 2
     turned = np.concatenate([setting.prices[:, half:-1], setting.prices[:, : half + 1]], axis=1)
-    return setting._replace(prices=np.ascontiguousarray(turned))
+    return setting._replace(prices=np.ascontiguousarray(turned), gear=-setting.gear)
 
 
 def _table(

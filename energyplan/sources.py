@@ -20,8 +20,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).parent
 """Folder of the package."""
 
-DECORATOR = "njit"
-"""Name of the decorator that makes a function a kernel."""
+DECORATORS = ("njit", "inner")
+"""Names of the decorators that make a function a kernel."""
 
 
 class Name(NamedTuple):
@@ -66,7 +66,7 @@ class _Stripped(ast.NodeTransformer):
 
 
 def _marks_kernel(decorator: ast.expr) -> bool:
-    return isinstance(decorator, ast.Name) and decorator.id == DECORATOR
+    return isinstance(decorator, ast.Name) and decorator.id in DECORATORS
 
 
 def _imported(node: ast.ImportFrom) -> Iterator[tuple[str, Name]]:
@@ -140,7 +140,8 @@ def source_digest(file: Path, name: str) -> str:
 
 def kernels_of(file: Path) -> list[str]:
     """Return the names of the kernels that a module defines."""
-    if not re.search(rf"^@{DECORATOR}$", file.read_text(encoding="utf-8"), re.MULTILINE):
+    decorated = rf"^@({'|'.join(DECORATORS)})$"
+    if not re.search(decorated, file.read_text(encoding="utf-8"), re.MULTILINE):
         return []
     return [
         statement.name

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -238,6 +238,8 @@ class Vehicle(ByValue, html.Readable):
     tracking_tolerance : float
         How far the vehicle may leave its path [m]: corners are rounded so far, where the ground is
         free, instead of stopping at them. With 0 it stops.
+    reverse : bool
+        Whether it may drive backwards. Where it may not, it still turns on the spot.
 
     Raises
     ------
@@ -264,6 +266,7 @@ class Vehicle(ByValue, html.Readable):
     battery_return: Annotated[float, Within((0, 1e6), (0, 1e5), "W", endless=True)] = np.inf
     usual_speed: Speed = np.inf
     tracking_tolerance: Annotated[float, Within((0, 10), (0, 0.5), "m")] = 0.0
+    reverse: bool = True
 
     def __post_init__(self) -> None:
         check_fields(self, VehicleError)
@@ -371,7 +374,7 @@ class Vehicle(ByValue, html.Readable):
         cog: ArrayLike = (0.0, 0.0),
         icr: TreadICR | None = None,
         motor: MotorLimits | None = None,
-        **limits: float,
+        **limits: Any,
     ) -> Vehicle:
         """Build a four-wheeled vehicle that is symmetric about its centre.
 
@@ -391,8 +394,8 @@ class Vehicle(ByValue, html.Readable):
             Tread ICRs; predicted by `predict_icr` where not given.
         motor : MotorLimits, optional
             Limits of each side's motor.
-        **limits : float
-            Efficiencies, limits, usual speed and tolerance, as in `Vehicle`.
+        **limits : object
+            Efficiencies, limits, usual speed, tolerance and reversing, as in `Vehicle`.
 
         Returns
         -------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from typer import Argument, Option
@@ -133,6 +133,10 @@ Speed = Annotated[
         help="Tread speed [m/s], or 'cheapest'. Default: the vehicle's usual speed; without one, "
         "as fast as its motors go."
     ),
+]
+Reverse = Annotated[
+    Literal["yes", "no"] | None,
+    Option(help="Whether it may drive backwards. Default: as the vehicle's key 'reverse' says."),
 ]
 MapFile = Annotated[Path, Option("--map", help="YAML file of a map, or of a site.")]
 MaybeSite = Annotated[

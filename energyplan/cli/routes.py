@@ -45,6 +45,7 @@ class Routing:
             "arcs of this radius at least [m].",
         ),
     ] = "any"
+    reverse: opt.Reverse = None
     planner: Annotated[str, Option(help="lattice, or the name of another planner.")] = "lattice"
     out: Annotated[
         Path | None,
@@ -74,14 +75,12 @@ class Routing:
         turning: str | float = self.turning
         with suppress(ValueError):
             turning = float(turning)
-        return problem_of(site, drive, start, goal, turning=turning, **more)
+        return problem_of(site, drive, start, goal, self.reverse, turning=turning, **more)
 
     def write(self, problem: PlanningProblem, plans: dict[str, Plan]) -> None:
         """Write the first of some plans as a table, or all as a recording; draw them all."""
         from energyplan.io.files import atomic_write
         from energyplan.io.tables import write_path
-        from energyplan.output import plots
-        from energyplan.output.plots import image
 
         if self.out and self.out.suffix == opt.RECORDING:
             from energyplan.ros.messages import write_recording
@@ -91,6 +90,9 @@ class Routing:
         elif self.out:
             write_path(next(iter(plans.values())).path, self.out)
         if self.plot:
+            from energyplan.output import plots
+            from energyplan.output.plots import image
+
             picture = plots.planned(problem, plots.priced(plans))
             atomic_write(self.plot, image(picture, self.plot.suffix))
 
@@ -143,7 +145,9 @@ def level_model(name: str) -> PowerModel:
     return power
 
 
-def problem_of(site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -> PlanningProblem:
+def problem_of(
+    site: Site, drive: Drive, start: Pose, goal: Pose, reverse: str | None = None, **more: Any
+) -> PlanningProblem:
     """Return the problem that options name."""
     from energyplan.io.geojson import read_surfaces
     from energyplan.io.maps import read_map, read_site
@@ -162,6 +166,8 @@ def problem_of(site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any) -
     place = replace(place, surfaces=ground.surfaces)
     if place.costmap is not None and not more.get("costmap_weight"):
         warn("the costmap of the site does not count: plan takes --costmap-weight")
+    if reverse:
+        more["vehicle"] = replace(ground.cost.vehicle, reverse=reverse == "yes")
     return PlanningProblem(place, ground.cost, start, goal, **more)  # type: ignore[arg-type]
 
 
@@ -300,7 +306,6 @@ def compare(
     from energyplan.comparison import compare as run
     from energyplan.io.documents import parse_pose
     from energyplan.output import documents
-    from energyplan.output.pages import comparison_page
 
     problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
@@ -310,6 +315,8 @@ def compare(
         drive_to(None, result.shortest)
     routing.write(problem, {"least energy": result.energy_optimal, "shortest": result.shortest})
     if report:
+        from energyplan.output.pages import comparison_page
+
         write_report(comparison_page(result, problem), report)
     answer(documents.comparison(result), result, json=json)
 
@@ -398,6 +405,7 @@ def reach(
         Option(callback=writes(*opt.GEOJSON), help="Write the areas within reach to this GeoJSON."),
     ] = None,
     plot: opt.Plot = None,
+    reverse: opt.Reverse = None,
     json: opt.Json = False,
 ) -> None:
     """Find how far a given energy takes the robot.
@@ -405,11 +413,8 @@ def reach(
     Computes the energy that it takes to reach each place of a map, and to come back if asked.
     """
     from energyplan.io.documents import parse_pose
-    from energyplan.io.files import atomic_write
-    from energyplan.io.mission import read_battery
     from energyplan.io.tables import write_contours, write_energies
-    from energyplan.output import documents, plots, text
-    from energyplan.output.plots import image
+    from energyplan.output import documents, text
     from energyplan.reach import energy_map, energy_of_charge
 
     if battery and energy is not None:
@@ -422,8 +427,10 @@ def reach(
     pose = parse_pose(start)
     # what a battery delivers is counted at the battery
     drive = Drive(model, at_battery=at_battery or battery is not None)
-    problem = problem_of(Site(map_file), drive, pose, pose)
+    problem = problem_of(Site(map_file), drive, pose, pose, reverse)
     if battery:
+        from energyplan.io.mission import read_battery  # with all of missions
+
         charge = 1.0 if soc is None else _fraction("--soc", soc)
         energy = energy_of_charge(problem.cost, read_battery(battery), charge)
     usable = None if energy is None else (1.0 - kept) * energy
@@ -438,6 +445,10 @@ def reach(
     if contours:
         write_contours(areas, contours)
     if plot:
+        from energyplan.io.files import atomic_write
+        from energyplan.output import plots
+        from energyplan.output.plots import image
+
         atomic_write(plot, image(plots.energy_map(found, problem.map), plot.suffix))
     answer(documents.energy_map(found, areas), text.energy_map(found, areas), json=json)
 
@@ -455,6 +466,7 @@ def mission(
         Path, Argument(metavar="MISSION.yaml", help="Its keys are listed in docs/missions.")
     ],
     effort: opt.Work = None,
+    reverse: opt.Reverse = None,
     fail: Annotated[
         str | None,
         Option(
@@ -484,7 +496,6 @@ def mission(
     from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
-    from energyplan.output.pages import mission_page
 
     document = load(file, MissionError)
     if "robots" in document.data:
@@ -493,11 +504,11 @@ def mission(
                 f"{file} is a mission of several robots, which has no --report and no "
                 "--trajectories yet; leave them out"
             )
-        _robots(document, file.parent, fail, effort, json, strict)
+        _robots(document, file.parent, fail, effort, reverse, json, strict)
         return
     if fail is not None:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
-    asked = _with_effort(build(document, file.parent), effort)
+    asked = _with_options(build(document, file.parent), effort, reverse)
     warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"):
         result = evaluate(asked)
@@ -506,18 +517,26 @@ def mission(
         for k, leg in enumerate(result.trajectories, start=1):
             write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
     if report:
+        from energyplan.output.pages import mission_page
+
         write_report(mission_page(result), report)
     answer(documents.mission(result, bool(trajectories)), text.mission(result), json=json)
     verdict(result.feasible, strict)
 
 
-def _with_effort(asked: Mission, effort: int | None) -> Mission:
-    return asked if effort is None else replace(asked, planning_effort=effort)
+def _with_options(asked: Mission, effort: int | None, reverse: str | None) -> Mission:
+    if effort is not None:
+        asked = replace(asked, planning_effort=effort)
+    if reverse:
+        vehicle = replace(asked.model.vehicle, reverse=reverse == "yes")
+        asked = replace(asked, model=replace(asked.model, vehicle=vehicle))
+    return asked
 
 
 def _robots(
-    file: Document, folder: Path, fail: str | None, effort: int | None, json: bool, strict: bool
-) -> None:
+    file: Document, folder: Path, fail: str | None, effort: int | None, reverse: str | None,
+    json: bool, strict: bool,
+) -> None:  # fmt: skip
     """Share the tasks of a mission between its robots."""
     from energyplan.io.fleet import fleet_from
     from energyplan.mission import Fleet, evaluate_fleet
@@ -525,7 +544,9 @@ def _robots(
 
     name, instant = _failure(fail) if fail else ("", 0.0)
     asked = fleet_from(file, folder)
-    robots = [replace(one, mission=_with_effort(one.mission, effort)) for one in asked.robots]
+    robots = [
+        replace(one, mission=_with_options(one.mission, effort, reverse)) for one in asked.robots
+    ]
     asked = Fleet(tuple(robots), asked.places, asked.name)
     with progress("evaluating the mission"):
         report = evaluate_fleet(asked)

@@ -9,7 +9,7 @@ from math import fsum
 import numpy as np
 from scipy.stats import chi2
 
-from energyplan.compilation import AnyTable, Column, FloatBlock, Floats, FloatTable, njit
+from energyplan.compilation import AnyTable, Column, FloatBlock, Floats, FloatTable, inner, njit
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit.doubts import energy_error, is_linear, linearise
 from energyplan.fit.drive import Drive
@@ -75,7 +75,7 @@ _BEST_OF_FOUR = 1.7
 _RIDGE = 1e-6
 
 
-@njit
+@inner
 def inverse(matrix: FloatTable, result: FloatTable) -> None:
     """Invert a small positive definite matrix, by Gauss and Jordan without pivoting."""
     p = len(matrix)
@@ -96,7 +96,7 @@ def inverse(matrix: FloatTable, result: FloatTable) -> None:
                     result[k, j] -= factor * result[i, j]
 
 
-@njit
+@inner
 def _form(left: Column, matrix: FloatTable, right: Column) -> float:
     """Bilinear form ``left' matrix right``."""
     total = 0.0
@@ -106,7 +106,7 @@ def _form(left: Column, matrix: FloatTable, right: Column) -> float:
     return total
 
 
-@njit
+@inner
 def look(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: Floats) -> None:
     """Test the residuals of the last 1, 2, 4 and 8 s for a change of the coefficients."""
     p = vectors.shape[1]

@@ -97,6 +97,7 @@ class _Vehicle(_Strict):
     battery_return: Limit | None = None
     usual_speed: Limit | None = None
     tracking_tolerance: Number | None = None
+    reverse: bool | None = None
 
 
 class ProjectFile(_Strict):
@@ -147,7 +148,7 @@ def read_vehicle(source: str | Path) -> Vehicle:
     ``wheelbase``, ``track``, ``length``, ``width`` and ``mass`` of a symmetric vehicle; or
     ``preset`` with whatever differs from it. ``icr``, ``motor``, ``drive_efficiency``,
     ``regen_efficiency``, ``max_yaw_rate``, ``battery_power``, ``battery_return``,
-    ``usual_speed`` and ``tracking_tolerance`` may go with each. SI units. A motor
+    ``usual_speed``, ``tracking_tolerance`` and ``reverse`` may go with each. SI units. A motor
     without an acceleration limit gets `DEFAULT_ACCELERATION`. A project's file is read for the
     vehicle that it holds.
 
@@ -389,17 +390,17 @@ def _unusual(spec: _Vehicle) -> Doubts:
             yield from (((name, *at), text) for at, text in doubts(kind, vars(part)))
 
 
-_NUMBERS = (
+_SINGLE = (
     "drive_efficiency", "regen_efficiency", "max_yaw_rate", "battery_power", "battery_return",
-    "usual_speed", "tracking_tolerance",
+    "usual_speed", "tracking_tolerance", "reverse",
 )  # fmt: skip
-"""Keys of a vehicle that hold one number each."""
+"""Keys of a vehicle that hold one value each."""
 
 
 def _built(spec: _Vehicle, base: dict[str, Any]) -> Vehicle:
     """Build a vehicle from a file's values upon those of its preset."""
     told: dict[str, Any] = {
-        key: getattr(spec, key) for key in ("name", *_NUMBERS) if getattr(spec, key) is not None
+        key: getattr(spec, key) for key in ("name", *_SINGLE) if getattr(spec, key) is not None
     }
     check_sizes(_DIMENSIONS, vars(spec), VehicleError)
     if spec.icr is not None:

@@ -7,7 +7,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path as File
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -18,7 +18,9 @@ from energyplan.logs import DriveLog
 from energyplan.logs.guess import guess
 from energyplan.logs.tables import Table, read_table
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
-from energyplan.reach import Contour, EnergyMap
+
+if TYPE_CHECKING:
+    from energyplan.reach import Contour, EnergyMap
 
 _LIMITS = {"x": 1e8, "y": 1e8, "yaw": 1e5, "t": 1e11, "v": 100.0, "omega": 100.0}
 _PATH = ("x", "y", "yaw")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import AnyInts, Column, Floats, Ints, njit
+from energyplan.compilation import AnyInts, Column, Floats, Ints, inner, njit
 
 SHARE = 1e-9
 """Fraction of a piece's middle speed below which a speed counts as none: what rounding leaves."""
@@ -63,7 +63,7 @@ def cut_intervals(
     return interval[:total], begin[:total], end[:total]
 
 
-@njit
+@inner
 def _onesided(value: float, middle: float) -> float:
     """Speed at the edge of a piece, with the direction that it has inside."""
     if value * middle < 0.0 or abs(value) < EDGE * abs(middle):

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import AnyTable, Column, njit
+from energyplan.compilation import AnyTable, Column, inner, njit
 from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.limits.course import SETTINGS, Points
 from energyplan.limits.motor import Limits, largest_within, relative
@@ -220,7 +220,7 @@ def _ratio(limit: float, value: FloatArray) -> FloatArray:
     return np.divide(limit, value, out=np.full_like(value, np.inf), where=value > 0)
 
 
-@njit
+@inner
 def _kept(
     before: Column, after: Column, first: float, last: float,
     length: float, most: float, up: float, down: float,
@@ -236,7 +236,7 @@ def _kept(
     return True
 
 
-@njit
+@inner
 def _farthest(
     before: Column, after: Column, first: float, cap: float,
     length: float, most: float, up: float, down: float,

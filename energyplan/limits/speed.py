@@ -16,8 +16,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import maximum_filter1d
-from scipy.optimize import brentq
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
 from energyplan.kinds import checked
@@ -327,6 +325,8 @@ class _Task:
                 best, longest = tried, taken
             return float(np.log(taken / duration))
 
+        from scipy.optimize import brentq  # slow to import, and rarely needed
+
         top = float(np.arcsinh(SETTINGS.dearest))
         if excess(top) < 0 < excess(-top):
             brentq(excess, -top, top, xtol=1e-2)
@@ -408,6 +408,8 @@ class _Task:
 
 def _warmth(thermal: Thermal, limits: Limits, clock: FloatArray) -> FloatArray:
     """Warmest window over each instant of `clock`, over what the motors can keep up."""
+    from scipy.ndimage import maximum_filter1d  # slow to import, and rarely needed
+
     window, motor = limits.motor.thermal_time, limits.motor
     step = min(window / 50, float(clock[-1]) / 1000)
     ends = np.arange(0.0, clock[-1] + window + step, step)

@@ -32,6 +32,7 @@ from energyplan.compilation import (
     Ints,
     IntTable,
     WideBlock,
+    inner,
     njit,
 )
 
@@ -93,13 +94,13 @@ class Rest(NamedTuple):
     charge: float  # energy that one visit adds at most [J]
 
 
-@njit
+@inner
 def loosely(limit: float) -> float:
     """Return a limit with room for rounding."""
     return limit + _EPSILON * max(abs(limit), 1.0) if np.isfinite(limit) else limit
 
 
-@njit
+@inner
 def energy_left(rest: Rest, bucket: int, charge: float) -> float:
     """Return what the rest takes at least with a charge on board [J]; infinite if it cannot be."""
     visits = rest.energy.shape[1] - 1
@@ -220,7 +221,7 @@ class Store(NamedTuple):
     lost: Floats  # (2,): least energy that what was left out leads to [J]; 1 if to more worth
 
 
-@njit
+@inner
 def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
     """Drive or work; charges longer before it where the charge would not do. May end below 0.
 
@@ -240,7 +241,7 @@ def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
     return Label(label.energy + energy, left, time, label.rate, slack, label.worth, label.load)
 
 
-@njit
+@inner
 def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
     """Wait for a window, charging meanwhile what may be charged; the time tells a miss."""
     energy, left, time, slack = label.energy, label.left, label.time, label.slack
@@ -253,7 +254,7 @@ def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
     return Label(energy, left, time, label.rate, slack, label.worth, label.load)
 
 
-@njit
+@inner
 def _charged(label: Label) -> Label:
     """Charge as long as may be."""
     left = label.left + label.rate * label.slack
@@ -261,12 +262,12 @@ def _charged(label: Label) -> Label:
     return Label(label.energy, left, time, 0.0, 0.0, label.worth, label.load)
 
 
-@njit
+@inner
 def _left_at(label: Label, time: float) -> float:
     return label.left + label.rate * min(max(time - label.time, 0.0), label.slack)
 
 
-@njit
+@inner
 def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float) -> bool:
     """Tell whether a label is as good as another in every respect.
 
@@ -288,13 +289,13 @@ def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float)
     )
 
 
-@njit
+@inner
 def _label(store: Store, k: int) -> Label:
     v = store.value[k]
     return Label(v[0], v[1], v[2], v[3], v[4], v[5], v[6])
 
 
-@njit
+@inner
 def _with_room(store: Store, count: int, most: int) -> Store:
     """Return a store with room for one more label, unless there are too many."""
     if count < len(store.value) or count >= most:
@@ -308,7 +309,7 @@ def _with_room(store: Store, count: int, most: int) -> Store:
     )
 
 
-@njit
+@inner
 def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
     """Take a label out of its bucket; what followed from it stays."""
     if before < 0:
@@ -318,7 +319,7 @@ def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
     store.link[k, 3] = _GONE
 
 
-@njit
+@inner
 def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[float, bool]:
     """Return the least energy of an order of the worth known that a label leads to [J], or more."""
     worth, most = label.worth + ahead, label.left + label.rate * label.slack
@@ -336,7 +337,7 @@ def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[flo
     return least, more
 
 
-@njit
+@inner
 def _lose(store: Store, promise: tuple[float, bool]) -> None:
     """Note what a label that is left out for want of room may have led to."""
     store.lost[0] = min(store.lost[0], promise[0])
@@ -344,7 +345,7 @@ def _lose(store: Store, promise: tuple[float, bool]) -> None:
         store.lost[1] = 1.0
 
 
-@njit
+@inner
 def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
     """Tell whether a label promises less than another."""
     if abs(one.worth - other.worth) > _EPSILON:
@@ -353,7 +354,7 @@ def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
     return mine > (other_least if np.isfinite(other_least) else _FAR + other.energy)
 
 
-@njit
+@inner
 def _keep(
     store: Store, table: Table, known: Known, stage: int, place: int, new: Label, count: int
 ) -> bool:
@@ -399,7 +400,7 @@ def _keep(
     return True
 
 
-@njit
+@inner
 def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
     """Begin to charge; after another charger: here only (0), there first (1), or not here (2)."""
     power, full = table.charge_power[charger], table.capacity[charger]
@@ -410,7 +411,7 @@ def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
     return Label(new.energy, new.left, new.time, power, room, new.worth, new.load)
 
 
-@njit
+@inner
 def _priced(table: Table, load: float) -> int:
     """Return which of the payloads that energies are known for stands for a payload."""
     return min(int(np.searchsorted(table.loads, load - _MILLIGRAM)), len(table.loads) - 1)
@@ -566,7 +567,7 @@ class Tours(NamedTuple):
     payload: Floats  # (R,): payload at the start [kg]
 
 
-@njit
+@inner
 def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: int) -> float:
     """Return the energy of a robot's tasks in a sequence, with an extra one put in at a place [J].
 
@@ -605,7 +606,7 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
     return energy
 
 
-@njit
+@inner
 def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tuple[float, int]:
     """Return where a task adds least to a robot's sequence, and the energy of the sequence then."""
     least, at = np.inf, 0
@@ -616,7 +617,7 @@ def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tup
     return least, at
 
 
-@njit
+@inner
 def _insert_all(
     tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags, closed: Flags
 ) -> None:

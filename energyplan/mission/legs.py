@@ -118,7 +118,7 @@ class Scene(ByValue):
     @cached_property
     def symmetric(self) -> bool:
         """Whether a way costs the same driven backwards, so that one plan serves both."""
-        if self.heights is not None:
+        if self.heights is not None or not self.model.vehicle.reverse:
             return False
         angle = np.linspace(0.0, np.pi, 65)
         ds, turn = np.cos(angle), np.sin(angle)

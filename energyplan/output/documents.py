@@ -135,6 +135,7 @@ def plan(result: Plan) -> Document:
               "breakdown_driven": "breakdown"}  # fmt: skip
     return {
         **picked(result, keys),
+        "reverse_length": plain(result.path.reverse_length),
         "path": plain(result.path.poses()),
         **{key: plain(getattr(drive, name, None)) for key, name in driven.items()},
     }

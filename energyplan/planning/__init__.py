@@ -44,7 +44,7 @@ PLANNERS = {
     "lattice": Planner(
         "energyplan.planning.search.planner:plan",
         surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
-        costmap=True, turning=True,
+        costmap=True, turning=True, forwards=True,
     ),
     **{
         name: Planner(
@@ -175,7 +175,7 @@ def plan(
     problem, bare, notes = checked_ends(problem)
     function = declared.function
     _check_call(name, function, options)
-    compile_planning(bare)
+    compile_planning(bare, load=effort is None)
     prepare(bare, guided=declared.bound)
 
     def solve(asked: PlanningProblem, budget: Budget) -> Candidate:

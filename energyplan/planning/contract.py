@@ -73,6 +73,8 @@ class Planner:
         Whether it can be used where a costmap counts beside the objective.
     turning : bool
         Whether it keeps a least radius of arcs.
+    forwards : bool
+        Whether it can be used where the vehicle may not drive backwards.
     bound : bool
         Whether it returns a lower bound. For one that does not, a tenth of the budget is kept for
         computing one.
@@ -91,6 +93,7 @@ class Planner:
     bound: bool = False
     costmap: bool = False
     turning: bool = False
+    forwards: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self, InvalidInputError)
@@ -143,6 +146,7 @@ class Planner:
             "heights": problem.heights is not None and not self.heights,
             "a costmap": problem.softened and not self.costmap,
             "a least turning radius": problem.least_radius > 0 and not self.turning,
+            "a vehicle that does not reverse": not (problem.robot.reverse or self.forwards),
             **{f"the objective {name}": name not in self.objectives for name in wanted},
             "effort instead of a time limit": counted and not self.effort,
         }
@@ -181,6 +185,9 @@ def check_path(problem: PlanningProblem, path: Path, planner: str) -> None:
             f"a path whose segment {segment} turns on an arc of less than "
             f"{problem.least_radius:.3g} m"
         )
+    segment = problem.reversing(path)
+    if segment is not None:
+        raise refuse(f"a path whose segment {segment} drives backwards, which the vehicle may not")
     grid = problem.terrain.obstacles
     segment = problem.first_collision(path)
     if segment is not None:

@@ -222,7 +222,7 @@ def energy_graph(
     joules, or of the objective's unit.
     """
     prices = Prices(cost, surfaces, objective)
-    edges = edges_of(graph, reverse)
+    edges = edges_of(graph, reverse and cost.vehicle.reverse)
     straight = _straight_prices(edges, prices)
     states = edges.states
     out: nx.DiGraph[State] = nx.DiGraph()

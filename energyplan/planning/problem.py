@@ -39,6 +39,9 @@ TURNING = ("any", "forward")
 ROUNDING = 1e-6
 """Part of a radius by which an arc may be tighter: rounding."""
 
+AHEAD = 1e-9
+"""Length of driving backwards that is rounding [m]."""
+
 KEPT = (0.9, 0.5, 0.0)
 """Shares of the clearance that there is at the ends which leaving them keeps, tried in turn."""
 
@@ -88,7 +91,8 @@ class PlanningProblem:
         What to make least. A mapping weighs them: ``{"energy": 1, "time": 50}`` is worth 50 J a
         second saved. Of the shortest routes ``"length"`` asks for the one of least energy.
     vehicle : Vehicle, optional
-        Whose footprint to use; that of the cost's model if left out.
+        Whose footprint to use, and whether it may drive backwards; that of the cost's model if
+        left out.
     heights : HeightMap, optional
         Heights of the ground where it slopes. All power models need a term that reads the slope,
         such as the grade (`energyplan.power.effects.with_weight`).
@@ -175,9 +179,18 @@ class PlanningProblem:
 
     def tightest(self, path: Path) -> int | None:
         """Return the first segment of a path that turns more tightly than is allowed, or None."""
-        ahead = np.abs(path.ds - self.cost.icr.centre[1] * path.dtheta)
+        ahead = np.abs(self._ahead(path))
         tight = ahead < self.least_radius * (1.0 - ROUNDING) * np.abs(path.dtheta) - 1e-9
         return int(np.argmax(tight)) if tight.any() else None
+
+    def reversing(self, path: Path) -> int | None:
+        """Return the first segment that drives backwards where the vehicle may not, or None."""
+        back = self._ahead(path) < -AHEAD
+        return int(np.argmax(back)) if back.any() and not self.robot.reverse else None
+
+    def _ahead(self, path: Path) -> FloatArray:
+        """Return how far the point midway between the tread ICRs drives ahead in each segment."""
+        return path.ds - self.cost.icr.centre[1] * path.dtheta
 
     @cached_property
     def terrain(self) -> Terrain:

@@ -90,7 +90,7 @@ def _joined(here: Pose, fine: Path, vertex: int, problem: PlanningProblem) -> Pa
     gap = np.hypot(at.x - here.x, at.y - here.y) + abs(float(wrap_angle(at.yaw - here.yaw)))
     if gap > SETTINGS.alike:
         try:
-            rest = steering.path(here, at, problem.cost) + rest
+            rest = steering.path(here, at, problem.cost, reverse=problem.robot.reverse) + rest
         except EnergyPlanError:  # a vehicle that steering knows no way for
             return None
     kept = merged(Segments(rest.ds, rest.dtheta))
@@ -104,7 +104,7 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
     at = Pose(*(float(v) for v in fine.vertices[k]))
     driven = Path(fine.start, fine.ds[:k], fine.dtheta[:k], fine.longitudinal)
     try:
-        came = driven + steering.path(at, here, problem.cost)
+        came = driven + steering.path(at, here, problem.cost, reverse=problem.robot.reverse)
     except EnergyPlanError:
         return -np.inf
     query = compiled(replace(problem, goal=here).without_clearance)

@@ -8,6 +8,7 @@ import io
 import json
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from contextlib import aclosing, asynccontextmanager
+from dataclasses import replace
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -322,6 +323,8 @@ def _routes(service: _Service) -> APIRouter:
         cost = service.cost(asked.model, battery)
         place: Any = store.site(asked)  # of which a problem takes the parts
         ends = as_pose(asked.start, "start"), as_pose(goal, "goal")
+        if asked.reverse is not None:
+            more["vehicle"] = replace(cost.vehicle, reverse=asked.reverse)
         return PlanningProblem(place, cost, *ends, **more)
 
     def planned(

@@ -55,6 +55,7 @@ class PlanRequest(SiteFile, _Asked):
     planner: Name = "lattice"
     time_limit: float = Field(1.0, gt=0, le=LONGEST)
     effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
+    reverse: bool | None = Field(None, description="may it drive backwards; as its vehicle has it")
 
 
 class RangeRequest(SiteFile, _Asked):
@@ -69,6 +70,7 @@ class RangeRequest(SiteFile, _Asked):
     reserve: float = Field(0.0, ge=0, lt=1)
     confidence: float | None = Field(None, gt=0, lt=1)
     coefficient_spread: float = Field(0.0, ge=0, lt=1)
+    reverse: bool | None = Field(None, description="may it drive backwards; as its vehicle has it")
 
 
 def _column(value: Any) -> FloatArray:

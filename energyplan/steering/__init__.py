@@ -15,6 +15,7 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError
 from energyplan.kinds import checked, numbers
 from energyplan.path import FloatArray, Path, Pose, refuse_degrees
+from energyplan.steering.forwards import forward_energies, forward_path
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
 from energyplan.steering.polygon import polygon_energies, polygon_path
 
@@ -40,7 +41,9 @@ def _poses(value: ArrayLike, name: str) -> FloatArray:
 
 
 @checked()
-def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
+def energy(
+    start: ArrayLike, goal: ArrayLike, cost: EnergyCost, *, reverse: bool = True
+) -> FloatArray:
     """Return the least energy of any motion from start to goal in free space.
 
     Parameters
@@ -50,6 +53,8 @@ def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
         of the yaw make no difference.
     cost : EnergyCost
         What motion costs.
+    reverse : bool
+        Whether the robot may drive backwards; it turns on the spot in any case.
 
     Returns
     -------
@@ -59,7 +64,8 @@ def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
     Raises
     ------
     InvalidInputError
-        If the poses have a wrong shape, do not broadcast, or are not finite.
+        If the poses have a wrong shape, do not broadcast, or are not finite; or if the robot may
+        not reverse and its cost is not the paper's, which alone is solved exactly then.
 
     References
     ----------
@@ -83,14 +89,16 @@ def energy(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> FloatArray:
     goals = np.array(last, order="C").reshape(-1, 3)
     read = cost.steering_parameters
     if isinstance(read, StaticSteering):
-        steer_energies(starts, goals, read, out.reshape(-1))
+        solve = steer_energies if reverse else forward_energies
+        solve(starts, goals, read, out.reshape(-1))
     else:
+        _refuse_forwards(reverse)
         polygon_energies(starts, goals, read, out.reshape(-1))
     return out
 
 
 @checked()
-def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
+def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost, *, reverse: bool = True) -> Path:
     """Return a motion from start to goal that takes the least energy.
 
     Parameters
@@ -99,6 +107,8 @@ def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
         Poses x, y [m], yaw [rad] of the body frame.
     cost : EnergyCost
         What motion costs.
+    reverse : bool
+        Whether the robot may drive backwards; it turns on the spot in any case.
 
     Returns
     -------
@@ -109,7 +119,7 @@ def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
     Raises
     ------
     InvalidInputError
-        If a pose has a wrong shape or is not finite.
+        If a pose has a wrong shape or is not finite; or, without reversing, as for `energy`.
 
     References
     ----------
@@ -131,11 +141,20 @@ def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost) -> Path:
     between = last[0] - first[0], last[1] - first[1], first[2], last[2]
     read = cost.steering_parameters
     if isinstance(read, StaticSteering):
-        n = steer_path(*between, read, ds, dtheta)
+        n = (steer_path if reverse else forward_path)(*between, read, ds, dtheta)
     else:
+        _refuse_forwards(reverse)
         n = polygon_path(*between, read, ds, dtheta)
     found = Path(Pose(*(float(v) for v in first)), ds[:n], dtheta[:n], cost.icr.longitudinal)
     return _spin_if_as_good(found, last, cost)
+
+
+def _refuse_forwards(reverse: bool) -> None:
+    if not reverse:
+        raise InvalidInputError(
+            "steering without reversing is exact for static models only, whose energy two numbers "
+            "describe; leave reverse out, or give EnergyCost.from_coefficients"
+        )
 
 
 def _spin_if_as_good(found: Path, goal: FloatArray, cost: EnergyCost) -> Path:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import Floats, FloatTable, njit
+from energyplan.compilation import Floats, FloatTable, inner
 
 TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
@@ -34,7 +34,7 @@ COARSE = 1e-3  # of the fraction of a ray; Newton's method refines it
 INSIDE, AT_LO, AT_HI = 0, -1, 1
 
 
-@njit
+@inner
 def least(q: float, m: Floats, g: Floats) -> float:
     """``G(q)``: least of ``g - m q`` over the corners."""
     best = math.inf
@@ -43,7 +43,7 @@ def least(q: float, m: Floats, g: Floats) -> float:
     return best
 
 
-@njit
+@inner
 def _integral(
     rho: float, psi: float, a: float, b: float, m: Floats, g: Floats, q: Floats,
 ) -> tuple[float, float, float]:  # fmt: skip
@@ -72,7 +72,7 @@ def _integral(
     return cost, fx, fy
 
 
-@njit
+@inner
 def dual_value(
     px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable,
@@ -90,7 +90,7 @@ def dual_value(
     return cost + px * rx + py * ry, rx, ry
 
 
-@njit
+@inner
 def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     """Largest ``e.u`` over the headings visited, and where it is."""
     if (math.atan2(ey, ex) - lo) % TWO_PI <= hi - lo:
@@ -100,7 +100,7 @@ def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     return (at_hi, AT_HI) if at_hi > at_lo else (at_lo, AT_LO)
 
 
-@njit
+@inner
 def _boundary(
     t: float, stretch: float, lo: float, hi: float, af: float, ab: float
 ) -> tuple[float, float, int, int]:
@@ -118,7 +118,7 @@ def _boundary(
     return scale * ex, scale * ey, 1, where
 
 
-@njit
+@inner
 def between(a: float, b: float, f_a: float, f_b: float) -> float:
     """Next point of a bracketed root search: regula falsi, or the middle where it cannot tell.
 
@@ -131,7 +131,7 @@ def between(a: float, b: float, f_a: float, f_b: float) -> float:
     return x if min(a, b) < x < max(a, b) else middle
 
 
-@njit
+@inner
 def _ray(
     px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable, tolerance: float,
@@ -151,7 +151,7 @@ def _ray(
     return 0.5 * (low + high)
 
 
-@njit
+@inner
 def _curvature(
     rho: float, psi: float, a: float, b: float, m: Floats, q: Floats
 ) -> tuple[float, float, float]:
@@ -173,7 +173,7 @@ def _curvature(
     return xx, xy, yy
 
 
-@njit
+@inner
 def _interior(
     px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable,
@@ -209,13 +209,13 @@ def _interior(
     return value, px, py, math.hypot(rx, ry)
 
 
-@njit
+@inner
 def _inside(px: float, py: float, lo: float, hi: float, af: float, ab: float) -> bool:
     """Tell whether p satisfies the constraints."""
     return _reach(px, py, lo, hi)[0] <= af and _reach(-px, -py, lo, hi)[0] <= ab
 
 
-@njit
+@inner
 def corner_dual(
     dx: float, dy: float, lo: float, hi: float, eta: float, side: int, af: float, ab: float,
     left: FloatTable, right: FloatTable,
@@ -233,7 +233,7 @@ def corner_dual(
     return value, px, py, (rx * s1 - ry * c1) / det, (ry * c0 - rx * s0) / det
 
 
-@njit
+@inner
 def maximise(
     dx: float, dy: float, lo: float, hi: float, eta: float, af: float, ab: float, left: FloatTable,
     right: FloatTable, tolerance: float,

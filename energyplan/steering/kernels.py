@@ -22,7 +22,7 @@ import math
 from math import cos, sin
 from typing import NamedTuple
 
-from energyplan.compilation import Floats, FloatTable, njit
+from energyplan.compilation import Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
 from energyplan.steering import static_words as words
@@ -42,7 +42,7 @@ class Between(NamedTuple):
     turn: float  # turn to the left [rad], in [0, 2 pi)
 
 
-@njit
+@inner
 def between_poses(
     dx: float, dy: float, theta0: float, theta1: float, half_track: float, longitudinal: float,
     lateral: float,
@@ -99,8 +99,8 @@ class Switches(NamedTuple):
     z2: float
 
 
-@njit
-def _free_switches(x: float, y: float, eta: float) -> Switches:
+@inner
+def free_switches(x: float, y: float, eta: float) -> Switches:
     """Return the pivots that reach ``(x, y)`` within the sweep.
 
     As ``sign * d = U(eta) - U(-eta) - 2 (U(z2) - U(z1))``, a chord of the unit circle
@@ -121,8 +121,8 @@ def _free_switches(x: float, y: float, eta: float) -> Switches:
     return choice
 
 
-@njit
-def _sweep(
+@inner
+def sweep(
     start: float, stop: float, z1: float, z2: float, sign: float, ds: Floats, dtheta: Floats,
     n: int,
 ) -> int:  # fmt: skip
@@ -144,8 +144,8 @@ def _sweep(
     return n
 
 
-@njit
-def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
+@inner
+def straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     """Append a straight line unless its length is zero."""
     if length == 0.0:
         return n
@@ -153,7 +153,7 @@ def _straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     return n + 1
 
 
-@njit
+@inner
 def _word_path(
     word: Word, x: float, y: float, eta: float, ds: Floats, dtheta: Floats,
 ) -> int:  # fmt: skip
@@ -162,7 +162,7 @@ def _word_path(
     lo, hi, z1, z2, sign = -eta, eta, 9.0, 9.0, 1.0  # pivots go by `sign` below z1 and above z2
     at_lo, at_hi, psi, inner = 0.0, 0.0, 0.0, 0.0
     if code == words.FREE:
-        switches = _free_switches(x, y, eta)
+        switches = free_switches(x, y, eta)
         sign, z1, z2 = switches.sign, switches.z1, switches.z2
     elif code == words.N_STRAIGHT:
         psi, inner = q1, q2
@@ -190,16 +190,16 @@ def _word_path(
             z1, sign = (-z1, -sign) if z1 != 9.0 else (z1, sign)
         else:
             z1, z2 = -z2, -z1
-    n = _sweep(-eta, lo, z1, z2, sign, ds, dtheta, 0)
-    n = _straight(at_lo, ds, dtheta, n)
+    n = sweep(-eta, lo, z1, z2, sign, ds, dtheta, 0)
+    n = straight(at_lo, ds, dtheta, n)
     if inner != 0.0:
-        n = _sweep(lo, psi, z1, z2, sign, ds, dtheta, n)
-        n = _straight(inner, ds, dtheta, n)
-        n = _sweep(psi, hi, z1, z2, sign, ds, dtheta, n)
+        n = sweep(lo, psi, z1, z2, sign, ds, dtheta, n)
+        n = straight(inner, ds, dtheta, n)
+        n = sweep(psi, hi, z1, z2, sign, ds, dtheta, n)
     else:
-        n = _sweep(lo, hi, z1, z2, sign, ds, dtheta, n)
-    n = _straight(at_hi, ds, dtheta, n)
-    return _sweep(hi, eta, z1, z2, sign, ds, dtheta, n)
+        n = sweep(lo, hi, z1, z2, sign, ds, dtheta, n)
+    n = straight(at_hi, ds, dtheta, n)
+    return sweep(hi, eta, z1, z2, sign, ds, dtheta, n)
 
 
 @njit
@@ -226,7 +226,7 @@ def steer_path(
     return n
 
 
-@njit
+@inner
 def chord_factor(dtheta: float) -> float:
     """Length of the chord of an arc, in units of the arc's length."""
     half = 0.5 * dtheta

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import Floats, FloatTable, njit
+from energyplan.compilation import Floats, FloatTable, inner, njit
 from energyplan.cost.steering import PolygonSteering
 from energyplan.path import Pose
 from energyplan.steering.dual import (
@@ -29,7 +29,7 @@ from energyplan.steering.dual import (
 from energyplan.steering.kernels import arc_end, between_poses
 
 
-@njit
+@inner
 def _pays(
     px: float, py: float, end: float, outward: float, length: float, left: FloatTable,
     right: FloatTable,
@@ -50,7 +50,7 @@ def _pays(
     return min(max(math.log(gain / cost), -60.0), 60.0)
 
 
-@njit
+@inner
 def _extend(
     dx: float, dy: float, lo: float, hi: float, eta: float, af: float, ab: float, left: FloatTable,
     right: FloatTable, upper: bool,
@@ -74,7 +74,7 @@ def _extend(
     return (lo, end) if upper else (end, hi)
 
 
-@njit
+@inner
 def _both(
     dx: float, dy: float, lo: float, hi: float, eta: float, side: int, af: float, ab: float,
     left: FloatTable, right: FloatTable,
@@ -103,7 +103,7 @@ def _both(
     return lo, hi, False
 
 
-@njit
+@inner
 def _gains(
     dx: float, dy: float, a: float, b: float, eta: float, side: int, af: float, ab: float,
     left: FloatTable, right: FloatTable,
@@ -117,7 +117,7 @@ def _gains(
     )
 
 
-@njit
+@inner
 def best_extent(
     dx: float, dy: float, eta: float, af: float, ab: float, left: FloatTable, right: FloatTable,
     bound: float,
@@ -187,7 +187,7 @@ SAME = 1e-12  # headings that differ by less are one [rad]
 CLOSED = 1e-11  # straight pieces below this length would only make up for rounding
 
 
-@njit
+@inner
 def polygon_energy(
     dx: float, dy: float, theta0: float, theta1: float, cost: PolygonSteering
 ) -> float:
@@ -217,7 +217,7 @@ def polygon_energies(
         )
 
 
-@njit
+@inner
 def _corner_at(q: float, table: FloatTable) -> int:
     """Index of the cheapest corner where ``p.u = q``."""
     best, index = math.inf, 0
@@ -228,7 +228,7 @@ def _corner_at(q: float, table: FloatTable) -> int:
     return index
 
 
-@njit
+@inner
 def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTable) -> float:
     """Return where, from a heading towards `stop`, another corner becomes the cheapest."""
     rho, psi = math.hypot(px, py), math.atan2(py, px)
@@ -247,7 +247,7 @@ def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTa
     return heading + side * nearest if nearest < abs(stop - heading) else stop
 
 
-@njit
+@inner
 def _sweep(
     start: float, stop: float, px: float, py: float, table: FloatTable, ds: Floats, dtheta: Floats,
     n: int,
@@ -265,7 +265,7 @@ def _sweep(
     return n
 
 
-@njit
+@inner
 def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
     """Where the first n segments lead from the heading -eta."""
     here = Pose(0.0, 0.0, -eta)
@@ -274,7 +274,7 @@ def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
     return here
 
 
-@njit
+@inner
 def _schedule_path(
     x: float, y: float, eta: float, lo: float, hi: float, af: float, ab: float, left: FloatTable,
     right: FloatTable, ds: Floats, dtheta: Floats,

@@ -27,6 +27,7 @@ from energyplan.compilation import (
     Flags,
     ShortIntTable,
     SingleTable,
+    inner,
     njit,
 )
 
@@ -72,7 +73,7 @@ class InCells(NamedTuple):
     column: float
 
 
-@njit
+@inner
 def in_cells(space: Space, x: float, y: float) -> InCells:
     """Return where a point of the world lies in the grid: cell (i, j) from (i, j) to (i+1, j+1)."""
     dx = x - space.x
@@ -98,7 +99,7 @@ def next_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> ShortInt
     return out
 
 
-@njit
+@inner
 def _rectangle_free(
     space: Space, x: float, y: float, c: float, s: float, half_x: float, half_y: float
 ) -> bool:
@@ -157,7 +158,7 @@ def _rectangle_free(
     return True
 
 
-@njit
+@inner
 def _box_free(space: Space, box: Body, x: float, y: float, yaw: float) -> bool:
     """Tell whether a box in the frame of a pose in the world is free."""
     scale = 1.0 / space.resolution
@@ -189,7 +190,7 @@ def poses_free(space: Space, body: Body, poses: AnyTable) -> Flags:
     return out
 
 
-@njit
+@inner
 def _swept_box(body: Body, centre_x: float, centre_y: float, half: float) -> Body:
     """Return the bounding box of a body that turns by up to `half` either way about a centre."""
     x_min = inf

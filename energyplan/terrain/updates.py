@@ -15,12 +15,12 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import READONLY, FloatTable, SingleTable, njit
+from energyplan.compilation import READONLY, FloatTable, SingleTable, inner, njit
 from energyplan.errors import MapError
 from energyplan.terrain.collision import Space, next_blocked
 
 
-@njit
+@inner
 def _column_distance(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> FloatTable:
     """Return the distance along its column from each cell's centre to a blocked cell [cells]."""
     rows, columns = blocked.shape

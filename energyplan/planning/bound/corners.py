@@ -19,6 +19,7 @@ from energyplan.compilation import (
     FloatTable,
     ShortInts,
     ShortIntTable,
+    inner,
     njit,
 )
 from energyplan.planning.bound.line import (
@@ -64,7 +65,7 @@ class Ways(NamedTuple):
     links: Links  # what is known of the corners now
 
 
-@njit
+@inner
 def _seen_from(
     space: Space, outline: Outline, x: float, y: float, other_x: float, other_y: float,
     limit: float, out: Floats,
@@ -178,7 +179,7 @@ class Lines(NamedTuple):
     closed: FlagTable  # headings that these do not let through, those of one line after the other
 
 
-@njit
+@inner
 def _no_lines(rows: int) -> Lines:
     before = np.empty((rows, HEADINGS))
     gates = np.empty((2, rows), np.int32)
@@ -196,7 +197,7 @@ def _no_lines(rows: int) -> Lines:
     )  # fmt: skip
 
 
-@njit
+@inner
 def _more_lines(lines: Lines) -> Lines:
     rows = len(lines.tail)
     more = _no_lines(2 * rows)
@@ -214,7 +215,7 @@ def _more_lines(lines: Lines) -> Lines:
     return more
 
 
-@njit
+@inner
 def _measure_gates(
     space: Space, body: Body, outline: Outline, goal_yaw: float, lines: Lines, line: int,
     ux: float, uy: float, x: float, y: float, behind: int, about: int,
@@ -238,7 +239,7 @@ def _measure_gates(
             lines.gates[which, line] = BARRED
 
 
-@njit
+@inner
 def _lower(before: Floats, cost: Floats, to_goal: Floats) -> float:
     """Lower the costs before a line; return the least cost to the goal of those that fell."""
     better = inf
@@ -249,7 +250,7 @@ def _lower(before: Floats, cost: Floats, to_goal: Floats) -> float:
     return better
 
 
-@njit
+@inner
 def _unused(count: int, used: ShortInts) -> ShortInts:
     """Return numbers of lines, -1 where none is: first those in use."""
     out = np.empty(count, np.int32)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Flags, Floats, FloatTable, njit
+from energyplan.compilation import Flags, Floats, FloatTable, inner
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound.outline import Outline
 from energyplan.planning.space.configurations import grown
@@ -30,7 +30,7 @@ class Settings(NamedTuple):
 SETTINGS = Settings()
 
 
-@njit
+@inner
 def gate(
     space: Space,
     body: Body,
@@ -113,7 +113,7 @@ class Rates(NamedTuple):
     steering: StaticSteering  # what no motion costs less than, pivots included
 
 
-@njit
+@inner
 def spread(cost: Floats, turn: float) -> None:
     """Lower each node's cost to that of turning there from another node, at `turn` a node."""
     n = len(cost)
@@ -129,7 +129,7 @@ def spread(cost: Floats, turn: float) -> None:
         cost[j] = best
 
 
-@njit
+@inner
 def _least(cost: Floats) -> float:
     best = inf
     for j in range(len(cost)):
@@ -137,7 +137,7 @@ def _least(cost: Floats) -> float:
     return best
 
 
-@njit
+@inner
 def along_line(
     cost: Floats,
     direction: float,
@@ -187,7 +187,7 @@ def along_line(
     return out
 
 
-@njit
+@inner
 def pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
     """Raise the cost of the headings that a gate does not let through."""
     for j in range(len(cost)):
@@ -223,7 +223,7 @@ class Reached(NamedTuple):
     steps: float  # steps that finding it took
 
 
-@njit
+@inner
 def _headway(angle: float) -> float:
     """Return the integral of the absolute cosine from zero to an angle."""
     half_turns = floor(angle / pi + 0.5)
@@ -240,7 +240,7 @@ class Beyond(NamedTuple):
     above: FloatTable  # (NORMALS, MOST + 1): the same from the high end
 
 
-@njit
+@inner
 def no_tables() -> Beyond:
     """Return tables to be filled."""
     return Beyond(
@@ -251,7 +251,7 @@ def no_tables() -> Beyond:
     )
 
 
-@njit
+@inner
 def _outward(heading: float, step: float, many: int, greatest: Floats, headway: Floats) -> None:
     """Fill in the tables of one force and one end."""
     c = cos(heading)
@@ -274,7 +274,7 @@ def _outward(heading: float, step: float, many: int, greatest: Floats, headway: 
         s = ss
 
 
-@njit
+@inner
 def to_gate(
     section: Section,
     start: float,
@@ -362,13 +362,13 @@ def to_gate(
     return Reached(max(best, 0.0), steps)
 
 
-@njit
+@inner
 def _slack(rates: Rates) -> float:
     """Return what a heading between two nodes can take less than the nearer one."""
     return (rates.radian + rates.steering.per_radian) * pi / HEADINGS
 
 
-@njit
+@inner
 def from_start(
     cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
 ) -> float:
@@ -391,7 +391,7 @@ def from_start(
     return steps
 
 
-@njit
+@inner
 def to_end(
     cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
 ) -> Reached:

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
 from energyplan.path import FloatArray
 from energyplan.planning.space.queues import longer_ints, pop, push, with_room
 from energyplan.terrain import OccupancyGrid
@@ -65,7 +65,7 @@ def no_links(corners: int) -> Links:
     )
 
 
-@njit
+@inner
 def _square(place: float, cells: int) -> int:
     """Row or column of the square at a place [cells], the nearest one outside the map."""
     return min(max(floor(place / SETTINGS.bucket), 0), (cells - 1) // SETTINGS.bucket)
@@ -166,7 +166,7 @@ def gaps(space: Space, radius: float, inside: float) -> FloatTable:
     return out[:count].copy()
 
 
-@njit
+@inner
 def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     """Side of a line through a corner on which the obstacle lies: 1 left, -1 right, 0 both."""
     x = outline.point[k, 0]
@@ -180,7 +180,7 @@ def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     return 0
 
 
-@njit
+@inner
 def _crosses(
     outline: Outline, k: int, ax: float, ay: float, bx: float, by: float, ux: float, uy: float
 ) -> bool:
@@ -208,7 +208,7 @@ class Sight(NamedTuple):
     ball: float  # radius of a disc there that lies within the outline; 0 at an edge [m]
 
 
-@njit
+@inner
 def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: float) -> Sight:
     """Look along a line, until it crosses an edge of the outline; touching is no crossing.
 
@@ -253,7 +253,7 @@ def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: f
     return Sight(steps, True, -1, 0.0, 0.0)
 
 
-@njit
+@inner
 def _hide(depth: Floats, begin: float, end: float, beyond: float) -> None:
     """Note that nothing is seen beyond a distance in the directions from `begin` to `end` [rad]."""
     n = len(depth)
@@ -263,7 +263,7 @@ def _hide(depth: Floats, begin: float, end: float, beyond: float) -> None:
         depth[k % n] = min(depth[k % n], beyond)
 
 
-@njit
+@inner
 def _hidden_by(outline: Outline, met: Sight, x: float, y: float, dx: float, dy: float,
                depth: Floats) -> None:  # fmt: skip
     """Note what cannot be seen from a point, after something was met in one direction."""
@@ -285,7 +285,7 @@ def _hidden_by(outline: Outline, met: Sight, x: float, y: float, dx: float, dy: 
             _hide(depth, min(one, one + turn), max(one, one + turn), far)
 
 
-@njit
+@inner
 def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
     """Return the links with those of a corner known."""
     if links.first[k] >= 0:

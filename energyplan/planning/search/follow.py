@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, FloatTable, Ints, njit
+from energyplan.compilation import Floats, FloatTable, Ints, inner, njit
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
@@ -29,7 +29,14 @@ from energyplan.planning.space.cost_to_go import (
     node_at,
     to_and_fro,
 )
-from energyplan.planning.space.motions import KernelProblem, join, pose_at, surface_at, turn_prices
+from energyplan.planning.space.motions import (
+    KernelProblem,
+    join,
+    pose_at,
+    put_pose,
+    surface_at,
+    turn_prices,
+)
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 from energyplan.terrain.collision import pose_free
 
@@ -105,7 +112,7 @@ def chain_along(to_go: CostToGo, setting: KernelProblem) -> Ints:
     return chain_from(to_go, start if start >= 0 and to_go.distance[start] < inf else -1)
 
 
-@njit
+@inner
 def chain_from(to_go: CostToGo, node: int) -> Ints:
     """Return a node and those after it, up to the goal; none for -1."""
     first = node
@@ -162,9 +169,11 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 if shared & (np.uint64(1) << np.uint64(h)) == 0:
                     cost[h] = inf
                     continue
-                aslant = abs(h - way) % (HEADINGS // 2)
-                aslant = min(aslant, HEADINGS // 2 - aslant)
-                cost[h] += length * aside[int(aslant + 0.5)]
+                turned = abs(h - way) % HEADINGS
+                turned = min(turned, HEADINGS - turned)
+                aslant = min(turned, HEADINGS // 2 - turned)
+                backwards = turned > HEADINGS // 4 and setting.gear != 0
+                cost[h] += inf if backwards else length * aside[int(aslant + 0.5)]
         for h in range(HEADINGS):
             came[k, h] = h
             if free & (np.uint64(1) << np.uint64(h)) == 0 and k > 0:
@@ -188,7 +197,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     # what is kept of these, from the goal back
     poses = np.empty((2 * count + 2, 3))
     kept = 1
-    poses[0, :] = setting.goal
+    put_pose(poses, 0, setting.goal)
     gone = 0.0
     for k in range(count - 1, -1, -1):
         place = int(places.home[chain[k]])
@@ -211,11 +220,11 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 kept += 1
             gone = 0.0
         heading = before
-    poses[kept, :] = setting.start
+    put_pose(poses, kept, setting.start)
     return poses[: kept + 1][::-1].copy()
 
 
-@njit
+@inner
 def either_way(places: Places, node: int) -> np.uint64:
     """Return the free headings of a node and those opposite: the way is as long facing either."""
     arc = places.arcs[node]
@@ -223,7 +232,7 @@ def either_way(places: Places, node: int) -> np.uint64:
     return np.uint64(places.masks[places.home[node]] & (arc | arc << half | arc >> half))
 
 
-@njit
+@inner
 def _free_in(setting: KernelProblem, along: float, up: float, yaw: float, spacing: float) -> Pose:
     """Return the free pose of a place that is nearest to its middle; its middle where none is."""
     space = setting.space

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, Ints, ShortInts, njit
+from energyplan.compilation import Floats, Ints, ShortInts, inner, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import Segments
@@ -80,7 +80,7 @@ class Tree(NamedTuple):
     counts: Ints  # (5,)
 
 
-@njit
+@inner
 def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
     """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
     space = setting.space
@@ -115,7 +115,7 @@ def rehash(tree: Tree, count: int) -> None:
         tree.table[slot_of(tree.table, tree.key, tree.key[node])] = node
 
 
-@njit
+@inner
 def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, heading: int) -> int:
     column = floor((x - space_x) / lattice.cell) + (1 << 20)
     row = floor((y - space_y) / lattice.cell) + (1 << 20)
@@ -210,6 +210,8 @@ def grow(
             elif motion >= 2:
                 ds = sign * max(half, setting.least_radius) * lattice.turn
                 step = 1 if motion < 4 else -1
+            if ds * setting.gear < 0.0:
+                continue
             dtheta = step * lattice.turn
             heading = (index + step) % lattice.headings
             there = arc_end(here, ds, dtheta)

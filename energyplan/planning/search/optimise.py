@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Flags, Floats, FloatTable, Words, njit
+from energyplan.compilation import Flags, Floats, FloatTable, Words, inner, njit
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import UNITS, Budget, Work, do_together, side_by_side
 from energyplan.planning.space.compiled import Segments, merged
-from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at
+from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at, put_pose
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
 from energyplan.terrain.collision import pose_free
 
@@ -129,7 +129,7 @@ def shortcut(
         j = before[j]
     for k in range(n):
         j = order[n - 1 - k]
-        chain.poses[k, :] = pose_at(chain.poses, j)
+        put_pose(chain.poses, k, pose_at(chain.poses, j))
         chain.step[k] = 0.3
         if k > 0:
             chain.cost[k - 1] = edge[j]
@@ -140,7 +140,7 @@ def shortcut(
     return Shortened(n, steered, tested)
 
 
-@njit
+@inner
 def _goes_on(chain: Chain, k: int) -> bool:
     """Whether the motion from pose `k` goes on as the one before it."""
     if k == 0 or not (chain.kept[k] and chain.kept[k - 1]):
@@ -150,7 +150,7 @@ def _goes_on(chain: Chain, k: int) -> bool:
     return bool(along > 0.0 and abs(across) <= 1e-9 * along)
 
 
-@njit
+@inner
 def random_number(state: Words) -> float:
     """Return a random number in [0, 1) (xorshift)."""
     word = state[0]
@@ -161,10 +161,10 @@ def random_number(state: Words) -> float:
     return float(word >> np.uint64(11)) / 9007199254740992.0
 
 
-@njit
+@inner
 def _copy(chain: Chain, k: int, other: int) -> None:
     """Set a place of the chain to what stands at another one."""
-    chain.poses[k, :] = pose_at(chain.poses, other)
+    put_pose(chain.poses, k, pose_at(chain.poses, other))
     chain.cost[k] = chain.cost[other]
     chain.kept[k] = chain.kept[other]
     chain.ds[k] = chain.ds[other]
@@ -172,7 +172,7 @@ def _copy(chain: Chain, k: int, other: int) -> None:
     chain.step[k] = chain.step[other]
 
 
-@njit
+@inner
 def _try_move(
     chain: Chain, setting: KernelProblem, k: int, pose: Pose, ds: Floats, dtheta: Floats
 ) -> bool:
@@ -196,7 +196,7 @@ def _try_move(
             return False
         costs = (costs[1], cost)
         limit = old - cost - 1e-9
-    chain.poses[k, :] = pose
+    put_pose(chain.poses, k, pose)
     chain.cost[k - 1] = costs[0]
     chain.cost[k] = costs[1]
     chain.kept[k - 1] = False
@@ -204,7 +204,7 @@ def _try_move(
     return True
 
 
-@njit
+@inner
 def insert_pose(
     chain: Chain,
     setting: KernelProblem,
@@ -233,7 +233,7 @@ def insert_pose(
         return count
     for i in range(count, k + 1, -1):
         _copy(chain, i, i - 1)
-    chain.poses[k + 1, :] = pose
+    put_pose(chain.poses, k + 1, pose)
     chain.cost[k] = costs[0]
     chain.cost[k + 1] = costs[1]
     chain.kept[k + 1] = False
@@ -241,7 +241,7 @@ def insert_pose(
     return count + 1
 
 
-@njit
+@inner
 def _along(
     setting: KernelProblem, start: Pose, fraction: float, ds: Floats, dtheta: Floats, n: int
 ) -> Pose:
@@ -355,7 +355,7 @@ def reopen(chain: Chain, setting: KernelProblem, count: int) -> int:
     return blocked
 
 
-@njit
+@inner
 def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Floats) -> bool:
     """Join pose `k` to the next one, and tell whether that is free."""
     a = pose_at(chain.poses, k)

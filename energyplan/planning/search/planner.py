@@ -465,6 +465,8 @@ def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
             if totals[i] >= best[j] * (1.0 - 1e-6):
                 break
             joined = steering.path(poses[i], poses[j], cost)
+            if problem.reversing(joined) is not None:
+                continue
             if problem.terrain.obstacles.path_free(joined, problem.robot):
                 best[j] = totals[i]
                 parts.append((joined.ds, joined.dtheta))
@@ -499,13 +501,15 @@ def kernels(
     return (*sorted(found.difference(left_out)), *(() if static else EXACT))
 
 
-def compile_planning(problem: PlanningProblem, *, tight: bool | None = None) -> None:
-    """Compile the kernels of planning, or load them, so that no time limit pays for it."""
+def compile_planning(
+    problem: PlanningProblem, *, tight: bool | None = None, load: bool = True
+) -> None:
+    """Compile the kernels of planning, and load them, so that no time limit pays for it."""
     surfaces = problem.surfaces is not None
-    compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=bool(tight)))
+    compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=bool(tight)), load=load)
     ends = problem.start, problem.goal
     if tight is None and not all(surely_has_room(compiled(problem), end) for end in ends):
-        compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=True))
+        compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=True), load=load)
 
 
 def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Floats, Ints, IntTable, ShortInts, Words, njit
+from energyplan.compilation import Floats, Ints, IntTable, ShortInts, Words, inner, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.search.follow import Tracked, chain_from, follow_route
@@ -132,8 +132,9 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
     turn = 2.0 * pi / FACINGS
     per_metre = setting.least_metre
     turning = turn_prices(setting)
-    per_turn = turning.min()
-    here_turn = turning[0]
+    per_turn = here_turn = turning[0]
+    for each in turning:
+        per_turn = min(per_turn, each)
     here = setting.start
     even = setting.surface.size == 1
     forwards = price(setting.prices, 0, setting.half_track, 1.0, 0.0)
@@ -221,7 +222,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
                     continue
             else:
                 k = n - 2
-                if along[b, k] == 0:
+                if along[b, k] == 0 or along[b, k] * setting.gear < 0:
                     continue
                 ahead = along[b, k] > 0
                 there, common = _stepped(places, midway, place, arc, k, stride)
@@ -271,7 +272,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
     return Route(_chain_of(to_go, node_of, parent, best), least, looked)
 
 
-@njit
+@inner
 def _stepped(
     places: Places, midway: IntTable, place: int, arc: np.uint64, k: int, stride: int
 ) -> tuple[int, np.uint64]:
@@ -297,7 +298,7 @@ def _stepped(
     return there, arc
 
 
-@njit
+@inner
 def _headings_of_facings() -> Words:
     """Return the headings of each facing, one bit a heading."""
     sector = HEADINGS // FACINGS
@@ -308,7 +309,7 @@ def _headings_of_facings() -> Words:
     return bits
 
 
-@njit
+@inner
 def _steps_along() -> IntTable:
     """Tell which steps lead along a facing: 1 ahead, -1 backwards, 0 more than a sector aside."""
     turn = 2.0 * pi / FACINGS
@@ -321,7 +322,7 @@ def _steps_along() -> IntTable:
     return along
 
 
-@njit
+@inner
 def _chain_of(to_go: CostToGo, node_of: ShortInts, parent: ShortInts, best: int) -> Ints:
     """Return the nodes that led to a state, and those from there to the goal."""
     total = 0
@@ -342,14 +343,14 @@ def _chain_of(to_go: CostToGo, node_of: ShortInts, parent: ShortInts, best: int)
     return chain[first:].copy()
 
 
-@njit
+@inner
 def _level(places: Places, setting: KernelProblem, place: int) -> int:
     """Return how coarse the search is at a place: steps are of one place, two, or four."""
     spare = float(places.room[place]) - setting.reach
     return 2 if spare >= 9.0 * places.spacing else 1 if spare >= 0.0 else 0
 
 
-@njit
+@inner
 def _key(places: Places, setting: KernelProblem, node: int, facing: int) -> int:
     """Return the cell of a state, larger where there is room, and its facing, as one number."""
     across = places.columns + 2 * RIM
@@ -361,7 +362,7 @@ def _key(places: Places, setting: KernelProblem, node: int, facing: int) -> int:
     return (arc * 4 + level) * FACINGS + facing
 
 
-@njit
+@inner
 def _rest(
     to_go: CostToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float
 ) -> float:

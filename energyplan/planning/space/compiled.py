@@ -64,7 +64,9 @@ class CompiledProblem:
     def middle(self) -> tuple[float, float]:
         """The point that the kernels follow, in the body frame [m]."""
         icr = self.problem.cost.icr
-        about_treads = not is_length(self.problem) or self.problem.least_radius > 0
+        problem = self.problem
+        limited = problem.least_radius > 0 or not problem.robot.reverse
+        about_treads = not is_length(problem) or limited
         return icr.longitudinal, float(icr.centre[1]) if about_treads else 0.0
 
     @cached_property
@@ -279,6 +281,7 @@ class CompiledProblem:
             ),
             half_track=problem.cost.half_track,
             least_radius=problem.least_radius,
+            gear=0 if problem.robot.reverse else 1,
             lateral=self.middle[1],
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
             least_metre=self.least.metre,
@@ -337,7 +340,7 @@ class CompiledProblem:
             miss = np.array([path.start, path.end]) - wanted
             miss[:, 2] = np.remainder(miss[:, 2] + np.pi, 2 * np.pi) - np.pi
             fits = np.abs(miss).max() <= 1e-6 and path.longitudinal == problem.cost.icr.longitudinal
-            fits = fits and problem.tightest(path) is None
+            fits = fits and problem.tightest(path) is None and problem.reversing(path) is None
             if fits and self.grid.path_free(path, problem.robot):
                 kept.append(path)
         return kept
@@ -346,9 +349,12 @@ class CompiledProblem:
 
     def value(self, path: Path) -> float:
         """Return the objective's value of a path, asked of the models themselves."""
-        price = self.terrain.price(path, self.problem.cost)
-        value = self.objective.value(price.energy, path.length, price.duration)
-        return value + self.soft_cost(path)
+        cost, duration = self.problem.cost, 0.0
+        pieces = self.terrain.pieces(path, cost)
+        energy = float(sum(piece.cost.energy(piece.path, piece.slope) for piece in pieces))
+        if self.problem.weights.get("time"):
+            duration = self.terrain.price(path, cost).duration
+        return self.objective.value(energy, path.length, duration) + self.soft_cost(path)
 
 
 def compiled(problem: PlanningProblem) -> CompiledProblem:

@@ -26,6 +26,7 @@ from energyplan.compilation import (
     WordBlock,
     Words,
     WordTable,
+    inner,
     njit,
 )
 from energyplan.planning.budget import workers
@@ -102,7 +103,7 @@ def run_levels(bits: WordTable, levels: int) -> WordBlock:
     return out
 
 
-@njit
+@inner
 def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) -> None:
     """Set the bits of a row that lie `shift` columns further on; empty words lie beyond it."""
     skip = shift >> 6
@@ -123,7 +124,7 @@ def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) ->
         into[last - 1] |= row[words - 1] >> bit
 
 
-@njit
+@inner
 def _transpose(a: Words) -> None:
     """Transpose a square of 64 by 64 bits: bit `c` of word `h` becomes bit `h` of word `c`."""
     j = 32
@@ -141,7 +142,7 @@ def _transpose(a: Words) -> None:
             mask = mask ^ (mask << np.uint64(j))
 
 
-@njit
+@inner
 def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> None:
     """Clear the bits of all columns but those from `low` to before `high`."""
     for w in range(len(row)):
@@ -156,7 +157,7 @@ def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> No
             row[w] &= ~(~np.uint64(0) << np.uint64(end - base))
 
 
-@njit
+@inner
 def _undecided(
     clearance: SingleTable, row: int, inner: float, outer: float, pad: int, words: int
 ) -> States:

@@ -21,6 +21,7 @@ from energyplan.compilation import (
     Singles,
     Words,
     WordTable,
+    inner,
     njit,
 )
 from energyplan.path import Pose
@@ -90,13 +91,13 @@ class CostToGo(NamedTuple):
     work: int  # turns of nodes that it took
 
 
-@njit
+@inner
 def _starts(mask: np.uint64) -> np.uint64:
     """Return the headings of a mask whose lower neighbour is not in it."""
     return mask & ~((mask << np.uint64(1)) | (mask >> np.uint64(63)))
 
 
-@njit
+@inner
 def _ones(word: np.uint64) -> np.int64:
     """Return how many bits are set."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
@@ -107,7 +108,7 @@ def _ones(word: np.uint64) -> np.int64:
     return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@njit
+@inner
 def headings_aside() -> WordTable:
     """Headings no further than so many steps from a neighbour's direction or its opposite."""
     quarter = HEADINGS // 4
@@ -123,7 +124,7 @@ def headings_aside() -> WordTable:
     return out
 
 
-@njit
+@inner
 def to_and_fro() -> Floats:
     """How much longer a way is to and fro along headings so many steps aside of it."""
     out = np.empty(HEADINGS // 4 + 1)
@@ -132,7 +133,7 @@ def to_and_fro() -> Floats:
     return out
 
 
-@njit
+@inner
 def halfway(across: int) -> IntTable:
     """Return the two places between which a step passes, relative to it; itself for short steps."""
     out = np.zeros((STEPS, 2), np.int64)
@@ -142,7 +143,7 @@ def halfway(across: int) -> IntTable:
     return out
 
 
-@njit
+@inner
 def middle_of(places: Places, space: Space, place: int) -> tuple[float, float]:
     """Return the middle of a place in the world [m]."""
     across = places.columns + 2 * RIM
@@ -283,7 +284,7 @@ class Ground(NamedTuple):
     steepest: float  # steepest slope, as rise over run
 
 
-@njit
+@inner
 def ratio_between(ground: Ground, place: int, to: int, length: float) -> float:
     """Return what a metre from one place to another costs over the least price of one."""
     slopes = ground.ratio.shape[1]
@@ -297,7 +298,7 @@ def ratio_between(ground: Ground, place: int, to: int, length: float) -> float:
     return 0.5 * float(ground.ratio[kinds[place], at] + ground.ratio[kinds[to], at])
 
 
-@njit
+@inner
 def _node_ahead(node: int, far: int, distance: Singles, parent: ShortInts) -> int:
     """Return the node on the way to which a node's direction points; `far` is that of the next."""
     d = float(distance[node])
@@ -447,7 +448,7 @@ class Regions(NamedTuple):
     aside: Singles  # (links,): how much longer a way is along the nearest free heading [1]
 
 
-@njit
+@inner
 def _flood(
     places: Places, of_node: ShortInts, node: int, region: int, block: int, stack: ShortInts
 ) -> ShortInts:
@@ -476,7 +477,7 @@ def _flood(
     return stack
 
 
-@njit
+@inner
 def _block_of(place: int, across: int) -> int:
     """Return the number of a place's block."""
     return (place // across) // SETTINGS.block * across + (place % across) // SETTINGS.block

@@ -19,9 +19,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, njit
+from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import Pose
+from energyplan.steering.forwards import arcs_forwards, forward_energy, forward_path
 from energyplan.steering.kernels import (
     MAX_SEGMENTS,
     arc_end,
@@ -72,6 +73,7 @@ class KernelProblem(NamedTuple):
     steering: StaticSteering  # the static cost that steering solves
     half_track: float  # half the slip track [m]
     least_radius: float  # of arcs; zero where any turn is allowed [m]
+    gear: int  # 0 drives both ways, 1 forwards only; -1 that searched from the end
     lateral: float  # y of the centre of the tread ICRs in the body frame [m]
     reach: float  # distance of the body's furthest corner [m]
     least_metre: float  # what each metre of a motion costs at least, beside `least_radian`
@@ -80,7 +82,7 @@ class KernelProblem(NamedTuple):
     goal: Pose  # pose of the centre of the tread ICRs at the goal
 
 
-@njit
+@inner
 def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: float) -> float:
     """Price of a motion on one class of surface."""
     turned = half_track * dtheta
@@ -98,7 +100,7 @@ def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: f
     )
 
 
-@njit
+@inner
 def turn_prices(setting: KernelProblem) -> Floats:
     """Price of a radian of turning on each class of surface, on the level.
 
@@ -120,7 +122,7 @@ def turn_prices(setting: KernelProblem) -> Floats:
     return found
 
 
-@njit
+@inner
 def surface_at(setting: KernelProblem, pose: Pose) -> int:
     """Class of the surface that the robot is on, that of the nearest cell outside the map."""
     rows, columns = setting.surface.shape
@@ -132,7 +134,7 @@ def surface_at(setting: KernelProblem, pose: Pose) -> int:
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
 
 
-@njit
+@inner
 def height_at(hills: Hills, x: float, y: float) -> float:
     """Height of a point, bilinear between the nodes; that of the raster's edge beyond it."""
     dx = x - hills.x
@@ -151,7 +153,7 @@ def height_at(hills: Hills, x: float, y: float) -> float:
     return float(low * (1.0 - v) + high * v)
 
 
-@njit
+@inner
 def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
     """Price of a motion on slopes, less what the rise of its reference point is worth."""
     hills = setting.hills
@@ -242,10 +244,14 @@ def motion_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) ->
 def free_energy(setting: KernelProblem, pose: Pose) -> float:
     """Least cost from a pose to the goal if there were no obstacles."""
     goal = setting.goal
-    return steer_energy(goal.x - pose.x, goal.y - pose.y, pose.yaw, goal.yaw, setting.steering)
+    dx = goal.x - pose.x
+    dy = goal.y - pose.y
+    if setting.gear != 0:
+        return forward_energy(dx, dy, pose.yaw, goal.yaw, setting.steering)
+    return steer_energy(dx, dy, pose.yaw, goal.yaw, setting.steering)
 
 
-@njit
+@inner
 def motions_cost(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
@@ -260,7 +266,7 @@ def motions_cost(
     return total
 
 
-@njit
+@inner
 def drive(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
@@ -279,7 +285,7 @@ def drive(
     return total
 
 
-@njit
+@inner
 def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: Floats) -> int:
     """Write the motion that turns on the spot, drives straight, and turns on the spot."""
     dx = to.x - pose.x
@@ -297,10 +303,27 @@ def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: F
     return 3
 
 
-@njit
+@inner
+def backs_up(ds: Floats, count: int) -> bool:
+    """Tell whether any of some motions drives backwards."""
+    least = 0.0
+    for k in range(count):
+        least = min(least, ds[k])
+    return least < 0.0
+
+
+@inner
 def pose_at(poses: FloatTable, k: int) -> Pose:
     """Return a row of poses as a pose."""
     return Pose(poses[k, 0], poses[k, 1], poses[k, 2])
+
+
+@inner
+def put_pose(poses: FloatTable, k: int, pose: Pose) -> None:
+    """Write a pose into a row; Numba takes a second to compile a general assignment to a row."""
+    poses[k, 0] = pose.x
+    poses[k, 1] = pose.y
+    poses[k, 2] = pose.yaw
 
 
 @njit
@@ -310,7 +333,8 @@ def join(
     """Join two poses by the cheapest free motion known, if it costs less than `limit`.
 
     Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
-    room at times.
+    room at times. Where the robot does not reverse and the exact motion does, the exact one
+    forwards, or one of arcs, stands for it.
     """
     dx = to.x - pose.x
     dy = to.y - pose.y
@@ -318,12 +342,18 @@ def join(
     if even and steer_energy(dx, dy, pose.yaw, to.yaw, setting.steering) >= limit:
         return inf, 0
     count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
+    if setting.gear != 0 and backs_up(ds, count):
+        if setting.least_radius > 0.0:
+            count = arcs_forwards(pose, to, setting.steering, ds, dtheta)
+        else:
+            count = forward_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
     cost = drive(setting, pose, ds, dtheta, count, limit)
     if cost < inf and even:
         return cost, count
     other_ds = np.empty(3)
     other_dtheta = np.empty(3)
-    for way in range(2 if setting.least_radius == 0.0 else 0):
+    ways = 1 if setting.gear != 0 else 2
+    for way in range(ways if setting.least_radius == 0.0 else 0):
         n = spin_drive_spin(pose, to, way == 1, other_ds, other_dtheta)
         other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost))
         if other < cost:

@@ -6,14 +6,14 @@ from math import pi
 
 import numpy as np
 
-from energyplan.compilation import Floats, Ints, ShortInts, njit
+from energyplan.compilation import Floats, Ints, ShortInts, inner
 
 STEP_ROWS = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
 STEP_COLUMNS = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
 """The 16 neighbours; the longest steps, a knight's moves, come last."""
 
 
-@njit
+@inner
 def longer_ints(values: ShortInts) -> ShortInts:
     """Return an array twice as long that begins with the same values."""
     out = np.empty(2 * len(values), np.int32)
@@ -22,7 +22,7 @@ def longer_ints(values: ShortInts) -> ShortInts:
     return out
 
 
-@njit
+@inner
 def longer_floats(values: Floats) -> Floats:
     """Return an array twice as long that begins with the same values."""
     out = np.empty(2 * len(values))
@@ -31,7 +31,7 @@ def longer_floats(values: Floats) -> Floats:
     return out
 
 
-@njit
+@inner
 def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> tuple[Floats, ShortInts]:
     """Return the arrays of a binary heap, twice as long where it fills them."""
     if size < len(heap_f):
@@ -39,7 +39,7 @@ def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> tuple[Floats, 
     return longer_floats(heap_f), longer_ints(heap_node)
 
 
-@njit
+@inner
 def push(heap_f: Floats, heap_node: ShortInts, size: int, f: float, node: int) -> int:
     """Add an entry to a binary heap and return its new size."""
     k = size
@@ -55,7 +55,7 @@ def push(heap_f: Floats, heap_node: ShortInts, size: int, f: float, node: int) -
     return size + 1
 
 
-@njit
+@inner
 def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
     """Remove the least entry of a binary heap (read it first) and return the new size."""
     size -= 1
@@ -78,7 +78,7 @@ def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
     return size
 
 
-@njit
+@inner
 def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
     """Return the slot of a key in a hash table: its own, or the empty one where it belongs.
 
@@ -92,14 +92,14 @@ def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
     return int(slot)
 
 
-@njit
+@inner
 def angle_between(a: float, b: float) -> float:
     """Angle between two headings, 0 to pi."""
     turn = abs(a - b) % (2.0 * pi)
     return min(turn, 2.0 * pi - turn)
 
 
-@njit
+@inner
 def turning_by(a: float, way: float, b: float) -> float:
     """Least turning from one heading to another by way of a direction or the opposite one."""
     ahead = angle_between(a, way) + angle_between(way, b)

@@ -51,6 +51,7 @@ PARAMETERS = {
     "planner": "lattice",
     "time_limit": 1.0,
     "clearance": 0.0,
+    "reverse": True,  # whether it may drive backwards, where the model's vehicle may
     "to_pose_action": "compute_path_to_pose",
     "through_poses_action": "compute_path_through_poses",
     "is_path_valid_service": "is_path_valid",
@@ -166,7 +167,11 @@ class PlannerNode(LifecycleNodeMixin, Node):
         if self.ending:
             return FAILED
         try:
-            self.cost = ep.EnergyCost(ep.read_model(self.settings["model"]))
+            model = ep.read_model(self.settings["model"])
+            reverse = model.vehicle.reverse and self.settings["reverse"]
+            self.cost = ep.EnergyCost(
+                replace(model, vehicle=replace(model.vehicle, reverse=reverse))
+            )
         except EnergyPlanError as error:
             self.get_logger().error(f"model: {error}")
             return FAILED

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
 from energyplan.errors import NoPathError, PlanningError
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget, side_by_side
@@ -32,7 +32,13 @@ from energyplan.planning.contract import Candidate
 from energyplan.planning.problem import KEPT, PlanningProblem, free_beside
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import CompiledProblem, Segments
-from energyplan.planning.space.motions import KernelProblem, motion_cost, pose_at, steering_cost
+from energyplan.planning.space.motions import (
+    KernelProblem,
+    motion_cost,
+    pose_at,
+    put_pose,
+    steering_cost,
+)
 from energyplan.planning.space.queues import pop, push, slot_of
 from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import Body, Space, motion_free, pose_free
@@ -70,7 +76,7 @@ class Escape(NamedTuple):
     tests: int  # motions that were tested
 
 
-@njit
+@inner
 def _free(
     space: Space, body: Body, pose: Pose, ds: float, dtheta: float, inwards: bool, counts: Ints
 ) -> bool:
@@ -80,7 +86,7 @@ def _free(
     return bool(motion_free(space, body, begin.x, begin.y, begin.yaw, ds, dtheta, 0.0))
 
 
-@njit
+@inner
 def _free_part(
     space: Space,
     body: Body,
@@ -109,7 +115,7 @@ def _free_part(
     return SETTINGS.spare * part
 
 
-@njit
+@inner
 def _spin_room(space: Space, body: Body, pose: Pose, counts: Ints) -> float:
     """Return what the body can turn on the spot, both ways together."""
     turn = SETTINGS.turn
@@ -125,14 +131,14 @@ def spin_room(space: Space, body: Body, pose: Pose) -> float:
     return _spin_room(space, body, pose, np.zeros(1, np.int64))
 
 
-@njit
+@inner
 def _octaves(room: float) -> float:
     """Return how often the room is halved against that of a place with room."""
     turn = SETTINGS.turn
     return log2(max(min(room, turn), 1e-6 * turn) / turn)
 
 
-@njit
+@inner
 def _key(pose: Pose, room: float, reach: float) -> int:
     """Return one number for poses that count as one; the cells are as fine as the room is small."""
     octave = floor(_octaves(room))
@@ -145,8 +151,8 @@ def _key(pose: Pose, room: float, reach: float) -> int:
 
 @njit
 def escape(
-    space: Space, body: Body, grown: Body, end: Pose, half: float, spins: bool, reach: float,
-    inwards: bool, needed: float, tests: int,
+    space: Space, body: Body, grown: Body, end: Pose, half: float, spins: bool, reverse: bool,
+    reach: float, inwards: bool, needed: float, tests: int,
 ) -> Escape:  # fmt: skip
     """Search until enough poses with room are known, or so many motions were tested."""
     nodes = SETTINGS.nodes
@@ -164,7 +170,7 @@ def escape(
     found = 0
     count = 1
     room = _spin_room(space, body, end, tested)
-    poses[0, :] = end
+    put_pose(poses, 0, end)
     g[0] = 0.0
     parent[0] = -1
     key[0] = _key(end, room, reach)
@@ -187,6 +193,8 @@ def escape(
                 most_ds = 0.0
             if kind >= 4:
                 most_ds = half * 0.5 * pi * (1.0 if kind < 6 else -1.0)
+            if most_ds < 0.0 and not reverse:
+                continue
             if most_ds == 0.0 and not spins:
                 continue
             free = _free_part(
@@ -207,7 +215,7 @@ def escape(
                 if table[slot] >= 0:
                     continue
                 table[slot] = count
-                poses[count, :] = there
+                put_pose(poses, count, there)
                 g[count] = g[node] + abs(ds) + half * abs(dtheta)
                 parent[count] = node
                 motion_ds[count] = ds
@@ -322,7 +330,8 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     space, body, setting = query.grid.space, query.body, query.setting
     tree = escape(
         space, body, query.grown, pose, max(setting.half_track, setting.least_radius),
-        setting.least_radius == 0.0, setting.reach, goal, turn, int(budget.left / UNITS.motion) + 1,
+        setting.least_radius == 0.0, setting.gear == 0, setting.reach, goal, turn,
+        int(budget.left / UNITS.motion) + 1,
     )  # fmt: skip
     budget.spend(UNITS.motion * tree.tests)
     ways: list[tuple[float, Segments]] = []

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, njit
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS, grown
-from energyplan.planning.space.motions import KernelProblem, join, pose_at
+from energyplan.planning.space.motions import KernelProblem, join, pose_at, put_pose
 from energyplan.planning.space.queues import angle_between, pop, push, slot_of
 from energyplan.steering.kernels import MAX_SEGMENTS
 from energyplan.terrain.collision import Body, pose_free
@@ -144,6 +144,9 @@ def bidirectional_search(
         along = cos(begin.yaw + h * turn)
         across = sin(begin.yaw + h * turn)
         for k in range(NEIGHBOURS):
+            forward = along * STEP_I[k] + across * STEP_J[k]
+            if setting.gear != 0 and forward * (1 - 2 * who) < -1e-9:
+                continue
             to_h = (h + STEP_H[k]) % headings
             to_key = ((i + STEP_I[k]) << BITS | (j + STEP_J[k])) * headings + to_h
             slot = slot_of(table, key, to_key)
@@ -174,7 +177,7 @@ def bidirectional_search(
                 narrow[other] = not pose_free(setting.space, wide, x, y, yaw)
             step = setting.reach * turn
             if STEP_H[k] == 0:
-                ahead = abs(along * STEP_I[k] + across * STEP_J[k])
+                ahead = abs(forward)
                 aside = abs(along * STEP_J[k] - across * STEP_I[k])
                 step = cell * (ahead + SETTINGS.aside * aside)
             if narrow[other]:
@@ -188,7 +191,7 @@ def bidirectional_search(
                 sizes[who] = push(heap_f[who], heap_node[who], sizes[who], g[other] + left, other)
 
 
-@njit
+@inner
 def _chain(
     parent: ShortInts,
     key: Ints,
@@ -222,7 +225,7 @@ def _chain(
         poses[at, 1] = begin.y + ((cells & ((1 << BITS) - 1)) - half) * cell
         poses[at, 2] = begin.yaw + (key[node] % headings) * (2.0 * pi / headings)
         node = int(parent[node])
-    poses[count - 1, :] = end
+    put_pose(poses, count - 1, end)
     return poses
 
 

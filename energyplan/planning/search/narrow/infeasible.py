@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Ints, Words, njit
+from energyplan.compilation import Ints, Words, inner, njit
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import MARGIN, CompiledProblem
@@ -64,13 +64,13 @@ class Chain(NamedTuple):
     work: int  # steps that it took
 
 
-@njit
+@inner
 def _queue(room: int) -> Queue:
     """Return a queue with room for some entries."""
     return Queue(np.empty(room, np.int64), np.empty(room, np.uint64), np.empty(room, np.int64))
 
 
-@njit
+@inner
 def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int) -> Queue:
     """Return a queue with an entry behind the first `count`: a longer one where it is full."""
     if count == len(queue.place):
@@ -86,14 +86,14 @@ def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int) -
     return queue
 
 
-@njit
+@inner
 def _beside(bits: np.uint64) -> np.uint64:
     """Return the headings next to some."""
     ahead = (bits << np.uint64(1)) | (bits >> np.uint64(63))
     return ahead | (bits >> np.uint64(1)) | (bits << np.uint64(63))
 
 
-@njit
+@inner
 def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
     """Return all headings of a mask that are joined with some of them."""
     bits &= mask
@@ -162,7 +162,7 @@ def chain_between(
                 laters += 1
 
 
-@njit
+@inner
 def _way_to(found: Queue, last: int, reached: Words, work: int) -> Chain:
     """Return the way to what was reached last."""
     count = 0
