@@ -19,9 +19,6 @@ from energyplan.errors import InvalidInputError
 if TYPE_CHECKING:
     from energyplan.physics import Effect, Robot
 
-PLAN_TIME = 5.0
-"""Time for each round's plan where neither time nor effort is given [s]."""
-
 
 @dataclass(frozen=True)
 class Truth:
@@ -171,8 +168,8 @@ def close_the_loop(
     with progress("closing the loop") as update:
         result = close_loop(
             problem, source, rounds=rounds, tolerance=error, survey=survey, progress=update,
-            effort=effort, time_limit=PLAN_TIME,
-        )  # fmt: skip
+            effort=effort,
+        )
     if out:
         write_model(result.model, out)
     if report:

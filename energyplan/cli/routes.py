@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from energyplan.terrain import HeightMap, SurfaceMap
     from energyplan.terrain import Site as Place
     from energyplan.vehicle import Vehicle
-
-PLAN_TIME = 1.0
-"""Time for planning where neither time nor effort is given [s]."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +261,7 @@ def plan(
     )
     if costmap_weight and problem.costmap is None:
         raise InvalidInputError("--costmap-weight needs a site's file that names a costmap")
-    spent = effort.within(PLAN_TIME)
+    spent = asdict(effort)
     if former is None:
         with planning(json, strict):
             result = run(problem, planner=routing.planner, **spent)
@@ -304,7 +301,7 @@ def compare(
 
     problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
-        result = run(problem, planner=routing.planner, **effort.within(PLAN_TIME))
+        result = run(problem, planner=routing.planner, **asdict(effort))
     drive_to(routing.trajectory, result.energy_optimal)
     if result.shortest.path != result.energy_optimal.path:
         drive_to(None, result.shortest)

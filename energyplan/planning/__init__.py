@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from inspect import signature
+from math import inf
 from typing import Any
 
 from energyplan.errors import (
@@ -20,7 +21,7 @@ from energyplan.errors import (
     UnsupportedPlannerError,
 )
 from energyplan.kinds import check_fields, checked
-from energyplan.planning.budget import SHARES, Budget, cancellable
+from energyplan.planning.budget import SHARES, Budget, cancellable, plan_budget
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
@@ -107,7 +108,7 @@ def _check_call(name: str, solve: Callable[..., Candidate], options: dict[str, A
 def plan(
     problem: PlanningProblem,
     planner: str | Planner = "lattice",
-    time_limit: float = 1.0,
+    time_limit: float = inf,
     *,
     effort: int | None = None,
     **options: Any,
@@ -121,11 +122,12 @@ def plan(
     planner : str or Planner
         Name of the planner, see `planners`; or a planner of one's own.
     time_limit : float
-        Time to plan [s]. Planning ends earlier if the planner knows that nothing is left
-        to gain. What is made once for a map is no part of it: its first plan takes longer.
+        Time after which planning stops even if effort is left [s]; the plan's notes say so then.
+        What is made once for a map is no part of it: its first plan takes longer.
     effort : int, optional
-        Units of work to plan with, in place of the time limit: the same plan comes of it on any
-        machine and under any load. 50 000 take about a second; see `Budget`.
+        Units of work to plan with, 20 000 where left out: the same plan comes of it on any
+        machine and under any load. 50 000 take about a second; see `Budget`. Planning ends
+        earlier if the planner knows that nothing is left to gain.
     **options : object
         Further options of the planner.
 
@@ -170,7 +172,7 @@ def plan(
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name
-    Budget(time_limit, effort=effort)  # says at once what is wrong with them
+    plan_budget(time_limit, effort)  # says at once what is wrong with them
     _check_capable(name, declared, problem, effort is not None)
     problem, bare, notes = checked_ends(problem)
     function = declared.function
@@ -191,7 +193,7 @@ def plan(
         check_fields(found, PlanningError, f"the planner {name!r} returned a candidate whose ")
         return found
 
-    budget = Budget(time_limit, effort=effort)
+    budget = plan_budget(time_limit, effort, declared.effort)
     given = budget if declared.bound else budget.part(1.0 - SHARES.aside)
     found = between_clear_ends(problem, given, solve)
     query = compiled(bare)
@@ -204,9 +206,8 @@ def plan(
         found.path,
         bound,
         name,
-        planning_time=budget.elapsed,
+        budget,
         first_time=found.first_time,
-        effort=budget.spent,
         asked=problem,
         notes=notes,
     )

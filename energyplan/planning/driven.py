@@ -240,10 +240,13 @@ class Plan(html.Readable):
         bound, whichever way is taken; zero on level ground.
     effort : int
         Units of work that were spent.
+    effort_limit : int, optional
+        Units of work that could be spent; None of a planner that does not count them.
     soft_cost : float
         What the costmap adds to the cost, in the unit of the objective; no part of the energy.
     notes : tuple of str
-        What was done about a start that touches an obstacle, or an end that lacks the clearance.
+        What was done about a start that touches an obstacle, or an end that lacks the clearance;
+        and that the clock stopped the planning, if it did.
     problem : PlanningProblem, optional
         What it answers, which `driven` needs; a plan read from a pickle has been driven instead.
 
@@ -273,6 +276,7 @@ class Plan(html.Readable):
     breakdown: Mapping[str, float] = field(default_factory=dict)
     potential: float = 0.0
     effort: int = 0
+    effort_limit: int | None = None
     soft_cost: float = 0.0
     notes: tuple[str, ...] = ()
     problem: PlanningProblem | None = field(default=None, repr=False, compare=False)
@@ -339,6 +343,8 @@ class Plan(html.Readable):
             ("at most above the least possible [%]", 100 * self.gap),
         ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
+        if self.effort_limit is not None:
+            title += f" of {self.effort_limit}"
         return [html.Summary(title, ("", ""), rows, self.notes)]
 
     def _costs(self) -> list[tuple[str, float]]:

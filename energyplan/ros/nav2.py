@@ -181,7 +181,7 @@ def answer(
     cost: EnergyCost,
     *,
     planner: str = "lattice",
-    time_limit: float = 1.0,
+    time_limit: float = inf,
     effort: int | None = None,
     unwanted: Callable[[], bool] = lambda: False,
     former: Answer | None = None,
@@ -200,7 +200,7 @@ def answer(
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:
             checked_ends(problem)
-        share = None if effort is None else max(effort // len(problems), 1)
+        share = max((EFFORT if effort is None else effort) // len(problems), 1)
         with cancellable(unwanted):
             for leg, problem in enumerate(problems):
                 known = _known(problem, len(problems) - leg, former) if name == "lattice" else None
@@ -233,8 +233,8 @@ def warm_up(
     )  # fmt: skip
     with cancellable(unwanted):
         compile_planning(problem, tight=True)
-        former = plan(problem, planner, time_limit=0.2)
-        replan(problem, former, start=former.path.poses(size, 1.0)[1], time_limit=0.2)
+        former = plan(problem, planner)
+        replan(problem, former, start=former.path.poses(size, 1.0)[1])
 
 
 def blocked_poses(

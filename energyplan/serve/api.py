@@ -332,11 +332,9 @@ def _routes(service: _Service) -> APIRouter:
             costmap_weight=asked.costmap_weight,
         )  # fmt: skip
         job.say("planning")
-        options: Document = {"planner": asked.planner, "time_limit": asked.time_limit}
-        if asked.effort is not None:
-            options["effort"] = asked.effort
+        limit = math.inf if asked.time_limit is None else asked.time_limit
         try:
-            found = document(run(query, **options))
+            found = document(run(query, asked.planner, limit, effort=asked.effort))
         except NoPathError as error:  # an answer, as on the command line
             return documents.no_path(error)
         return _noted(found, [*store.site(asked).notes, *unusual(query.cost.vehicle, "vehicle")])
