@@ -106,8 +106,8 @@ def compare(
 
     Both are those of `energyplan.plan`. A plan of least energy by the lattice planner never takes
     more than the shortest one of the same effort; where one that the clock stopped or one by
-    another planner does, the shortest one stands for it. The energies of driving both are compared, with their
-    stops; where the motors cannot drive one of them, those at steady speeds.
+    another planner does, the shortest one stands for it. The energies of driving both are
+    compared, with their stops; where the motors cannot drive one of them, those at steady speeds.
 
     Parameters
     ----------
@@ -152,7 +152,8 @@ def compare(
     least, most = spending(best, shortest)
     if least.energy > most.energy:
         priced = priced_plan(
-            compiled(cheapest), shortest.path, best.lower_bound, best.planner, Budget(), notes=best.notes
+            compiled(cheapest), shortest.path, best.lower_bound, best.planner, Budget(),
+            notes=best.notes,
         )  # fmt: skip
         kept = ("planning_time", "first_time", "effort", "effort_limit")
         best = replace(priced, **{name: getattr(best, name) for name in kept})

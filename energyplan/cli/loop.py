@@ -167,7 +167,12 @@ def close_the_loop(
         source = EngineDrives(simulated, Floor(problem.surfaces, problem.heights))
     with progress("closing the loop") as update:
         result = close_loop(
-            problem, source, rounds=rounds, tolerance=error, survey=survey, progress=update,
+            problem,
+            source,
+            rounds=rounds,
+            tolerance=error,
+            survey=survey,
+            progress=update,
             effort=effort,
         )
     if out:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -178,7 +178,8 @@ class Effort:
 
     effort: Work = None
     time_limit: Annotated[
-        float, Option(help="Time after which the planning of a route stops [s].", show_default=False)
+        float,
+        Option(help="Time after which the planning of a route stops [s].", show_default=False),
     ] = math.inf
 
 

@@ -24,7 +24,8 @@ from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitErr
 from energyplan.mission.energy import Estimate, Gauge, Grounds, gauge_of
 from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import PlanningProblem, find, plan
+from energyplan.planning.budget import EFFORT
 from energyplan.planning.driven import drive_path
 from energyplan.planning.space.compiled import compiled
 from energyplan.power import PowerModel
@@ -37,8 +38,11 @@ Made = TypeVar("Made")
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
 
-_PLANNING = 20.0
-"""Time for all routes of a mission, where it does not say otherwise [s]."""
+_PLANNING = 1_000_000
+"""Units of work for all routes of a mission, where it does not say otherwise."""
+
+_LEAST = 5000
+"""Units of work for each route at least."""
 
 _CELLS = 30_000
 """Most cells of the coarse grid."""
@@ -89,8 +93,8 @@ class Scene(ByValue):
     objective: str
     clearance: float  # kept from obstacles on the way [m]
     planner: str
-    planning_time: float  # for each route [s]; infinite where the effort counts
-    planning_effort: int | None
+    planning_time: float  # after which the planning of a route stops [s]
+    planning_effort: int | None  # units of work for each route; None of a planner that counts none
 
     @cached_property
     def cost(self) -> EnergyCost:
@@ -352,22 +356,20 @@ class Legs:
                 objective=mission.objective,
                 clearance=mission.clearance,
                 planner=mission.planner,
-                planning_time=self._planning_time,
-                planning_effort=mission.planning_effort,
+                planning_time=mission.planning_time or np.inf,
+                planning_effort=self._planning_effort,
             )
             self._scenes[payload] = self._made.setdefault(scene, scene)
         return self._scenes[payload]
 
     @property
-    def _planning_time(self) -> float:
-        """Time for each route [s]: a free order takes about four routes a task."""
+    def _planning_effort(self) -> int | None:
+        """Units of work for each route: a free order takes about four routes a task."""
         mission = self.mission
-        if mission.planning_effort is not None:
-            return np.inf
-        if mission.planning_time is not None:
-            return mission.planning_time
-        routes, most = (4, 0.5) if mission.order == "free" else (2, 1.0)
-        return float(np.clip(_PLANNING / (routes * len(mission.tasks)), 0.1, most))
+        if mission.planning_effort is not None or not find(mission.planner).effort:
+            return mission.planning_effort
+        routes = (4 if mission.order == "free" else 2) * len(mission.tasks)
+        return max(min(_PLANNING // routes, EFFORT), _LEAST)
 
     def lower_bounds(self, payload: float) -> FloatArray:
         """Return what it takes at least from node to node [J], shape (n, n)."""

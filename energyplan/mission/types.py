@@ -390,11 +390,10 @@ class Mission(ReadOnly, html.Readable):
     planner : str
         Planner of the routes.
     planning_time : float, optional
-        Time for each route [s]; where not given, a second where tasks are few and less where they
-        are many.
+        Time after which the planning of a route stops [s]; then the report depends on the load.
     planning_effort : int, optional
-        Units of work for each route, in place of the time: the same report under any load; see
-        `energyplan.Budget`.
+        Units of work for each route; where not given, as many as a plan has where tasks are few
+        and less where they are many.
     name : str
         What to call the mission.
     heights : HeightMap, optional

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from itertools import pairwise
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from energyplan.mission import evaluate
 from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
+from energyplan.planning.budget import EFFORT
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.narrow.ends import checked_ends
 from energyplan.planning.search.planner import compile_planning

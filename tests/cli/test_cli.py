@@ -22,7 +22,7 @@ from energyplan.io.tables import write_log, write_trajectory
 from energyplan.reach import most_power
 
 MODEL = PowerModel.preset("quadriga:full:marble")
-pytestmark = pytest.mark.usefixtures("counted")
+pytestmark = pytest.mark.usefixtures("little_effort")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from energyplan.io.config import write_vehicle
 from energyplan.io.tables import read_trajectory
 from energyplan.power.effects import term
 
-pytestmark = pytest.mark.usefixtures("counted")
+pytestmark = pytest.mark.usefixtures("little_effort")
 
 SIZE = {
     "slip_friction": 0.6, "traction_resistance": 100.0, "hotel_load": 40.0, "viscous_loss": 30.0,

@@ -135,7 +135,7 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
 
     fresh = problem()
     told = digest(plan(fresh, effort=3_000))
-    monkeypatch.setattr("energyplan.planning.Budget", Clock)
+    monkeypatch.setattr("energyplan.planning.budget.Budget", Clock)
     watched("energyplan.planning.space.cost_to_go.free_space")
     watched("energyplan.planning.space.cost_to_go.connect_places")
     watched("energyplan.planning.bound.outline.outline_for")

@@ -33,6 +33,7 @@ import energyplan as ep
 from energyplan import ros
 from energyplan.compilation import telling
 from energyplan.errors import CancelledError, EnergyPlanError, FrameError
+from energyplan.planning.budget import EFFORT
 from energyplan.ros.messages import check_frame
 from energyplan.ros.nav2 import planner_of
 from energyplan_ros.bond import Bond
