@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -134,7 +134,6 @@ def close_the_loop(
 
     Diagnoses with all drives so far, until the predicted energy is right.
     """
-    from energyplan.cost import EnergyCost
     from energyplan.io.config import write_model
     from energyplan.io.documents import parse_pose
     from energyplan.io.logs import read_drives
@@ -146,7 +145,6 @@ def close_the_loop(
 
     priced = Drive(model, at_battery=True)
     problem = problem_of(Site(map_file), priced, parse_pose(start), parse_pose(goal))
-    problem = replace(problem, cost=EnergyCost(problem.cost.model, battery=True))
     source: Source
     if logs is not None:
         if robot.effect or robot.hidden is not None:

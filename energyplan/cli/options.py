@@ -166,7 +166,7 @@ Work = Annotated[
     int | None,
     Option(
         min=1,
-        help="Work for each route, the same under any load; 50000 take about 1 s. Default: 20000, "
+        help="Work for each route, the same under any load; 50000 take about 1 s. Default: 30000, "
         "less for each of many routes of a mission.",
     ),
 ]

@@ -103,7 +103,7 @@ class PricedGround(NamedTuple):
 def priced_ground(drive: Drive, place: Place | None) -> PricedGround:
     """Return the ground of a site, and what motions cost on it."""
     from energyplan.cost import EnergyCost
-    from energyplan.cost.speeds import asked_speed
+    from energyplan.cost.speeds import parse_speed
     from energyplan.io.config import read_model
     from energyplan.power.effects import reads_slope, with_weight
     from energyplan.terrain import knows_ground, with_weights
@@ -122,7 +122,7 @@ def priced_ground(drive: Drive, place: Place | None) -> PricedGround:
                 f"{power.vehicle.mass:.4g} kg is added"
             )
         power, surfaces = with_weight(power), with_weights(surfaces) if surfaces else None
-    speed = asked_speed(drive.speed, power.vehicle)
+    speed = parse_speed(drive.speed, power.vehicle)
     return PricedGround(EnergyCost(power, battery=drive.at_battery, speed=speed), surfaces, heights)
 
 
@@ -327,7 +327,7 @@ def check(
 
     If they cannot, says where and why, and how fast the robot could drive it.
     """
-    from energyplan.cost.speeds import asked_speed
+    from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
     from energyplan.io.config import read_vehicle
     from energyplan.io.maps import read_site
     from energyplan.io.tables import read_drive
@@ -343,7 +343,8 @@ def check(
     found = read_drive(trajectory, cost.icr.longitudinal)
     if not isinstance(found, Trajectory):
         if limits is not None:
-            cost = replace(cost, speed=asked_speed(drive.speed, limits))
+            speed = tread_speed(parse_speed(drive.speed, limits), limits)
+            cost = replace(cost, speed=speed or CHEAPEST)
         found = drive_path(found, cost, ground, hills, vehicle=limits).trajectory
     elif drive.speed is not None:
         raise InvalidInputError(

@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
+from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
 from energyplan.mission.energy import Estimate, Gauge, Grounds, gauge_of
 from energyplan.mission.types import Charger, Mission, Task
@@ -99,7 +100,7 @@ class Scene(ByValue):
     @cached_property
     def cost(self) -> EnergyCost:
         """The cost of motions outside all surfaces."""
-        return EnergyCost(self.model, battery=True, speed=self.speed)
+        return EnergyCost(self.model, battery=True, speed=self.speed or CHEAPEST)
 
     @cached_property
     def slower(self) -> tuple[EnergyCost, SurfaceMap | None]:
@@ -117,7 +118,7 @@ class Scene(ByValue):
         if surfaces is not None:
             slow = (replace(one, model=up_to(one.model)) for one in surfaces.surfaces)
             surfaces = replace(surfaces, surfaces=tuple(slow))
-        return EnergyCost(up_to(self.model), battery=True), surfaces
+        return EnergyCost(up_to(self.model), battery=True, speed=CHEAPEST), surfaces
 
     @cached_property
     def symmetric(self) -> bool:
@@ -155,7 +156,7 @@ class Scene(ByValue):
     def drive(self, path: Path, hurried: bool) -> Trajectory:
         """Return a path's trajectory, as a plan of the same path is driven."""
         cost = self.cost
-        if hurried and cost.speed is None:
+        if hurried and cost.tread_speed is None:
             cost = replace(cost, speed=cost.vehicle.motor.speed)
         return drive_path(
             path, cost, self.surfaces, self.heights, grid=self.map, period=_PERIOD

@@ -17,6 +17,7 @@ from pydantic_core import ArgsKwargs
 
 from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
+from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError
 from energyplan.kinds import NO_NUMBER, Within, checked, described, doubts_of, in_words
 from energyplan.path import Pose, as_pose
@@ -656,10 +657,7 @@ class Mission(ReadOnly, html.Readable):
     @property
     def tread_speed(self) -> float | None:
         """Tread speed to drive at [m/s]; None stands for the cheapest."""
-        if self.speed == "cheapest":
-            return None
-        usual = self.vehicle.driving_speed
-        return self.speed or (usual if np.isfinite(usual) else None)
+        return tread_speed(self.speed, self.vehicle)
 
     def at_charger(self, charger: Charger) -> BatteryModel:
         """Return the battery as it is while it charges."""

@@ -127,8 +127,8 @@ def diagnosis(report: Diagnosis) -> Document:
 def plan(result: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints; null for what only driving it tells."""
     keys = (
-        "energy length turning lower_bound gap planning_time planner potential effort cost "
-        "soft_cost breakdown notes"
+        "energy length turning lower_bound gap planning_time planner potential effort effort_limit "
+        "cost soft_cost breakdown notes"
     )
     drive = None if result.why_not_driven else result.driven
     driven = {"energy_driven": "energy", "duration": "duration", "speed": "speed",

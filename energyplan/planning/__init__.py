@@ -125,7 +125,7 @@ def plan(
         Time after which planning stops even if effort is left [s]; the plan's notes say so then.
         What is made once for a map is no part of it: its first plan takes longer.
     effort : int, optional
-        Units of work to plan with, 20 000 where left out: the same plan comes of it on any
+        Units of work to plan with, 30 000 where left out: the same plan comes of it on any
         machine and under any load. 50 000 take about a second; see `Budget`. Planning ends
         earlier if the planner knows that nothing is left to gain.
     **options : object

@@ -20,7 +20,7 @@ from energyplan.kinds import checked
 
 Result = TypeVar("Result")
 
-EFFORT = 20_000
+EFFORT = 30_000
 """Units of work for a plan where nothing else is asked for."""
 
 PACE = 50_000

@@ -66,8 +66,8 @@ def drive_path(
     """Time a path as its cost assumes, and integrate what driving it takes."""
     model, surfaces = priced_models(cost, surfaces)
     vehicle = cost.vehicle if vehicle is None else vehicle
-    if cost.speed is not None:
-        vehicle = vehicle.up_to(cost.speed)
+    if cost.tread_speed is not None:
+        vehicle = vehicle.up_to(cost.tread_speed)
     allowed = vehicle.tracking_tolerance if tolerance is None else tolerance
     smooth, within = corner_rounding(allowed)
     corners: FloatArray = np.full(max(len(path) - 1, 0), smooth)
@@ -89,7 +89,7 @@ def drive_path(
             speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
         )
 
-    if cost.speed is not None:
+    if cost.tread_speed is not None:
         try:
             return driven("time", corners)
         except InfeasibleMotionError:
@@ -159,13 +159,13 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
 def stops_count(problem: PlanningProblem) -> bool:
     """Tell whether what driving takes is the energy by which paths are compared."""
     weights = {name for name, weight in problem.weights.items() if weight > 0}
-    if problem.cost.speed is None or weights != {"energy"} or problem.softened:
+    if problem.cost.tread_speed is None or weights != {"energy"} or problem.softened:
         return False
     found = priced_models(problem.cost, problem.surfaces)
     models = [found.model]
     if found.surfaces is not None:
         models += [surface.model for surface in found.surfaces.surfaces]
-    return any(_feels_stops(model, problem.cost.speed) for model in models)
+    return any(_feels_stops(model, problem.cost.tread_speed) for model in models)
 
 
 def _feels_stops(model: PowerModel, speed: float) -> bool:

@@ -27,7 +27,6 @@ from energyplan.battery import Battery
 from energyplan.comparison import compare
 from energyplan.compilation import compile_kernels
 from energyplan.cost import EnergyCost
-from energyplan.cost.speeds import asked_speed
 from energyplan.diagnosis import diagnose
 from energyplan.errors import (
     CancelledError,
@@ -219,7 +218,7 @@ class _Service:
     def cost(self, name: str, battery: bool) -> EnergyCost:
         """Return the cost of a model's motions."""
         model = self.store.model(name)
-        return EnergyCost(model, battery=battery, speed=asked_speed(None, model.vehicle))
+        return EnergyCost(model, battery=battery)
 
 
 def _written(document: Document) -> bytes:
