@@ -320,6 +320,14 @@ def check(
     drive: Drive,
     map_file: opt.MaybeSite = None,
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
+    out: Annotated[
+        Path | None,
+        Option(
+            callback=writes(*opt.TABLES),
+            help="Write what the motors can drive: the trajectory, slowed if it must be, or the "
+            "path as it was timed.",
+        ),
+    ] = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
@@ -328,9 +336,10 @@ def check(
     If they cannot, says where and why, and how fast the robot could drive it.
     """
     from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
+    from energyplan.html import number as figure
     from energyplan.io.config import read_vehicle
     from energyplan.io.maps import read_site
-    from energyplan.io.tables import read_drive
+    from energyplan.io.tables import read_drive, write_trajectory
     from energyplan.limits.feasibility import check as run
     from energyplan.output import documents
     from energyplan.path import Trajectory
@@ -353,7 +362,16 @@ def check(
         )
     law, ground = priced_models(cost, ground)
     report = run(found, law, limits, surfaces=ground, heights=hills)
-    answer(documents.feasibility(report), report, json=json)
+    document, lines = documents.feasibility(report), str(report).splitlines()
+    if out and report.max_speed_scale > 0:
+        share = 1.0 if report.feasible else report.max_speed_scale
+        slowed = found if report.feasible else found.scaled(share)
+        write_trajectory(slowed, out)
+        document["out_duration"] = slowed.duration
+        lines.append(f"{out}: {figure(slowed.duration)} s, {figure(share)} times these speeds")
+    elif out:
+        warn(f"{out} is not written: the motors drive this trajectory at no speed")
+    answer(document, lines, json=json)
     verdict(report.feasible, strict)
 
 

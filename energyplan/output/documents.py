@@ -168,7 +168,7 @@ def feasibility(report: FeasibilityReport) -> Document:
     """Return what ``energyplan check --json`` prints."""
     keys = "kind side start end peak limit"
     return {
-        **picked(report, "feasible max_speed_scale energy reason"),
+        **picked(report, "feasible max_speed_scale energy duration reason"),
         "violations": [picked(violation, keys) for violation in report.violations],
     }
 

@@ -159,13 +159,14 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
 def stops_count(problem: PlanningProblem) -> bool:
     """Tell whether what driving takes is the energy by which paths are compared."""
     weights = {name for name, weight in problem.weights.items() if weight > 0}
-    if problem.cost.tread_speed is None or weights != {"energy"} or problem.softened:
+    speed = float(problem.cost.cheapest_speed(0.0))
+    if weights != {"energy"} or problem.softened or not np.isfinite(speed):
         return False
     found = priced_models(problem.cost, problem.surfaces)
     models = [found.model]
     if found.surfaces is not None:
         models += [surface.model for surface in found.surfaces.surfaces]
-    return any(_feels_stops(model, problem.cost.tread_speed) for model in models)
+    return any(_feels_stops(model, speed) for model in models)
 
 
 def _feels_stops(model: PowerModel, speed: float) -> bool:
