@@ -211,7 +211,7 @@ class SteadyDriving:
         return self._admissible_rate(*self._element(np.ones(np.shape(curvature)), curvature))
 
     def cheapest_speed(self, curvature: ArrayLike) -> FloatArray:
-        """Return the speed that arcs of this curvature are driven at, the cheapest if it is free."""
+        """Return the speed at which arcs of this curvature are driven."""
         return self._rate(*self._element(np.ones(np.shape(curvature)), curvature))
 
     # -- duration -------------------------------------------------------------------------------

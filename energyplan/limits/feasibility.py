@@ -132,7 +132,8 @@ class FeasibilityReport(html.Readable):
         ]
         title = (
             f"{'feasible' if self.feasible else 'not feasible'}, {html.number(self.energy)} J "
-            f"in {html.number(self.duration)} s, feasible up to {html.number(self.max_speed_scale)} times these speeds"
+            f"in {html.number(self.duration)} s, feasible up to "
+            f"{html.number(self.max_speed_scale)} times these speeds"
         )
         header = ("limit exceeded", "side", "from [s]", "to [s]", "peak", "limit")
         return [html.Summary(title, header, rows, [self.reason])]

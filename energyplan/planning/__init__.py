@@ -8,14 +8,20 @@ and prices what a planner returns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import entry_points
 from inspect import signature
 from math import inf
+from pathlib import Path as File
+from traceback import extract_tb
 from typing import Any
 
 from energyplan.errors import (
+    CancelledError,
+    EnergyPlanError,
     InvalidInputError,
+    PlannerError,
     PlanningError,
     UnknownNameError,
     UnsupportedPlannerError,
@@ -70,7 +76,8 @@ def find(name: str) -> Planner:
         return PLANNERS[name]
     for entry in entry_points(group="energyplan.planning"):
         if entry.name == name:
-            plugin = entry.load()
+            with _blaming(name):
+                plugin = entry.load()
             if not isinstance(plugin, Planner):
                 raise PlanningError(
                     f"the entry point {name!r} of energyplan.planning is a "
@@ -78,6 +85,34 @@ def find(name: str) -> Planner:
                 )
             return plugin
     raise UnknownNameError("planner", name, planners())
+
+
+@contextmanager
+def _blaming(name: str) -> Iterator[None]:
+    """Tell what goes wrong in a planner in one line, with the place in the planner's own code.
+
+    What a planner says on purpose is passed on: that there is no path, and what it raises itself of
+    the library's errors.
+    """
+    try:
+        yield
+    except (PlanningError, CancelledError):
+        raise
+    except Exception as error:
+        frames = [
+            frame
+            for frame in extract_tb(error.__traceback__)
+            if frame.filename != __file__ and "importlib" not in frame.filename
+        ]
+        home = File(frames[0].filename).parent if frames else None
+        if home and File(__file__).parents[1] in (home, *home.parents):
+            raise  # a planner of the library
+        own = [frame for frame in frames if home in File(frame.filename).parents]
+        if own and isinstance(error, EnergyPlanError) and own[-1] is frames[-1]:
+            raise
+        place = f"{own[-1].filename}, line {own[-1].lineno}: " if own else ""
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        raise PlannerError(f"{place}the planner {name!r} failed with {what}; correct it") from error
 
 
 def _check_capable(name: str, planner: Planner, problem: PlanningProblem, counted: bool) -> None:
@@ -151,6 +186,8 @@ def plan(
         If time or effort was over before a first plan.
     InvalidPathError
         If a planner returned what is no answer to the problem.
+    PlannerError
+        If something went wrong in the code of another package's planner, with its cause.
     LowerBoundError
         If a lower bound lies above the cost of the path, which is a fault of whoever made it.
 
@@ -183,7 +220,8 @@ def plan(
     def solve(asked: PlanningProblem, budget: Budget) -> Candidate:
         if asked is not problem:
             budget.beside(lambda: prepare(asked, guided=declared.bound))
-        found = function(asked, budget, **options)
+        with _blaming(name):
+            found = function(asked, budget, **options)
         if not isinstance(found, Candidate):
             raise PlanningError(
                 f"the planner {name!r} returned a {type(found).__name__}; correct it to return an "
