@@ -362,7 +362,8 @@ def check(
         )
     law, ground = priced_models(cost, ground)
     report = run(found, law, limits, surfaces=ground, heights=hills)
-    document, lines = documents.feasibility(report), str(report).splitlines()
+    document = {**documents.feasibility(report), "out_duration": None}
+    lines = str(report).splitlines()
     if out and report.max_speed_scale > 0:
         share = 1.0 if report.feasible else report.max_speed_scale
         slowed = found if report.feasible else found.scaled(share)
