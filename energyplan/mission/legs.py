@@ -80,6 +80,7 @@ class Route:
     path: Path
     trouble: str = ""
     detail: str = ""
+    stopped: bool = False  # whether by the clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,8 @@ class Scene(ByValue):
             effort = None if self.planning_effort is None else patience * self.planning_effort
             limit = patience * self.planning_time
             try:
-                return Route(plan(problem, self.planner, limit, effort=effort).path)
+                found = plan(problem, self.planner, limit, effort=effort)
+                return Route(found.path, stopped=found.stopped)
             except TimeLimitError as error:
                 last = str(error)
             except PlanningError as error:
@@ -283,6 +285,8 @@ class Legs:
     ) -> None:
         self.mission = mission
         self.routes = Routes() if routes is None else routes
+        self.stopped: set[frozenset[int]] = set()
+        """Pairs of nodes between which the clock stopped the planning."""
         # what was worked out, by the value of all that decides it
         self._made: dict[Hashable, Any] = {} if former is None else former._made
         grounds = Grounds.of(mission)
@@ -428,13 +432,16 @@ class Legs:
                 # one plan serves both ways; which one it is depends on the poses alone, so that a
                 # mission is the same whatever was planned on its map before
                 back = self._route(goal, start, hurried)
-                return Route(back.path.reversed(), back.trouble, back.detail)
+                return replace(back, path=back.path.reversed())
             if self._progress is not None and here != there:
                 quickly = ", in a hurry" if hurried else ""
                 self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
             return scene.plan(here, there, hurried)
 
-        return self._shared(scene, (here, there, hurried), planned)
+        route = self._shared(scene, (here, there, hurried), planned)
+        if route.stopped:
+            self.stopped.add(frozenset((start, goal)))
+        return route
 
     def _priced(self, route: Route, payload: float, hurried: bool) -> Leg:
         path, trouble, detail = route.path, route.trouble, route.detail

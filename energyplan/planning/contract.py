@@ -238,6 +238,7 @@ def priced_plan(
         potential=potential,
         effort=round(budget.spent),
         effort_limit=budget.effort,
+        stopped=bool(budget.notes),
         soft_cost=soft,
         notes=(*notes, *budget.notes),
     )

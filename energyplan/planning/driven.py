@@ -243,6 +243,8 @@ class Plan(html.Readable):
         Units of work that were spent.
     effort_limit : int, optional
         Units of work that could be spent; None of a planner that does not count them.
+    stopped : bool
+        Whether the clock stopped the planning before: then the plan depends on the load.
     soft_cost : float
         What the costmap adds to the cost, in the unit of the objective; no part of the energy.
     notes : tuple of str
@@ -278,6 +280,7 @@ class Plan(html.Readable):
     potential: float = 0.0
     effort: int = 0
     effort_limit: int | None = None
+    stopped: bool = False
     soft_cost: float = 0.0
     notes: tuple[str, ...] = ()
     problem: PlanningProblem | None = field(default=None, repr=False, compare=False)

@@ -44,6 +44,7 @@ def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
     body = page[page.index("<body>") :]
     assert f"{100 * result.json['saving']:.1f} % of the shortest route" in body
     for key in ("energy_optimal", "shortest"):
+        assert result.json[key]["effort_limit"] == 5000  # of `little_effort`: no clock, but work
         assert f">{number(result.json[key]['length'])}</td>" in body
     assert body.count("<figure>") == 3
     end = body[body.index("<footer>") :]

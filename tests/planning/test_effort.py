@@ -104,6 +104,7 @@ def test_nothing_that_decides_reads_the_clock(monkeypatch):
     assert digest(plan(PROBLEM, time_limit=1e9)) == told  # a cap that is not reached
     stopped = plan(PROBLEM, time_limit=1.0)  # which ends at the first look at the clock
     assert stopped.effort < 1_000
+    assert stopped.stopped
     assert "stopped by the clock" in stopped.notes[0]
     assert f"with {stopped.effort} of 6000 units" in stopped.notes[0]
     assert stopped.notes[0] in str(stopped)

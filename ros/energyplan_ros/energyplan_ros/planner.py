@@ -33,7 +33,6 @@ import energyplan as ep
 from energyplan import ros
 from energyplan.compilation import telling
 from energyplan.errors import CancelledError, EnergyPlanError, FrameError
-from energyplan.planning.budget import EFFORT
 from energyplan.ros.messages import check_frame
 from energyplan.ros.nav2 import planner_of
 from energyplan_ros.bond import Bond
@@ -50,7 +49,7 @@ PARAMETERS = {
     "base_frame": "base_link",
     "transform_tolerance": 1.0,  # age at which a position of the robot is refused [s]
     "planner": "lattice",
-    "effort": EFFORT,  # units of work for a request
+    "effort": 0,  # units of work for a request; 0: as many as the library usually does
     "time_limit": 60.0,  # after which a request's planning stops [s]
     "clearance": 0.0,
     "to_pose_action": "compute_path_to_pose",
@@ -64,7 +63,7 @@ PARAMETERS = {
 RANGES = {
     "occupied_from": (0, 100),
     "transform_tolerance": (0.01, 3600.0),
-    "effort": (1, 10**9),
+    "effort": (0, 10**9),
     "time_limit": (0.01, 3600.0),
     "clearance": (0.0, 100.0),
 }
@@ -393,7 +392,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
                 base=settings["base_frame"],
                 lookup=partial(self.lookup, frame),
                 planner=settings["planner"],
-                effort=settings["effort"],
+                effort=settings["effort"] or None,
                 time_limit=settings["time_limit"],
                 clearance=settings["clearance"],
                 unwanted=unwanted,
