@@ -43,7 +43,7 @@ _PLANNING = 1_000_000
 """Units of work for all routes of a mission, where it does not say otherwise."""
 
 _LEAST = 5000
-"""Units of work for each route at least."""
+"""Units of work for a route that are not halved any more."""
 
 _CELLS = 30_000
 """Most cells of the coarse grid."""
@@ -369,12 +369,18 @@ class Legs:
 
     @property
     def _planning_effort(self) -> int | None:
-        """Units of work for each route: a free order takes about four routes a task."""
+        """Units of work for each route: a free order takes about four routes a task.
+
+        It is halved where routes are many, so that a task more or less seldom changes it.
+        """
         mission = self.mission
         if mission.planning_effort is not None or not find(mission.planner).effort:
             return mission.planning_effort
         routes = (4 if mission.order == "free" else 2) * len(mission.tasks)
-        return max(min(_PLANNING // routes, EFFORT), _LEAST)
+        effort = EFFORT
+        while effort > _LEAST and effort * routes > _PLANNING:
+            effort //= 2
+        return effort
 
     def lower_bounds(self, payload: float) -> FloatArray:
         """Return what it takes at least from node to node [J], shape (n, n)."""
