@@ -3,8 +3,9 @@
     python benchmarks/slopes.py [--pairs N]
 
 Hills of 0.6 m (standard deviation 2 m) in a yard of 40 m by 30 m with trees, and a robot whose
-drives give nothing back. Every pair of poses is planned with the usual effort and with seven times as
-much, as well as with the usual one as if the ground were level; that route is then priced on the hills.
+drives give nothing back. Every pair of poses is planned with the usual effort and with seven
+times as much, as well as with the usual one as if the ground were level; that route is then priced
+on the hills.
 """
 
 from __future__ import annotations
