@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from energyplan import html
 from energyplan.kinds import checked
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
+from energyplan.planning.budget import Budget
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.driven import STEADY, Spent, spending
 from energyplan.planning.space.compiled import compiled
@@ -95,7 +97,7 @@ class Comparison(html.Readable):
 def compare(
     problem: PlanningProblem,
     planner: str | Planner = "lattice",
-    time_limit: float = 1.0,
+    time_limit: float = inf,
     *,
     effort: int | None = None,
     **options: Any,
@@ -103,9 +105,9 @@ def compare(
     """Plan the route of least energy and the shortest one.
 
     Both are those of `energyplan.plan`. A plan of least energy by the lattice planner never takes
-    more than the shortest one of the same effort; where one by the clock or by another planner
-    does, the shortest one stands for it. The energies of driving both are compared, with their
-    stops; where the motors cannot drive one of them, those at steady speeds.
+    more than the shortest one of the same effort; where one that the clock stopped or one by
+    another planner does, the shortest one stands for it. The energies of driving both are
+    compared, with their stops; where the motors cannot drive one of them, those at steady speeds.
 
     Parameters
     ----------
@@ -115,9 +117,9 @@ def compare(
         Name of the planner of the route of least energy. The shortest route is always planned by
         the lattice planner.
     time_limit : float
-        Time for each of the two [s].
+        Time after which the planning of each of the two stops [s].
     effort : int, optional
-        Units of work for each of the two, in place of the time limit; see `energyplan.plan`.
+        Units of work for each of the two; see `energyplan.plan`.
     **options : object
         Further options of the planner.
 
@@ -149,10 +151,12 @@ def compare(
     best = plan(cheapest, planner, time_limit, effort=effort, **options)
     least, most = spending(best, shortest)
     if least.energy > most.energy:
-        best = priced_plan(
-            compiled(cheapest), shortest.path, best.lower_bound, best.planner,
-            planning_time=best.planning_time, first_time=best.first_time, effort=best.effort,
+        priced = priced_plan(
+            compiled(cheapest), shortest.path, best.lower_bound, best.planner, Budget(),
+            notes=best.notes,
         )  # fmt: skip
+        kept = ("planning_time", "first_time", "effort", "effort_limit")
+        best = replace(priced, **{name: getattr(best, name) for name in kept})
         least, most = spending(best, shortest)
     spent = max(most.energy, most.energy - best.potential)
     return Comparison(

@@ -152,6 +152,10 @@ class InvalidPathError(PlanningError):
     """What a planner returned is no answer to the problem; the message says what is wrong."""
 
 
+class PlannerError(PlanningError):
+    """A planner of another package failed; the message names its file and line."""
+
+
 class LowerBoundError(PlanningError):
     """A lower bound lies above what a path costs: whoever made the bound is wrong."""
 

@@ -6,7 +6,6 @@ import gc
 import shutil
 from collections.abc import Callable, Generator
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from hypothesis import settings
 
 from energyplan import physics
 from energyplan.planning import Budget
-from energyplan.planning.budget import PACE
 from energyplan.power.effects import catalogue
 
 # The same cases in every run, however long each takes; `--hypothesis-profile=varied` draws others.
@@ -76,19 +74,9 @@ def browser() -> Generator[Any, None, None]:
 
 
 @pytest.fixture
-def counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have planning count its effort where it is given a time: up to a tenth of a second's worth.
-
-    For tests of what planning is a part of: what comes of them depends on no clock.
-    """
-    original = Budget.__init__
-
-    def init(self: Budget, time_limit: float = float("inf"), *, effort: int | None = None) -> None:
-        if effort is None and time_limit > 0 and isfinite(time_limit):
-            effort = max(round(min(time_limit, 0.1) * PACE), 1)
-        original(self, time_limit, effort=effort)
-
-    monkeypatch.setattr(Budget, "__init__", init)
+def little_effort(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have plans do little work where they are not told how much: planning is but a part."""
+    monkeypatch.setattr("energyplan.planning.budget.EFFORT", 5000)
 
 
 FEW = ("hotel_load", "grade", "tilted_plane", "viscous_loss", "linear_inertia")
@@ -108,12 +96,12 @@ def few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def hurried(counted: None, few_effects: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def hurried(few_effects: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a reader's commands do no more than shows that they work, whatever they ask for.
 
-    Plans do no more work than is enough for a route, those with a time as much as `counted` has
-    them do, and diagnoses know few effects. Loops go round once, without a designed drive: each
-    round and each drive has all drives so far diagnosed.
+    Plans do no more work than is enough for a route, and diagnoses know few effects. Loops go
+    round once, without a designed drive: each round and each drive has all drives so far
+    diagnosed.
     """
     budget, loop = Budget.__init__, physics.close_loop
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,9 +18,6 @@ from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from energyplan.physics import Effect, Robot
-
-PLAN_TIME = 5.0
-"""Time for each round's plan where neither time nor effort is given [s]."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +134,6 @@ def close_the_loop(
 
     Diagnoses with all drives so far, until the predicted energy is right.
     """
-    from energyplan.cost import EnergyCost
     from energyplan.io.config import write_model
     from energyplan.io.documents import parse_pose
     from energyplan.io.logs import read_drives
@@ -149,7 +145,6 @@ def close_the_loop(
 
     priced = Drive(model, at_battery=True)
     problem = problem_of(Site(map_file), priced, parse_pose(start), parse_pose(goal))
-    problem = replace(problem, cost=EnergyCost(problem.cost.model, battery=True))
     source: Source
     if logs is not None:
         if robot.effect or robot.hidden is not None:
@@ -170,9 +165,14 @@ def close_the_loop(
         source = EngineDrives(simulated, Floor(problem.surfaces, problem.heights))
     with progress("closing the loop") as update:
         result = close_loop(
-            problem, source, rounds=rounds, tolerance=error, survey=survey, progress=update,
-            effort=effort, time_limit=PLAN_TIME,
-        )  # fmt: skip
+            problem,
+            source,
+            rounds=rounds,
+            tolerance=error,
+            survey=survey,
+            progress=update,
+            effort=effort,
+        )
     if out:
         write_model(result.model, out)
     if report:

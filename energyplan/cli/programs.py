@@ -88,7 +88,6 @@ def lattice(
     They come nearest to the energy of the model. Prints the error that remains.
     """
     from energyplan.cost import EnergyCost
-    from energyplan.cost.speeds import asked_speed
     from energyplan.export.lattice import (
         control_set,
         penalties,
@@ -96,8 +95,7 @@ def lattice(
         write_penalties,
     )
 
-    power = level_model(model)
-    cost = EnergyCost(power, speed=asked_speed(None, power.vehicle))
+    cost = EnergyCost(level_model(model))
     controls = control_set(cost, resolution)
     found = penalties(controls, cost)
     write_lattice(controls, out)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from energyplan.terrain import HeightMap, SurfaceMap
     from energyplan.terrain import Site as Place
     from energyplan.vehicle import Vehicle
-
-PLAN_TIME = 1.0
-"""Time for planning where neither time nor effort is given [s]."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ class PricedGround(NamedTuple):
 def priced_ground(drive: Drive, place: Place | None) -> PricedGround:
     """Return the ground of a site, and what motions cost on it."""
     from energyplan.cost import EnergyCost
-    from energyplan.cost.speeds import asked_speed
+    from energyplan.cost.speeds import parse_speed
     from energyplan.io.config import read_model
     from energyplan.power.effects import reads_slope, with_weight
     from energyplan.terrain import knows_ground, with_weights
@@ -127,7 +124,7 @@ def priced_ground(drive: Drive, place: Place | None) -> PricedGround:
                 f"{power.vehicle.mass:.4g} kg is added"
             )
         power, surfaces = with_weight(power), with_weights(surfaces) if surfaces else None
-    speed = asked_speed(drive.speed, power.vehicle)
+    speed = parse_speed(drive.speed, power.vehicle)
     return PricedGround(EnergyCost(power, battery=drive.at_battery, speed=speed), surfaces, heights)
 
 
@@ -270,7 +267,7 @@ def plan(
     )
     if costmap_weight and problem.costmap is None:
         raise InvalidInputError("--costmap-weight needs a site's file that names a costmap")
-    spent = effort.within(PLAN_TIME)
+    spent = asdict(effort)
     if former is None:
         with planning(json, strict):
             result = run(problem, planner=routing.planner, **spent)
@@ -309,7 +306,7 @@ def compare(
 
     problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
-        result = run(problem, planner=routing.planner, **effort.within(PLAN_TIME))
+        result = run(problem, planner=routing.planner, **asdict(effort))
     drive_to(routing.trajectory, result.energy_optimal)
     if result.shortest.path != result.energy_optimal.path:
         drive_to(None, result.shortest)
@@ -330,6 +327,14 @@ def check(
     drive: Drive,
     map_file: opt.MaybeSite = None,
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
+    out: Annotated[
+        Path | None,
+        Option(
+            callback=writes(*opt.TABLES),
+            help="Write what the motors can drive: the trajectory, slowed if it must be, or the "
+            "path as it was timed.",
+        ),
+    ] = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
@@ -337,10 +342,11 @@ def check(
 
     If they cannot, says where and why, and how fast the robot could drive it.
     """
-    from energyplan.cost.speeds import asked_speed
+    from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
+    from energyplan.html import number as figure
     from energyplan.io.config import read_vehicle
     from energyplan.io.maps import read_site
-    from energyplan.io.tables import read_drive
+    from energyplan.io.tables import read_drive, write_trajectory
     from energyplan.limits.feasibility import check as run
     from energyplan.output import documents
     from energyplan.path import Trajectory
@@ -353,7 +359,8 @@ def check(
     found = read_drive(trajectory, cost.icr.longitudinal)
     if not isinstance(found, Trajectory):
         if limits is not None:
-            cost = replace(cost, speed=asked_speed(drive.speed, limits))
+            speed = tread_speed(parse_speed(drive.speed, limits), limits)
+            cost = replace(cost, speed=speed or CHEAPEST)
         found = drive_path(found, cost, ground, hills, vehicle=limits).trajectory
     elif drive.speed is not None:
         raise InvalidInputError(
@@ -362,7 +369,17 @@ def check(
         )
     law, ground = priced_models(cost, ground)
     report = run(found, law, limits, surfaces=ground, heights=hills)
-    answer(documents.feasibility(report), report, json=json)
+    document = {**documents.feasibility(report), "out_duration": None}
+    lines = str(report).splitlines()
+    if out and report.max_speed_scale > 0:
+        share = 1.0 if report.feasible else report.max_speed_scale
+        slowed = found if report.feasible else found.scaled(share)
+        write_trajectory(slowed, out)
+        document["out_duration"] = slowed.duration
+        lines.append(f"{out}: {figure(slowed.duration)} s, {figure(share)} times these speeds")
+    elif out:
+        warn(f"{out} is not written: the motors drive this trajectory at no speed")
+    answer(document, lines, json=json)
     verdict(report.feasible, strict)
 
 

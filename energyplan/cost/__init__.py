@@ -45,15 +45,17 @@ class EnergyCost(SteadyDriving):
     battery : bool
         Whether energy is counted at the battery, with the vehicle's drive and regeneration
         efficiencies, rather than at the treads.
-    speed : float, optional
+    speed : float or "cheapest", optional
         Tread speed to drive at [m/s], that of the faster tread; slower where a limit asks for it.
-        Where it is not given, every element is driven at its cheapest admissible speed, and at
-        the fastest of them where several cost the same.
+        With ``"cheapest"`` every element is driven at its cheapest admissible speed, and at
+        the fastest of them where several cost the same. Where it is not given, the robot drives
+        at its vehicle's usual speed, or as fast as its motors go; where neither is known, or time
+        has a value, at the cheapest. `tread_speed` says which.
     channels : mapping of str to float
         Constant values of further channels that the model's terms read, such as a temperature.
     time_value : float
-        What a second is worth where the cheapest speed is chosen [J/s]. It makes no part of the
-        energy: the robot hurries, and pays for it.
+        What a second is worth where the speed is chosen [J/s]. It makes no part of the energy: the
+        robot hurries, and pays for it.
 
     Raises
     ------
@@ -178,7 +180,7 @@ class EnergyCost(SteadyDriving):
         x, y = np.broadcast_arrays(x, y)
         moves = (x != 0) | (y != 0)
         x = np.where(moves, x, 1.0)
-        rate = None if exact or self._static or self.speed else 1.0 / self._clock(x, y)
+        rate = None if exact or self._static or self.tread_speed else 1.0 / self._clock(x, y)
         return np.where(moves, self._element_energy(x, y, slope, rate), 0.0)
 
     @checked()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,15 +37,16 @@ class SteadyDriving:
 
     model: PowerModel  # the power model with its vehicle
     battery: bool = False  # whether power is that of the battery rather than of the treads
-    speed: float | None = None  # tread speed to drive at [m/s]
+    # tread speed to drive at [m/s], or the cheapest; the vehicle's usual one where not given
+    speed: float | Literal["cheapest"] | None = None
     channels: Mapping[str, float] = field(default_factory=dict)
-    time_value: float = 0.0  # what a second is worth where the cheapest speed is chosen [J/s]
+    time_value: float = 0.0  # what a second is worth where the speed is chosen [J/s]
 
     def __post_init__(self) -> None:
         check_fields(self, InvalidInputError)
         if not 0 <= self.time_value < np.inf:
             raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
-        if self.speed is not None and not self.speed > 0:
+        if isinstance(self.speed, float | int) and not self.speed > 0:
             raise InvalidInputError(f"speed is {self.speed}; give metres per second > 0")
 
     # -- geometry -----------------------------------------------------------------------------
@@ -104,6 +106,13 @@ class SteadyDriving:
     # -- speed ----------------------------------------------------------------------------------
 
     @cached_property
+    def tread_speed(self) -> float | None:
+        """Tread speed to drive at [m/s]; None where every motion is driven at its cheapest."""
+        if self.speed is None and self.time_value > 0:
+            return None
+        return speeds.tread_speed(self.speed, self.vehicle)
+
+    @cached_property
     def _drawn(self) -> PowerModel:
         return self.model.battery_side() if self.battery else self.model
 
@@ -136,8 +145,8 @@ class SteadyDriving:
 
     def _rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Rate [1/s] at which elements are driven: the cheapest admissible one; 0 if none is."""
-        if self.speed is not None:
-            return self._admissible_rate(x, y, self.speed)
+        if self.tread_speed is not None:
+            return self._admissible_rate(x, y, self.tread_speed)
         limit = self._admissible_rate(x, y)
         if self._static:
             return limit
@@ -202,7 +211,7 @@ class SteadyDriving:
         return self._admissible_rate(*self._element(np.ones(np.shape(curvature)), curvature))
 
     def cheapest_speed(self, curvature: ArrayLike) -> FloatArray:
-        """Return the admissible speed of least energy per metre on arcs of this curvature."""
+        """Return the speed at which arcs of this curvature are driven."""
         return self._rate(*self._element(np.ones(np.shape(curvature)), curvature))
 
     # -- duration -------------------------------------------------------------------------------
@@ -252,6 +261,6 @@ class SteadyDriving:
             return self._clock(x, y)
         moves = (x != 0) | (y != 0)
         x = np.where(moves, x, 1.0)
-        limited = fastest and self.speed is None
+        limited = fastest and self.tread_speed is None
         duration = 1.0 / self._admissible_rate(x, y) if limited else self._element_duration(x, y)
         return np.where(moves, duration, 0.0)

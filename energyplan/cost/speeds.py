@@ -7,6 +7,7 @@ speeds ``r (x - y)`` and ``r (x + y)``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from energyplan.path import FloatArray
 from energyplan.power import Sides
 from energyplan.vehicle import Vehicle
 
-CHEAPEST = "cheapest"
+CHEAPEST: Final = "cheapest"
 """What is asked for where every motion is to be driven as slowly as is cheapest."""
 _UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
 _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
@@ -30,25 +31,36 @@ _AT_ONCE = 1 << 18  # numbers in an array of rates to try
 _ZOOMS, _TRIED = 12, 5  # rounds in which the best is enclosed, and rates tried in each
 
 
-def asked_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
-    """Return the tread speed that motions are priced and driven at, None for the cheapest."""
+def tread_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
+    """Return the tread speed that motions are priced and driven at, None for the cheapest.
+
+    Where nothing is asked for it is the vehicle's usual speed, or as fast as its motors go; where
+    neither is known, the cheapest.
+    """
     if asked is None:
         usual = vehicle.driving_speed
         return usual if np.isfinite(usual) else None
-    if asked == CHEAPEST:
+    return None if asked == CHEAPEST else float(asked)
+
+
+def parse_speed(text: str | None, vehicle: Vehicle) -> float | Literal["cheapest"] | None:
+    """Return the speed that an option asks for, within what the vehicle can do."""
+    if text is None:
         return None
+    if text == CHEAPEST:
+        return CHEAPEST
     try:
-        speed = float(asked)
+        speed = float(text)
     except NO_NUMBER:
         speed = np.nan
     if not 0 < speed < np.inf:
         raise InvalidInputError(
-            f"speed {asked!r} is neither metres per second > 0 nor {CHEAPEST!r}; write it like 0.6"
+            f"speed {text!r} is neither metres per second > 0 nor {CHEAPEST!r}; write it like 0.6"
         )
     top = number(vehicle.motor.speed)  # as it is printed, which may be rounded up
     if speed > max(vehicle.motor.speed, float(top)):
         raise InvalidInputError(
-            f"speed {asked} m/s is more than the treads of {vehicle.name} can do; give "
+            f"speed {text} m/s is more than the treads of {vehicle.name} can do; give "
             f"{top} m/s at most"
         )
     return min(speed, vehicle.motor.speed)

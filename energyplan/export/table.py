@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
+from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InvalidInputError
 from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray
@@ -53,10 +54,10 @@ def tabulate(
     """Return the table of a cost, as fine as it must be."""
     if not tolerance > 0:
         raise InvalidInputError(f"tolerance is {tolerance}; give a positive number")
-    asked = [cost.speed] if speeds is None else sorted(set(map(float, speeds)))
+    asked = [cost.tread_speed] if speeds is None else sorted(set(map(float, speeds)))
     if not asked or any(v is not None and not (np.isfinite(v) and v > 0) for v in asked):
         raise InvalidInputError(f"speeds are {asked}; give one or more positive numbers [m/s]")
-    costs = [replace(cost, speed=v) for v in asked]
+    costs = [replace(cost, speed=v or CHEAPEST) for v in asked]
     half = cost.half_track
 
     def energies(angle: FloatArray) -> FloatArray:

@@ -31,7 +31,35 @@ _FIRST = ("t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "cu
 
 
 def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
-    r"""Read a path from a table with the columns ``x``, ``y``, ``yaw``."""
+    r"""Read a path from a table with the columns ``x``, ``y``, ``yaw``.
+
+    Parameters
+    ----------
+    file : str or File
+        CSV, CSV.gz or Parquet; poses of the body frame [m], [rad], two or more.
+    longitudinal : float
+        Where the reference point of the path's arcs lies along the body's x axis [m]: the
+        ``icr.longitudinal`` of the vehicle that drives it.
+
+    Returns
+    -------
+    Path
+        Arcs and spins through the poses, as `Path.from_poses` finds them.
+
+    Raises
+    ------
+    PathError
+        If a column is missing or a value is no number, or no arc leads from pose to pose; the
+        message names file and line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> line = Path((0.0, 0.0, 0.0), [2.0], [0.0])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     round(read_path(write_path(line, File(folder) / "path.csv")).length, 6)
+    2.0
+    """
     table = read_table(file, PathError)
     _check_kind(table, _PATH)
     poses = np.column_stack([_complete(table, name) for name in _PATH])
@@ -51,13 +79,46 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
 def write_path(
     path: Path, file: str | File, *, max_ds: float = 0.05, max_dtheta: float = 0.05
 ) -> File:
-    """Write a path as a table with the columns ``x``, ``y``, ``yaw``."""
+    """Write a path as a table with the columns ``x``, ``y``, ``yaw``.
+
+    Parameters
+    ----------
+    path : Path
+        The path.
+    file : str or File
+        Where to; its suffix is .csv, .gz or .parquet.
+    max_ds, max_dtheta : float
+        Largest distance [m] and turn [rad] from pose to pose.
+
+    Returns
+    -------
+    File
+        The file, written whole or not at all.
+    """
     poses = path.poses(max_ds, max_dtheta)
     return _write(file, dict(zip(_PATH, poses.T, strict=True)))
 
 
 def read_trajectory(file: str | File) -> Trajectory:
-    r"""Read a trajectory: a table of ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``."""
+    r"""Read a trajectory: a table of ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
+
+    Parameters
+    ----------
+    file : str or File
+        CSV, CSV.gz or Parquet; times [s], poses of the body frame [m], [rad], speed [m/s] and yaw
+        rate [rad/s], two rows or more.
+
+    Returns
+    -------
+    Trajectory
+        Its samples; the yaw without jumps.
+
+    Raises
+    ------
+    PathError
+        If a column is missing, times do not increase, or poses and speeds disagree; the message
+        names file and line.
+    """
     table = read_table(file, PathError)
     _check_kind(table, _TRAJECTORY)
     t, x, y, yaw, v, omega = (_complete(table, name) for name in _TRAJECTORY)
@@ -144,7 +205,20 @@ def _agree(
 
 
 def write_trajectory(trajectory: Trajectory, file: str | File) -> File:
-    """Write a trajectory with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``."""
+    """Write a trajectory with the columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The trajectory, such as that of ``plan.driven`` or of `energyplan.profile`.
+    file : str or File
+        Where to; its suffix is .csv, .gz or .parquet.
+
+    Returns
+    -------
+    File
+        The file, written whole or not at all; `read_trajectory` reads the same numbers.
+    """
     return _write(file, {name: getattr(trajectory, name) for name in _TRAJECTORY})
 
 

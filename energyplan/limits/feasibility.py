@@ -105,6 +105,8 @@ class FeasibilityReport(html.Readable):
         The instant with the least margin relative to its limit; None if nothing is limited.
     energy : float
         Energy of the trajectory under the model [J].
+    duration : float
+        Time that the trajectory takes [s].
 
     Examples
     --------
@@ -119,6 +121,7 @@ class FeasibilityReport(html.Readable):
     violations: tuple[Violation, ...]
     worst: Instant | None
     energy: float
+    duration: float
     _search: Callable[[], SpeedScale] = field(repr=False, compare=False)
 
     def _summaries(self) -> list[html.Summary]:
@@ -128,8 +131,9 @@ class FeasibilityReport(html.Readable):
             for unit in [html.unit(UNITS[v.kind])]
         ]
         title = (
-            f"{'feasible' if self.feasible else 'not feasible'}, {html.number(self.energy)} J, "
-            f"feasible up to {html.number(self.max_speed_scale)} times these speeds"
+            f"{'feasible' if self.feasible else 'not feasible'}, {html.number(self.energy)} J "
+            f"in {html.number(self.duration)} s, feasible up to "
+            f"{html.number(self.max_speed_scale)} times these speeds"
         )
         header = ("limit exceeded", "side", "from [s]", "to [s]", "peak", "limit")
         return [html.Summary(title, header, rows, [self.reason])]
@@ -249,7 +253,9 @@ def check(
     if survey.peaks:
         p = max(survey.peaks, key=lambda peak: (peak.use, peak.value))
         worst = Instant(p.t, *p.bound[:2], p.value, p.bound.limit, 1.0 - p.use)
-    return FeasibilityReport(tuple(violations), worst, survey.energy, partial(largest_scale, drive))
+    return FeasibilityReport(
+        tuple(violations), worst, survey.energy, trajectory.duration, partial(largest_scale, drive)
+    )
 
 
 @dataclass(frozen=True)

@@ -526,6 +526,11 @@ class Evaluation:
         notes: tuple[str, ...] = ()
         if isinstance(battery, Battery):
             notes = tuple(filter(None, (battery.temperature_note, *battery.notes)))
+        if self.legs.stopped:
+            notes += (
+                f"planning was stopped by the clock on {len(self.legs.stopped)} routes, so the "
+                "report depends on the load; give more planning_time, or leave it out",
+            )
         return (*self.mission.notes, *notes, *self._uncharged())
 
     def _uncharged(self) -> tuple[str, ...]:

@@ -20,11 +20,13 @@ from scipy.sparse.csgraph import dijkstra
 
 from energyplan import steering
 from energyplan.cost import EnergyCost
+from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
 from energyplan.mission.energy import Estimate, Gauge, Grounds, gauge_of
 from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import PlanningProblem, find, plan
+from energyplan.planning.budget import EFFORT
 from energyplan.planning.driven import drive_path
 from energyplan.planning.space.compiled import compiled
 from energyplan.power import PowerModel
@@ -37,8 +39,11 @@ Made = TypeVar("Made")
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
 
-_PLANNING = 20.0
-"""Time for all routes of a mission, where it does not say otherwise [s]."""
+_PLANNING = 1_000_000
+"""Units of work for all routes of a mission, where it does not say otherwise."""
+
+_LEAST = 5000
+"""Units of work for a route that are not halved any more."""
 
 _CELLS = 30_000
 """Most cells of the coarse grid."""
@@ -75,6 +80,7 @@ class Route:
     path: Path
     trouble: str = ""
     detail: str = ""
+    stopped: bool = False  # whether by the clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +95,13 @@ class Scene(ByValue):
     objective: str
     clearance: float  # kept from obstacles on the way [m]
     planner: str
-    planning_time: float  # for each route [s]; infinite where the effort counts
-    planning_effort: int | None
+    planning_time: float  # after which the planning of a route stops [s]
+    planning_effort: int | None  # units of work for each route; None of a planner that counts none
 
     @cached_property
     def cost(self) -> EnergyCost:
         """The cost of motions outside all surfaces."""
-        return EnergyCost(self.model, battery=True, speed=self.speed)
+        return EnergyCost(self.model, battery=True, speed=self.speed or CHEAPEST)
 
     @cached_property
     def slower(self) -> tuple[EnergyCost, SurfaceMap | None]:
@@ -113,7 +119,7 @@ class Scene(ByValue):
         if surfaces is not None:
             slow = (replace(one, model=up_to(one.model)) for one in surfaces.surfaces)
             surfaces = replace(surfaces, surfaces=tuple(slow))
-        return EnergyCost(up_to(self.model), battery=True), surfaces
+        return EnergyCost(up_to(self.model), battery=True, speed=CHEAPEST), surfaces
 
     @cached_property
     def symmetric(self) -> bool:
@@ -141,7 +147,8 @@ class Scene(ByValue):
             effort = None if self.planning_effort is None else patience * self.planning_effort
             limit = patience * self.planning_time
             try:
-                return Route(plan(problem, self.planner, limit, effort=effort).path)
+                found = plan(problem, self.planner, limit, effort=effort)
+                return Route(found.path, stopped=found.stopped)
             except TimeLimitError as error:
                 last = str(error)
             except PlanningError as error:
@@ -151,7 +158,7 @@ class Scene(ByValue):
     def drive(self, path: Path, hurried: bool) -> Trajectory:
         """Return a path's trajectory, as a plan of the same path is driven."""
         cost = self.cost
-        if hurried and cost.speed is None:
+        if hurried and cost.tread_speed is None:
             cost = replace(cost, speed=cost.vehicle.motor.speed)
         return drive_path(
             path, cost, self.surfaces, self.heights, grid=self.map, period=_PERIOD
@@ -278,6 +285,8 @@ class Legs:
     ) -> None:
         self.mission = mission
         self.routes = Routes() if routes is None else routes
+        self.stopped: set[frozenset[int]] = set()
+        """Pairs of nodes between which the clock stopped the planning."""
         # what was worked out, by the value of all that decides it
         self._made: dict[Hashable, Any] = {} if former is None else former._made
         grounds = Grounds.of(mission)
@@ -352,22 +361,26 @@ class Legs:
                 objective=mission.objective,
                 clearance=mission.clearance,
                 planner=mission.planner,
-                planning_time=self._planning_time,
-                planning_effort=mission.planning_effort,
+                planning_time=mission.planning_time or np.inf,
+                planning_effort=self._planning_effort,
             )
             self._scenes[payload] = self._made.setdefault(scene, scene)
         return self._scenes[payload]
 
     @property
-    def _planning_time(self) -> float:
-        """Time for each route [s]: a free order takes about four routes a task."""
+    def _planning_effort(self) -> int | None:
+        """Units of work for each route: a free order takes about four routes a task.
+
+        It is halved where routes are many, so that a task more or less seldom changes it.
+        """
         mission = self.mission
-        if mission.planning_effort is not None:
-            return np.inf
-        if mission.planning_time is not None:
-            return mission.planning_time
-        routes, most = (4, 0.5) if mission.order == "free" else (2, 1.0)
-        return float(np.clip(_PLANNING / (routes * len(mission.tasks)), 0.1, most))
+        if mission.planning_effort is not None or not find(mission.planner).effort:
+            return mission.planning_effort
+        routes = (4 if mission.order == "free" else 2) * len(mission.tasks)
+        effort = EFFORT
+        while effort > _LEAST and effort * routes > _PLANNING:
+            effort //= 2
+        return effort
 
     def lower_bounds(self, payload: float) -> FloatArray:
         """Return what it takes at least from node to node [J], shape (n, n)."""
@@ -425,13 +438,16 @@ class Legs:
                 # one plan serves both ways; which one it is depends on the poses alone, so that a
                 # mission is the same whatever was planned on its map before
                 back = self._route(goal, start, hurried)
-                return Route(back.path.reversed(), back.trouble, back.detail)
+                return replace(back, path=back.path.reversed())
             if self._progress is not None and here != there:
                 quickly = ", in a hurry" if hurried else ""
                 self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
             return scene.plan(here, there, hurried)
 
-        return self._shared(scene, (here, there, hurried), planned)
+        route = self._shared(scene, (here, there, hurried), planned)
+        if route.stopped:
+            self.stopped.add(frozenset((start, goal)))
+        return route
 
     def _priced(self, route: Route, payload: float, hurried: bool) -> Leg:
         path, trouble, detail = route.path, route.trouble, route.detail

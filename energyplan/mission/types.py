@@ -17,6 +17,7 @@ from pydantic_core import ArgsKwargs
 
 from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
+from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError
 from energyplan.kinds import NO_NUMBER, Within, checked, described, doubts_of, in_words
 from energyplan.path import Pose, as_pose
@@ -390,11 +391,10 @@ class Mission(ReadOnly, html.Readable):
     planner : str
         Planner of the routes.
     planning_time : float, optional
-        Time for each route [s]; where not given, a second where tasks are few and less where they
-        are many.
+        Time after which the planning of a route stops [s]; then the report depends on the load.
     planning_effort : int, optional
-        Units of work for each route, in place of the time: the same report under any load; see
-        `energyplan.Budget`.
+        Units of work for each route; where not given, as many as a plan has where tasks are few
+        and less where they are many.
     name : str
         What to call the mission.
     heights : HeightMap, optional
@@ -657,10 +657,7 @@ class Mission(ReadOnly, html.Readable):
     @property
     def tread_speed(self) -> float | None:
         """Tread speed to drive at [m/s]; None stands for the cheapest."""
-        if self.speed == "cheapest":
-            return None
-        usual = self.vehicle.driving_speed
-        return self.speed or (usual if np.isfinite(usual) else None)
+        return tread_speed(self.speed, self.vehicle)
 
     def at_charger(self, charger: Charger) -> BatteryModel:
         """Return the battery as it is while it charges."""

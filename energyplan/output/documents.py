@@ -127,8 +127,8 @@ def diagnosis(report: Diagnosis) -> Document:
 def plan(result: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints; null for what only driving it tells."""
     keys = (
-        "energy length turning lower_bound gap planning_time planner potential effort cost "
-        "soft_cost breakdown notes"
+        "energy length turning lower_bound gap planning_time planner potential effort effort_limit "
+        "cost soft_cost breakdown notes"
     )
     drive = None if result.why_not_driven else result.driven
     driven = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
@@ -169,7 +169,7 @@ def feasibility(report: FeasibilityReport) -> Document:
     """Return what ``energyplan check --json`` prints."""
     keys = "kind side start end peak limit"
     return {
-        **picked(report, "feasible max_speed_scale energy reason"),
+        **picked(report, "feasible max_speed_scale energy duration reason"),
         "violations": [picked(violation, keys) for violation in report.violations],
     }
 

@@ -305,7 +305,7 @@ def close_loop(
     before: Sequence[DriveLog] = (),
     speed: float | None = None,
     survey: float = 60.0,
-    time_limit: float = 5.0,
+    time_limit: float = np.inf,
     effort: int | None = None,
     planner: str = "lattice",
     progress: Progress | None = None,

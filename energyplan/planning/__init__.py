@@ -8,19 +8,26 @@ and prices what a planner returns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import entry_points
 from inspect import signature
+from math import inf
+from pathlib import Path as File
+from traceback import extract_tb
 from typing import Any
 
 from energyplan.errors import (
+    CancelledError,
+    EnergyPlanError,
     InvalidInputError,
+    PlannerError,
     PlanningError,
     UnknownNameError,
     UnsupportedPlannerError,
 )
 from energyplan.kinds import check_fields, checked
-from energyplan.planning.budget import SHARES, Budget, cancellable
+from energyplan.planning.budget import SHARES, Budget, cancellable, plan_budget
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
@@ -69,7 +76,8 @@ def find(name: str) -> Planner:
         return PLANNERS[name]
     for entry in entry_points(group="energyplan.planning"):
         if entry.name == name:
-            plugin = entry.load()
+            with _blaming(name):
+                plugin = entry.load()
             if not isinstance(plugin, Planner):
                 raise PlanningError(
                     f"the entry point {name!r} of energyplan.planning is a "
@@ -77,6 +85,34 @@ def find(name: str) -> Planner:
                 )
             return plugin
     raise UnknownNameError("planner", name, planners())
+
+
+@contextmanager
+def _blaming(name: str) -> Iterator[None]:
+    """Tell what goes wrong in a planner in one line, with the place in the planner's own code.
+
+    What a planner says on purpose is passed on: that there is no path, and what it raises itself of
+    the library's errors.
+    """
+    try:
+        yield
+    except (PlanningError, CancelledError):
+        raise
+    except Exception as error:
+        frames = [
+            frame
+            for frame in extract_tb(error.__traceback__)
+            if frame.filename != __file__ and "importlib" not in frame.filename
+        ]
+        home = File(frames[0].filename).parent if frames else None
+        if home and File(__file__).parents[1] in (home, *home.parents):
+            raise  # a planner of the library
+        own = [frame for frame in frames if home in File(frame.filename).parents]
+        if own and isinstance(error, EnergyPlanError) and own[-1] is frames[-1]:
+            raise
+        place = f"{own[-1].filename}, line {own[-1].lineno}: " if own else ""
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        raise PlannerError(f"{place}the planner {name!r} failed with {what}; correct it") from error
 
 
 def _check_capable(name: str, planner: Planner, problem: PlanningProblem, counted: bool) -> None:
@@ -107,7 +143,7 @@ def _check_call(name: str, solve: Callable[..., Candidate], options: dict[str, A
 def plan(
     problem: PlanningProblem,
     planner: str | Planner = "lattice",
-    time_limit: float = 1.0,
+    time_limit: float = inf,
     *,
     effort: int | None = None,
     **options: Any,
@@ -121,11 +157,12 @@ def plan(
     planner : str or Planner
         Name of the planner, see `planners`; or a planner of one's own.
     time_limit : float
-        Time to plan [s]. Planning ends earlier if the planner knows that nothing is left
-        to gain. What is made once for a map is no part of it: its first plan takes longer.
+        Time after which planning stops even if effort is left [s]; the plan's notes say so then.
+        What is made once for a map is no part of it: its first plan takes longer.
     effort : int, optional
-        Units of work to plan with, in place of the time limit: the same plan comes of it on any
-        machine and under any load. 50 000 take about a second; see `Budget`.
+        Units of work to plan with, 30 000 where left out: the same plan comes of it on any
+        machine and under any load. 50 000 take about a second; see `Budget`. Planning ends
+        earlier if the planner knows that nothing is left to gain.
     **options : object
         Further options of the planner.
 
@@ -149,6 +186,8 @@ def plan(
         If time or effort was over before a first plan.
     InvalidPathError
         If a planner returned what is no answer to the problem.
+    PlannerError
+        If something went wrong in the code of another package's planner, with its cause.
     LowerBoundError
         If a lower bound lies above the cost of the path, which is a fault of whoever made it.
 
@@ -170,7 +209,7 @@ def plan(
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name
-    Budget(time_limit, effort=effort)  # says at once what is wrong with them
+    plan_budget(time_limit, effort)  # says at once what is wrong with them
     _check_capable(name, declared, problem, effort is not None)
     problem, bare, notes = checked_ends(problem)
     function = declared.function
@@ -181,7 +220,8 @@ def plan(
     def solve(asked: PlanningProblem, budget: Budget) -> Candidate:
         if asked is not problem:
             budget.beside(lambda: prepare(asked, guided=declared.bound))
-        found = function(asked, budget, **options)
+        with _blaming(name):
+            found = function(asked, budget, **options)
         if not isinstance(found, Candidate):
             raise PlanningError(
                 f"the planner {name!r} returned a {type(found).__name__}; correct it to return an "
@@ -191,7 +231,7 @@ def plan(
         check_fields(found, PlanningError, f"the planner {name!r} returned a candidate whose ")
         return found
 
-    budget = Budget(time_limit, effort=effort)
+    budget = plan_budget(time_limit, effort, declared.effort)
     given = budget if declared.bound else budget.part(1.0 - SHARES.aside)
     found = between_clear_ends(problem, given, solve)
     query = compiled(bare)
@@ -204,9 +244,8 @@ def plan(
         found.path,
         bound,
         name,
-        planning_time=budget.elapsed,
+        budget,
         first_time=found.first_time,
-        effort=budget.spent,
         asked=problem,
         notes=notes,
     )

@@ -1,7 +1,7 @@
 """What planning may spend, and work that is done side by side within it.
 
-It is time by the clock, or units of work: then nothing reads the clock, and the same query gives
-the same plan under any load. Threads work side by side: kernels do not hold the lock of Python.
+It is units of work, so that the same query gives the same plan under any load; a limit of time is a
+cap on top. Threads work side by side: kernels do not hold the lock of Python.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from energyplan.errors import CancelledError, InvalidInputError, TimeLimitError
 from energyplan.kinds import checked
 
 Result = TypeVar("Result")
+
+EFFORT = 30_000
+"""Units of work for a plan where nothing else is asked for."""
 
 PACE = 50_000
 """Units of work that count as a second where the two are compared.
@@ -93,9 +96,9 @@ class Budget:
     Parameters
     ----------
     time_limit : float
-        Time from now on [s]; without end if left out.
+        Time from now on [s]; where it is left out, the clock is not read.
     effort : int, optional
-        Units of work to spend instead; the clock is not read then.
+        Units of work to spend; where it is left out, the time limit alone counts.
 
     Raises
     ------
@@ -122,14 +125,12 @@ class Budget:
             )
         self._begun = time.perf_counter()
         self._spent = [0.0]
+        self._hurried = [False]
         self._unwanted = _unwanted.get()
         self.effort = effort
         """Units of work to spend; None by the clock."""
-        counted = effort is not None
-        self._end = float(effort) if effort is not None else self._begun + time_limit
-        self._counted = counted or not isfinite(time_limit)
-        if not counted and self._counted:
-            self._end = inf
+        self._end = inf if effort is None else float(effort)
+        self._deadline = self._begun + time_limit
 
     @property
     def spent(self) -> float:
@@ -138,10 +139,19 @@ class Budget:
 
     @property
     def left(self) -> float:
-        """Units of work left; by the clock, as many as the time left is taken for."""
-        if self._counted:
-            return max(self._end - self._spent[0], 0.0)
-        return max(self._end - time.perf_counter(), 0.0) * PACE
+        """Units of work left; no more than the time left is enough for."""
+        units = max(self._end - self._spent[0], 0.0)
+        if not isfinite(self._deadline):
+            return units
+        timed = max(self._deadline - time.perf_counter(), 0.0) * PACE
+        if timed < units:
+            self._hurried[0] = True
+        return min(units, timed)
+
+    @property
+    def hurried(self) -> bool:
+        """Whether the clock, not the work, has ended something in this budget or its parts."""
+        return self._hurried[0]
 
     @property
     def over(self) -> bool:
@@ -165,16 +175,19 @@ class Budget:
         if self._unwanted():
             raise CancelledError("the planning was cancelled")
 
-    def _until(self, end: float) -> Budget:
+    def _until(self, end: float, deadline: float) -> Budget:
         other = object.__new__(Budget)
-        other.__dict__.update(self.__dict__, _end=end)
+        other.__dict__.update(self.__dict__, _end=end, _deadline=deadline)
         return other
 
     def part(self, share: float) -> Budget:
         """Return a budget that ends when this share of what is left has been used."""
-        if self._counted:
-            return self._until(self._spent[0] + share * self.left if self.left < inf else inf)
-        return self._until(self._end - (1.0 - share) * self.left / PACE)
+        end, deadline, rest = self._end, self._deadline, 1.0 - share
+        if isfinite(end):
+            end -= rest * max(end - self.spent, 0.0)
+        if isfinite(deadline):
+            deadline -= rest * max(deadline - time.perf_counter(), 0.0)
+        return self._until(end, deadline)
 
     def apart(self, units: float) -> Budget:
         """Return a budget of its own for work that runs beside others, in a thread for one.
@@ -183,12 +196,11 @@ class Budget:
         it has spent does not count here until it is spent here too, in a fixed order: so the same
         is done whatever the order in which threads come to run.
         """
-        other = self._until(self._end)
-        other._spent = [0.0]
-        if self._counted:
-            other._end = min(units, self.left)
+        if self.effort is not None:
+            other = self._until(min(units, self.left), self._deadline)
         else:
-            other._end = min(self._end, time.perf_counter() + units / PACE)
+            other = self._until(inf, min(self._deadline, time.perf_counter() + units / PACE))
+        other._spent = [0.0]
         return other
 
     def beside(self, make: Callable[[], Result]) -> Result:
@@ -206,8 +218,7 @@ class Budget:
         """
         begun = time.perf_counter()
         made = make()
-        if not self._counted:
-            self._end += time.perf_counter() - begun
+        self._deadline += time.perf_counter() - begun
         return made
 
     def check(self, done: str) -> None:
@@ -228,13 +239,35 @@ class Budget:
 
     @property
     def name(self) -> str:
-        """What the budget is made of, in messages: ``time`` or ``the effort``."""
-        return "time" if self.effort is None else "the effort"
+        """What ends the budget, in messages: ``time`` or ``the effort``."""
+        return "time" if self.effort is None or self.hurried else "the effort"
 
     @property
     def remedy(self) -> str:
         """The option that gives more: ``time_limit`` or ``effort``."""
-        return "time_limit" if self.effort is None else "effort"
+        return "effort" if self.name == "the effort" else "time_limit"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to say of a plan that the clock has ended."""
+        if self.effort is None or not self.hurried or self.spent >= self.effort:
+            return ()
+        return (
+            f"stopped by the clock after {self.elapsed:.1f} s, with {self.spent:.0f} of "
+            f"{self.effort} units of work done; a larger time_limit goes on",
+        )
+
+
+def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> Budget:
+    """Return the budget of a plan, with the usual effort where none is given.
+
+    A planner that does not count its work gets the time that so much work takes.
+    """
+    if effort is None and counts:
+        effort = EFFORT
+    elif effort is None and not isfinite(time_limit):
+        time_limit = EFFORT / PACE
+    return Budget(time_limit, effort=effort)
 
 
 UNLIMITED = Budget()

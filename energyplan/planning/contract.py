@@ -20,6 +20,7 @@ from energyplan.errors import (
 )
 from energyplan.kinds import check_fields
 from energyplan.path import Path, wrap_angle
+from energyplan.planning.budget import Budget
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem
@@ -204,14 +205,13 @@ def priced_plan(
     path: Path,
     bound: float,
     planner: str,
+    budget: Budget,
     *,
-    planning_time: float,
     first_time: float | None = None,
-    effort: float = 0,
     asked: PlanningProblem | None = None,
     notes: tuple[str, ...] = (),
 ) -> Plan:
-    """Return the plan of a path that was checked, everything in it computed from the path.
+    """Return the plan of a path that was checked, all but what the budget says computed from it.
 
     `asked` is the problem where the compiled one lacks its clearance, for ends that have less.
     """
@@ -227,7 +227,7 @@ def priced_plan(
             f"a path from {tuple(problem.start)} to {tuple(problem.goal)}, so it is no bound; "
             "please report the map and the model to whoever made the planner"
         )
-    excess, least = cost - potential, bound - potential
+    excess, least, elapsed = cost - potential, bound - potential, budget.elapsed
     return Plan(
         path=path,
         energy=price.energy,
@@ -237,13 +237,15 @@ def priced_plan(
         length=path.length,
         turning=path.turning,
         duration=price.duration,
-        planning_time=planning_time,
-        first_time=planning_time if first_time is None else first_time,
+        planning_time=elapsed,
+        first_time=elapsed if first_time is None else first_time,
         planner=planner,
         problem=asked or problem,
         breakdown=price.by_term,
         potential=potential,
-        effort=round(effort),
+        effort=round(budget.spent),
+        effort_limit=budget.effort,
+        stopped=bool(budget.notes),
         soft_cost=soft,
-        notes=notes,
+        notes=(*notes, *budget.notes),
     )

@@ -66,8 +66,8 @@ def drive_path(
     """Time a path as its cost assumes, and integrate what driving it takes."""
     model, surfaces = priced_models(cost, surfaces)
     vehicle = cost.vehicle if vehicle is None else vehicle
-    if cost.speed is not None:
-        vehicle = vehicle.up_to(cost.speed)
+    if cost.tread_speed is not None:
+        vehicle = vehicle.up_to(cost.tread_speed)
     allowed = vehicle.tracking_tolerance if tolerance is None else tolerance
     smooth, within = corner_rounding(allowed)
     corners: FloatArray = np.full(max(len(path) - 1, 0), smooth)
@@ -89,7 +89,7 @@ def drive_path(
             speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
         )
 
-    if cost.speed is not None:
+    if cost.tread_speed is not None:
         try:
             return driven("time", corners)
         except InfeasibleMotionError:
@@ -159,13 +159,14 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
 def stops_count(problem: PlanningProblem) -> bool:
     """Tell whether what driving takes is the energy by which paths are compared."""
     weights = {name for name, weight in problem.weights.items() if weight > 0}
-    if problem.cost.speed is None or weights != {"energy"} or problem.softened:
+    speed = float(problem.cost.cheapest_speed(0.0))
+    if weights != {"energy"} or problem.softened or not np.isfinite(speed):
         return False
     found = priced_models(problem.cost, problem.surfaces)
     models = [found.model]
     if found.surfaces is not None:
         models += [surface.model for surface in found.surfaces.surfaces]
-    return any(_feels_stops(model, problem.cost.speed) for model in models)
+    return any(_feels_stops(model, speed) for model in models)
 
 
 def _feels_stops(model: PowerModel, speed: float) -> bool:
@@ -240,10 +241,15 @@ class Plan(html.Readable):
         bound, whichever way is taken; zero on level ground.
     effort : int
         Units of work that were spent.
+    effort_limit : int, optional
+        Units of work that could be spent; None of a planner that does not count them.
+    stopped : bool
+        Whether the clock stopped the planning before: then the plan depends on the load.
     soft_cost : float
         What the costmap adds to the cost, in the unit of the objective; no part of the energy.
     notes : tuple of str
-        What was done about a start that touches an obstacle, or an end that lacks the clearance.
+        What was done about a start that touches an obstacle, or an end that lacks the clearance;
+        and that the clock stopped the planning, if it did.
     problem : PlanningProblem, optional
         What it answers, which `driven` needs; a plan read from a pickle has been driven instead.
 
@@ -273,6 +279,8 @@ class Plan(html.Readable):
     breakdown: Mapping[str, float] = field(default_factory=dict)
     potential: float = 0.0
     effort: int = 0
+    effort_limit: int | None = None
+    stopped: bool = False
     soft_cost: float = 0.0
     notes: tuple[str, ...] = ()
     problem: PlanningProblem | None = field(default=None, repr=False, compare=False)
@@ -339,6 +347,8 @@ class Plan(html.Readable):
             ("at most above the least possible [%]", 100 * self.gap),
         ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
+        if self.effort_limit is not None:
+            title += f" of {self.effort_limit}"
         return [html.Summary(title, ("", ""), rows, self.notes)]
 
     def _costs(self) -> list[tuple[str, float]]:

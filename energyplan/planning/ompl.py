@@ -143,8 +143,32 @@ def pose_state(space: Any, x: float, y: float, yaw: float) -> Any:
     return state
 
 
-def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
-    """Return the planner that lets one of OMPL's solve a problem."""
+def ompl_planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
+    """Return the planner that lets one of OMPL's solve a problem.
+
+    Motions between its states are those of exact steering, and its objective is the problem's.
+
+    Parameters
+    ----------
+    make : callable
+        A geometric planner of OMPL, such as ``ompl.geometric.RRTConnect``; called with OMPL's
+        space information.
+    name : str
+        What messages call it.
+
+    Returns
+    -------
+    callable
+        For `energyplan.Planner`: a function ``(problem, budget, *, seed, **parameters)``, where
+        parameters are those of OMPL's planner, in lower case with underscores.
+
+    Examples
+    --------
+    >>> from ompl import geometric
+    >>> import energyplan as ep
+    >>> connect = ompl_planner(geometric.RRTConnect, "rrt_connect")
+    >>> planner = ep.Planner(connect, surfaces=True, heights=True, effort=True, turning=True)
+    """
 
     def plan(
         problem: PlanningProblem, budget: Budget, *, seed: int = 1, **parameters: object
@@ -205,7 +229,9 @@ def _planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candidate]:
     return plan
 
 
-rrtstar = _planner(geometric.RRTstar, "rrtstar")
-informed_rrtstar = _planner(geometric.InformedRRTstar, "informed_rrtstar")
-bitstar = _planner(geometric.BITstar, "bitstar")
-fmt = _planner(geometric.FMT, "fmt")  # not anytime: draws num_samples samples, then searches once
+rrtstar = ompl_planner(geometric.RRTstar, "rrtstar")
+informed_rrtstar = ompl_planner(geometric.InformedRRTstar, "informed_rrtstar")
+bitstar = ompl_planner(geometric.BITstar, "bitstar")
+fmt = ompl_planner(
+    geometric.FMT, "fmt"
+)  # not anytime: draws num_samples samples, then searches once

@@ -12,6 +12,7 @@ cost in free space always is one.
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from energyplan.errors import (
 )
 from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
-from energyplan.planning.budget import Budget
+from energyplan.planning.budget import Budget, plan_budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import KEPT, PlanningProblem
@@ -118,7 +119,7 @@ def replan(
     *,
     start: ArrayLike,
     map: OccupancyGrid | None = None,
-    time_limit: float = 1.0,
+    time_limit: float = inf,
     effort: int | None = None,
 ) -> Plan:
     """Plan on from where the robot is, with the rest of the former plan as a start.
@@ -172,13 +173,13 @@ def replan(
     _check_answers(before, problem)
     # the plan begins beside a start that touched an obstacle
     problem = replace(problem, start=before.start)
-    Budget(time_limit, effort=effort)  # says at once what is wrong with them
+    plan_budget(time_limit, effort)  # says at once what is wrong with them
     here = as_pose(start, "start")
     now = replace(problem, start=here, map=problem.map if map is None else map)
     now, bare, notes = checked_ends(now)
     here = now.start
     compile_planning(bare, tight=True)
-    budget = Budget(time_limit, effort=effort)
+    budget = plan_budget(time_limit, effort)
     query = compiled(bare)
     bound = query.least_in_free_space
     path, planner, first = remainder(before, here, now), "lattice", None
@@ -198,8 +199,7 @@ def replan(
         planner, first = "lattice", found.first_time
         check_path(now, path, planner)
     return priced_plan(
-        query, path, bound, planner, planning_time=budget.elapsed, first_time=first,
-        effort=budget.spent, asked=now, notes=notes,
+        query, path, bound, planner, budget, first_time=first, asked=now, notes=notes
     )  # fmt: skip
 
 

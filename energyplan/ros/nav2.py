@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from itertools import pairwise
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from energyplan.mission import evaluate
 from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
+from energyplan.planning.budget import EFFORT
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.narrow.ends import checked_ends
 from energyplan.planning.search.planner import compile_planning
@@ -181,7 +182,7 @@ def answer(
     cost: EnergyCost,
     *,
     planner: str = "lattice",
-    time_limit: float = 1.0,
+    time_limit: float = inf,
     effort: int | None = None,
     unwanted: Callable[[], bool] = lambda: False,
     former: Answer | None = None,
@@ -200,7 +201,7 @@ def answer(
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:
             checked_ends(problem)
-        share = None if effort is None else max(effort // len(problems), 1)
+        share = max((EFFORT if effort is None else effort) // len(problems), 1)
         with cancellable(unwanted):
             for leg, problem in enumerate(problems):
                 known = _known(problem, len(problems) - leg, former) if name == "lattice" else None
@@ -233,8 +234,8 @@ def warm_up(
     )  # fmt: skip
     with cancellable(unwanted):
         compile_planning(problem, tight=True)
-        former = plan(problem, planner, time_limit=0.2)
-        replan(problem, former, start=former.path.poses(size, 1.0)[1], time_limit=0.2)
+        former = plan(problem, planner)
+        replan(problem, former, start=former.path.poses(size, 1.0)[1])
 
 
 def blocked_poses(

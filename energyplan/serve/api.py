@@ -6,6 +6,7 @@ import asyncio
 import base64
 import io
 import json
+import math
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import replace
@@ -27,7 +28,6 @@ from energyplan.battery import Battery
 from energyplan.comparison import compare
 from energyplan.compilation import compile_kernels
 from energyplan.cost import EnergyCost
-from energyplan.cost.speeds import asked_speed
 from energyplan.diagnosis import diagnose
 from energyplan.errors import (
     CancelledError,
@@ -219,7 +219,7 @@ class _Service:
     def cost(self, name: str, battery: bool) -> EnergyCost:
         """Return the cost of a model's motions."""
         model = self.store.model(name)
-        return EnergyCost(model, battery=battery, speed=asked_speed(None, model.vehicle))
+        return EnergyCost(model, battery=battery)
 
 
 def _written(document: Document) -> bytes:
@@ -335,11 +335,9 @@ def _routes(service: _Service) -> APIRouter:
             costmap_weight=asked.costmap_weight,
         )  # fmt: skip
         job.say("planning")
-        options: Document = {"planner": asked.planner, "time_limit": asked.time_limit}
-        if asked.effort is not None:
-            options["effort"] = asked.effort
+        limit = math.inf if asked.time_limit is None else asked.time_limit
         try:
-            found = document(run(query, **options))
+            found = document(run(query, asked.planner, limit, effort=asked.effort))
         except NoPathError as error:  # an answer, as on the command line
             return documents.no_path(error)
         return _noted(found, [*store.site(asked).notes, *unusual(query.cost.vehicle, "vehicle")])

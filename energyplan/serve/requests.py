@@ -53,7 +53,7 @@ class PlanRequest(SiteFile, _Asked):
     costmap_weight: float = Field(0.0, ge=0)
     objective: Literal["energy", "length", "time"] = "energy"
     planner: Name = "lattice"
-    time_limit: float = Field(1.0, gt=0, le=LONGEST)
+    time_limit: float | None = Field(None, gt=0, le=LONGEST)
     effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
     reverse: bool | None = Field(None, description="may it drive backwards; as its vehicle has it")
 

@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan.compilation import Column, FloatTable, IntTable, njit
 from energyplan.cost import EnergyCost
+from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import MapError
 from energyplan.kinds import Within, check_fields, described
 from energyplan.path import FloatArray, Path
@@ -167,7 +168,9 @@ class SurfaceMap:
         known: dict[int, EnergyCost] = {id(cost.model): cost}
         for surface in self.surfaces:
             if id(surface.model) not in known:
-                known[id(surface.model)] = replace(cost, model=surface.model)
+                known[id(surface.model)] = replace(
+                    cost, model=surface.model, speed=cost.tread_speed or CHEAPEST
+                )
         found = (cost, *(known[id(surface.model)] for surface in self.surfaces))
         self._last[:] = [found]
         return found

@@ -133,7 +133,9 @@ def path_price(
 ) -> PathPrice:
     """Return what a path costs on surfaces and slopes."""
     pieces = path_pieces(path, cost, surfaces, heights)
-    timed = all(p.cost.speed is not None or p.cost.vehicle.motor.speed < np.inf for p in pieces)
+    timed = all(
+        p.cost.tread_speed is not None or p.cost.vehicle.motor.speed < np.inf for p in pieces
+    )
     by_term: dict[str, float] = {}
     for piece in pieces:
         for name, joules in piece.cost.breakdown(piece.path, piece.slope).items():

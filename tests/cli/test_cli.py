@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +17,14 @@ import energyplan as ep
 from energyplan import PowerModel, Trajectory, simulate
 from energyplan.html import number
 from energyplan.io.bags import bag_fields
+from energyplan.io.config import write_model
 from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
-from energyplan.io.tables import write_log, write_trajectory
+from energyplan.io.tables import read_trajectory, write_log, write_path, write_trajectory
 from energyplan.reach import most_power
 
 MODEL = PowerModel.preset("quadriga:full:marble")
-pytestmark = pytest.mark.usefixtures("counted")
+pytestmark = pytest.mark.usefixtures("little_effort")
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +44,7 @@ def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
     body = page[page.index("<body>") :]
     assert f"{100 * result.json['saving']:.1f} % of the shortest route" in body
     for key in ("energy_optimal", "shortest"):
+        assert result.json[key]["effort_limit"] == 5000  # of `little_effort`: no clock, but work
         assert f">{number(result.json[key]['length'])}</td>" in body
     assert body.count("<figure>") == 3
     end = body[body.index("<footer>") :]
@@ -68,8 +71,41 @@ def test_check_answers_no_and_strict_says_so(run: Run, tmp_path: Path) -> None:
     scale = result.json["max_speed_scale"]
     assert 0 < scale < 1
     assert run("check", file, "--model", "quadriga:full:marble", "--strict").code == 3
-    slower = write_trajectory(arc(1.1).scaled(0.99 * scale), tmp_path / "slow.csv")
-    assert run("check", slower, "--model", "quadriga:full:marble", "--strict").code == 0
+    assert result.json["duration"] == pytest.approx(arc(1.1).duration)
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.1, 7.3])
+def test_check_writes_what_the_motors_can_drive(run: Run, tmp_path: Path, speed: float) -> None:
+    """A fast trajectory is slowed, a slow one stays as it is, and a path is timed."""
+    model = ("--model", "quadriga:full:marble")
+    file = write_trajectory(arc(speed), tmp_path / "asked.csv")
+    told = run("check", file, *model, "--out", tmp_path / "slow.csv", "--json").json
+    share = min(told["max_speed_scale"], 1.0)
+    assert told["feasible"] == (share == 1.0) == (speed == 0.2)
+    slow = read_trajectory(tmp_path / "slow.csv")
+    assert slow.duration == pytest.approx(arc(speed).duration / share)
+    assert told["out_duration"] == slow.duration
+    again = run("check", tmp_path / "slow.csv", *model, "--strict", "--out", tmp_path / "same.csv")
+    assert again.code == 0
+    assert f"same.csv: {slow.duration:.4g} s, 1 times these speeds" in again.out
+    assert read_trajectory(tmp_path / "same.csv") == slow
+    path = write_path(ep.Path.from_poses(arc(speed).poses), tmp_path / "path.csv")
+    timed = run("check", path, *model, "--out", tmp_path / "timed.csv", "--json").json
+    assert timed["feasible"]
+    made = read_trajectory(tmp_path / "timed.csv")
+    assert timed["duration"] == timed["out_duration"] == made.duration
+    assert run("check", tmp_path / "timed.csv", *model, "--strict").code == 0
+
+
+def test_check_writes_nothing_where_no_speed_is_slow_enough(run: Run, tmp_path: Path) -> None:
+    model = PowerModel.preset("quadriga:full:marble")
+    weak = replace(model.vehicle, motor=replace(model.vehicle.motor, force=50.0))
+    write_model(replace(model, vehicle=weak), tmp_path / "weak.yaml")
+    file = write_trajectory(arc(0.2), tmp_path / "asked.csv")
+    told = run("check", file, "--model", tmp_path / "weak.yaml", "--out", tmp_path / "slow.csv")
+    assert told.code == 0
+    assert "slow.csv is not written: the motors drive this trajectory at no speed" in told.err
+    assert not (tmp_path / "slow.csv").exists()
 
 
 def test_plan_and_compare(run: Run, tmp_path: Path) -> None:

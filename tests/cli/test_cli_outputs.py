@@ -23,7 +23,7 @@ from energyplan.io.config import write_vehicle
 from energyplan.io.files import bundled, files_behind, refuse_overwriting
 from energyplan.io.tables import write_log, write_trajectory
 
-pytestmark = pytest.mark.usefixtures("counted", "few_effects")
+pytestmark = pytest.mark.usefixtures("little_effort", "few_effects")
 
 MODEL = ep.PowerModel.preset("quadriga:full:marble")
 

@@ -18,7 +18,7 @@ from energyplan.io.start import Given, start
 from energyplan.io.tables import write_log
 from energyplan.power.presets import MODEL_PRESETS
 
-pytestmark = pytest.mark.usefixtures("counted")
+pytestmark = pytest.mark.usefixtures("little_effort")
 
 MEASURES = ("--track", 0.4, "--wheelbase", 0.62, "--mass", 30)
 

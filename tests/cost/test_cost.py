@@ -65,7 +65,7 @@ def test_cheapest_speed_balances_hotel_load_and_viscous_loss() -> None:
     model = with_vehicle(
         MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0), motor=MotorLimits(speed=3.0)
     )
-    cost = EnergyCost(model)
+    cost = EnergyCost(model, speed="cheapest")
     best = np.sqrt(50.0 / (2 * 40.0))  # least of 2 K + 2 B v + P / v
     np.testing.assert_allclose(cost.cheapest_speed(0.0), best, rtol=1e-6)
     np.testing.assert_allclose(
@@ -77,7 +77,8 @@ def test_cheapest_speed_balances_hotel_load_and_viscous_loss() -> None:
 
 
 def test_table_of_a_smooth_cost_keeps_its_stated_error() -> None:
-    cost = EnergyCost(MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0))
+    model = MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0)
+    cost = EnergyCost(model, speed="cheapest")
     ds, dtheta = random_elements(500, seed=3)
     exact = cost.segment_energy(ds, dtheta, slope=0.0)  # through the model, not the table
     error = np.max(np.abs(cost.segment_energy(ds, dtheta) / exact - 1))
@@ -114,8 +115,9 @@ def test_a_second_is_worth_something(worth: float) -> None:
     viscous, hotel = 300.0, 40.0
     model = with_vehicle(MODEL, motor=MotorLimits(speed=1.2))
     cost = EnergyCost(
-        model.with_term(VISCOUS_LOSS, viscous).with_term(HOTEL, hotel), time_value=worth
-    )
+        model.with_term(VISCOUS_LOSS, viscous).with_term(HOTEL, hotel), speed="cheapest",
+        time_value=worth,
+    )  # fmt: skip
     speed = min(np.sqrt((hotel + worth) / (2 * viscous)), 1.2)
     assert float(cost.cheapest_speed(0.0)) == pytest.approx(speed, rel=1e-4)
     # and no other energy is counted than the model's

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +13,9 @@ from numpy.testing import assert_allclose
 from energyplan import EnergyCost, MotorLimits, Path, Pose, PowerModel, TreadICR, Vehicle
 from energyplan.cost.speeds import (
     admissible_rate,
-    asked_speed,
     cheapest_rate,
     last_within,
+    parse_speed,
 )
 from energyplan.errors import InvalidInputError
 from energyplan.path import FloatArray
@@ -26,21 +27,27 @@ MODEL = PowerModel.paper(VEHICLE, K=40.0, mu=0.5)
 
 
 def test_what_is_asked_is_a_speed_the_cheapest_or_the_usual_one() -> None:
-    assert asked_speed("cheapest", VEHICLE) is None
-    assert asked_speed(None, VEHICLE) == VEHICLE.motor.speed
-    assert asked_speed(None, replace(VEHICLE, usual_speed=0.4)) == 0.4
-    assert asked_speed(None, replace(VEHICLE, motor=MotorLimits())) is None
-    assert asked_speed("0.6", VEHICLE) == asked_speed(0.6, VEHICLE) == 0.6
-    for wrong in ("0", -1.0, "inf", "nan", "as fast as it goes", "zigzag", ""):
+    def driven(vehicle: Vehicle, **asked: Any) -> float | None:
+        return EnergyCost(replace(MODEL, vehicle=vehicle), **asked).tread_speed
+
+    assert driven(VEHICLE, speed="cheapest") is None
+    assert driven(VEHICLE) == VEHICLE.motor.speed
+    assert driven(replace(VEHICLE, usual_speed=0.4)) == 0.4
+    assert driven(replace(VEHICLE, usual_speed=0.4), time_value=1.0) is None
+    assert driven(replace(VEHICLE, motor=MotorLimits())) is None
+    assert parse_speed(None, VEHICLE) is None
+    assert parse_speed("cheapest", VEHICLE) == "cheapest"
+    assert parse_speed("0.6", VEHICLE) == driven(VEHICLE, speed=0.6) == 0.6
+    for wrong in ("0", "-1.0", "inf", "nan", "as fast as it goes", "zigzag", ""):
         with pytest.raises(InvalidInputError, match="metres per second"):
-            asked_speed(wrong, VEHICLE)
+            parse_speed(wrong, VEHICLE)
     with pytest.raises(InvalidInputError, match="give 1 m/s at most"):
-        asked_speed("90", VEHICLE)
+        parse_speed("90", VEHICLE)
     # a largest speed is accepted as it is printed, rounded to four digits
     odd = replace(VEHICLE, motor=replace(VEHICLE.motor, speed=1.2277168))
-    assert asked_speed("1.228", odd) == 1.2277168
+    assert parse_speed("1.228", odd) == 1.2277168
     with pytest.raises(InvalidInputError, match=r"speed 1.229 m/s .* give 1.228 m/s at most"):
-        asked_speed("1.229", odd)
+        parse_speed("1.229", odd)
 
 
 @pytest.mark.parametrize("per_radian", [0.0, 0.4, 90.0])

@@ -101,7 +101,7 @@ ANSWERS = {
         f"plan --former closed.csv {OFFICE} --start 1.2,2,0 --effort 5000", ROUTE
     ),
     "check": Answer(f"check trajectory.csv {MODEL}"),
-    "check-fast": Answer(f"check fast.csv {MODEL}"),
+    "check-fast": Answer(f"check fast.csv {MODEL} --out slow.csv"),
     "check-path": Answer(f"check free.csv {MODEL}"),
     "range": Answer(
         f"range {OFFICE} --start 1.23,2.02,90deg --energy 3000 --return --confidence 0.95 "

@@ -28,6 +28,7 @@ from energyplan.mission import Charger, Mission, Routes, Spreads, Task, evaluate
 from energyplan.mission.legs import Legs
 from energyplan.output import documents
 from energyplan.planning import PlanningProblem, plan
+from energyplan.planning.budget import EFFORT
 from energyplan.power import HOTEL, PowerModel, Residual
 from energyplan.power.effects import with_weight
 from energyplan.power.terms import Term
@@ -181,7 +182,7 @@ PARTS = [
                planner="rrtstar", planning_time=9.0, planning_effort=3000, name="other",
                waiting=20.0, clearance=0.3),
     }, {
-        "planning_time": "the effort stands in its place",
+        "planning_time": "it is long enough",
         "name": LABEL,
     }),
     Part(hilly, (), Mission, like(heights=None)),
@@ -321,7 +322,7 @@ def test_routes_do_not_depend_on_the_battery_and_are_planned_once(
     planned_once = len(count)
     others: dict[str, Any] = {
         "battery": replace(battery(), health=0.9), "soc": 0.8, "reserve": 0.25, "name": "b",
-        "confidence": 0.9, "time": 5.0, "planning_time": 3.0,
+        "confidence": 0.9, "time": 5.0,
     }  # fmt: skip
     for name, value in others.items():
         evaluate(replace(mission(), **{name: value}), routes=routes)
@@ -400,3 +401,35 @@ def test_the_store_reads_a_model_anew_when_a_field_of_its_vehicle_changes(tmp_pa
         assert found.vehicle == now.vehicle != before.vehicle, name
         assert store.model("m.yaml") is found
         before = now
+
+
+def test_routes_are_planned_by_work_of_which_each_has_less_where_they_are_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[tuple[float, int | None]] = []
+
+    def planned(problem: Any, planner: str, limit: float, *, effort: int | None) -> Any:
+        asked.append((limit, effort))
+        return plan(problem, planner, effort=300)
+
+    monkeypatch.setattr(legs, "plan", planned)
+    free = replace(mission(), planning_effort=None)
+    one = free.tasks[0]
+    many = replace(free, tasks=tuple(replace(one, name=f"{k}", payload=0.0) for k in range(25)))
+    for each, expected in (
+        (free, (np.inf, EFFORT)),
+        (many, (np.inf, EFFORT // 2)),
+        (replace(free, planning_effort=400), (np.inf, 400)),
+        (replace(free, planning_time=3.0), (3.0, EFFORT)),
+    ):
+        evaluate(each)
+        assert set(asked) == {expected}
+        asked.clear()
+
+
+def test_a_report_says_that_the_clock_stopped_its_planning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert not any("clock" in note for note in evaluate(mission()).warnings)
+    monkeypatch.setattr(legs, "plan", lambda *a, **b: replace(plan(a[0], effort=300), stopped=True))
+    assert any("stopped by the clock on" in note for note in evaluate(mission()).warnings)

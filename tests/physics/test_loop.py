@@ -45,7 +45,7 @@ forks = importlib.util.module_from_spec(SPEC)
 sys.modules["forks"] = forks
 SPEC.loader.exec_module(forks)
 
-pytestmark = pytest.mark.usefixtures("counted")
+pytestmark = pytest.mark.usefixtures("little_effort")
 
 ICR = ep.TreadICR.symmetric(predict_icr(0.475, 0.5))
 VEHICLE = ep.Vehicle.preset("quadriga:full").with_mass(147.1).with_icr(ICR)

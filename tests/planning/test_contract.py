@@ -17,6 +17,8 @@ from energyplan.errors import (
     InvalidPathError,
     LowerBoundError,
     MissingDependencyError,
+    NoPathError,
+    PlannerError,
     PlanningError,
     UnsupportedPlannerError,
 )
@@ -189,6 +191,67 @@ def test_an_installed_plugin(tmp_path, monkeypatch):
         ep.plan(PROBLEM, "crow", far=7.0)
     with pytest.raises(PlanningError, match=r"'fly' of .* is a function; .*Planner"):
         ep.plan(PROBLEM, "fly")
+
+
+def test_a_mistake_in_a_plugin_is_told_at_its_own_line(tmp_path, monkeypatch):
+    (tmp_path / "shaky").mkdir()
+    (tmp_path / "shaky" / "__init__.py").write_text("")
+    (tmp_path / "shaky" / "broken.py").write_text("import energyplan\nraise OSError('no file')\n")
+    (tmp_path / "shaky" / "unread.py").write_text("def f(:\n")
+    (tmp_path / "shaky" / "helper.py").write_text(
+        "import numpy as np\ndef half(pose):\n    return np.reshape(pose, 7)\n"
+    )
+    (tmp_path / "shaky" / "fly.py").write_text(
+        "import energyplan as ep\n"
+        "from energyplan.errors import InvalidInputError, NoPathError\n"
+        "from shaky.helper import half\n"
+        "def fly(problem, budget, *, how='name'):\n"
+        "    if how == 'name':\n"
+        "        return problem.robot.length\n"
+        "    if how == 'shape':\n"
+        "        return half(problem.start)\n"
+        "    if how == 'ours':\n"
+        "        return ep.Path(problem.start, [1.0], [0.0, 2.0])\n"
+        "    if how == 'no way':\n"
+        "        raise NoPathError('a river is in between')\n"
+        "    raise InvalidInputError(f'how is {how}; give a name')\n"
+        "one = ep.Planner(fly)\n"
+    )
+    info = tmp_path / "shaky-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: shaky\nVersion: 1.0\n")
+    names = ("fly:one", "broken:one", "unread:one")
+    lines = [f"{name.partition(':')[0]} = shaky.{name}" for name in names]
+    (info / "entry_points.txt").write_text("\n".join(["[energyplan.planning]", *lines]))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name, how, file, words in (
+        ("fly", "name", "fly.py, line 6", "AttributeError: 'Vehicle' object has no attribute"),
+        ("fly", "shape", "helper.py, line 3", "ValueError: cannot reshape"),
+        ("fly", "ours", "fly.py, line 10", "PathError: "),
+        ("broken", "", "broken.py, line 2", "OSError: no file"),
+        ("unread", "", "unread.py, line 1", "SyntaxError: "),
+    ):
+        options = {"how": how} if how else {}
+        with pytest.raises(PlannerError) as told:
+            ep.plan(PROBLEM, name, **options)
+        message = str(told.value)
+        assert file in message and words in message and f"{name!r} failed" in message
+        assert "\n" not in message
+        assert type(told.value.__cause__).__name__ == words.partition(":")[0]
+    # what a planner says itself is passed on
+    with pytest.raises(NoPathError, match=r"^a river"):
+        ep.plan(PROBLEM, "fly", how="no way")
+    with pytest.raises(InvalidInputError, match=r"^how is fast; give a name"):
+        ep.plan(PROBLEM, "fly", how="fast")
+
+
+def test_a_mistake_in_the_library_itself_is_no_plugins(monkeypatch):
+    def broken(*given, **options):
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr("energyplan.planning.search.planner.compiled", broken)
+    with pytest.raises(ZeroDivisionError):
+        ep.plan(PROBLEM, effort=100)
 
 
 def test_a_planner_whose_package_is_absent_says_so(monkeypatch):

@@ -18,12 +18,15 @@ import shapely
 from by_day import by_day
 from worlds import cluttered, free_poses
 
+from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
-from energyplan.planning import Budget, Plan, PlanningProblem, plan
+from energyplan.planning import Budget, Candidate, Plan, Planner, PlanningProblem, plan
+from energyplan.planning.budget import EFFORT, PACE
+from energyplan.planning.replanning import replan
 from energyplan.planning.search.planner import prepare
 from energyplan.power import PowerModel
-from energyplan.terrain import Surface, SurfaceMap
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 MARBLE = SurfaceMap([Surface(shapely.box(2, 2, 7, 5), PowerModel.preset("quadriga:empty:marble"))])
@@ -92,12 +95,49 @@ def test_the_same_bits_in_a_fresh_process_with_one_thread_and_under_load():
 
 def test_nothing_that_decides_reads_the_clock(monkeypatch):
     """With a clock that jumps by an hour at each look the plan is the same."""
-    told = digest(plan(PROBLEM, effort=10_000))
+    monkeypatch.setattr("energyplan.planning.budget.EFFORT", 6_000)
+    told = digest(plan(PROBLEM, effort=6_000))
     hours = iter(range(0, 10**9, 3600))
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(hours)))
     monkeypatch.setattr(time, "monotonic", lambda: float(next(hours)))
-    assert digest(plan(PROBLEM, effort=10_000)) == told
-    assert plan(PROBLEM, time_limit=1.0).effort < 1_000  # which ends at the first look at the clock
+    assert digest(plan(PROBLEM)) == told
+    assert digest(plan(PROBLEM, time_limit=1e9)) == told  # a cap that is not reached
+    stopped = plan(PROBLEM, time_limit=1.0)  # which ends at the first look at the clock
+    assert stopped.effort < 1_000
+    assert stopped.stopped
+    assert "stopped by the clock" in stopped.notes[0]
+    assert f"with {stopped.effort} of 6000 units" in stopped.notes[0]
+    assert stopped.notes[0] in str(stopped)
+
+
+def test_every_way_to_plan_has_the_same_work_where_none_is_asked_for():
+    hall = replace(PROBLEM, map=OccupancyGrid(np.zeros((80, 80), bool), 0.1), surfaces=None)
+    problem = replace(hall, start=(2, 2, 0), goal=(6, 2, 0))
+    former = plan(problem)
+    told = compare(problem)
+    plans = [
+        former, told.energy_optimal, told.shortest, replan(problem, former, start=problem.start),
+        plan(problem, effort=EFFORT),
+    ]  # fmt: skip
+    assert {found.effort_limit for found in plans} == {EFFORT}
+    assert f"of {EFFORT}" in str(former)
+
+
+def test_a_planner_that_counts_no_work_has_the_time_that_the_work_takes():
+    known = plan(PROBLEM, effort=6_000).path
+    given = []
+
+    def clocked(problem, budget):
+        given.append(budget)
+        return Candidate(known)
+
+    planner = Planner(clocked, surfaces=True)
+    found = plan(PROBLEM, planner)
+    assert found.effort_limit is None
+    plan(PROBLEM, planner, time_limit=1e4)
+    usual, longer = (budget.left / PACE for budget in given)
+    assert usual <= EFFORT / PACE
+    assert 0.5e4 < longer < 1e4
 
 
 @pytest.mark.parametrize("name", by_day(["rrtstar", "bitstar"], ["bitstar"]))
@@ -135,7 +175,7 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
 
     fresh = problem()
     told = digest(plan(fresh, effort=3_000))
-    monkeypatch.setattr("energyplan.planning.Budget", Clock)
+    monkeypatch.setattr("energyplan.planning.budget.Budget", Clock)
     watched("energyplan.planning.space.cost_to_go.free_space")
     watched("energyplan.planning.space.cost_to_go.connect_places")
     watched("energyplan.planning.bound.outline.outline_for")

@@ -42,6 +42,7 @@ from energyplan.io.maps import write_map
 from energyplan.io.tables import write_log
 from energyplan.mission.legs import shortest_ways
 from energyplan.output import documents
+from energyplan.planning.budget import EFFORT
 from energyplan.power import HOTEL
 
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
@@ -90,10 +91,9 @@ def test_a_plan_is_that_of_the_library(client: TestClient) -> None:
     assert answer.status_code == 200, answer.text
     grid = ep.read_map(ROOT / "maps" / "warehouse.yaml")
     cost = ep.EnergyCost(ep.PowerModel.preset(MODEL))
-    expected = documents.plan(
-        ep.plan(ep.PlanningProblem(grid, cost, (2, 2, 0), (5, 2, 0)), effort=50_000)
-    )
+    expected = documents.plan(ep.plan(ep.PlanningProblem(grid, cost, (2, 2, 0), (5, 2, 0))))
     told = answer.json()
+    assert (told["effort_limit"], told["speed"]) == (EFFORT, expected["speed"])
     assert set(told) == set(expected)
     assert told["energy"] == pytest.approx(expected["energy"], rel=1e-9)  # a straight line
 

@@ -49,7 +49,8 @@ PARAMETERS = {
     "base_frame": "base_link",
     "transform_tolerance": 1.0,  # age at which a position of the robot is refused [s]
     "planner": "lattice",
-    "time_limit": 1.0,
+    "effort": 0,  # units of work for a request; 0: as many as the library usually does
+    "time_limit": 60.0,  # after which a request's planning stops [s]
     "clearance": 0.0,
     "reverse": True,  # whether it may drive backwards, where the model's vehicle may
     "to_pose_action": "compute_path_to_pose",
@@ -63,6 +64,7 @@ PARAMETERS = {
 RANGES = {
     "occupied_from": (0, 100),
     "transform_tolerance": (0.01, 3600.0),
+    "effort": (0, 10**9),
     "time_limit": (0.01, 3600.0),
     "clearance": (0.0, 100.0),
 }
@@ -395,6 +397,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
                 base=settings["base_frame"],
                 lookup=partial(self.lookup, frame),
                 planner=settings["planner"],
+                effort=settings["effort"] or None,
                 time_limit=settings["time_limit"],
                 clearance=settings["clearance"],
                 unwanted=unwanted,
