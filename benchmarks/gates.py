@@ -160,7 +160,7 @@ GATES = (
     Gate("start: a cold plan, over the imports", COLD, r"^plan +cold +[\d.]+ +([\d.]+)", most=175),
     Gate("start: a warm plan, over the imports", COLD, r"^plan +warm +[\d.]+ +([\d.]+)", most=4),
     Gate("start: --help, over the imports", COLD, r"^help +warm +[\d.]+ +([\d.]+)", most=0.6),
-    Gate("replanning where the rest is kept: CPU", COLD, r"^replan .*: ([\d.]+) ms", most=60,
+    Gate("replanning where the rest is kept: CPU", COLD, r"^replan .*: ([\d.]+) ms", most=20,
          unit=" ms"),
 )
 # fmt: on
