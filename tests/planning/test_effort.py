@@ -11,6 +11,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pytest
@@ -180,6 +181,7 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
     watched("energyplan.planning.space.cost_to_go.connect_places")
     watched("energyplan.planning.bound.outline.outline_for")
     watched("energyplan.planning.bound.surfaces._certain_regions")
+    monkeypatch.setattr("energyplan.planning.space.prices._remembered", WeakKeyDictionary())
     query = problem()
     assert digest(plan(query, effort=3_000)) == told
     # the first one only checks the numbers
