@@ -7,7 +7,7 @@ import sqlite3
 import struct
 import zlib
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -34,13 +34,28 @@ from energyplan.logs import DriveLog
 from energyplan.logs.align import AS_LOGGED, Series, align
 from energyplan.logs.clean import SetAside
 from energyplan.logs.guess import guess, side_of, words
-from energyplan.logs.mapping import RATES, UNITS, Column, counting, formula, scale_of
+from energyplan.logs.mapping import (
+    RATES,
+    UNITS,
+    Column,
+    count_rate,
+    counting,
+    formula,
+    scale_of,
+)
+from energyplan.path import FloatArray
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
-_NAME = r"(?:yaw\([\w.\s]+\)|[A-Za-z_][\w.]*(?:\s*\[[^\[\]]+\])?)"
+_NAME = r"(?:/[\w/]+\.)?(?:yaw\([\w.\s]+\)|[A-Za-z_][\w.]*(?:\s*\[[^\[\]]+\])?)"
 
 
 _FIELDS = "write a field such as angular_velocity.z, a.b[0], yaw(a.b) or a.b-0.25*c.d"
+
+
+def _apart(name: str) -> tuple[str, str]:
+    """Split a field of another topic, such as ``/battery_2.current``; the topic may be empty."""
+    topic, _, field = name.partition(".") if name.startswith("/") else ("", "", name)
+    return topic, field
 
 
 class _Place(NamedTuple):
@@ -53,7 +68,7 @@ class _Place(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _place(field: str) -> _Place:
-    text = field.strip()
+    text = _apart(field.strip())[1]
     heading = text.startswith("yaw(") and text.endswith(")")
     match = _FIELD.match(text[4:-1].strip() if heading else text)
     if match is None:
@@ -75,11 +90,16 @@ def _number(message: Any, place: _Place) -> float:
     if place.element.isdecimal():
         index = [int(place.element)]
     else:
-        names = getattr(message, "name", ())
+        names = _joints(message)
         wanted = place.element.split("|")
         index = [k for k, name in enumerate(names) if any(fnmatchcase(name, w) for w in wanted)]
     found = [float(value[k]) for k in index if k < len(value)]
     return sum(found) / len(found) if found else nan
+
+
+def _joints(message: Any) -> list[str]:
+    """Return the names of what a message holds an array of."""
+    return [str(name) for name in getattr(message, "name", getattr(message, "joint_names", ()))]
 
 
 def _readable(column: Column) -> Column:
@@ -277,108 +297,175 @@ def read_bag(
             f"energyplan start {file.name} --wheel-radius M --out PROJECT.yaml writes one"
         )
     mapping = topics if isinstance(topics, TopicMap) else TopicMap.read(topics)
-    with opened_bag(file) as reader:
-        chosen = _choose(mapping, sorted(reader.topics))
-        for channel in ("v_left", "v_right"):
+    with opened_bag(file) as bag:
+        chosen = _choose(mapping, sorted(bag.topics))
+        for channel in _SIDES:
             if channel not in chosen:
-                there = ", ".join(sorted(reader.topics)) or "none"
+                there = ", ".join(sorted(bag.topics)) or "none"
                 raise DriveLogError(
                     f"{file.name}: no topic serves as {channel} in the topic map {mapping.name!r}; "
                     f"the bag has {there}; write a topic map of your own"
                 )
-        series, aside, warnings = _collect(reader, chosen, file.name, progress)
-    clock = series["v_left"].t
-    channels = {"t": clock - clock[0]}
-    plain = []
-    for name, one in series.items():
-        aligned = align(one, clock)
-        channels[name] = aligned.values
-        told = f"{name} is {chosen[name].topic} {chosen[name].written}"
-        if aligned.how == AS_LOGGED:
-            plain.append(told)
-        else:
-            warnings.append(f"{told}, {aligned.how}")
-    if plain:
-        warnings.append(f"{AS_LOGGED}: {', '.join(plain)}")
-    log = DriveLog.from_columns(channels, file.name)
-    return replace(log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings))
+        return bag.collect(chosen.values(), progress).log(chosen)
 
 
 def _choose(mapping: TopicMap, names: list[str]) -> dict[str, Column]:
     """Pick each channel's first source that the bag has; of several topics the shortest."""
     chosen: dict[str, Column] = {}
+
+    def named(topic: str) -> str | None:
+        wanted = Column(topic=topic, field="data")
+        return min((name for name in names if wanted.matches(name)), key=len, default=None)
+
+    def moved(name: str) -> str | None:
+        topic, field = _apart(name)
+        return f"/{(named(topic) or '').strip('/')}.{field}" if topic and named(topic) else name
+
     for channel, sources in mapping.channels.items():
         for one in sources:
-            matching = sorted((n for n in names if one.matches(n)), key=len)
-            if matching:
-                chosen[channel] = one.changed(topic=matching[0])
+            topic = named(one.topic)
+            if topic is not None:
+                plus = tuple(filter(None, map(moved, one.plus)))
+                times = None if one.times is None else moved(one.times)
+                chosen[channel] = one.changed(topic=topic, plus=plus, times=times)
                 break
     return chosen
 
 
-def _collect(
-    reader: Any,
-    chosen: Mapping[str, Column],
-    name: str,
-    progress: Callable[[float], None] | None,
-) -> tuple[dict[str, Series], list[SetAside], list[str]]:
-    """Stream the messages and keep the channels' numbers."""
-    wanted = {choice.topic for choice in chosen.values()}
-    stamps = {channel: array("d") for channel in chosen}
-    arrivals = {channel: array("d") for channel in chosen}
-    values = {channel: array("d") for channel in chosen}
-    start, span = reader.start_time, max(reader.duration, 1)
-    connections = [c for c in reader.connections if c.topic in wanted]
-    for number, (connection, arrival, raw) in enumerate(reader.messages(connections=connections)):
-        message = reader.deserialize(raw, connection.msgtype)
-        header = getattr(message, "header", None)
-        for channel, choice in chosen.items():
-            if choice.topic == connection.topic:
-                arrivals[channel].append((arrival - start) * 1e-9)
-                stamp = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
-                stamps[channel].append((stamp - start) * 1e-9 if stamp else np.nan)
-                values[channel].append(read_message(choice, message))
-        if progress is not None and number % 1000 == 0:
-            progress((arrival - start) / span)
-    if progress is not None:
-        progress(1.0)
-    found: dict[str, Series] = {}
-    aside: list[SetAside] = []
-    warnings: list[str] = []
-    for channel in chosen:
-        t, arrived = np.array(stamps[channel]), np.array(arrivals[channel])
-        if not len(t):
-            continue
-        skew = np.abs(t - arrived)
-        if not np.all(np.isfinite(skew)) or np.median(skew) > _LARGEST_SKEW:
-            t = arrived
-            topic = chosen[channel].topic
-            warnings.append(f"{topic} carries no stamp to believe; its messages count at arrival")
-        order = np.argsort(t, kind="stable")
-        t, y = t[order], np.array(values[channel])[order]
-        usable = np.isfinite(y) & np.append(True, np.diff(t) > 0)
-        if not np.all(usable):
-            reason = f"{channel}: no value, or the time of the message before; left out"
-            count = int(np.count_nonzero(~usable))
-            where = f"from {t[int(np.argmin(usable))]:.3f} s of {name}"
-            aside.append(SetAside(reason, count, where))
-        if np.any(usable):
-            y = y[usable]
-            found[channel] = Series(t[usable], np.unwrap(y) if channel == "yaw" else y)
-    if not {"v_left", "v_right"} <= set(found):
-        raise DriveLogError(
-            f"{name}: the topics of the tread speeds hold no usable value; check the joints' names "
-            "in the topic map"
+@dataclass(frozen=True)
+class Recording:
+    """Numbers of a bag's messages, as they came: fields by topic, on the topic's own clock."""
+
+    name: str
+    clocks: Mapping[str, FloatArray]  # by topic [s]
+    fields: Mapping[tuple[str, str], FloatArray]  # by topic and field
+    warnings: tuple[str, ...] = ()
+
+    def series(self, column: Column) -> Series:
+        """Return a channel at the times of its first field's messages; NaN where it has no value.
+
+        What another topic adds or multiplies by is interpolated.
+        """
+        clock = self.clocks[column.topic]
+
+        def reading(name: str) -> FloatArray:
+            topic, field = _apart(name)
+            topic = topic or column.topic
+            t, values = self.clocks[topic], self.fields[topic, field]
+            if topic == column.topic:
+                return values
+            known = np.isfinite(values) & np.append(True, np.diff(t) > 0)
+            return align(Series(t[known], values[known]), clock).values
+
+        kind = column.counts
+        rate = (lambda name: count_rate(clock, reading(name), kind)) if kind else None
+        return Series(clock, np.asarray(column.value(reading, rate), float))
+
+    def log(self, chosen: Mapping[str, Column]) -> DriveLog:
+        """Return the channels on the clock of the left tread speed, as a log."""
+        aside, warnings = [], [*self.warnings]
+        found: dict[str, Series] = {}
+        for channel, column in chosen.items():
+            t, y = self.series(column)
+            usable = np.isfinite(y) & np.append(True, np.diff(t) > 0)[: len(t)]
+            if not np.all(usable):
+                reason = f"{channel}: no value, or the time of the message before; left out"
+                where = f"from {t[int(np.argmin(usable))]:.3f} s of {self.name}"
+                aside.append(SetAside(reason, int(np.count_nonzero(~usable)), where))
+            if np.any(usable):
+                y = y[usable]
+                found[channel] = Series(t[usable], np.unwrap(y) if channel == "yaw" else y)
+        if not {*_SIDES} <= set(found):
+            raise DriveLogError(
+                f"{self.name}: the topics of the tread speeds hold no usable value; check the "
+                "joints' names in the topic map"
+            )
+        clock = found["v_left"].t
+        channels = {"t": clock - clock[0]}
+        plain = []
+        for name, one in found.items():
+            aligned = align(one, clock)
+            channels[name] = aligned.values
+            told = f"{name} is {chosen[name].topic} {chosen[name].written}"
+            if aligned.how == AS_LOGGED:
+                plain.append(told)
+            else:
+                warnings.append(f"{told}, {aligned.how}")
+        if plain:
+            warnings.append(f"{AS_LOGGED}: {', '.join(plain)}")
+        log = DriveLog.from_columns(channels, self.name)
+        return replace(
+            log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings)
         )
-    return found, aside, list(dict.fromkeys(warnings))
+
+
+class Bag:
+    """An open bag. Topics whose messages cannot be read are left out, and said."""
+
+    def __init__(self, name: str, reader: Any, stores: Sequence[Any], lost: dict[str, str]) -> None:
+        self.name, self._reader, self._stores, self.lost = name, reader, stores, lost
+        self.connections = [c for c in reader.connections if c.topic not in lost]
+        self.topics = {c.topic: c.msgtype for c in self.connections}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is not read, and why."""
+        return tuple(f"{topic} is left out: {why}" for topic, why in self.lost.items())
+
+    def messages(self, connections: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
+        """Yield connection, time of arrival [ns] and bytes of messages; of none, nothing."""
+        return iter(self._reader.messages(connections=connections) if connections else ())
+
+    def deserialize(self, raw: bytes, kind: str) -> Any:
+        """Return a message."""
+        store = next((one for one in self._stores if kind in one.types), self._stores[-1])
+        first = not hasattr(self._reader, "ros_distro")
+        return (store.deserialize_ros1 if first else store.deserialize_cdr)(raw, kind)
+
+    def collect(
+        self, columns: Iterable[Column], progress: Callable[[float], None] | None = None
+    ) -> Recording:
+        """Stream the messages and keep the fields that columns are made of."""
+        wanted: dict[str, dict[str, array[float]]] = {}
+        for one in columns:
+            for topic, field in map(_apart, one.names):
+                wanted.setdefault(topic or one.topic, {})[field] = array("d")
+        times = {topic: (array("d"), array("d")) for topic in wanted}
+        start, span = self._reader.start_time, max(self._reader.duration, 1)
+        connections = [c for c in self.connections if c.topic in wanted]
+        for number, (connection, arrival, raw) in enumerate(self.messages(connections)):
+            message = self.deserialize(raw, connection.msgtype)
+            header = getattr(message, "header", None)
+            stamps, arrivals = times[connection.topic]
+            stamp = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+            arrivals.append((arrival - start) * 1e-9)
+            stamps.append((stamp - start) * 1e-9 if stamp else np.nan)
+            for field, values in wanted[connection.topic].items():
+                values.append(_number(message, _place(field)))
+            if progress is not None and number % 1000 == 0:
+                progress((arrival - start) / span)
+        if progress is not None:
+            progress(1.0)
+        clocks, fields, warnings = {}, {}, []
+        for topic, one in wanted.items():
+            t, arrived = (np.array(part) for part in times[topic])
+            skew = np.abs(t - arrived)
+            if len(t) and (not np.all(np.isfinite(skew)) or np.median(skew) > _LARGEST_SKEW):
+                t = arrived
+                warnings.append(
+                    f"{topic} carries no stamp to believe; its messages count at arrival"
+                )
+            order = np.argsort(t, kind="stable")
+            clocks[topic] = t[order]
+            fields |= {(topic, field): np.array(values)[order] for field, values in one.items()}
+        return Recording(self.name, clocks, fields, tuple(warnings))
 
 
 @contextmanager
-def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})) -> Iterator[Any]:
+def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})) -> Iterator[Bag]:
     """Open a bag; what goes wrong inside it becomes a named error."""
     try:
         from rosbags import rosbag1, rosbag2
-        from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.serde import SerdeError
         from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
     except ImportError:
@@ -386,31 +473,88 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
             f"reading {file} needs rosbags; install it with pip install 'energyplan[bags]'"
         ) from None
     unsound: tuple[type[Exception], ...] = (
-        *_UNSOUND, *_database_errors(), AnyReaderError, SerdeError, TypesysError,
-        rosbag1.ReaderError, rosbag2.ReaderError, RuntimeError, _zstd().ZstdError,
+        *_UNSOUND, *_database_errors(), SerdeError, TypesysError, rosbag1.ReaderError,
+        rosbag2.ReaderError, RuntimeError, _zstd().ZstdError,
     )  # fmt: skip
     try:
         _check_beginning(file)
+        first = file.suffix.lower() == ".bag"
+        own = get_typestore(Stores.EMPTY)
         # Bags of ROS 2 before Iron do not carry their message definitions.
-        store = get_typestore(Stores.ROS2_HUMBLE)
+        usual = get_typestore(Stores.EMPTY if first else Stores.ROS2_HUMBLE)
         for kind, text in definitions.items():
-            store.register(get_types_from_msg(text, kind))
-        with AnyReader([file], default_typestore=store) as reader:
-            for part in reader.readers:
-                if isinstance(part, rosbag1.Reader):
-                    part.chunks = {
-                        place: chunk._replace(decompressor=_bounded(chunk.decompressor))
-                        for place, chunk in part.chunks.items()
-                    }
-            yield reader
+            usual.register(get_types_from_msg(text, kind))
+        with (rosbag1.Reader if first else rosbag2.Reader)(file) as reader:
+            if first:
+                reader.chunks = {
+                    place: chunk._replace(decompressor=_bounded(chunk.decompressor))
+                    for place, chunk in reader.chunks.items()
+                }
+            lost: dict[str, str] = {}
+            for one in reader.connections:
+                try:
+                    _define(own, one)
+                except unsound as problem:
+                    lost[one.topic] = f"its type {one.msgtype} cannot be read: {_said(problem)}"
+                if one.msgtype not in own.types and one.msgtype not in usual.types:
+                    lost.setdefault(
+                        one.topic, f"the bag does not hold the definition of {one.msgtype}"
+                    )
+            yield Bag(file.name, reader, (own, usual), lost)
     except EnergyPlanError:
         raise
     except unsound as problem:
-        first = (str(problem).splitlines() or [""])[0] or type(problem).__name__
+        encoding = _encoding(file)
+        if encoding:
+            raise DriveLogError(
+                f"{file} holds messages in {encoding}, not in CDR as ROS 2 writes them: export "
+                "the topics as one CSV, as PlotJuggler does, or several, and give a.csv+b.csv"
+            ) from None
         raise DriveLogError(
-            f"{file} is no sound bag: {first}; copy it again, or mend one that was cut by rosbag "
-            "reindex, ros2 bag reindex or mcap recover"
+            f"{file} is no sound bag: {_said(problem)}; copy it again, or mend one that was cut by "
+            "rosbag reindex, ros2 bag reindex or mcap recover"
         ) from None
+
+
+def _said(problem: Exception) -> str:
+    return (str(problem).splitlines() or [""])[0] or type(problem).__name__
+
+
+def _define(store: Any, connection: Any) -> None:
+    """Learn the type of a connection's messages, if the bag defines it."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    form, text = connection.msgdef
+    if form.name == "MSG":
+        store.register(get_types_from_msg(text, connection.msgtype))
+    elif form.name == "IDL":
+        parts = re.split("^=+\nIDL: .*\n", text, flags=re.MULTILINE)
+        for part in filter(str.strip, parts):
+            store.register(get_types_from_idl(part))
+    digest = str(connection.digest)
+    if digest.startswith("RIHS") and store.hash_rihs01(connection.msgtype) != digest:
+        raise ValueError("its definition is not the one that it was recorded with")
+
+
+_ENCODINGS = {"json": "JSON", "protobuf": "Protobuf", "flatbuffer": "FlatBuffers", "cbor": "CBOR"}
+"""Other encodings of messages in an MCAP file than that of ROS 2."""
+
+
+def _encoding(file: Path) -> str:
+    """Return the encoding of an MCAP file's messages where ROS 2 does not write it."""
+    if file.is_dir():
+        file = next(iter(sorted(file.glob("*.mcap"))), file)
+    if file.suffix.lower() != ".mcap" or not file.is_file():
+        return ""
+    with file.open("rb") as stream:
+        head = stream.read(1 << 20)
+        stream.seek(max(0, file.stat().st_size - (1 << 20)))
+        data = head + stream.read()
+    return next(
+        (name for key, name in _ENCODINGS.items()
+         if data.startswith(b"\x89MCAP0") and struct.pack("<I", len(key)) + key.encode() in data),
+        "",
+    )  # fmt: skip
 
 
 def _check_beginning(file: Path) -> None:
