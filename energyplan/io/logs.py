@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.io.bags import TopicMap, is_bag, read_bag, topic_map_of
+from energyplan.io.bags import TopicMap, bag_fields, is_bag, read_bag, topic_map_of
 from energyplan.io.config import read_columns
 from energyplan.io.files import same_file
 from energyplan.io.husky import NOT_TOLD, is_husky, read_husky
@@ -23,7 +23,9 @@ def read_log(
 ) -> DriveLog:
     r"""Read a drive log of any known kind."""
     if is_bag(path):
-        return read_bag(path, topics, progress=progress)
+        of_project = isinstance(columns, str) and columns.endswith((".yaml", ".yml"))
+        named = None if columns is None or of_project else bag_fields(path).parse(columns)
+        return read_bag(path, topics, named, progress=progress)
     if isinstance(columns, str) and columns.endswith((".yaml", ".yml")):
         return DriveLog.read(path, read_columns(columns), others=False)
     if columns is None and is_husky(path):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from math import isfinite, nan, pi
 from pathlib import Path
@@ -13,7 +14,16 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.io.bags import TOPIC_MAPS, TopicMap, bag_fields, is_bag, read_bag, topic_map_of
+from energyplan.io.bags import (
+    TOPIC_MAPS,
+    TopicMap,
+    choose,
+    is_bag,
+    list_fields,
+    opened_bag,
+    topic_map_of,
+    wanted,
+)
 from energyplan.io.config import Project
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
@@ -430,7 +440,7 @@ def _start_table(file: Path, known: Given) -> Start:
         if channel in table.columns and channel not in columns:
             columns[channel] = Column(field=channel, channel=channel)
     columns = _with_units(table, columns, found, known)
-    log = read_signed(file, columns)
+    log = read_signed(partial(DriveLog.read, file, others=False), columns)
     used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
     notes += [f"columns that serve for nothing: {', '.join(idle[:20])}"] if idle else []
@@ -805,41 +815,48 @@ def _no_radius(channels: Collection[str]) -> str:
 
 
 def _start_bag(file: Path, known: Given) -> Start:
-    fields = bag_fields(file)
-    sources = fields.channels()
-    notes: tuple[str, ...] = ()
-    made = {} if {"v_left", "v_right"} & set(sources) else fields.twist(known_measures(known).track)
-    if made:
-        sources = {c: one for c, one in sources.items() if c not in ("yaw", "yaw_rate")} | made
-        notes = (_of_body(known, f"those of {made['v_left'].topic}"),)
-    lacks = [name for name in ("v_left", "v_right") if name not in sources]
+    track = known_measures(known).track
+    with opened_bag(file) as bag:
+        fields = list_fields(bag)
+        given = fields.parse(known.columns)
+        recording = bag.collect(wanted(fields, given, track))
+        notes = [*bag.notes]
+    chosen = choose(fields, recording, given, track)
+    sources = chosen.sources
+    notes += chosen.notes
+    lacks = [name for name in _SPEEDS if name not in sources]
     if not any(set(way) <= set(sources) for way in POWER_WAYS):
         lacks.append("power")
     _refuse_percentages(file.name, fields.fields, sources)
     if lacks:
+        there = [f"/{name.removeprefix('/')}" for name in fields.fields]
         raise DriveLogError(
-            f"{file.name}: no field of a message seems to be {' or '.join(lacks)}; the fields are "
-            f"{', '.join([*fields.fields][:30])}; write a topic map and give --topics FILE.yaml"
-            f"{fields.torques(sources) if lacks == ['power'] else ''}"
+            f"{file.name}: no field of a message seems to be {' or '.join(lacks)}"
+            f"{fields.torques(sources) if lacks == ['power'] else ''}; the fields are "
+            f"{', '.join(there[:30])}; say which it is with --columns {lacks[0]}=FIELD"
+            f"{''.join(f'; {note}' for note in notes)}"
         )
-    rates = fields.wheel_rates(sources)
-    radius = known.wheel_radius
+    if sources["v_left"].field.startswith("twist."):
+        notes.append(_of_body(known, f"those of {sources['v_left'].topic}"))
+        sources = {c: one for c, one in sources.items() if c not in ("yaw", "yaw_rate")} | given
+    rates, radius = fields.wheel_rates(sources), known.wheel_radius
 
-    def mapped(size: float) -> TopicMap:
-        return fields.topic_map(sources, size, file.stem)
+    def read(size: float) -> Signed:
+        mapped = fields.topic_map(sources, size, file.stem).channels
+        return read_signed(recording.log, {channel: many[0] for channel, many in mapped.items()})
 
-    log = read_bag(file, mapped(radius if isfinite(radius) else 1.0))
+    made = read(radius if isfinite(radius) else 1.0)
     assumed: dict[str, str] = {}
     if rates and not isfinite(radius):
-        drive = Drive(log.channels, log.power, log.runs)
+        drive = Drive(made.log.channels, made.log.power, made.log.runs)
         radius = _radius_of(drive.distance)
         if not isfinite(radius):
-            raise InvalidInputError(f"{file.name}: {_no_radius(log.channels)}")
+            raise InvalidInputError(f"{file.name}: {_no_radius(made.log.channels)}")
         assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
-        log = read_bag(file, mapped(radius))
-    topics = mapped(radius if isfinite(radius) else 1.0)
-    told = _finish(file, log, known, {}, topics, assumed)
-    return replace(told, notes=(*notes, *told.notes))
+        made = read(radius)
+    topics = TopicMap(name=file.stem, channels={c: [one] for c, one in made.columns.items()})
+    told = _finish(file, made.log, known, {}, topics, assumed)
+    return replace(told, notes=(*notes, *made.notes, *told.notes))
 
 
 # -- the answer ---------------------------------------------------------------------------------
@@ -897,14 +914,16 @@ class Signed(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_signed(file: Path, columns: Mapping[str, Column]) -> Signed:
-    """Read a table, and turn round what counts the other way."""
+def read_signed(
+    read: Callable[[Mapping[str, Column]], DriveLog], columns: Mapping[str, Column]
+) -> Signed:
+    """Read a log, and turn round what counts the other way."""
     notes: list[str] = []
     made = dict(columns)
     done: set[str] = set()
     while True:
         try:
-            log = DriveLog.read(file, made, others=False)
+            log = read(made)
         except UnfitLogError as problem:
             turned = tuple(name for name in problem.check.turned if name in made)
             if not turned or done & set(turned):

@@ -206,7 +206,7 @@ def test_units_in_the_names_of_topics_are_kept():
         {f"{name}.data": Column(topic=f"/{name}", field="data") for name in names},
         {f"/{name}": "std_msgs/msg/Float64" for name in names},
     )
-    made = fields.topic_map(fields.channels(), 0.2, "floats").channels
+    made = fields.topic_map(fields.named(), 0.2, "floats").channels
     factors = {channel: sources[0].conversion.factor for channel, sources in made.items()}
     wheel = pytest.approx(0.2 * np.pi / 30)
     assert factors == {"v_left": wheel, "v_right": wheel, "voltage": 1e-3, "current": 0.1}

@@ -140,7 +140,7 @@ def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
     parts = ("linear.x", "angular.z")
     labels = {part: Column(topic="/odom", field=f"twist.twist.{part}") for part in parts}
     fields = BagFields(labels, {"/odom": "nav_msgs/msg/Odometry"})
-    sources = fields.twist(0.5)
+    (sources,) = fields.treads(0.5)
     assert not fields.wheel_rates(sources)
     mapped = fields.topic_map(sources, 1.0, "odometry").channels
     twist = SimpleNamespace(linear=SimpleNamespace(x=0.7), angular=SimpleNamespace(z=0.4))
@@ -159,14 +159,9 @@ def test_efforts_of_joints_make_a_power_as_it_is_told() -> None:
         for k in "ab"
     }
     fields = BagFields(every, {"/joints": "sensor_msgs/msg/JointState"})
-    told = fields.torques(fields.channels())
-    assert "field: '2*effort[left_a|left_b]', times: 'velocity[left_a|left_b]'" in told
-    part = {
-        "topic": "/joints",
-        "field": "2*effort[left_a|left_b]",
-        "times": "velocity[left_a|left_b]",
-    }
-    (column,) = TopicMap(channels={"p_left": part}).channels["p_left"]
+    told = fields.torques(fields.treads(0.5)[0])
+    text = told.partition("--columns ")[2].strip('"')
+    column = fields.parse(text)["p_left"]
     message = SimpleNamespace(
         name=["left_a", "left_b", "right_a"], velocity=[2.0, 2.0, 9.0], effort=[3.0, 4.0, 9.0]
     )
