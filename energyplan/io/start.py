@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.io.bags import (
@@ -64,10 +65,10 @@ from energyplan.logs.mapping import (
     parse_columns,
     scale_of,
     split_unit,
-    time_unit,
+    time_units,
     unit_in,
 )
-from energyplan.logs.tables import Table, read_table
+from energyplan.logs.tables import Table, counts_rows, find_clock, read_table
 from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 
@@ -287,11 +288,6 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
     )
 
 
-def counts_rows(values: FloatArray) -> bool:
-    """Tell whether a column is the number of its row: that is no time."""
-    return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
-
-
 def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str]) -> None:
     """Refuse to take one of two columns that are named alike, and differ, for the whole power."""
     one = found.get("power" if "power" in channels else "current")
@@ -403,7 +399,7 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 
 
 def _start_table(file: Path, known: Given) -> Start:
-    table = read_table(file, DriveLogError)
+    table = read_table(file, DriveLogError, parse_columns(known.columns).get("t"))
     columns = parse_columns(known.columns, (*table.columns, *table.text))
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
@@ -411,9 +407,9 @@ def _start_table(file: Path, known: Given) -> Start:
     _powers(columns, found)
     found = {channel: one for channel, one in found.items() if channel not in columns}
     if "t" not in columns and "t" not in found:
-        clock = _clock(table, taken.union(*(one.names for one in found.values())))
-        if clock is not None:
-            columns["t"] = Column(field=clock, channel="t")
+        used = taken.union(*(one.names for one in found.values()))
+        clock = find_clock({n: v for n, v in table.columns.items() if n not in used})
+        columns |= {} if clock is None else {"t": clock}
     _refuse_percentages(table.source, table.columns, {*columns, *found})
     encoders = {name: found.pop(name) for name in [*found] if found[name].unit in COUNTS}
     speeds = {*_SPEEDS}
@@ -591,16 +587,6 @@ def _powers(columns: dict[str, Column], guesses: dict[str, Column]) -> None:
             guesses.pop(side, None)
 
 
-def _clock(table: Table, taken: set[str]) -> str | None:
-    """Return the column that increases all along, if there is one."""
-    for name, values in table.columns.items():
-        steps = np.diff(values)
-        increases = len(steps) and np.all(np.isfinite(steps)) and np.all(steps > 0)
-        if name not in taken and increases and not counts_rows(values):
-            return name
-    return None
-
-
 class _Choice(NamedTuple):
     """Channels that are in one unit, which nobody told, and what it may be, the likeliest first."""
 
@@ -659,8 +645,7 @@ def _with_units(
     """Choose the units that nobody told, so that all that a log tells twice agrees."""
     clock = columns["t"]
     if not clock.unit:  # that in which a drive log's step is usual
-        unit = time_unit(table.column(clock.field)[:_SOME])
-        columns = {**columns, "t": clock.changed(unit=unit)}
+        columns = {**columns, "t": clock.changed(unit=_unit_of_time(table, columns))}
     choices = _choices(table, columns, found, known)
     raw = _readings(table, columns)
     measures, radius = known_measures(known), known.wheel_radius
@@ -698,6 +683,26 @@ def _with_units(
             plain = written in ("m/s", "rad", "rad/s", "m", "A", "W")
             made[channel] = _mean(made[channel].changed(unit="" if plain else written))
     return made
+
+
+def _unit_of_time(table: Table, columns: Mapping[str, Column]) -> str:
+    """Return the unit of a clock that no name tells; of rows seconds apart the speeds jump."""
+    units = time_units(table.column(columns["t"].field)[:_SOME])
+    if len(units) < 2:
+        return units[0]
+    jumps = []
+    for one in (table.column(columns[name].field)[:_SOME] for name in _SPEEDS):
+        lasting = np.median(sliding_window_view(one[np.isfinite(one)], 5), axis=-1)
+        steps, size = (np.quantile(np.abs(part), 0.99) for part in (np.diff(lasting), lasting))
+        jumps.append(float(steps / max(size, 1e-300)))
+    jump = max(jumps)
+    if _JUMP[0] < jump < _JUMP[1]:
+        why = "could count seconds or milliseconds: the speeds change too little to tell"
+        _ask_unit(table, columns["t"], why, ("s", "ms"))
+    return "s" if jump >= _JUMP[1] else units[-1]
+
+
+_JUMP = (0.08, 0.25)  # change of speed in a row, as a share of the largest, that tells no unit
 
 
 def _ask_unit(table: Table, column: Column, why: str, units: Iterable[str]) -> NoReturn:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.logs.align import derivative
-from energyplan.logs.mapping import RATES, UNITS, Column, known_unit
+from energyplan.logs.mapping import LONGEST_STEP, RATES, UNITS, Column, dated, known_unit
 from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 
@@ -360,7 +360,7 @@ _ELECTRIC = _Range("power over voltage times current", 0.8, 1.25, 1.0, "the same
 _DENSITY = _Range("mass over wheelbase times track [kg/m^2]", 40.0, 3000.0, 300.0, "built robots")
 _ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "skid-steer robots")
 _INERTIA = _Range("mass by acceleration over that given", 0.62, 12.0, 1.1, "more with heavy drives")
-_STEP = _Range("time step [s]", 1e-4, 3.0, 0.05, "logs of drives")
+_STEP = _Range("time step [s]", 1e-4, LONGEST_STEP, 0.05, "logs of drives")
 _VOLTAGE = _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots")
 # Whole numbers may be tenths or hundredths, so that they must be more usual to be believed.
 _WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whole numbers")
@@ -588,6 +588,8 @@ def _explain(
         mapped = columns.get(one.channels[0])
         scale = 1.0 if mapped is None or one not in _MISTAKES else mapped.conversion.factor
         factor = one.factor / abs(scale)
+        if one.channels == ("t",) and (dated(drive.t) or (mapped is not None and mapped.unit)):
+            continue  # a calendar's time, or a clock whose unit is known
         if there.issuperset(one.channels) and abs(log(factor)) > 0.1:  # else it is read so
             text = f"{one.name}: {_remedy(one, columns)}"
             tried.append((one.rarity, text, one.undo(seen, drive, factor)))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+import shutil
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from commands import Run
 from foreign_logs import ROVER, At, drive
 from pydantic import ValidationError
 
@@ -37,6 +42,15 @@ CASES = {
 }  # fmt: skip
 
 
+SOME = (
+    "bag_battery_positive_discharge", "bag_camera_imu_first", "bag_eighteen_joints",
+    "bag_humble_custom_topic_beside", "bag_panther_two_batteries", "bag_two_joint_publishers",
+    "bms_one_hour_off", "clearpath_robot_yaml", "effort_times_velocity", "epoch_five_seconds",
+    "fleet_task_history", "geotiff_scaled_heights", "mcap_json_encoding", "pwm_chopped_current",
+    "quaternion_pose", "surfaces_shapefile", "vda5050_order", "vesc_tool_two_controllers",
+)  # fmt: skip
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize("name", CASES)
 def test_cases_of_the_field(shared_data: Path, name: str) -> None:
@@ -55,6 +69,54 @@ def test_cases_of_the_field(shared_data: Path, name: str) -> None:
         assert not any("tread speeds by" in note for note in made.notes)
         found = ep.identify(read_log(file, dict(made.project.columns)), made.project.vehicle)
         assert found.model.coefficient("traction_resistance") == pytest.approx(30.0, rel=0.01)
+
+
+REFUSED = {
+    "bms_one_hour_off": "clock of .* 1 h",
+    "clearpath_robot_yaml": "",
+    "effort_times_velocity": "rear_left_effort",
+    "epoch_five_seconds": "5 s apart",
+    "fleet_task_history": "a row is a task",
+    "mcap_json_encoding": "messages in JSON",
+    "pwm_chopped_current": "average",
+    "surfaces_shapefile": "ogr2ogr",
+    "vda5050_order": "VDA 5050",
+}
+"""Cases that need not be read, and what their refusal says."""
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", SOME)
+def test_commands_of_the_field(
+    shared_data: Path, name: str, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each case is read right, to K = 30 N, or refused in the words that help."""
+    folder = shared_data / "field" / name
+    case = tomllib.loads((folder / "case.toml").read_text())
+    shutil.copytree(folder, tmp_path / "case")
+    monkeypatch.chdir(tmp_path / "case")
+    told, project = "", Path("p.yaml")
+    for command in map(shlex.split, case["commands"]):
+        if command[1] == "identify" and not project.exists():
+            continue
+        answer = run(*command[1:], *(["--json"] if command[1] in ("identify", "plan") else []))
+        assert answer.code in (0, 2, 3), answer.err
+        if answer.code == 0 and command[1] == "identify":
+            terms = {one["name"]: one["value"] for one in answer.json["terms"]}
+            assert terms["traction_resistance"] == pytest.approx(30.0, rel=0.05)
+            assert answer.json["icr"]["left"] == pytest.approx(0.43, rel=0.05)
+            return
+        if answer.code == 0 and command[1] == "plan":
+            assert answer.json["energy"] == pytest.approx(1888.0, rel=0.03)
+            return
+        told += answer.err + answer.out
+    if name in REFUSED:
+        assert re.search(REFUSED[name], told), told
+    else:
+        assert project.exists(), told
+        log = next(iter(case["commands"])).split()[2]
+        terms = run("identify", log, "--project", project, "--json").json["terms"]
+        assert terms[1]["value"] == pytest.approx(30.0, rel=0.05)
 
 
 def test_a_side_in_the_mirror_is_doubted_without_a_heading() -> None:
