@@ -916,7 +916,8 @@ def _repeats(drive: Drive) -> _Found:
         )
 
 
-_EPISODES = 6  # of driving, and as many of standing, that tell whether one draws more
+_FOLLOWS = 0.15  # share of a power's variance that the motion explains, at least
+_EPISODES = 4  # of driving, and as many of standing, that tell whether one draws more
 _BEYOND = 3.0  # standard errors by which it does, at least
 _FAR = 24 * 3600.0  # time by which a clock may be off [s]
 _ZONE = 900.0  # which it then is by some whole quarters of an hour [s]
@@ -928,7 +929,11 @@ def _unmoved(drive: Drive) -> _Found:
     if told is None or told > _BEYOND or _descends(drive):
         return
     t, some = drive.t, _some(drive.runs)
-    offset = find_offset("power", t, drive.power, power_regressors(drive.channels, some), some)
+    shapes = power_regressors(drive.channels, drive.runs)
+    rest = regress([*shapes, np.ones(len(t))], drive.power).rest
+    if rest.var() < (1.0 - _FOLLOWS) * drive.power.var():
+        return
+    offset = find_offset("power", t, drive.power, shapes, some)
     if offset is not None and offset.certain:
         return  # which is said already
     span = min(float(t[-1] - t[0]), _FAR)
@@ -957,6 +962,8 @@ _SHIFTED = 0.5  # correlation of power and speeds from which a shift explains wh
 def _rise(t: FloatArray, effort: FloatArray, power: FloatArray) -> float | None:
     """Return by how many standard errors driving draws more than standing; None if unseen."""
     top = float(np.quantile(effort, 0.95))
+    if top < 2 * _MOVING:
+        return None
     kind = np.where(effort > 0.5 * top, 1, np.where(effort < 0.25 * top, -1, 0))
     rows = np.flatnonzero(kind)
     if not len(rows):
