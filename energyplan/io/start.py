@@ -30,7 +30,7 @@ from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
-from energyplan.logs.checks import find_checks, grows, mirrored_side
+from energyplan.logs.checks import POWERS, find_checks, grows, mirrored_side
 from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
     Check,
@@ -48,7 +48,10 @@ from energyplan.logs.guess import (
     guess_turns,
     halves,
     numbered_speeds,
+    of_batteries,
     of_one_wheel,
+    siblings,
+    side_of,
     words,
 )
 from energyplan.logs.mapping import (
@@ -68,7 +71,7 @@ from energyplan.logs.mapping import (
     time_units,
     unit_in,
 )
-from energyplan.logs.tables import Table, counts_rows, find_clock, read_table
+from energyplan.logs.tables import Table, counts_rows, find_clock, quaternions, read_table
 from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 
@@ -276,16 +279,65 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
             f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
             f"as in power={amps.field}[*25.6]"
         )
-    torques = [name for name in names if {"effort", "torque"} & set(words(name))]
-    if "power" in needed and torques:
-        hint += (
-            f"; {torques[0]!r} seems to be a torque: its power is torque times the wheel's rate in "
-            f"rad/s, as in p_left={torques[0]}*RATE"
-        )
+    if "power" in needed:
+        hint += _of_torques(names)
     raise DriveLogError(
         f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
         f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
     )
+
+
+_TORQUES = {"effort", "torque"}
+
+
+def _of_torques(names: Sequence[str]) -> str:
+    """Say how the torques of all wheels make the powers of the sides."""
+    torques = [name for name in names if _TORQUES & set(words(name))]
+    made = []
+    for side in ("left", "right"):
+        own = [name for name in torques if side_of(name) == side]
+        others = [
+            name for name in names
+            if own and name not in torques and side_of(name) == side
+            and set(words(name)) >= set(words(own[0])) - _TORQUES
+            and {"velocity", "vel", "speed", "rate", "omega", "rpm"} & set(words(name))
+        ]  # fmt: skip
+        if own:
+            summed = own[0] if len(own) == 1 else f"({'+'.join(own)})"
+            made.append(f"p_{side}={summed}*{others[0] if others else 'RATE'}")
+    if not torques:
+        return ""
+    told = ",".join(made) if len(made) == 2 else f"p_left={torques[0]}*RATE"
+    return (
+        f"; {torques[0]!r} seems to be a torque: those of all wheels of a side times the wheels' "
+        f'rate in rad/s make its power, as in --columns "{told}"'
+    )
+
+
+def _left_out(table: Table, columns: Mapping[str, Column]) -> list[Check]:
+    """Find powers that count some of the wheels, motors or batteries alone."""
+    used = {name for one in columns.values() for name in one.names}
+    found = []
+    for channel, one in columns.items():
+        if channel not in POWERS:
+            continue
+        own = np.nanmean(np.abs(table.column(one.field)))
+        rest = [
+            name for name in siblings(one, table.columns)
+            if name not in used and np.nanmean(np.abs(table.columns[name])) > _PART * own
+        ]  # fmt: skip
+        if rest:
+            summed = "+".join((one.field, *one.plus, *rest))
+            whole = summed if one.times is None else f"({summed})*{one.times}"
+            found.append(Check(
+                f"{channel} counts {' and '.join((one.field, *one.plus))}, and not "
+                f"{' and '.join(rest)}, which is of another wheel, motor or battery",
+                f"count all of them, as in --columns '{channel}={whole}'",
+            ))  # fmt: skip
+    return found
+
+
+_PART = 0.05  # of a power, that another one of its kind is at least
 
 
 def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str]) -> None:
@@ -304,12 +356,15 @@ def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str])
             continue
         alike = np.corrcoef(pair)[0, 1]
         sizes = np.abs(pair).mean(axis=1)
-        if alike < _ALIKE and sizes.min() > _HALF * sizes.max():
+        apart = float(np.sqrt(np.mean(np.diff(pair, axis=0) ** 2))) > 1e-3 * sizes.max()
+        twins = of_batteries(one.field) and apart  # batteries share what is drawn
+        if (alike < _ALIKE or twins) and sizes.min() > _HALF * sizes.max():
             raise DriveLogError(
                 f"{table.source}: {one.field} and {name} could each be the power or current of the "
                 "whole robot, and differ; where they are those of two sides say so, as in "
-                f"--columns 'p_left={one.field},p_right={name}' for powers, else name the "
-                f"whole, as in --columns 'power={one.field}'"
+                f"--columns 'p_left={one.field},p_right={name}' for powers, where they add up, as "
+                f"those of two batteries do, as in --columns '{one.channel}={one.field}+{name}', "
+                f"else name the whole, as in --columns '{one.channel}={one.field}'"
             )
 
 
@@ -435,13 +490,37 @@ def _start_table(file: Path, known: Given) -> Start:
     for channel in ("slope", "temperature", "payload"):
         if channel in table.columns and channel not in columns:
             columns[channel] = Column(field=channel, channel=channel)
+    notes += _of_compass(table, columns, found)
     columns = _with_units(table, columns, found, known)
     log = read_signed(partial(DriveLog.read, file, others=False), columns)
     used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
     notes += [f"columns that serve for nothing: {', '.join(idle[:20])}"] if idle else []
     made = _finish(file, log.log, known, log.columns, None, {})
+    made = replace(made, checks=(*made.checks, *_left_out(table, log.columns)))
     return replace(made, notes=(*notes, *log.notes, *made.notes))
+
+
+def _of_compass(table: Table, columns: dict[str, Column], found: dict[str, Column]) -> list[str]:
+    """Turn a pose of east and north, whose heading is that of a compass, to axes of its own."""
+    if not {"x", "y", "yaw"} <= set(found) or "east" not in found["x"].field.lower():
+        return []
+    yaw = table.column(found["yaw"].field)[:_SOME]
+    left, right = (table.column(columns[name].field)[:_SOME] for name in _SPEEDS)
+    period = 360.0 if _size(table, columns["yaw"]) > _FULL_TURN else 2 * pi
+    rate = np.gradient(np.unwrap(yaw, period=period))
+    known = np.isfinite(rate + left + right)
+    if correlation(rate[known], (right - left)[known]) >= 0.0:
+        return []
+    north, east = columns["y"], columns["x"]
+    columns["x"] = found["x"] = north.changed(channel="x")
+    columns["y"] = east.changed(channel="y").negative()
+    found.pop("y")
+    found["y"] = columns["y"]
+    columns["yaw"] = columns["yaw"].changed(unit=columns["yaw"].unit or (
+        "deg" if period == 360.0 else "rad")).negative()  # fmt: skip
+    found["yaw"] = columns["yaw"]
+    return ["the heading counts clockwise from the north, as a compass: x is north, y is west"]
 
 
 def _refuse_percentages(source: str, names: Iterable[str], there: Collection[str]) -> None:
@@ -488,6 +567,8 @@ def _guesses(
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
     names = [name for name in table.columns if name not in taken]
     counters = {name for name in names if grows(table.columns[name][:_SOME])}
+    names += [name for name in quaternions(table.columns) if np.ptp(_some(table, Column(
+        field=name, channel="yaw"))) > 0.0]  # fmt: skip
     kept: dict[str, Column] = {}
     grown = ""
     while True:

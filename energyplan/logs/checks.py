@@ -869,6 +869,9 @@ def _descends(drive: Drive) -> bool:
     return float(np.sum(np.sin(slope) * forward)) < -0.02 * float(np.abs(forward).sum())
 
 
+_CHOPPED = 1.2  # times as many zeros while it drives slowly, of pulses
+
+
 def _repeats(drive: Drive) -> _Found:
     """Find a power that changes with every sample, but stays the same for a while in driving."""
     t, moving = drive.t, drive.moving
@@ -887,9 +890,19 @@ def _repeats(drive: Drive) -> _Found:
             drives &= (values[starts] != 0.0) | (drive.power[starts] == 0.0)
         blank = (values[starts] == 0.0) & (counts < least) & drives
         if name in ("power", "current") and np.count_nonzero(blank) > max(_ENOUGH, 0.01 * len(t)):
+            what, remedy = "rows without a reading were filled with 0", "leave such cells empty"
+            # Pulses of a bridge are the longer the faster it drives; a lost reading is chance.
+            slow = moving & (drive.effort < float(np.median(drive.effort[moving])))
+            zero = [float(np.mean(values[part] == 0.0)) for part in (slow, moving & ~slow)]
+            if zero[0] > max(_CHOPPED * zero[1], 0.1):
+                what, remedy = (
+                    "it is chopped, as beside a PWM bridge, and its mean is what is drawn",
+                    "average each column over some 0.1 s before the log is written, zeros too, as "
+                    "by pandas: table.groupby(table.t // 0.1).mean()",
+                )
             yield Check(
-                f"{name} falls to 0 for a moment {np.count_nonzero(blank)} times in driving: rows "
-                "without a reading were filled with 0", "leave such cells empty",
+                f"{name} falls to 0 for a moment {np.count_nonzero(blank)} times in driving: "
+                f"{what}", remedy,
             )  # fmt: skip
         hangs = drives & (counts >= least)
         lost, usual = int(counts[hangs].sum()), counts[drives & ~hangs]

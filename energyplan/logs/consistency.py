@@ -579,7 +579,7 @@ def _explain(
 ) -> list[tuple[float, str]]:
     """Name the mistakes without which all ratios hold, by how unusual they leave them."""
     # Where nothing is wrong, measures and batteries of any size are believed.
-    there, tried = {*drive.channels} - {"voltage"}, []
+    there, tried = {*drive.channels} - {"voltage", "t"}, []
     if wrong:
         there = {*drive.channels, "track", "wheelbase", "mass"}
         swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}

@@ -10,7 +10,7 @@ import re
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
@@ -304,6 +304,10 @@ class Table:
         """Return a column; `ROW` is the number of each row."""
         if name in self.columns:
             return self.columns[name]
+        if name in (turns := quaternions(self.columns)):
+            z, w, *more = (self.columns[part] for part in turns[name])
+            x, y = more or (0.0, 0.0)
+            return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         if name == ROW and self.columns:
             return np.arange(len(next(iter(self.columns.values()))), dtype=float)
         if name in self.text:
@@ -314,6 +318,18 @@ class Table:
             raise self.error(f"{self.source}, {cell}, which is no number; {remedy}")
         there = ", ".join([*self.columns, *self.text][:20])
         raise self.error(f"{self.source}: there is no column {name!r}; the columns are {there}")
+
+
+def quaternions(names: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """Return the columns z, w and, where they are, x, y of orientations, by ``yaw(NAME)``."""
+    found = {}
+    for name in names:
+        base, last = name[:-1], name[-1:]
+        x, y, z = (base + part for part in ("xyz" if last == "w" else "XYZ"))
+        if last in ("w", "W") and z in names and (x in names) == (y in names):
+            label = base.rstrip("._/ ") or "orientation"
+            found[f"yaw({label})"] = (z, name, *((x, y) if x in names else ()))
+    return found
 
 
 class Columns:
