@@ -491,7 +491,7 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
         for kind, text in definitions.items():
             usual.register(get_types_from_msg(text, kind))
         with (rosbag1.Reader if first else rosbag2.Reader)(file) as reader:
-            if first:
+            if isinstance(reader, rosbag1.Reader):
                 reader.chunks = {
                     place: chunk._replace(decompressor=_bounded(chunk.decompressor))
                     for place, chunk in reader.chunks.items()

@@ -9,12 +9,13 @@ from functools import partial
 from itertools import product
 from math import isfinite, nan, pi
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from energyplan.errors import DriveLogError, InvalidInputError
+from energyplan.errors import ConfigError, DriveLogError, InvalidInputError
 from energyplan.io.bags import (
     TOPIC_MAPS,
     TopicMap,
@@ -25,18 +26,20 @@ from energyplan.io.bags import (
     topic_map_of,
     wanted,
 )
-from energyplan.io.config import Project
+from energyplan.io.config import Project, read_vehicle
+from energyplan.io.documents import MAX_BYTES, load, read_bytes
 from energyplan.io.husky import is_husky
 from energyplan.io.logs import read_log
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
-from energyplan.logs.checks import POWERS, find_checks, grows, mirrored_side
+from energyplan.logs.checks import POWERS, find_checks, grows, mirrored_side, without_copies
 from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
     Check,
     Drive,
     Measures,
     check_consistency,
+    contradictions,
     correlation,
     strain,
 )
@@ -100,6 +103,85 @@ class Given:
             value = getattr(self, key)
             if not (np.isnan(value) or (isfinite(value) and value > 0)):
                 raise InvalidInputError(f"{key} is {value}; give a positive number")
+
+
+_ROBOTS = {"a200": "husky_a200", "j100": "jackal"}
+"""Presets by the beginning of Clearpath's serial numbers."""
+_GEOMETRY = {"wheel_separation": "track", "wheel_radius": "wheel_radius"}
+"""Parameters of ros2_control's diff_drive_controller."""
+
+
+def read_like(source: str) -> dict[str, Any]:
+    """Return what a vehicle, or a robot's file of another tool, gives: arguments of `Given`."""
+    file = Path(source)
+    if file.suffix.lower() in (".urdf", ".xacro", ".xml"):
+        return _of_urdf(file)
+    if file.suffix.lower() not in (".yaml", ".yml"):
+        return {"like": read_vehicle(source)}
+    data = load(file, ConfigError).data
+    if "serial_number" in data:
+        serial = str(data["serial_number"]).partition("-")[0].lower()
+        if serial in _ROBOTS:
+            return {"like": read_vehicle(_ROBOTS[serial])}
+        raise ConfigError(
+            f"{file.name} is Clearpath's robot.yaml of a {serial}, whose measures are not known; "
+            f"give --track, --wheelbase and --mass, or --like {' or '.join(_ROBOTS.values())}"
+        )
+    found: dict[str, float] = {}
+    parts = [data]
+    while parts:
+        part = parts.pop()
+        parts += [one for one in part.values() if isinstance(one, dict)]
+        for key, name in _GEOMETRY.items():
+            size = part.get(key)
+            if isinstance(size, int | float) and size > 0:
+                scale = part.get(f"{key}_multiplier", part.get(f"left_{key}_multiplier", 1.0))
+                # The multiplier of a skid-steer's separation stands for slip, which is learned.
+                found[name] = float(size) * (1.0 if name == "track" else float(scale))
+    return found or {"like": read_vehicle(source)}
+
+
+def _of_urdf(file: Path) -> dict[str, Any]:
+    """Return the mass of a URDF's links, and the measures of its wheels."""
+    content = read_bytes(file, MAX_BYTES, ConfigError, "give the robot's URDF")
+    if b"${" in content or b"xacro:" in content:
+        raise ConfigError(
+            f"{file.name} holds macros: xacro {file.name} > robot.urdf makes a URDF of it; give "
+            "--like robot.urdf"
+        )
+    try:
+        made = _measured(ElementTree.fromstring(content))
+    except (ElementTree.ParseError, ValueError) as problem:
+        raise ConfigError(f"{file.name} is no sound URDF: {problem}") from None
+    if not made:
+        raise ConfigError(
+            f"{file.name}: no masses of links and no continuous joints of left and right wheels; "
+            "give --track, --wheelbase and --mass"
+        )
+    return made
+
+
+def _measured(root: ElementTree.Element) -> dict[str, Any]:
+    """Return mass, distances and radius of the wheels of a URDF, as far as it holds them."""
+    masses = [float(one.get("value", 0.0)) for one in root.iterfind("link/inertial/mass")]
+    wheels = [
+        one for one in root.iterfind("joint")
+        if one.get("type") == "continuous" and side_of(one.get("name", ""))
+    ]  # fmt: skip
+    places = [
+        [float(part) for part in origin.get("xyz", "0 0 0").split()]
+        for one in wheels if (origin := one.find("origin")) is not None
+    ]  # fmt: skip
+    made: dict[str, Any] = {"mass": sum(masses)} if sum(masses) > 0 else {}
+    if places:
+        size = np.ptp(np.array(places), axis=0)
+        made |= {key: float(d) for key, d in zip(("wheelbase", "track"), size[:2], strict=True)
+                 if d > 0}  # fmt: skip
+    names = {child.get("link") for one in wheels if (child := one.find("child")) is not None}
+    for link in (one for one in root.iterfind("link") if one.get("name") in names):
+        for shape in link.iterfind("*/geometry/cylinder"):
+            made["wheel_radius"] = float(shape.get("radius", "nan"))
+    return made
 
 
 def known_measures(known: Given) -> Measures:
@@ -436,6 +518,26 @@ class Start:
     def sound(self) -> bool:
         """Whether nothing contradicts anything."""
         return all(check.ok for check in self.checks)
+
+
+def start_all(paths: Sequence[Path], given: Given) -> Start:
+    """Start from the first of a robot's drives, and hold the others against what comes of it."""
+    made = start(paths[0], given)
+    if len(paths) == 1:
+        return made
+    project, checks, notes = made.project, [*made.checks], [*made.notes]
+    drives = [read_log(paths[0], dict(project.columns) or None, topics=project.topics)]
+    for path in paths[1:]:
+        log = read_log(path, dict(project.columns) or None, topics=project.topics)
+        found = find_checks(log.channels, log.power, log.runs)
+        wrong = [one for one in found if one.refuses] + contradictions(log, project.vehicle)
+        told = {str(one): replace(one, what=f"{log.name}: {one.what}") for one in wrong}
+        checks += told.values()
+        notes += [f"{log.name}: {one}" for one in (*log.set_aside, *log.warnings)
+                  if str(one) not in told]  # fmt: skip
+        drives.append(log)
+    notes += without_copies(drives, [])[1]
+    return replace(made, checks=tuple(checks), notes=tuple(notes))
 
 
 def start(path: str | Path, given: Given | None = None) -> Start:

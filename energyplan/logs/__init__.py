@@ -190,7 +190,7 @@ class DriveLog(ReadOnly, html.Readable):
         120.0
         """
         if isinstance(source, str | PathLike):
-            table = read_table(source, DriveLogError, parse_columns(columns).get("t"))  # type: ignore[arg-type]
+            table = read_table(source, DriveLogError, parse_columns(columns).get("t"))
         else:
             table = table_of(source, DriveLogError)
         names = (*table.columns, *table.text)

@@ -520,12 +520,12 @@ def _join(
         names.append(found.names)
         units = ("s",) if found.unit else time_units(times)
         ways.append([scale_of("t", unit).factor * times + late for unit in units])
-    best = (-np.inf, [way[0] for way in ways])
+    best = (-np.inf, tuple(way[0] for way in ways))
     for clocks in product(*ways):  # of units that may be, those in which the clocks agree
         spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
         shared = min(end for _, end in spans) - max(start for start, _ in spans)
         share = shared / max(min(end - start for start, end in spans), 1e-9)
-        best = max(best, (share, [*clocks]), key=lambda one: one[0])
+        best = max(best, (share, clocks), key=lambda one: one[0])
     share, clocks = best
     if not share > 0.5:
         spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
