@@ -174,17 +174,23 @@ def identify(
     ] = False,
     angle: Annotated[str | None, Option(help="With --spin: angle turned, as 3600deg.")] = None,
     angle_error: Annotated[str, Option(help="With --angle: its standard error.")] = "0deg",
+    battery: Annotated[
+        str | None,
+        Option(metavar="BATTERY", help="Of a history of tasks that tells shares of its charge."),
+    ] = None,
     out: opt.OutModel = None,
     json: opt.Json = False,
 ) -> None:
-    """Find a robot's power parameters from drive logs.
+    """Find a robot's power parameters from drive logs, or from a history of tasks.
 
+    A history is a table with a row a task: distance, turning, duration, and energy or charge.
     The method lad minimises the cost of Morales et al. (2010), "the paper", Eq. 7, exactly; simplex
     does so by the paper's search.
     """
     from energyplan.fit import identify as run
     from energyplan.fit.identification import doubts_off_the_ground
     from energyplan.fit.identification import hoisted as inside
+    from energyplan.fit.tasks import identify_tasks
     from energyplan.io.config import read_vehicle, write_model, write_vehicle
     from energyplan.output import documents, text
 
@@ -199,6 +205,16 @@ def identify(
         raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
     if hoisted and (out or terms):
         raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
+    if len(logs) == 1 and not (spin or hoisted or terms or robot.columns):
+        history = _tasks(logs[0], battery)
+        if history is not None:
+            learned = identify_tasks(history, vehicle)
+            if out:
+                write_model(learned.model, out)
+            answer(documents.tasks(learned, history), text.tasks(learned, history), json=json)
+            return
+    if battery is not None:
+        raise InvalidInputError("--battery goes with a history of tasks; leave it out")
     drives = _read(logs, robot)
     if spin:
         icr = _icr_of_spin(drives[0], angle, angle_error)
@@ -224,6 +240,20 @@ def identify(
         if out:
             write_model(found.model, out)
         answer(documents.identification(found), found, json=json)
+
+
+def _tasks(path: Path, battery: str | None) -> Any:
+    """Return a history of tasks, where a file is one."""
+    from energyplan.errors import DriveLogError
+    from energyplan.io.bags import is_bag
+    from energyplan.io.logs import may_be_tasks, tasks_of
+    from energyplan.io.mission import read_battery
+    from energyplan.logs.tables import read_table
+
+    if is_bag(path) or not may_be_tasks(path):
+        return None
+    full = {} if battery is None else {"full": read_battery(battery).full_energy}
+    return tasks_of(read_table(path, DriveLogError), **full)
 
 
 def _read(paths: list[Path], robot: Robot) -> list[DriveLog]:

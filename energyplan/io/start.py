@@ -29,7 +29,7 @@ from energyplan.io.bags import (
 from energyplan.io.config import Project, read_vehicle
 from energyplan.io.documents import MAX_BYTES, load, read_bytes
 from energyplan.io.husky import is_husky
-from energyplan.io.logs import read_log
+from energyplan.io.logs import read_log, tasks_of
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
 from energyplan.logs.checks import POWERS, find_checks, grows, mirrored_side, without_copies
@@ -558,6 +558,11 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 def _start_table(file: Path, known: Given) -> Start:
     table = read_table(file, DriveLogError, parse_columns(known.columns).get("t"))
     columns = parse_columns(known.columns, (*table.columns, *table.text))
+    if not columns and tasks_of(table, 1.0) is not None:
+        raise DriveLogError(
+            f"{table.source}: a row is a task, not an instant of a drive: energyplan identify "
+            f"{file.name} --vehicle VEHICLE learns from their distances, turning and energies"
+        )
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
     found = _guesses(table, taken, columns)
