@@ -26,7 +26,7 @@ from energyplan.io.bags import is_bag, opened_bag
 from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file
 from energyplan.io.geojson import read_obstacles, read_surfaces
-from energyplan.kinds import NO_NUMBER, checked
+from energyplan.kinds import NO_NUMBER, checked, warn
 from energyplan.path import Pose, as_pose
 from energyplan.records import amount_of
 from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
@@ -203,6 +203,20 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
         )
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
+
+
+def read_keepout(path: str | Path) -> OccupancyGrid:
+    """Read a keep-out mask: a map whose occupied cells are closed; its weights close nothing."""
+    mask, file = read_map(path), Path(path)
+    if file.suffix in {".yaml", ".yml"}:
+        values = _values(file, _header(file, _MapHeader))
+        share = float(np.mean((values > 0) & (values < LETHAL)))
+        if share > 0.0:
+            warn(
+                f"{file.name}: {share:.1%} of the mask has weights between free and closed, which "
+                "are ignored; give it as a costmap of the site, too, for them to count"
+            )
+    return mask
 
 
 @checked(MapError)
@@ -698,7 +712,7 @@ class SiteFile(Checked, BaseModel):
 
 
 PARTS: dict[str, Callable[[Path], Any]] = {
-    "surfaces": read_surfaces, "heights": read_heights, "keepout": read_map,
+    "surfaces": read_surfaces, "heights": read_heights, "keepout": read_keepout,
     "costmap": read_costmap,
 }  # fmt: skip
 """What reads a part of a site, by its key."""
