@@ -568,8 +568,8 @@ class Battery(ByValue, html.Readable):
         rest = _SEVERAL.sub(" ", rest)
         if several and several[2] == "v":
             raise BatteryError(
-                f"battery {words!r}: in series {several[1]} batteries add their volts, side by side "
-                f"their amp hours; give the whole, as in {EXAMPLE!r}"
+                f"battery {words!r}: in series {several[1]} batteries add volts, side by side amp "
+                f"hours; give the whole, as in {EXAMPLE!r}"
             )
         counts = _COUNTS.search(rest)
         rest = _COUNTS.sub(" ", rest)
