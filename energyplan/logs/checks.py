@@ -25,7 +25,7 @@ from energyplan.logs.consistency import (
     lasts,
     regress,
 )
-from energyplan.logs.mapping import LONGEST_STEP, ROW, UNITS, dated
+from energyplan.logs.mapping import LONGEST_STEP, ROW, SHORTEST_STEP, UNITS, dated
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
@@ -90,11 +90,12 @@ def _time(drive: Drive) -> _Found:
             f"rows are {step:g} s apart: what the robot does between them is not seen",
             "log more often, as ten times a second",
         )
-    if not 1e-4 <= step <= LONGEST_STEP:
+    if not SHORTEST_STEP <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
         unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / 0.05)))
         yield Check(
-            f"the time step of t is {step:g} s; between 0.1 ms and {LONGEST_STEP:g} s is possible",
+            f"the time step of t is {step:g} s; between {1e3 * SHORTEST_STEP:g} ms and "
+            f"{LONGEST_STEP:g} s is possible",
             f"name its unit, as in t=NAME[{unit}]", "reading",
         )  # fmt: skip
     jumps = np.mean(np.diff(t) > _PAUSE * step)

@@ -227,7 +227,8 @@ _DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a cloc
 
 
 _EPOCH = (5e8, 4e9)  # seconds since 1970 of recordings
-_RARE, LONGEST_STEP = 2.5, 20.0  # time from row to row that is rare in a drive's log, and longest
+_RARE = 2.5  # time from row to row that is rare in a drive's log [s]
+SHORTEST_STEP, LONGEST_STEP = 2e-5, 20.0  # that which is possible [s]
 
 
 def dated(times: FloatArray) -> bool:
