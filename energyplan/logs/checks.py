@@ -939,13 +939,10 @@ _ZONE = 900.0  # which it then is by some whole quarters of an hour [s]
 
 def _unmoved(drive: Drive) -> _Found:
     """Find a power that does not rise when the robot drives: of another time, or another thing."""
-    told = _rise(drive.t, drive.effort, drive.power)
-    if told is None or told > _BEYOND or _descends(drive):
-        return
     t, some = drive.t, _some(drive.runs)
     shapes = power_regressors(drive.channels, drive.runs)
     rest = regress([*shapes, np.ones(len(t))], drive.power).rest
-    if rest.var() < (1.0 - _FOLLOWS) * drive.power.var():
+    if rest.var() < (1.0 - _FOLLOWS) * drive.power.var() or _descends(drive):
         return
     offset = find_offset("power", t, drive.power, shapes, some)
     if offset is not None and offset.certain:
@@ -955,11 +952,15 @@ def _unmoved(drive: Drive) -> _Found:
     rated: list[tuple[float, float]] = []
     for shift in shifts:
         inside = (t + shift >= t[0]) & (t + shift <= t[-1])
-        if np.count_nonzero(inside) > _ENOUGH:
+        if np.count_nonzero(inside) > max(5 * _ENOUGH, 0.2 * len(t)):
             moved = np.interp(t[inside] + shift, t, drive.power)
-            seen = np.corrcoef(moved, drive.effort[inside])[0, 1]
-            rated.append((float(seen), shift))
+            speed = drive.effort[inside]
+            alike = correlation(moved - moved.mean(), speed - speed.mean())
+            rated.append((alike, shift))
     best, shift = max(rated, default=(0.0, 0.0))
+    rise = _rise(t, drive.effort, drive.power)
+    if best <= _SHIFTED and (rise is None or rise > _BEYOND):
+        return
     why = "its clock is not that of the speeds, or it is that of another consumer, or a counter"
     remedy = "log speed and power with one clock, and the power that the motors draw"
     if best > _SHIFTED:
