@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, field_validator
 
 from energyplan.errors import (
@@ -360,8 +361,7 @@ class Recording:
             t, values = self.clocks[topic], self.fields[topic, field]
             if topic == column.topic:
                 return values
-            known = np.isfinite(values) & np.append(True, np.diff(t) > 0)
-            return align(Series(t[known], values[known]), clock).values
+            return align(_known(Series(t, values)), clock).values
 
         kind = column.counts
         rate = (lambda name: count_rate(clock, reading(name), kind)) if kind else None
@@ -373,7 +373,7 @@ class Recording:
         found: dict[str, Series] = {}
         for channel, column in chosen.items():
             t, y = self.series(column)
-            usable = np.isfinite(y) & np.append(True, np.diff(t) > 0)[: len(t)]
+            usable = _usable(t, y)
             if not np.all(usable):
                 reason = f"{channel}: no value, or the time of the message before; left out"
                 where = f"from {t[int(np.argmin(usable))]:.3f} s of {self.name}"
@@ -944,9 +944,7 @@ def _varies(recording: Recording, column: Column) -> bool:
 
 def _alike(recording: Recording, column: Column, clock: FloatArray, turning: FloatArray) -> float:
     """Return the correlation of a turn rate, or the rate of a heading, with that of the treads."""
-    t, values = recording.series(column)
-    known = np.isfinite(values) & np.append(True, np.diff(t) > 0)[: len(t)]
-    t, values = t[known], values[known]
+    t, values = _known(recording.series(column))
     if column.channel == "yaw":
         values = derivative(t, np.unwrap(values), find_runs(t), 0.5)
     rate = align(Series(t, values), clock).values
@@ -1004,8 +1002,16 @@ def _batteries(fields: BagFields, recording: Recording) -> Choice:
     return Choice(first, tuple(notes))
 
 
+def _usable(t: FloatArray, values: FloatArray) -> NDArray[np.bool_]:
+    """Tell which readings are numbers, and later than the number before."""
+    usable = np.isfinite(values)
+    rows = np.flatnonzero(usable)
+    usable[rows[1:][np.diff(t[rows]) <= 0]] = False
+    return usable
+
+
 def _known(series: Series) -> Series:
-    known = np.isfinite(series.values) & np.append(True, np.diff(series.t) > 0)[: len(series.t)]
+    known = _usable(*series)
     return Series(series.t[known], series.values[known])
 
 

@@ -280,9 +280,9 @@ def several(folder, log, packs, *, strange=False):
     """Record joints' angles alone, by two publishers in turn, and batteries by topic."""
     vector, turn = "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Quaternion"
     zero, none = np.zeros(9), np.zeros(0)
-    angles = {side: np.append(0.0, np.cumsum(
-        0.5 * np.diff(log.t) * (v[1:] + v[:-1]))) / 0.1651
-        for side, v in (("left", log.channels["v_left"]), ("right", log.channels["v_right"]))}  # fmt: skip
+    means = {side: log.channels[f"v_{side}"] for side in ("left", "right")}
+    gone = {side: 0.5 * np.diff(log.t) * (v[1:] + v[:-1]) for side, v in means.items()}
+    angles = {side: np.append(0.0, np.cumsum(way)) / 0.1651 for side, way in gone.items()}
     with Recorder(folder, "mcap") as bag:
         for k in range(0, len(log.t), 5):
             t = float(log.t[k])
