@@ -630,8 +630,7 @@ _MEANING: dict[str, dict[str, str]] = {
 }
 """Fields of the channels that message types hold."""
 _ROLLING = {"wheel", "wheels", "track", "tread", "drivewhl", "drive", "whl"}
-_SAME = 1e-3  # relative difference of two readings of one thing
-_ONE_BATTERY = 0.1  # the same, up to which two sensors may show one battery
+_ONE_BATTERY = 0.1  # relative difference up to which two sensors may show one battery
 _TOLD = 0.7  # correlation from which a turn rate is the robot's
 
 Sources = dict[str, Column]
@@ -870,7 +869,12 @@ def choose(fields: BagFields, recording: Recording, given: Sources, track: float
     found |= next(iter(moving or treads), {}) | given
     if not {*_SIDES} <= set(found):
         return Choice(found, ())
-    packs = _batteries(fields, recording)
+    if "current" in given:  # named by hand: its own topic's voltage goes with it
+        own = [one for one in fields.of_type(_BATTERY) if "voltage" in one]
+        own.sort(key=lambda one: one["voltage"].topic != given["current"].topic)
+        packs = Choice(own[0] if own else {}, ())
+    else:
+        packs = _batteries(fields, recording)
     if {"voltage", "current"} <= set(packs.sources):
         found.pop("power", None)  # a battery's own readings are surer than a name
         found |= packs.sources
@@ -965,20 +969,13 @@ def _batteries(fields: BagFields, recording: Recording) -> Choice:
     amps = [-one if np.nansum(one) < 0 < np.nansum(amps[0]) or np.nansum(amps[0]) < 0
             < np.nansum(one) else one for one in amps]  # fmt: skip
     notes: list[str] = []
-    kept = [0]
-    for k in range(1, len(packs)):
-        twin = next((j for j in kept if _apart_by(amps[k], amps[j]) < _SAME), None)
-        if twin is None:
-            kept.append(k)
-        else:
-            notes.append(f"{names[k]} shows the same current as {names[twin]}, and counts once")
-    for k in kept:
-        others = [j for j in kept if j != k]
+    for k in range(len(packs)):
+        others = [j for j in range(len(packs)) if j != k]
         if len(others) > 1 and _apart_by(amps[k], np.sum([amps[j] for j in others], axis=0)) < 0.05:
             listed = " and ".join(names[j] for j in others)
             notes.append(f"the current of {names[k]} is the sum of {listed}; it counts alone")
             return Choice(packs[k], tuple(notes))
-    for k in kept[1:]:
+    for k in range(1, len(packs)):
         alike = re.sub(r"\d+", "0", names[k]) == re.sub(r"\d+", "0", names[0])
         if not alike and _apart_by(amps[k], amps[0]) < _ONE_BATTERY:
             raise DriveLogError(
@@ -987,18 +984,19 @@ def _batteries(fields: BagFields, recording: Recording) -> Choice:
                 f"--columns 'current={names[0]}.current+{names[k]}.current[-A]' for two"
             )
     first = packs[0]
-    if len(kept) > 1:
-        # A share of the power is a share of the current at the first one's voltage.
-        ratio = [volts[k] / volts[0] if volts[0] > 0 and volts[k] > 0 else 1.0 for k in kept]
-        weights = [1.0 if abs(r - 1.0) < 0.03 else round(r, 4) for r in ratio]
-        signs = [np.sign(np.nansum(amps[k]) * np.nansum(recording.series(
-            packs[k]["current"]).values)) or 1.0 for k in kept]  # fmt: skip
-        weights = [float(s * w) for s, w in zip(signs, weights, strict=True)]
-        plus = tuple(f"/{names[k].strip('/')}.current" for k in kept[1:])
-        plain = all(w == 1.0 for w in weights)
-        first |= {"current": first["current"].model_copy(
-            update={"plus": plus, "weights": () if plain else tuple(weights)})}  # fmt: skip
-        notes.append(f"the current counts {' and '.join(names[k] for k in kept)}")
+    # A share of the power is a share of the current at the first one's voltage.
+    ratio = [volt / volts[0] if min(volt, volts[0]) > 0 else 1.0 for volt in volts]
+    sums = [float(np.nansum(recording.series(one["current"]).values)) for one in packs]
+    weights = tuple(
+        float(
+            (np.sign(total * np.nansum(amp)) or 1.0) * (1.0 if abs(r - 1) < 0.03 else round(r, 4))
+        )
+        for total, amp, r in zip(sums, amps, ratio, strict=True)
+    )
+    plus = tuple(f"/{name.strip('/')}.current" for name in names[1:])
+    first |= {"current": first["current"].model_copy(
+        update={"plus": plus, "weights": () if set(weights) == {1.0} else weights})}  # fmt: skip
+    notes.append(f"the current counts {' and '.join(names)}")
     return Choice(first, tuple(notes))
 
 

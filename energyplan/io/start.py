@@ -438,8 +438,7 @@ def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str])
             continue
         alike = np.corrcoef(pair)[0, 1]
         sizes = np.abs(pair).mean(axis=1)
-        apart = float(np.sqrt(np.mean(np.diff(pair, axis=0) ** 2))) > 1e-3 * sizes.max()
-        twins = of_batteries(one.field) and apart  # batteries share what is drawn
+        twins = of_batteries(one.field)  # which share what is drawn
         if (alike < _ALIKE or twins) and sizes.min() > _HALF * sizes.max():
             raise DriveLogError(
                 f"{table.source}: {one.field} and {name} could each be the power or current of the "

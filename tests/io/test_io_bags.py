@@ -319,7 +319,6 @@ PACKS = {
     "two": ({"/battery_1": lambda t: 0.6, "/battery_2": lambda t: 0.4}, "counts /battery_1 and"),
     "sum": ({"/battery": lambda t: 1.0, "/battery_1": lambda t: 0.5 + 0.3 * np.sin(t),
              "/battery_2": lambda t: 0.5 - 0.3 * np.sin(t)}, "is the sum of"),
-    "copy": ({"/battery": lambda t: 1.0, "/relayed/battery": lambda t: 1.0}, "counts once"),
     "signs": ({"/battery_1": lambda t: 0.6, "/battery_2": lambda t: -0.4}, "counts /battery_1 and"),
 }  # fmt: skip
 
@@ -340,10 +339,16 @@ def test_all_batteries_count_once_and_the_robots_own_sensor_is_found(tmp_path, d
         log.t, drive.t, drive.channels["v_left"]))) < 0.01  # fmt: skip
 
 
-def test_batteries_that_may_be_one_are_asked_for(tmp_path, drive):
-    packs = {"/bms": lambda t: 1.0, "/battery": lambda t: 1.02 + 0.01 * np.sin(t)}
-    with pytest.raises(DriveLogError, match="two batteries, or one that is measured twice"):
-        start(several(tmp_path, drive, packs), Given(track=0.555, wheel_radius=0.1651))
+@pytest.mark.parametrize("other", [lambda t: 1.0, lambda t: 1.02 + 0.01 * np.sin(t)])
+def test_batteries_that_may_be_one_are_asked_for(tmp_path, drive, other):
+    packs = {"/battery": lambda t: 1.0, "/relayed/battery": other}
+    path = several(tmp_path, drive, packs)
+    known = {"track": 0.555, "wheelbase": 0.512, "mass": 70.0, "wheel_radius": 0.1651}
+    with pytest.raises(DriveLogError, match=r"twice: say --columns 'current=/battery\.c"):
+        start(path, Given(**known))
+    made = start(path, Given(**known, columns="current=/battery.current[-A]"))
+    log = read_log(path, topics=made.project.topics)
+    assert log.energy == pytest.approx(drive.energy, rel=0.01)
 
 
 def test_columns_of_a_bag_are_named_by_hand(bags, drive):

@@ -263,7 +263,7 @@ def written(folder: Path, name: str = "log.csv", **columns: object) -> Path:
 
 
 HALF = {"volts": AT.volts, "main_battery_current": 0.5 * AT.amps,
-        "aux_battery_current": 0.5 * AT.amps * (1.0 + 0.01 * np.sin(AT.t))}  # fmt: skip
+        "aux_battery_current": 0.5 * AT.amps}  # fmt: skip
 
 
 def test_two_batteries_are_not_one(tmp_path: Path) -> None:
