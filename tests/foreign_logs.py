@@ -728,7 +728,7 @@ REFUSED: dict[Writer, str] = {
     flight_controller: r'"v_left=WENC.LeftTicks\[ticks\*0.0001\]',
     numbered_axes: r'which side .* "v_left=axis0.encoder.vel_estimate\[UNIT\]',
     electrical_rates: r"v_left=left_erpm\[rpm\*F\]",
-    torques: r"p_left=left_wheel_joint_effort\*RATE",
+    torques: r"p_left=left_wheel_joint_effort\*left_wheel_joint_velocity,p_right=right_wheel_j",
     units_in_cells: "line 2: 'v_left' is '.* m/s', which is no number",
     two_robots: "robot1/left_speed and robot2/left_speed .* do not go alike .* of two robots",
     packs_in_series: r"series .* 'voltage=battery1_voltage\+battery2_voltage'",

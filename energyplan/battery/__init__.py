@@ -109,10 +109,12 @@ _SYMBOLS = {
     "v": ("V", 1.0), "ah": ("Ah", 1.0), "mah": ("Ah", 1e-3), "wh": ("Wh", 1.0),
     "kwh": ("Wh", 1e3), "ohm": ("ohm", 1.0), "mohm": ("ohm", 1e-3), "degc": ("degC", 1.0),
 }  # fmt: skip
-_COUNTS = re.compile(r"\b(\d+)\s*s\s*(\d+)\s*p\b")
+_COUNTS = re.compile(r"\b(\d+)\s*s(?:\s*(\d+)\s*p)?\b")
+_SEVERAL = re.compile(r"\b(\d+)\s*[x\u00d7*]\s*(?=\d+(?:\.\d+)?\s*(m?ah|k?wh|v)(?![a-z]))")
+"""So many of one battery, as in ``2x20Ah``."""
 _SHARE = re.compile(r"\b(usable|health)\s*:?\s*(\d+(?:\.\d+)?)\s*%")
 _CELSIUS = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*[ck]\b")
-_AMOUNT = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*(mohm|ohm|mah|ah|kwh|wh|degc|v)\b")
+_AMOUNT = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*(mohm|ohm|mah|ah|kwh|wh|degc|v)(?![a-z])")
 
 
 def _require(condition: bool, message: str) -> None:
@@ -560,6 +562,15 @@ class Battery(ByValue, html.Readable):
         if words.strip() in PRESETS:
             return cls.preset(words.strip())
         rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
+        rest = re.sub(r"(?<=\d),(?=\d{3}(?!\d))", "", rest).replace("(", " ").replace(")", " ")
+        rest = re.sub(r"(?<=\d),(?=\d{1,2}\s*[a-z])", ".", rest)  # a decimal comma
+        several = _SEVERAL.search(rest)
+        rest = _SEVERAL.sub(" ", rest)
+        if several and several[2] == "v":
+            raise BatteryError(
+                f"battery {words!r}: in series {several[1]} batteries add volts, side by side amp "
+                f"hours; give the whole, as in {EXAMPLE!r}"
+            )
         counts = _COUNTS.search(rest)
         rest = _COUNTS.sub(" ", rest)
         if warm := _CELSIUS.search(rest):
@@ -572,6 +583,16 @@ class Battery(ByValue, html.Readable):
         for value, symbol in _AMOUNT.findall(rest):
             unit, factor = _SYMBOLS[symbol]
             given[unit] = float(value) * factor
+        if several:
+            key = "Wh" if several[2].endswith("wh") else "Ah"
+            given[key] *= int(several[1])
+        if {"Ah", "Wh"} <= given.keys():
+            volts = given["Wh"] / given["Ah"]
+            _require(
+                counts is not None or abs(given.setdefault("V", volts) / volts - 1.0) < 0.15,
+                f"battery {words!r}: {given['Ah']:g} Ah and {given['Wh']:g} Wh make {volts:.3g} V; "
+                "give two of the three",
+            )
         left = " ".join(_AMOUNT.sub(" ", rest).replace(",", " ").replace(" at ", " ").split())
         _require(
             bool(counts or given),
@@ -593,8 +614,10 @@ class Battery(ByValue, html.Readable):
             _require(given[unit] > 0, f"battery {words!r}: {given[unit]:g} {unit} is not positive")
         capacity = given["Ah"] if "Ah" in given else given["Wh"] / given["V"]
         notes: tuple[str, ...] = ()
+        if several:
+            notes = (f"battery {words}: {several[1]} side by side, {capacity:g} Ah in all",)
         if counts is not None:
-            cells = int(counts[1]), int(counts[2])
+            cells = int(counts[1]), int(counts[2] or 1)
         else:
             cells = max(round(given["V"] / kind.voltage), 1), 1
             off = cells[0] * kind.voltage / given["V"] - 1.0
@@ -604,7 +627,7 @@ class Battery(ByValue, html.Readable):
                 f"one unit of {kind.name}; give the counts, as in {cells[0]}S1P",
             )
             if abs(off) > 0.03:
-                notes = (f"battery {words}: taken to have {cells[0]} units in series",)
+                notes += (f"battery {words}: taken to have {cells[0]} units in series",)
         resistance = given.get("ohm")
         if resistance is not None and counts is None:
             resistance = resistance / cells[0]

@@ -29,7 +29,7 @@ from energyplan.cli.answers import (
 )
 from energyplan.cli.app import app
 from energyplan.cli.options import Robot, number, writes
-from energyplan.errors import InvalidInputError, NotIdentifiableError
+from energyplan.errors import EnergyPlanError, InvalidInputError, NotIdentifiableError
 
 if TYPE_CHECKING:
     from energyplan.fit import ICREstimate
@@ -42,6 +42,7 @@ _QUESTIONS = {
     "track": "Distance of the left from the right wheels' contact points [m]",
     "wheelbase": "Distance of the front from the rear wheels' contact points [m]",
     "mass": "Mass as it drives [kg]",
+    "wheel_radius": "Radius of the wheels [m], where their rates are logged",
 }
 
 
@@ -50,7 +51,7 @@ _QUESTIONS = {
     "--out robot.yaml"
 )
 def start(
-    log: Annotated[Path, Argument(help="A drive log: a table or a bag.")],
+    logs: opt.Logs,
     out: Annotated[
         Path | None,
         Option(
@@ -72,7 +73,11 @@ def start(
     name: Annotated[str, Option(help="Name of the robot.")] = "",
     like: Annotated[
         str | None,
-        Option(metavar="VEHICLE", help="Start from this vehicle; other options override it."),
+        Option(
+            metavar="VEHICLE",
+            help="Start from this vehicle, or from a URDF, Clearpath's robot.yaml or parameters of "
+            "diff_drive_controller; other options override it.",
+        ),
     ] = None,
     columns: opt.Columns = None,
     accept: Annotated[
@@ -81,33 +86,40 @@ def start(
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
-    """Write a project from a drive log.
+    """Write a project from drive logs of one robot.
 
     Guesses columns, topics and units, and checks the log against the robot. What it cannot know it
     takes from the options, or asks for on a terminal. A log that contradicts itself or the robot
     makes no project, unless you accept that. Other commands read the project with --project.
     """
-    from energyplan.io.config import read_vehicle, write_project
-    from energyplan.io.start import Given
-    from energyplan.io.start import start as run
+    from energyplan.io.config import write_project
+    from energyplan.io.start import Given, read_like, start_all
     from energyplan.output import documents, text
 
     numbers = {
         "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
         "counts_per_revolution": counts_per_revolution,
     }  # fmt: skip
-    if like is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
-        numbers |= {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if numbers[key] is None}
     known: Any = {key: value for key, value in numbers.items() if value is not None}
-    vehicle = None if like is None else read_vehicle(like)
-    given = Given(**known, name=name, like=vehicle, columns=opt.columns_of(columns))
-    with progress("looking into the log"):
-        result = run(log, given)
+    asked: dict[str, float] = {}
+    if like is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
+        told = {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if key not in known}
+        asked = {key: value for key, value in told.items() if value is not None}
+    known = ({} if like is None else read_like(like)) | known | asked
+    given = Given(**known, name=name, columns=opt.columns_of(columns))
+    try:
+        with progress("looking into the log"):
+            result = start_all(logs, given)
+    except EnergyPlanError:
+        if asked:  # so that nobody need type it again
+            warn("typed: " + " ".join(f"--{k.replace('_', '-')} {v:g}" for k, v in asked.items()))
+        raise
     written = result.sound or accept
     done = "give --out PROJECT.yaml to write it as a project"
     if out is not None and written:
         write_project(result.project, out)
-        done = f"written: {out}"
+        files = " ".join(map(str, logs))
+        done = f"written: {out}; next: energyplan identify {files} --project {out}"
     elif not written:
         where = "a project" if out is None else out
         done = f"not written: {where}; mend what is WRONG, or write it all the same with --accept"
@@ -162,17 +174,23 @@ def identify(
     ] = False,
     angle: Annotated[str | None, Option(help="With --spin: angle turned, as 3600deg.")] = None,
     angle_error: Annotated[str, Option(help="With --angle: its standard error.")] = "0deg",
+    battery: Annotated[
+        str | None,
+        Option(metavar="BATTERY", help="Of a history of tasks that tells shares of its charge."),
+    ] = None,
     out: opt.OutModel = None,
     json: opt.Json = False,
 ) -> None:
-    """Find a robot's power parameters from drive logs.
+    """Find a robot's power parameters from drive logs, or from a history of tasks.
 
+    A history is a table with a row a task: distance, turning, duration, and energy or charge.
     The method lad minimises the cost of Morales et al. (2010), "the paper", Eq. 7, exactly; simplex
     does so by the paper's search.
     """
     from energyplan.fit import identify as run
     from energyplan.fit.identification import doubts_off_the_ground
     from energyplan.fit.identification import hoisted as inside
+    from energyplan.fit.tasks import identify_tasks
     from energyplan.io.config import read_vehicle, write_model, write_vehicle
     from energyplan.output import documents, text
 
@@ -187,6 +205,16 @@ def identify(
         raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
     if hoisted and (out or terms):
         raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
+    if len(logs) == 1 and not (spin or hoisted or terms or robot.columns):
+        history = _tasks(logs[0], battery)
+        if history is not None:
+            learned = identify_tasks(history, vehicle)
+            if out:
+                write_model(learned.model, out)
+            answer(documents.tasks(learned, history), text.tasks(learned, history), json=json)
+            return
+    if battery is not None:
+        raise InvalidInputError("--battery goes with a history of tasks; leave it out")
     drives = _read(logs, robot)
     if spin:
         icr = _icr_of_spin(drives[0], angle, angle_error)
@@ -212,6 +240,20 @@ def identify(
         if out:
             write_model(found.model, out)
         answer(documents.identification(found), found, json=json)
+
+
+def _tasks(path: Path, battery: str | None) -> Any:
+    """Return a history of tasks, where a file is one."""
+    from energyplan.errors import DriveLogError
+    from energyplan.io.bags import is_bag
+    from energyplan.io.logs import may_be_tasks, tasks_of
+    from energyplan.io.mission import read_battery
+    from energyplan.logs.tables import read_table
+
+    if is_bag(path) or not may_be_tasks(path):
+        return None
+    full = {} if battery is None else {"full": read_battery(battery).full_energy}
+    return tasks_of(read_table(path, DriveLogError), **full)
 
 
 def _read(paths: list[Path], robot: Robot) -> list[DriveLog]:

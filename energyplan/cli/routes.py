@@ -147,14 +147,14 @@ def problem_of(
 ) -> PlanningProblem:
     """Return the problem that options name."""
     from energyplan.io.geojson import read_surfaces
-    from energyplan.io.maps import read_map, read_site
+    from energyplan.io.maps import read_keepout, read_site
     from energyplan.planning import PlanningProblem
 
     place = read_site(site.map_file)
     if site.surfaces:
         place = replace(place, surfaces=read_surfaces(site.surfaces))
     if site.keepout:
-        place = replace(place, keepout=read_map(site.keepout))
+        place = replace(place, keepout=read_keepout(site.keepout))
     if site.clearance is not None:
         place = replace(place, clearance=site.clearance)
     ground = priced_ground(drive, place)

@@ -79,8 +79,17 @@ def beside(file: Path, key: str, name: str) -> Path:
     return target
 
 
+_GIS = (".shp", ".shx", ".dbf", ".gpkg", ".kml", ".kmz", ".gml", ".gpx", ".dxf", ".fgb", ".tab")
+"""Files of areas that ogr2ogr converts."""
+
+
 def read_features(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return a GeoJSON document and its features."""
+    if file.suffix.lower() in _GIS:
+        raise MapError(
+            f"{file} is a file of a geographic information system; make GeoJSON of it, in metres "
+            f"of the map: ogr2ogr -f GeoJSON {file.stem}.geojson {file.name}"
+        )
     document = read_json(
         file, MAX_JSON, MapError, "give a GeoJSON file, of a part if it is too large"
     )
@@ -117,6 +126,14 @@ _TELLING = {
     "a power model": {"terms"},
     "a vehicle": {"mass", "track"},
     "a project": {"vehicle", "columns"},
+    "an order of VDA 5050: the nodePosition of each node makes a task, as in tasks: [{name: n1, "
+    "pose: [X, Y, THETA]}]": {"orderId", "nodes"},
+    "a plan of QGroundControl, over longitude and latitude: write its waypoints in metres of the "
+    "map, as in tasks: [{name: w1, pose: [X, Y, YAW]}]": {"fileType", "mission"},
+    "waypoints of Nav2: each makes a task, of yaw = 2*atan2(z, w), as in tasks: [{name: w1, "
+    "pose: [X, Y, YAW]}]": {"waypoints"},
+    "Clearpath's robot.yaml: give its robot by name, such as husky_a200 or jackal, or start with "
+    "--like robot.yaml": {"serial_number", "platform"},
 }
 """Keys by which a file shows what it is."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")

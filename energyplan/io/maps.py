@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 import warnings
 from collections import deque
@@ -25,7 +26,7 @@ from energyplan.io.bags import is_bag, opened_bag
 from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file
 from energyplan.io.geojson import read_obstacles, read_surfaces
-from energyplan.kinds import NO_NUMBER, checked
+from energyplan.kinds import NO_NUMBER, checked, warn
 from energyplan.path import Pose, as_pose
 from energyplan.records import amount_of
 from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
@@ -202,6 +203,20 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
         )
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
+
+
+def read_keepout(path: str | Path) -> OccupancyGrid:
+    """Read a keep-out mask: a map whose occupied cells are closed; its weights close nothing."""
+    mask, file = read_map(path), Path(path)
+    if file.suffix in {".yaml", ".yml"}:
+        values = _values(file, _header(file, _MapHeader))
+        share = float(np.mean((values > 0) & (values < LETHAL)))
+        if share > 0.0:
+            warn(
+                f"{file.name}: {share:.1%} of the mask has weights between free and closed, which "
+                "are ignored; give it as a costmap of the site, too, for them to count"
+            )
+    return mask
 
 
 @checked(MapError)
@@ -397,6 +412,14 @@ LAYERS = ("elevation_inpainted", "elevation_smooth", "elevation", "height")
 
 # tags of TIFF, keys of GeoTIFF and their values
 _SCALE, _TIE_POINT, _TRANSFORM, _GEO_KEYS, _GDAL_NO_DATA = 33550, 33922, 34264, 34735, 42113
+_GDAL_METADATA = 42112
+_ITEM = re.compile(r'<Item\b(?=[^>]*\brole="(scale|offset|unittype)")[^>]*>([^<]*)<')
+_HEIGHTS = {
+    **dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0), "dm": 0.1, "cm": 0.01,
+    "mm": 0.001, "km": 1000.0, **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
+    **dict.fromkeys(("us-ft", "ftus", "us survey foot"), 1200 / 3937),
+}  # fmt: skip
+"""Metres of the units in which heights are said to be, in GDAL's metadata."""
 _MODEL, _RASTER, _LINEAR_UNITS, _VERTICAL_UNITS = 1024, 1025, 3076, 4099
 _GEOGRAPHIC, _POINT, _METRE, _BY_USER = 2, 2, 9001, 32767
 _GRID_MAP = "grid_map_msgs/msg/GridMap"
@@ -613,6 +636,13 @@ def _from_geotiff(file: Path) -> _Raster:
     if max(abs(down_x - along_y), abs(down_y + along_x)) > 1e-6 * size:
         raise MapError(f"{file}: cells of {along_x:g} by {-down_y:g}; resample to square ones")
     heights[heights == no_data] = np.nan
+    told = dict(_ITEM.findall(str(tags.get(_GDAL_METADATA, ""))))
+    unit = told.get("unittype", "").strip().lower()
+    try:
+        heights = heights * float(told.get("scale", 1.0)) + float(told.get("offset", 0.0))
+        heights *= _HEIGHTS[unit]
+    except (KeyError, ValueError):
+        raise MapError(f"{file}: heights of {told}; convert them to metres") from None
     offset = 0.0 if known.get(_RASTER) == _POINT else 0.5
     last = heights.shape[0] - 1 + offset
     lowest = Pose(
@@ -682,7 +712,7 @@ class SiteFile(Checked, BaseModel):
 
 
 PARTS: dict[str, Callable[[Path], Any]] = {
-    "surfaces": read_surfaces, "heights": read_heights, "keepout": read_map,
+    "surfaces": read_surfaces, "heights": read_heights, "keepout": read_keepout,
     "costmap": read_costmap,
 }  # fmt: skip
 """What reads a part of a site, by its key."""

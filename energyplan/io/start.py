@@ -3,29 +3,43 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from math import isfinite, nan, pi
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
+from xml.etree import ElementTree
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.io.bags import TOPIC_MAPS, TopicMap, bag_fields, is_bag, read_bag, topic_map_of
-from energyplan.io.config import Project
+from energyplan.errors import ConfigError, DriveLogError, InvalidInputError
+from energyplan.io.bags import (
+    TOPIC_MAPS,
+    TopicMap,
+    choose,
+    is_bag,
+    list_fields,
+    opened_bag,
+    topic_map_of,
+    wanted,
+)
+from energyplan.io.config import Project, read_vehicle
+from energyplan.io.documents import MAX_BYTES, load, read_bytes
 from energyplan.io.husky import is_husky
-from energyplan.io.logs import read_log
+from energyplan.io.logs import read_log, tasks_of
 from energyplan.logs import DriveLog, UnfitLogError
 from energyplan.logs.align import find_runs
-from energyplan.logs.checks import find_checks, grows, mirrored_side
+from energyplan.logs.checks import POWERS, find_checks, grows, mirrored_side, without_copies
 from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
     Check,
     Drive,
     Measures,
     check_consistency,
+    contradictions,
     correlation,
     strain,
 )
@@ -37,7 +51,10 @@ from energyplan.logs.guess import (
     guess_turns,
     halves,
     numbered_speeds,
+    of_batteries,
     of_one_wheel,
+    siblings,
+    side_of,
     words,
 )
 from energyplan.logs.mapping import (
@@ -54,10 +71,10 @@ from energyplan.logs.mapping import (
     parse_columns,
     scale_of,
     split_unit,
-    time_unit,
+    time_units,
     unit_in,
 )
-from energyplan.logs.tables import Table, read_table
+from energyplan.logs.tables import Table, counts_rows, find_clock, quaternions, read_table
 from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 
@@ -86,6 +103,85 @@ class Given:
             value = getattr(self, key)
             if not (np.isnan(value) or (isfinite(value) and value > 0)):
                 raise InvalidInputError(f"{key} is {value}; give a positive number")
+
+
+_ROBOTS = {"a200": "husky_a200", "j100": "jackal"}
+"""Presets by the beginning of Clearpath's serial numbers."""
+_GEOMETRY = {"wheel_separation": "track", "wheel_radius": "wheel_radius"}
+"""Parameters of ros2_control's diff_drive_controller."""
+
+
+def read_like(source: str) -> dict[str, Any]:
+    """Return what a vehicle, or a robot's file of another tool, gives: arguments of `Given`."""
+    file = Path(source)
+    if file.suffix.lower() in (".urdf", ".xacro", ".xml"):
+        return _of_urdf(file)
+    if file.suffix.lower() not in (".yaml", ".yml"):
+        return {"like": read_vehicle(source)}
+    data = load(file, ConfigError).data
+    if "serial_number" in data:
+        serial = str(data["serial_number"]).partition("-")[0].lower()
+        if serial in _ROBOTS:
+            return {"like": read_vehicle(_ROBOTS[serial])}
+        raise ConfigError(
+            f"{file.name} is Clearpath's robot.yaml of a {serial}, whose measures are not known; "
+            f"give --track, --wheelbase and --mass, or --like {' or '.join(_ROBOTS.values())}"
+        )
+    found: dict[str, float] = {}
+    parts = [data]
+    while parts:
+        part = parts.pop()
+        parts += [one for one in part.values() if isinstance(one, dict)]
+        for key, name in _GEOMETRY.items():
+            size = part.get(key)
+            if isinstance(size, int | float) and size > 0:
+                scale = part.get(f"{key}_multiplier", part.get(f"left_{key}_multiplier", 1.0))
+                # The multiplier of a skid-steer's separation stands for slip, which is learned.
+                found[name] = float(size) * (1.0 if name == "track" else float(scale))
+    return found or {"like": read_vehicle(source)}
+
+
+def _of_urdf(file: Path) -> dict[str, Any]:
+    """Return the mass of a URDF's links, and the measures of its wheels."""
+    content = read_bytes(file, MAX_BYTES, ConfigError, "give the robot's URDF")
+    if b"${" in content or b"xacro:" in content:
+        raise ConfigError(
+            f"{file.name} holds macros: xacro {file.name} > robot.urdf makes a URDF of it; give "
+            "--like robot.urdf"
+        )
+    try:
+        made = _measured(ElementTree.fromstring(content))
+    except (ElementTree.ParseError, ValueError) as problem:
+        raise ConfigError(f"{file.name} is no sound URDF: {problem}") from None
+    if not made:
+        raise ConfigError(
+            f"{file.name}: no masses of links and no continuous joints of left and right wheels; "
+            "give --track, --wheelbase and --mass"
+        )
+    return made
+
+
+def _measured(root: ElementTree.Element) -> dict[str, Any]:
+    """Return mass, distances and radius of the wheels of a URDF, as far as it holds them."""
+    masses = [float(one.get("value", 0.0)) for one in root.iterfind("link/inertial/mass")]
+    wheels = [
+        one for one in root.iterfind("joint")
+        if one.get("type") == "continuous" and side_of(one.get("name", ""))
+    ]  # fmt: skip
+    places = [
+        [float(part) for part in origin.get("xyz", "0 0 0").split()]
+        for one in wheels if (origin := one.find("origin")) is not None
+    ]  # fmt: skip
+    made: dict[str, Any] = {"mass": sum(masses)} if sum(masses) > 0 else {}
+    if places:
+        size = np.ptp(np.array(places), axis=0)
+        made |= {key: float(d) for key, d in zip(("wheelbase", "track"), size[:2], strict=True)
+                 if d > 0}  # fmt: skip
+    names = {child.get("link") for one in wheels if (child := one.find("child")) is not None}
+    for link in (one for one in root.iterfind("link") if one.get("name") in names):
+        for shape in link.iterfind("*/geometry/cylinder"):
+            made["wheel_radius"] = float(shape.get("radius", "nan"))
+    return made
 
 
 def known_measures(known: Given) -> Measures:
@@ -265,21 +361,65 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
             f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
             f"as in power={amps.field}[*25.6]"
         )
-    torques = [name for name in names if {"effort", "torque"} & set(words(name))]
-    if "power" in needed and torques:
-        hint += (
-            f"; {torques[0]!r} seems to be a torque: its power is torque times the wheel's rate in "
-            f"rad/s, as in p_left={torques[0]}*RATE"
-        )
+    if "power" in needed:
+        hint += _of_torques(names)
     raise DriveLogError(
         f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
         f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
     )
 
 
-def counts_rows(values: FloatArray) -> bool:
-    """Tell whether a column is the number of its row: that is no time."""
-    return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
+_TORQUES = {"effort", "torque"}
+
+
+def _of_torques(names: Sequence[str]) -> str:
+    """Say how the torques of all wheels make the powers of the sides."""
+    torques = [name for name in names if _TORQUES & set(words(name))]
+    made = []
+    for side in ("left", "right"):
+        own = [name for name in torques if side_of(name) == side]
+        others = [
+            name for name in names
+            if own and name not in torques and side_of(name) == side
+            and set(words(name)) >= set(words(own[0])) - _TORQUES
+            and {"velocity", "vel", "speed", "rate", "omega", "rpm"} & set(words(name))
+        ]  # fmt: skip
+        if own:
+            summed = own[0] if len(own) == 1 else f"({'+'.join(own)})"
+            made.append(f"p_{side}={summed}*{others[0] if others else 'RATE'}")
+    if not torques:
+        return ""
+    told = ",".join(made) if len(made) == 2 else f"p_left={torques[0]}*RATE"
+    return (
+        f"; {torques[0]!r} seems to be a torque: those of all wheels of a side times the wheels' "
+        f'rate in rad/s make its power, as in --columns "{told}"'
+    )
+
+
+def _left_out(table: Table, columns: Mapping[str, Column]) -> list[Check]:
+    """Find powers that count some of the wheels, motors or batteries alone."""
+    used = {name for one in columns.values() for name in one.names}
+    found = []
+    for channel, one in columns.items():
+        if channel not in POWERS:
+            continue
+        own = np.nanmean(np.abs(table.column(one.field)))
+        rest = [
+            name for name in siblings(one, table.columns)
+            if name not in used and np.nanmean(np.abs(table.columns[name])) > _PART * own
+        ]  # fmt: skip
+        if rest:
+            summed = "+".join((one.field, *one.plus, *rest))
+            whole = summed if one.times is None else f"({summed})*{one.times}"
+            found.append(Check(
+                f"{channel} counts {' and '.join((one.field, *one.plus))}, and not "
+                f"{' and '.join(rest)}, which is of another wheel, motor or battery",
+                f"count all of them, as in --columns '{channel}={whole}'",
+            ))  # fmt: skip
+    return found
+
+
+_PART = 0.05  # of a power, that another one of its kind is at least
 
 
 def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str]) -> None:
@@ -298,12 +438,14 @@ def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str])
             continue
         alike = np.corrcoef(pair)[0, 1]
         sizes = np.abs(pair).mean(axis=1)
-        if alike < _ALIKE and sizes.min() > _HALF * sizes.max():
+        twins = of_batteries(one.field)  # which share what is drawn
+        if (alike < _ALIKE or twins) and sizes.min() > _HALF * sizes.max():
             raise DriveLogError(
                 f"{table.source}: {one.field} and {name} could each be the power or current of the "
                 "whole robot, and differ; where they are those of two sides say so, as in "
-                f"--columns 'p_left={one.field},p_right={name}' for powers, else name the "
-                f"whole, as in --columns 'power={one.field}'"
+                f"--columns 'p_left={one.field},p_right={name}' for powers, where they add up, as "
+                f"those of two batteries do, as in --columns '{one.channel}={one.field}+{name}', "
+                f"else name the whole, as in --columns '{one.channel}={one.field}'"
             )
 
 
@@ -377,6 +519,26 @@ class Start:
         return all(check.ok for check in self.checks)
 
 
+def start_all(paths: Sequence[Path], given: Given) -> Start:
+    """Start from the first of a robot's drives, and hold the others against what comes of it."""
+    made = start(paths[0], given)
+    if len(paths) == 1:
+        return made
+    project, checks, notes = made.project, [*made.checks], [*made.notes]
+    drives = [read_log(paths[0], dict(project.columns) or None, topics=project.topics)]
+    for path in paths[1:]:
+        log = read_log(path, dict(project.columns) or None, topics=project.topics)
+        found = find_checks(log.channels, log.power, log.runs)
+        wrong = [one for one in found if one.refuses] + contradictions(log, project.vehicle)
+        told = {str(one): replace(one, what=f"{log.name}: {one.what}") for one in wrong}
+        checks += told.values()
+        notes += [f"{log.name}: {one}" for one in (*log.set_aside, *log.warnings)
+                  if str(one) not in told]  # fmt: skip
+        drives.append(log)
+    notes += without_copies(drives, [])[1]
+    return replace(made, checks=tuple(checks), notes=tuple(notes))
+
+
 def start(path: str | Path, given: Given | None = None) -> Start:
     """Guess what a log's columns or topics are, and hold them against the robot."""
     known = given or Given()
@@ -393,17 +555,22 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 
 
 def _start_table(file: Path, known: Given) -> Start:
-    table = read_table(file, DriveLogError)
+    table = read_table(file, DriveLogError, parse_columns(known.columns).get("t"))
     columns = parse_columns(known.columns, (*table.columns, *table.text))
+    if not columns and tasks_of(table, 1.0) is not None:
+        raise DriveLogError(
+            f"{table.source}: a row is a task, not an instant of a drive: energyplan identify "
+            f"{file.name} --vehicle VEHICLE learns from their distances, turning and energies"
+        )
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
     found = _guesses(table, taken, columns)
     _powers(columns, found)
     found = {channel: one for channel, one in found.items() if channel not in columns}
     if "t" not in columns and "t" not in found:
-        clock = _clock(table, taken.union(*(one.names for one in found.values())))
-        if clock is not None:
-            columns["t"] = Column(field=clock, channel="t")
+        used = taken.union(*(one.names for one in found.values()))
+        clock = find_clock({n: v for n, v in table.columns.items() if n not in used})
+        columns |= {} if clock is None else {"t": clock}
     _refuse_percentages(table.source, table.columns, {*columns, *found})
     encoders = {name: found.pop(name) for name in [*found] if found[name].unit in COUNTS}
     speeds = {*_SPEEDS}
@@ -429,13 +596,37 @@ def _start_table(file: Path, known: Given) -> Start:
     for channel in ("slope", "temperature", "payload"):
         if channel in table.columns and channel not in columns:
             columns[channel] = Column(field=channel, channel=channel)
+    notes += _of_compass(table, columns, found)
     columns = _with_units(table, columns, found, known)
-    log = read_signed(file, columns)
+    log = read_signed(partial(DriveLog.read, file, others=False), columns)
     used = {name for one in log.columns.values() for name in one.names}
     idle = [name for name in table.columns if name not in used]
     notes += [f"columns that serve for nothing: {', '.join(idle[:20])}"] if idle else []
     made = _finish(file, log.log, known, log.columns, None, {})
+    made = replace(made, checks=(*made.checks, *_left_out(table, log.columns)))
     return replace(made, notes=(*notes, *log.notes, *made.notes))
+
+
+def _of_compass(table: Table, columns: dict[str, Column], found: dict[str, Column]) -> list[str]:
+    """Turn a pose of east and north, whose heading is that of a compass, to axes of its own."""
+    if not {"x", "y", "yaw"} <= set(found) or "east" not in found["x"].field.lower():
+        return []
+    yaw = table.column(found["yaw"].field)[:_SOME]
+    left, right = (table.column(columns[name].field)[:_SOME] for name in _SPEEDS)
+    period = 360.0 if _size(table, columns["yaw"]) > _FULL_TURN else 2 * pi
+    rate = np.gradient(np.unwrap(yaw, period=period))
+    known = np.isfinite(rate + left + right)
+    if correlation(rate[known], (right - left)[known]) >= 0.0:
+        return []
+    north, east = columns["y"], columns["x"]
+    columns["x"] = found["x"] = north.changed(channel="x")
+    columns["y"] = east.changed(channel="y").negative()
+    found.pop("y")
+    found["y"] = columns["y"]
+    columns["yaw"] = columns["yaw"].changed(unit=columns["yaw"].unit or (
+        "deg" if period == 360.0 else "rad")).negative()  # fmt: skip
+    found["yaw"] = columns["yaw"]
+    return ["the heading counts clockwise from the north, as a compass: x is north, y is west"]
 
 
 def _refuse_percentages(source: str, names: Iterable[str], there: Collection[str]) -> None:
@@ -482,6 +673,8 @@ def _guesses(
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
     names = [name for name in table.columns if name not in taken]
     counters = {name for name in names if grows(table.columns[name][:_SOME])}
+    names += [name for name in quaternions(table.columns) if np.ptp(_some(table, Column(
+        field=name, channel="yaw"))) > 0.0]  # fmt: skip
     kept: dict[str, Column] = {}
     grown = ""
     while True:
@@ -581,16 +774,6 @@ def _powers(columns: dict[str, Column], guesses: dict[str, Column]) -> None:
             guesses.pop(side, None)
 
 
-def _clock(table: Table, taken: set[str]) -> str | None:
-    """Return the column that increases all along, if there is one."""
-    for name, values in table.columns.items():
-        steps = np.diff(values)
-        increases = len(steps) and np.all(np.isfinite(steps)) and np.all(steps > 0)
-        if name not in taken and increases and not counts_rows(values):
-            return name
-    return None
-
-
 class _Choice(NamedTuple):
     """Channels that are in one unit, which nobody told, and what it may be, the likeliest first."""
 
@@ -649,8 +832,7 @@ def _with_units(
     """Choose the units that nobody told, so that all that a log tells twice agrees."""
     clock = columns["t"]
     if not clock.unit:  # that in which a drive log's step is usual
-        unit = time_unit(table.column(clock.field)[:_SOME])
-        columns = {**columns, "t": clock.changed(unit=unit)}
+        columns = {**columns, "t": clock.changed(unit=_unit_of_time(table, columns))}
     choices = _choices(table, columns, found, known)
     raw = _readings(table, columns)
     measures, radius = known_measures(known), known.wheel_radius
@@ -688,6 +870,26 @@ def _with_units(
             plain = written in ("m/s", "rad", "rad/s", "m", "A", "W")
             made[channel] = _mean(made[channel].changed(unit="" if plain else written))
     return made
+
+
+def _unit_of_time(table: Table, columns: Mapping[str, Column]) -> str:
+    """Return the unit of a clock that no name tells; of rows seconds apart the speeds jump."""
+    units = time_units(table.column(columns["t"].field)[:_SOME])
+    if len(units) < 2:
+        return units[0]
+    jumps = []
+    for one in (table.column(columns[name].field)[:_SOME] for name in _SPEEDS):
+        lasting = np.median(sliding_window_view(one[np.isfinite(one)], 5), axis=-1)
+        steps, size = (np.quantile(np.abs(part), 0.99) for part in (np.diff(lasting), lasting))
+        jumps.append(float(steps / max(size, 1e-300)))
+    jump = max(jumps)
+    if _JUMP[0] < jump < _JUMP[1]:
+        why = "could count seconds or milliseconds: the speeds change too little to tell"
+        _ask_unit(table, columns["t"], why, ("s", "ms"))
+    return "s" if jump >= _JUMP[1] else units[-1]
+
+
+_JUMP = (0.08, 0.25)  # change of speed in a row, as a share of the largest, that tells no unit
 
 
 def _ask_unit(table: Table, column: Column, why: str, units: Iterable[str]) -> NoReturn:
@@ -805,41 +1007,48 @@ def _no_radius(channels: Collection[str]) -> str:
 
 
 def _start_bag(file: Path, known: Given) -> Start:
-    fields = bag_fields(file)
-    sources = fields.channels()
-    notes: tuple[str, ...] = ()
-    made = {} if {"v_left", "v_right"} & set(sources) else fields.twist(known_measures(known).track)
-    if made:
-        sources = {c: one for c, one in sources.items() if c not in ("yaw", "yaw_rate")} | made
-        notes = (_of_body(known, f"those of {made['v_left'].topic}"),)
-    lacks = [name for name in ("v_left", "v_right") if name not in sources]
+    track = known_measures(known).track
+    with opened_bag(file) as bag:
+        fields = list_fields(bag)
+        given = fields.parse(known.columns)
+        recording = bag.collect(wanted(fields, given, track))
+        notes = [*bag.notes]
+    chosen = choose(fields, recording, given, track)
+    sources = chosen.sources
+    notes += chosen.notes
+    lacks = [name for name in _SPEEDS if name not in sources]
     if not any(set(way) <= set(sources) for way in POWER_WAYS):
         lacks.append("power")
     _refuse_percentages(file.name, fields.fields, sources)
     if lacks:
+        there = [f"/{name.removeprefix('/')}" for name in fields.fields]
         raise DriveLogError(
-            f"{file.name}: no field of a message seems to be {' or '.join(lacks)}; the fields are "
-            f"{', '.join([*fields.fields][:30])}; write a topic map and give --topics FILE.yaml"
-            f"{fields.torques(sources) if lacks == ['power'] else ''}"
+            f"{file.name}: no field of a message seems to be {' or '.join(lacks)}"
+            f"{fields.torques(sources) if lacks == ['power'] else ''}; the fields are "
+            f"{', '.join(there[:30])}; say which it is with --columns {lacks[0]}=FIELD"
+            f"{''.join(f'; {note}' for note in notes)}"
         )
-    rates = fields.wheel_rates(sources)
-    radius = known.wheel_radius
+    if sources["v_left"].field.startswith("twist."):
+        notes.append(_of_body(known, f"those of {sources['v_left'].topic}"))
+        sources = {c: one for c, one in sources.items() if c not in ("yaw", "yaw_rate")} | given
+    rates, radius = fields.wheel_rates(sources), known.wheel_radius
 
-    def mapped(size: float) -> TopicMap:
-        return fields.topic_map(sources, size, file.stem)
+    def read(size: float) -> Signed:
+        mapped = fields.topic_map(sources, size, file.stem).channels
+        return read_signed(recording.log, {channel: many[0] for channel, many in mapped.items()})
 
-    log = read_bag(file, mapped(radius if isfinite(radius) else 1.0))
+    made = read(radius if isfinite(radius) else 1.0)
     assumed: dict[str, str] = {}
     if rates and not isfinite(radius):
-        drive = Drive(log.channels, log.power, log.runs)
+        drive = Drive(made.log.channels, made.log.power, made.log.runs)
         radius = _radius_of(drive.distance)
         if not isfinite(radius):
-            raise InvalidInputError(f"{file.name}: {_no_radius(log.channels)}")
+            raise InvalidInputError(f"{file.name}: {_no_radius(made.log.channels)}")
         assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
-        log = read_bag(file, mapped(radius))
-    topics = mapped(radius if isfinite(radius) else 1.0)
-    told = _finish(file, log, known, {}, topics, assumed)
-    return replace(told, notes=(*notes, *told.notes))
+        made = read(radius)
+    topics = TopicMap(name=file.stem, channels={c: [one] for c, one in made.columns.items()})
+    told = _finish(file, made.log, known, {}, topics, assumed)
+    return replace(told, notes=(*notes, *made.notes, *told.notes))
 
 
 # -- the answer ---------------------------------------------------------------------------------
@@ -897,14 +1106,16 @@ class Signed(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_signed(file: Path, columns: Mapping[str, Column]) -> Signed:
-    """Read a table, and turn round what counts the other way."""
+def read_signed(
+    read: Callable[[Mapping[str, Column]], DriveLog], columns: Mapping[str, Column]
+) -> Signed:
+    """Read a log, and turn round what counts the other way."""
     notes: list[str] = []
     made = dict(columns)
     done: set[str] = set()
     while True:
         try:
-            log = DriveLog.read(file, made, others=False)
+            log = read(made)
         except UnfitLogError as problem:
             turned = tuple(name for name in problem.check.turned if name in made)
             if not turned or done & set(turned):

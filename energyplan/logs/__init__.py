@@ -189,8 +189,10 @@ class DriveLog(ReadOnly, html.Readable):
         >>> DriveLog.read(frame, "v_left=velL[cm/s],v_right=velR[cm/s]").energy
         120.0
         """
-        read = read_table if isinstance(source, str | PathLike) else table_of
-        table = read(source, DriveLogError)  # type: ignore[arg-type]
+        if isinstance(source, str | PathLike):
+            table = read_table(source, DriveLogError, parse_columns(columns).get("t"))
+        else:
+            table = table_of(source, DriveLogError)
         names = (*table.columns, *table.text)
         wanted = parse_columns(columns, names)
         if others:

@@ -175,21 +175,30 @@ def derivative(
 
 def _local_rate(time: FloatArray, value: FloatArray, width: int) -> FloatArray:
     """Rate at each sample from the `width` samples (an odd number) around it."""
-    times, values = sliding_window_view(time, width), sliding_window_view(value, width)
     count, half = len(time), width // 2
     rate = np.empty(count)
-    for start in range(0, count, _BLOCK):
-        index = np.arange(start, min(start + _BLOCK, count))
+    wide = width > _WIDE
+    block = max(width, 1 << 10) if wide else _BLOCK
+    for start in range(0, count, block):
+        index = np.arange(start, min(start + block, count))
         first = np.clip(index - half, 0, count - width)
-        span = time[first + width - 1] - time[first]
-        u = (times[first] - time[index, None]) / span[:, None]
-        y = values[first] - value[index, None]
+        if wide:
+            part = slice(int(first[0]), int(first[-1]) + width)
+            span = np.full(len(index), time[part][-1] - time[part][0])
+            one = (time[part] - time[start]) / span[0]
+            sums = _running_sums(one, value[part] - value[start], first - part.start, width,
+                                 index - part.start)  # fmt: skip
+        else:
+            times, values = sliding_window_view(time, width), sliding_window_view(value, width)
+            span = time[first + width - 1] - time[first]
+            u = (times[first] - time[index, None]) / span[:, None]
+            y = values[first] - value[index, None]
+            u2 = u * u
+            sums = [u.sum(axis=1), *(
+                np.einsum("ij,ij->i", p, q) for p, q in ((u, u), (u2, u), (u2, u2))
+            ), y.sum(axis=1), *(np.einsum("ij,ij->i", p, y) for p in (u, u2))]  # fmt: skip
         # Normal equations of c0 + c1 u + c2 u^2; c1 by Cramer's rule.
-        u2 = u * u
-        s1, b0 = u.sum(axis=1), y.sum(axis=1)
-        s2, s3, s4, b1, b2 = (
-            np.einsum("ij,ij->i", p, q) for p, q in ((u, u), (u2, u), (u2, u2), (u, y), (u2, y))
-        )
+        s1, s2, s3, s4, b0, b1, b2 = sums
         m00, m01, m02 = width * s2 - s1 * s1, width * s3 - s1 * s2, width * s4 - s2 * s2
         r1, r2 = width * b1 - s1 * b0, width * b2 - s2 * b0
         det = m00 * m02 - m01 * m01
@@ -198,6 +207,25 @@ def _local_rate(time: FloatArray, value: FloatArray, width: int) -> FloatArray:
         parabola = (r1 * m02 - r2 * m01) / np.where(curved, det, 1.0)
         rate[index] = np.where(curved, parabola, r1 / m00) / span
     return rate
+
+
+_WIDE = 129  # samples of a window from which running sums are quicker
+
+
+def _running_sums(
+    u: FloatArray, y: FloatArray, first: NDArray[np.intp], width: int, at: NDArray[np.intp]
+) -> list[FloatArray]:
+    """Return sums over windows of powers of the times since a sample, and of those by readings."""
+    parts = np.stack([u, u**2, u**3, u**4, y, u * y, u**2 * y])
+    total = np.concatenate([np.zeros((7, 1)), np.cumsum(parts, axis=1)], axis=1)
+    r1, r2, r3, r4, p0, p1, p2 = total[:, first + width] - total[:, first]
+    c, own = u[at], y[at]
+    s1, s2 = r1 - c * width, r2 - 2 * c * r1 + c**2 * width
+    return [
+        s1, s2, r3 - 3 * c * r2 + 3 * c**2 * r1 - c**3 * width,
+        r4 - 4 * c * r3 + 6 * c**2 * r2 - 4 * c**3 * r1 + c**4 * width,
+        p0 - own * width, p1 - c * p0 - own * s1, p2 - 2 * c * p1 + c**2 * p0 - own * s2,
+    ]  # fmt: skip
 
 
 LARGEST_OFFSET = 2.0

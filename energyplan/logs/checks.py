@@ -25,7 +25,7 @@ from energyplan.logs.consistency import (
     lasts,
     regress,
 )
-from energyplan.logs.mapping import ROW, UNITS
+from energyplan.logs.mapping import LONGEST_STEP, ROW, SHORTEST_STEP, UNITS, dated
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
@@ -33,11 +33,10 @@ if TYPE_CHECKING:  # which imports this module
 
 POWERS = ("p_left", "p_right", "power", "current")
 """Channels of what is drawn."""
-LONGEST_STEP = 20.0
-"""Longest usual time from sample to sample [s]: beyond, it is in another unit."""
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
+_SPARSE = 1.5  # time from row to row beyond which most of a drive lies between them [s]
 _PAUSE, _BURSTS = 10.0, 0.05  # usual steps, and share of the rows, that tell rows in bursts
 _EACH_SIDE = (("left", "right"), ("right", "left"))
 _BY_SPEED = "p_left=CURRENT*SPEED[*V_S_PER_M]"  # how a motor's current makes a power
@@ -80,11 +79,23 @@ def refuse_one_side(logs: Sequence[DriveLog]) -> None:
 def _time(drive: Drive) -> _Found:
     """Time in another unit; rows in bursts; gaps."""
     t, step = drive.t, drive.usual_step
-    if not 1e-4 <= step <= LONGEST_STEP:
+    if step > LONGEST_STEP and dated(t):
+        yield Check(
+            f"rows are {step:g} s apart, and what the robot does between them is not seen",
+            f"log every second or more often, at least every {LONGEST_STEP:g} s", "reading",
+        )  # fmt: skip
+        return
+    if step > _SPARSE:
+        yield Check(
+            f"rows are {step:g} s apart: what the robot does between them is not seen",
+            "log more often, as ten times a second",
+        )
+    if not SHORTEST_STEP <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
         unit = min(sizes, key=lambda name: abs(np.log(step * sizes[name] / 0.05)))
         yield Check(
-            f"the time step of t is {step:g} s; between 0.1 ms and {LONGEST_STEP:g} s is possible",
+            f"the time step of t is {step:g} s; between {1e3 * SHORTEST_STEP:g} ms and "
+            f"{LONGEST_STEP:g} s is possible",
             f"name its unit, as in t=NAME[{unit}]", "reading",
         )  # fmt: skip
     jumps = np.mean(np.diff(t) > _PAUSE * step)
@@ -448,6 +459,7 @@ def _measured_twice(drive: Drive) -> _Found:
 # -- sides --------------------------------------------------------------------------------------
 
 _LONG = 5.0  # time of driving straight in which no power stays the same [s]
+_REPEATED = 5  # samples that show the same, at least, of a sensor that is dead
 _TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
 _SHARE = 0.05  # share of the samples in which it must
 _FLIPS = 0.3  # share of the steps that go back at once, of a reading with noise
@@ -497,7 +509,7 @@ def _dying(drive: Drive) -> _Found:
         values = drive.channels[name] if rate is None else rate
         active = drive.moving if rate is None else turns
         starts, counts = drive.stretches(name)
-        lasts_long = np.add.reduceat(time * active, starts) > _LONG
+        lasts_long = (np.add.reduceat(time * active, starts) > _LONG) & (counts >= _REPEATED)
         if rate is None:  # amid others, zeros may be of a side that stands, or of little power
             steps = np.diff(values[drive.moving])
             steps = steps[steps != 0.0]
@@ -858,6 +870,9 @@ def _descends(drive: Drive) -> bool:
     return float(np.sum(np.sin(slope) * forward)) < -0.02 * float(np.abs(forward).sum())
 
 
+_CHOPPED = 1.2  # times as many zeros while it drives slowly, of pulses
+
+
 def _repeats(drive: Drive) -> _Found:
     """Find a power that changes with every sample, but stays the same for a while in driving."""
     t, moving = drive.t, drive.moving
@@ -876,9 +891,19 @@ def _repeats(drive: Drive) -> _Found:
             drives &= (values[starts] != 0.0) | (drive.power[starts] == 0.0)
         blank = (values[starts] == 0.0) & (counts < least) & drives
         if name in ("power", "current") and np.count_nonzero(blank) > max(_ENOUGH, 0.01 * len(t)):
+            what, remedy = "rows without a reading were filled with 0", "leave such cells empty"
+            # Pulses of a bridge are the longer the faster it drives; a lost reading is chance.
+            slow = moving & (drive.effort < float(np.median(drive.effort[moving])))
+            zero = [float(np.mean(values[part] == 0.0)) for part in (slow, moving & ~slow)]
+            if zero[0] > max(_CHOPPED * zero[1], 0.1):
+                what, remedy = (
+                    "it is chopped, as beside a PWM bridge, and its mean is what is drawn",
+                    "average each column over some 0.1 s before the log is written, zeros too, as "
+                    "by pandas: table.groupby(table.t // 0.1).mean()",
+                )
             yield Check(
-                f"{name} falls to 0 for a moment {np.count_nonzero(blank)} times in driving: rows "
-                "without a reading were filled with 0", "leave such cells empty",
+                f"{name} falls to 0 for a moment {np.count_nonzero(blank)} times in driving: "
+                f"{what}", remedy,
             )  # fmt: skip
         hangs = drives & (counts >= least)
         lost, usual = int(counts[hangs].sum()), counts[drives & ~hangs]
@@ -903,6 +928,68 @@ def _repeats(drive: Drive) -> _Found:
             "s into the log: it repeats a reading where others change with every sample",
             "mend the sensor, or leave such stretches out",
         )
+
+
+_FOLLOWS = 0.15  # share of a power's variance that the motion explains, at least
+_EPISODES = 4  # of driving, and as many of standing, that tell whether one draws more
+_BEYOND = 3.0  # standard errors by which it does, at least
+_FAR = 24 * 3600.0  # time by which a clock may be off [s]
+_ZONE = 900.0  # which it then is by some whole quarters of an hour [s]
+
+
+def _unmoved(drive: Drive) -> _Found:
+    """Find a power that does not rise when the robot drives: of another time, or another thing."""
+    t, some = drive.t, _some(drive.runs)
+    shapes = power_regressors(drive.channels, drive.runs)
+    rest = regress([*shapes, np.ones(len(t))], drive.power).rest
+    if rest.var() < (1.0 - _FOLLOWS) * drive.power.var() or _descends(drive):
+        return
+    offset = find_offset("power", t, drive.power, shapes, some)
+    if offset is not None and offset.certain:
+        return  # which is said already
+    span = min(float(t[-1] - t[0]), _FAR)
+    shifts = [sign * k * _ZONE for k in range(1, int(span / _ZONE) + 1) for sign in (1.0, -1.0)]
+    rated: list[tuple[float, float]] = []
+    for shift in shifts:
+        inside = (t + shift >= t[0]) & (t + shift <= t[-1])
+        if np.count_nonzero(inside) > max(5 * _ENOUGH, 0.2 * len(t)):
+            moved = np.interp(t[inside] + shift, t, drive.power)
+            speed = drive.effort[inside]
+            alike = correlation(moved - moved.mean(), speed - speed.mean())
+            rated.append((alike, shift))
+    best, shift = max(rated, default=(0.0, 0.0))
+    rise = _rise(t, drive.effort, drive.power)
+    if best <= _SHIFTED and (rise is None or rise > _BEYOND):
+        return
+    why = "its clock is not that of the speeds, or it is that of another consumer, or a counter"
+    remedy = "log speed and power with one clock, and the power that the motors draw"
+    if best > _SHIFTED:
+        late, hours = "ahead" if shift > 0 else "behind", abs(shift) / 3600.0
+        sign = "-" if shift > 0 else "+"
+        why = f"the clock of the power is {hours:g} h {late} (correlation {best:.2f} once shifted)"
+        remedy = f"give its file shifted, as in speeds.csv+power.csv@{sign}{hours:g}h"
+    yield Check(f"the power does not rise when the robot drives: {why}", remedy)
+
+
+_SHIFTED = 0.5  # correlation of power and speeds from which a shift explains why they go apart
+
+
+def _rise(t: FloatArray, effort: FloatArray, power: FloatArray) -> float | None:
+    """Return by how many standard errors driving draws more than standing; None if unseen."""
+    top = float(np.quantile(effort, 0.95))
+    if top < 2 * _MOVING:
+        return None
+    kind = np.where(effort > 0.5 * top, 1, np.where(effort < 0.25 * top, -1, 0))
+    rows = np.flatnonzero(kind)
+    if not len(rows):
+        return None
+    starts = np.flatnonzero(np.diff(kind[rows], prepend=0))
+    means = np.add.reduceat(power[rows], starts) / np.diff(np.append(starts, len(rows)))
+    driving, standing = (means[kind[rows][starts] == sign] for sign in (1, -1))
+    if min(len(driving), len(standing)) < _EPISODES:
+        return None
+    error = np.sqrt(driving.var(ddof=1) / len(driving) + standing.var(ddof=1) / len(standing))
+    return float((driving.mean() - standing.mean()) / max(error, 1e-300))
 
 
 def _motor_current(drive: Drive) -> _Found:
@@ -951,6 +1038,7 @@ RULES = (
     Rule("a side that returns power has a negative one", _lost_sign, needs=_SIDES),
     Rule("a noisy power does not repeat", _repeats),
     Rule("power depends on speed", _motor_current),
+    Rule("power rises when the robot drives", _unmoved, of_two_sides=True),
     Rule("power is drawn backwards, too", _directed, of_two_sides=True),
     Rule("what is measured twice is the same", _measured_twice),
 )

@@ -19,7 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.logs.align import derivative
-from energyplan.logs.mapping import RATES, UNITS, Column, known_unit
+from energyplan.logs.mapping import (
+    LONGEST_STEP,
+    RATES,
+    SHORTEST_STEP,
+    UNITS,
+    Column,
+    dated,
+    known_unit,
+)
 from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 
@@ -272,12 +280,19 @@ def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
 
 
+_MANY = 20_000  # samples from which a Fourier transform is quicker than lag by lag
+
+
 def _repeats(residual: FloatArray) -> float:
     """How many neighbouring samples repeat each other: the sum of the autocorrelation."""
     size = float(residual @ residual)
-    total = 1.0
+    total, many = 1.0, len(residual) > _MANY
+    if many:  # all lags at once
+        spectrum = np.fft.rfft(residual, 2 * len(residual))
+        product = np.fft.irfft(np.abs(spectrum) ** 2)
     for lag in range(1, len(residual) // 4):
-        alike = float(residual[lag:] @ residual[:-lag]) / size if size > 0 else 0.0
+        shared = product[lag] if many else residual[lag:] @ residual[:-lag]
+        alike = float(shared) / size if size > 0 else 0.0
         if alike < 0.05:
             break
         total += 2 * alike
@@ -360,7 +375,7 @@ _ELECTRIC = _Range("power over voltage times current", 0.8, 1.25, 1.0, "the same
 _DENSITY = _Range("mass over wheelbase times track [kg/m^2]", 40.0, 3000.0, 300.0, "built robots")
 _ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "skid-steer robots")
 _INERTIA = _Range("mass by acceleration over that given", 0.62, 12.0, 1.1, "more with heavy drives")
-_STEP = _Range("time step [s]", 1e-4, 3.0, 0.05, "logs of drives")
+_STEP = _Range("time step [s]", SHORTEST_STEP, LONGEST_STEP, 0.05, "logs of drives")
 _VOLTAGE = _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots")
 # Whole numbers may be tenths or hundredths, so that they must be more usual to be believed.
 _WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whole numbers")
@@ -579,7 +594,7 @@ def _explain(
 ) -> list[tuple[float, str]]:
     """Name the mistakes without which all ratios hold, by how unusual they leave them."""
     # Where nothing is wrong, measures and batteries of any size are believed.
-    there, tried = {*drive.channels} - {"voltage"}, []
+    there, tried = {*drive.channels} - {"voltage", "t"}, []
     if wrong:
         there = {*drive.channels, "track", "wheelbase", "mass"}
         swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
@@ -588,6 +603,8 @@ def _explain(
         mapped = columns.get(one.channels[0])
         scale = 1.0 if mapped is None or one not in _MISTAKES else mapped.conversion.factor
         factor = one.factor / abs(scale)
+        if one.channels == ("t",) and (dated(drive.t) or (mapped is not None and mapped.unit)):
+            continue  # a calendar's time, or a clock whose unit is known
         if there.issuperset(one.channels) and abs(log(factor)) > 0.1:  # else it is read so
             text = f"{one.name}: {_remedy(one, columns)}"
             tried.append((one.rarity, text, one.undo(seen, drive, factor)))

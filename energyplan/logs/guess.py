@@ -58,6 +58,7 @@ _TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "
 _ROLLING = {"wheel", "wheels", "track", "tread"}  # words of a speed, where nothing else is said
 _WHOLE = {"curr"}  # no abbreviation of a quantity and a side
 _ROTATIONS = {"orientation", "rotation", "quat", "quaternion"}
+_COMPASS = {"x": {"east", "easting"}, "y": {"north", "northing"}}
 _NO_PLACE = {
     *_ROTATIONS, "vel", "velocity", "speed", "linear", "twist",
     "mag", "magnetic", "magnetometer", "magnet", "compass", "field", "gravity", "force", "torque",
@@ -144,6 +145,9 @@ def _score(channel: str, name: str) -> float:
         whole = 0.5 * bool(said & (_BATTERY | {"total"}))
         return (2.0 + whole) * has[channel] * (not any(has[other] for other in others))
     if channel in ("x", "y"):
+        last = words(unit_in("x", name).bare)[-1:]
+        if channel in "xy" and last and last[0] in _COMPASS[channel]:
+            return 1.5
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
         vector = has["turn"] or has["accel"] or bool(said & _NO_PLACE)
         return (1.0 + bool(place)) * (told[-1:] == [channel]) * (not vector)
@@ -205,16 +209,31 @@ def of_one_wheel(name: str) -> bool:
 def halves(name: str, others: Iterable[str]) -> list[str]:
     """Return powers or currents named like one but for a word: of another side, it may be."""
     told = _tokens(name)
-    if set(told) & (_BATTERY | {"total"}):
+    if "total" in told:
         return []
     found = []
     for other in others:
         pairs = list(zip(told, _tokens(other), strict=False))
         same = {one for one, twin in pairs if one == twin}
         alike = len(told) == len(_tokens(other)) == len(pairs) == len(same) + 1
-        if alike and same & (_WORDS["power"] | _WORDS["current"]):
+        # A battery's is the whole of what is no battery's.
+        packs = bool(set(told) & _BATTERY) == bool({*_tokens(other)} & _BATTERY)
+        if alike and packs and same & (_WORDS["power"] | _WORDS["current"]):
             found.append(other)
     return found
+
+
+def of_batteries(name: str) -> bool:
+    """Tell whether a name is of a battery."""
+    return bool(set(_tokens(name)) & _BATTERY)
+
+
+def siblings(one: Column, names: Iterable[str]) -> list[str]:
+    """Return names like a power's, or a torque's, that differ in the wheel or a number alone."""
+    side = one.channel.removeprefix("p_") if one.channel.startswith("p_") else ""
+    summed = {one.field, *one.plus}
+    alike = {name for group in [_groups(names)] for own in summed for name in group.get(own, ())}
+    return sorted(name for name in alike - {*one.names} if side_of(name) in ("", side) or not side)
 
 
 def _tokens(name: str) -> list[str]:

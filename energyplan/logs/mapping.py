@@ -162,7 +162,8 @@ _BRACKETED = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 def split_unit(name: str) -> tuple[str, str]:
     """Split a column's name from the unit in brackets at its end; empty where there is none."""
     match = _BRACKETED.fullmatch(name.strip())
-    return (match[1], match[2]) if match else (name.strip(), "")
+    # The heading of an orientation is written yaw(NAME), as of a bag's messages.
+    return (match[1], match[2]) if match and match[1] != "yaw" else (name.strip(), "")
 
 
 _SCALED = re.compile(r"(.*[^\W\d])[\W_]+(10+|0\.0*1)([A-Za-z/]+)")
@@ -225,17 +226,31 @@ def unit_in(channel: str, name: str) -> NamedUnit:
 _DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a clock may count days
 
 
-def time_unit(times: FloatArray) -> str:
-    """Return the unit of time in which a drive log's step is usual; empty where it is seconds."""
+_EPOCH = (5e8, 4e9)  # seconds since 1970 of recordings
+_RARE = 2.5  # time from row to row that is rare in a drive's log [s]
+SHORTEST_STEP, LONGEST_STEP = 2e-5, 20.0  # that which is possible [s]
+
+
+def dated(times: FloatArray) -> bool:
+    """Tell whether times in seconds are those of a calendar."""
+    return bool(_EPOCH[0] <= np.nanmedian(times) <= _EPOCH[1])
+
+
+def time_units(times: FloatArray) -> tuple[str, ...]:
+    """Return the units in which times may be, the likeliest first; empty ones are seconds."""
     steps = np.diff(times)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     if not len(steps):
-        return ""
+        return ("",)
     step = float(np.median(steps))
     sizes = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    for name, size in sizes.items():  # rows of a calendar's time may lie far apart
+        if dated(size * times) and step * size <= 3600.0:
+            return (name,)
     if np.nanmedian(times) > _DATE:
         sizes |= {"d": 86400.0}
-    return next((name for name, size in sizes.items() if 5e-4 <= step * size <= 2.5), "")
+    usual = tuple(name for name, size in sizes.items() if 5e-4 <= step * size <= _RARE)[:1]
+    return ("", *usual) if _RARE < step <= LONGEST_STEP else usual or ("",)
 
 
 def is_unit(text: str) -> bool:

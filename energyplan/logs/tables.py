@@ -10,9 +10,10 @@ import re
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +24,7 @@ from energyplan.errors import InvalidInputError, MissingDependencyError
 from energyplan.kinds import NO_NUMBER
 from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess
-from energyplan.logs.mapping import ROW, is_unit, scale_of, split_unit, time_unit
+from energyplan.logs.mapping import ROW, Column, is_unit, scale_of, split_unit, time_units
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
@@ -303,6 +304,10 @@ class Table:
         """Return a column; `ROW` is the number of each row."""
         if name in self.columns:
             return self.columns[name]
+        if name in (turns := quaternions(self.columns)):
+            z, w, *more = (self.columns[part] for part in turns[name])
+            x, y = more or (0.0, 0.0)
+            return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         if name == ROW and self.columns:
             return np.arange(len(next(iter(self.columns.values()))), dtype=float)
         if name in self.text:
@@ -313,6 +318,18 @@ class Table:
             raise self.error(f"{self.source}, {cell}, which is no number; {remedy}")
         there = ", ".join([*self.columns, *self.text][:20])
         raise self.error(f"{self.source}: there is no column {name!r}; the columns are {there}")
+
+
+def quaternions(names: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """Return the columns z, w and, where they are, x, y of orientations, by ``yaw(NAME)``."""
+    found = {}
+    for name in names:
+        base, last = name[:-1], name[-1:]
+        x, y, z = (base + part for part in ("xyz" if last == "w" else "XYZ"))
+        if last in ("w", "W") and z in names and (x in names) == (y in names):
+            label = base.rstrip("._/ ") or "orientation"
+            found[f"yaw({label})"] = (z, name, *((x, y) if x in names else ()))
+    return found
 
 
 class Columns:
@@ -436,11 +453,16 @@ _OTHERS = {
 """What files are that are not read, and what makes a table of them, by suffix."""
 
 
-def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
+def read_table(
+    path: str | Path, error: type[InvalidInputError], clock: Column | None = None
+) -> Table:
     """Read a table of numbers with one row of column names, or several, as ``a.csv+b.csv``."""
     parts = parts_of(path)
     if len(parts) > 1:
-        return _join([read_table(part, error) for part in parts], error)
+        split = [_SHIFTED.fullmatch(part) for part in parts]
+        files = [part if one is None else one[1] for part, one in zip(parts, split, strict=True)]
+        shifts = [0.0 if one is None else float(one[2]) * _SHIFTS[one[3]] for one in split]
+        return _join([read_table(file, error) for file in files], shifts, clock, error)
     file = Path(path)
     with _reading(file, error):
         if _suffix(file, error) == ".parquet":
@@ -448,37 +470,81 @@ def read_table(path: str | Path, error: type[InvalidInputError]) -> Table:
         return _read_csv(file, error)
 
 
+_SHIFTS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+_SHIFTED = re.compile(r"(.+)@([-+]?\d+(?:\.\d*)?)(s|min|h)")
+"""A file whose clock is shifted, such as ``bms.csv@-1h``."""
+
+
 def parts_of(path: str | Path) -> list[str]:
     """Return the files that are to be joined, of a path such as ``left.csv+right.csv``."""
-    parts = str(path).split("+")
+    parts = re.split(r"(?<!@)\+", str(path))  # a plus may stand before a shift, too
     joined = len(parts) > 1 and not Path(path).exists() and all(Path(one).suffix for one in parts)
     return parts if joined else [str(path)]
 
 
-def _join(tables: list[Table], error: type[InvalidInputError]) -> Table:
+def counts_rows(values: FloatArray) -> bool:
+    """Tell whether a column is the number of its row: that is no time."""
+    return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
+
+
+def find_clock(columns: Mapping[str, FloatArray]) -> Column | None:
+    """Return the column that increases all along, if there is one."""
+    for name, values in columns.items():
+        steps = np.diff(values)
+        if len(steps) and np.all(steps > 0) and not counts_rows(values):
+            return Column(field=name, channel="t")
+    return None
+
+
+def _join(
+    tables: list[Table], shifts: list[float], given: Column | None, error: type[InvalidInputError]
+) -> Table:
     """Put the rows of several tables in one, by one clock; cells of others are blank."""
     name = "+".join(table.source for table in tables)
     stems = [Path(table.source).name.partition(".")[0] for table in tables]
     if len(set(stems)) < len(stems):
         raise error(f"{name}: files that are joined must differ in name; rename one")
-    clocks, names = [], []
-    for table in tables:
-        found = guess(table.columns).get("t")
+    ways: list[list[FloatArray]] = []
+    names = []
+    for table, stem, late in zip(tables, stems, shifts, strict=True):
+        there = table.columns
+        field = "" if given is None else given.field.removeprefix(f"{stem}.")
+        found = given.changed(field=field) if given is not None and field in there else None
+        found = found or guess(there).get("t") or find_clock(there)
         if found is None:
-            raise error(f"{table.source}: no column seems to be the time; name one 'time [s]'")
+            raise error(
+                f"{table.source}: no column seems to be the time: say which it is with --columns "
+                "t=NAME[UNIT]"
+            )
         times = found.value(table.column)
         names.append(found.names)
-        clocks.append(times if found.unit else scale_of("t", time_unit(times)).factor * times)
-    spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
-    shared = min(end for _, end in spans) - max(start for start, _ in spans)
-    if not shared > 0.5 * min(end - start for start, end in spans):
+        units = ("s",) if found.unit else time_units(times)
+        ways.append([scale_of("t", unit).factor * times + late for unit in units])
+    best = (-np.inf, tuple(way[0] for way in ways))
+    for clocks in product(*ways):  # of units that may be, those in which the clocks agree
+        spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
+        shared = min(end for _, end in spans) - max(start for start, _ in spans)
+        share = shared / max(min(end - start for start, end in spans), 1e-9)
+        best = max(best, (share, clocks), key=lambda one: one[0])
+    share, clocks = best
+    if not share > 0.5:
+        spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
         told = ", ".join(
             f"{one.source} {a:.6g} to {b:.6g} s" for one, (a, b) in zip(tables, spans, strict=True)
         )
-        raise error(f"{name}: the clocks do not overlap ({told}); log all with one clock")
+        alike = len({tuple(table.columns) for table in tables}) == 1
+        raise error(
+            f"{name}: the clocks do not overlap ({told}); "
+            + ("these seem to be drives of their own: give them one after the other, as in "
+               "a.csv b.csv" if alike else
+               "log all with one clock, or shift one, as in a.csv+b.csv@-1h")
+        )  # fmt: skip
     order = np.argsort(np.concatenate(clocks), kind="stable")
     ends = np.cumsum([len(t) for t in clocks])
-    columns = {"t [s]": np.concatenate(clocks)[order]}
+    own = given is not None and any(given.field in clock for clock in names)
+    label, factor = ("t [s]", 1.0) if given is None or not own else (
+        given.field, given.conversion.factor)  # fmt: skip
+    columns = {label: np.concatenate(clocks)[order] / factor}
     text: dict[str, str] = {}
     for stem, clock, table, end in zip(stems, names, tables, ends, strict=True):
         for label, values in table.columns.items():

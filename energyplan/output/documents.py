@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
     from energyplan.fit.doubts import Adequacy
+    from energyplan.fit.tasks import TaskFit
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.live import Event
     from energyplan.mission import FleetReport, LegReport, MissionReport
+    from energyplan.path import FloatArray
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan
@@ -77,6 +79,19 @@ def identification(found: Identification) -> Document:
         "adequacy": adequacy(found.adequacy),
         **picked(found, "foretold set_aside warnings"),
     }
+
+
+def tasks(found: TaskFit, history: Mapping[str, FloatArray]) -> Document:
+    """Return what ``energyplan identify --json`` prints of a history of tasks."""
+    whole = float(np.nansum(history["energy"]))
+    return {
+        "terms": terms(found.model),
+        "icr": {**picked(found.model.vehicle.icr, "left right longitudinal"), "std_error": None},
+        "tasks": len(found.energies),
+        "residual": {"relative": found.spread, "energy_error": plain(
+            float(found.energies.sum()) / whole - 1.0)},
+        "warnings": list(found.warnings),
+    }  # fmt: skip
 
 
 def adequacy(left: Adequacy) -> Document:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from energyplan.html import number, unit
 from energyplan.output.documents import terms
@@ -13,9 +15,11 @@ if TYPE_CHECKING:
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate
     from energyplan.fit.identification import InternalFriction
+    from energyplan.fit.tasks import TaskFit
     from energyplan.io.start import Start
     from energyplan.live import Event
     from energyplan.mission import MissionReport
+    from energyplan.path import FloatArray
     from energyplan.physics.design import Design
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
@@ -53,6 +57,20 @@ def start(result: Start) -> list[str]:
     for check in result.checks:
         lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")
     return [*lines, *(f"note: {note}" for note in result.notes)]
+
+
+def tasks(found: TaskFit, history: Mapping[str, FloatArray]) -> list[str]:
+    """Return what ``energyplan identify`` prints of a history of tasks."""
+    model = found.model
+    lines = [
+        f"{one.name}: {one.symbol} = {number(value, 4)} +- {number(error, 2)} {one.unit}"
+        for one, value, error in zip(model.terms, model.coefficients, found.errors, strict=True)
+    ]
+    lines.append(
+        f"from {len(found.energies)} tasks of {number(np.nansum(history['distance']), 4)} m, whose "
+        f"energies are missed by {100 * found.spread:.2g} %"
+    )
+    return [*lines, *(f"note: {one}" for one in found.warnings)]
 
 
 def icr(found: ICREstimate) -> list[str]:

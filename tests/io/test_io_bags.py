@@ -14,6 +14,7 @@ from energyplan.io.bags import (
     read_bag,
 )
 from energyplan.io.logs import read_log
+from energyplan.io.start import Given, start
 from energyplan.io.tables import write_log
 from energyplan.logs.align import Series, align
 from energyplan.logs.mapping import Column
@@ -206,7 +207,7 @@ def test_units_in_the_names_of_topics_are_kept():
         {f"{name}.data": Column(topic=f"/{name}", field="data") for name in names},
         {f"/{name}": "std_msgs/msg/Float64" for name in names},
     )
-    made = fields.topic_map(fields.channels(), 0.2, "floats").channels
+    made = fields.topic_map(fields.named(), 0.2, "floats").channels
     factors = {channel: sources[0].conversion.factor for channel, sources in made.items()}
     wheel = pytest.approx(0.2 * np.pi / 30)
     assert factors == {"v_left": wheel, "v_right": wheel, "voltage": 1e-3, "current": 0.1}
@@ -273,6 +274,91 @@ def test_bags_are_told_from_tables(tmp_path, bags, drive):
     table = write_log(drive, tmp_path / "drive.csv")
     assert not is_bag(table)
     assert read_log(table).energy == pytest.approx(drive.energy)
+
+
+def several(folder, log, packs, *, strange=False):
+    """Record joints' angles alone, by two publishers in turn, and batteries by topic."""
+    vector, turn = "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Quaternion"
+    zero, none = np.zeros(9), np.zeros(0)
+    means = {side: log.channels[f"v_{side}"] for side in ("left", "right")}
+    gone = {side: 0.5 * np.diff(log.t) * (v[1:] + v[:-1]) for side, v in means.items()}
+    angles = {side: np.append(0.0, np.cumsum(way)) / 0.1651 for side, way in gone.items()}
+    with Recorder(folder, "mcap") as bag:
+        for k in range(0, len(log.t), 5):
+            t = float(log.t[k])
+            header = bag.header(t)
+            arm = bag.make("sensor_msgs/msg/JointState", header=header, name=["elbow"] * 20,
+                           position=np.zeros(20), velocity=none, effort=none)  # fmt: skip
+            wheels = bag.make(
+                "sensor_msgs/msg/JointState", header=header, name=["right_wheel", "left_wheel"],
+                position=np.array([angles["right"][k], angles["left"][k]]), velocity=none,
+                effort=none,
+            )  # fmt: skip
+            for message in (arm, wheels):
+                bag.write("/joint_states", "sensor_msgs/msg/JointState", t, message)
+            axes = {"/camera/imu": (0.0, -1.0, 0.0), "/imu/data": (0.0, 0.0, 1.0)}
+            for topic, axis in axes.items():
+                rate = dict(zip("xyz", np.array(axis) * log.channels["yaw_rate"][k], strict=True))
+                imu = bag.make(
+                    "sensor_msgs/msg/Imu", header=header, orientation_covariance=zero,
+                    orientation=bag.make(turn, x=0.0, y=0.0, z=0.0, w=1.0),
+                    angular_velocity=bag.make(vector, **rate), angular_velocity_covariance=zero,
+                    linear_acceleration=bag.make(vector, x=0.0, y=0.0, z=9.8),
+                    linear_acceleration_covariance=zero,
+                )  # fmt: skip
+                if not strange or topic == "/camera/imu":
+                    bag.write(topic, "sensor_msgs/msg/Imu", t, imu)
+            for topic, share in packs.items():
+                amps = -share(t) * float(log.power[k]) / 24.0
+                message = battery(bag, header, 24.0, amps)
+                bag.write(topic, "sensor_msgs/msg/BatteryState", t, message)
+    return bag.path
+
+
+PACKS = {
+    "two": ({"/battery_1": lambda t: 0.6, "/battery_2": lambda t: 0.4}, "counts /battery_1 and"),
+    "sum": ({"/battery": lambda t: 1.0, "/battery_1": lambda t: 0.5 + 0.3 * np.sin(t),
+             "/battery_2": lambda t: 0.5 - 0.3 * np.sin(t)}, "is the sum of"),
+    "signs": ({"/battery_1": lambda t: 0.6, "/battery_2": lambda t: -0.4}, "counts /battery_1 and"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PACKS)
+def test_all_batteries_count_once_and_the_robots_own_sensor_is_found(tmp_path, drive, name):
+    packs, note = PACKS[name]
+    path = several(tmp_path, drive, packs, strange=name == "signs")
+    measures = {"track": 0.555, "wheelbase": 0.512, "mass": 70.0, "wheel_radius": 0.1651}
+    made = start(path, Given(**measures))
+    assert made.sound, made.checks
+    assert any(note in one for one in made.notes), made.notes
+    log = read_log(path, topics=made.project.topics)
+    assert log.energy == pytest.approx(drive.energy, rel=0.01)
+    truth = np.interp(log.t, drive.t, drive.channels["yaw_rate"])
+    assert np.corrcoef(log.channel("yaw_rate"), truth)[0, 1] > 0.99
+    assert np.median(np.abs(log.channel("v_left") - np.interp(
+        log.t, drive.t, drive.channels["v_left"]))) < 0.01  # fmt: skip
+
+
+@pytest.mark.parametrize("other", [lambda t: 1.0, lambda t: 1.02 + 0.01 * np.sin(t)])
+def test_batteries_that_may_be_one_are_asked_for(tmp_path, drive, other):
+    packs = {"/battery": lambda t: 1.0, "/relayed/battery": other}
+    path = several(tmp_path, drive, packs)
+    known = {"track": 0.555, "wheelbase": 0.512, "mass": 70.0, "wheel_radius": 0.1651}
+    with pytest.raises(DriveLogError, match=r"twice: say --columns 'current=/battery\.c"):
+        start(path, Given(**known))
+    made = start(path, Given(**known, columns="current=/battery.current[-A]"))
+    log = read_log(path, topics=made.project.topics)
+    assert log.energy == pytest.approx(drive.energy, rel=0.01)
+
+
+def test_columns_of_a_bag_are_named_by_hand(bags, drive):
+    total = "power=/status.left_driver_current*/status.left_driver_voltage"
+    measures = {"track": 0.555, "wheelbase": 0.512, "mass": 70.0, "wheel_radius": 0.1651}
+    made = start(bags["mcap"], Given(**measures, columns=total))
+    (column,) = made.project.topics.channels["power"]
+    assert column.written == "left_driver_current * left_driver_voltage"
+    with pytest.raises(DriveLogError, match=r"no message has a field '/status.current'; near it"):
+        start(bags["mcap"], Given(**measures, columns="power=/status.current[W]"))
 
 
 # -- alignment ----------------------------------------------------------------------------------

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+import shutil
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from commands import Run
 from foreign_logs import ROVER, At, drive
 from pydantic import ValidationError
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
+from energyplan.fit.tasks import identify_tasks
 from energyplan.io.bags import BagFields, TopicMap, read_message
-from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.logs import read_log, tasks_of
+from energyplan.io.start import Given, read_like, start
 from energyplan.logs.mapping import Column
+from energyplan.logs.tables import read_table
 
 AT = At(drive(ROVER), ROVER)
 MEASURES = Given(**ROVER.measures)
@@ -37,6 +44,15 @@ CASES = {
 }  # fmt: skip
 
 
+SOME = (
+    "bag_battery_positive_discharge", "bag_camera_imu_first", "bag_eighteen_joints",
+    "bag_humble_custom_topic_beside", "bag_panther_two_batteries", "bag_two_joint_publishers",
+    "bms_one_hour_off", "clearpath_robot_yaml", "effort_times_velocity", "epoch_five_seconds",
+    "fleet_task_history", "geotiff_scaled_heights", "mcap_json_encoding", "pwm_chopped_current",
+    "quaternion_pose", "surfaces_shapefile", "vda5050_order", "vesc_tool_two_controllers",
+)  # fmt: skip
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize("name", CASES)
 def test_cases_of_the_field(shared_data: Path, name: str) -> None:
@@ -55,6 +71,54 @@ def test_cases_of_the_field(shared_data: Path, name: str) -> None:
         assert not any("tread speeds by" in note for note in made.notes)
         found = ep.identify(read_log(file, dict(made.project.columns)), made.project.vehicle)
         assert found.model.coefficient("traction_resistance") == pytest.approx(30.0, rel=0.01)
+
+
+REFUSED = {
+    "bms_one_hour_off": "clock of .* 1 h",
+    "clearpath_robot_yaml": "",
+    "effort_times_velocity": "rear_left_effort",
+    "epoch_five_seconds": "5 s apart",
+    "fleet_task_history": "a row is a task",
+    "mcap_json_encoding": "messages in JSON",
+    "pwm_chopped_current": "average",
+    "surfaces_shapefile": "ogr2ogr",
+    "vda5050_order": "VDA 5050",
+}
+"""Cases that need not be read, and what their refusal says."""
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", SOME)
+def test_commands_of_the_field(
+    shared_data: Path, name: str, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each case is read right, to K = 30 N, or refused in the words that help."""
+    folder = shared_data / "field" / name
+    case = tomllib.loads((folder / "case.toml").read_text())
+    shutil.copytree(folder, tmp_path / "case")
+    monkeypatch.chdir(tmp_path / "case")
+    told, project = "", Path("p.yaml")
+    for command in map(shlex.split, case["commands"]):
+        if command[1] == "identify" and not project.exists():
+            continue
+        answer = run(*command[1:], *(["--json"] if command[1] in ("identify", "plan") else []))
+        assert answer.code in (0, 2, 3), answer.err
+        if answer.code == 0 and command[1] == "identify":
+            terms = {one["name"]: one["value"] for one in answer.json["terms"]}
+            assert terms["traction_resistance"] == pytest.approx(30.0, rel=0.05)
+            assert answer.json["icr"]["left"] == pytest.approx(0.43, rel=0.05)
+            return
+        if answer.code == 0 and command[1] == "plan":
+            assert answer.json["energy"] == pytest.approx(1888.0, rel=0.03)
+            return
+        told += answer.err + answer.out
+    if name in REFUSED:
+        assert re.search(REFUSED[name], told), told
+    else:
+        assert project.exists(), told
+        log = next(iter(case["commands"])).split()[2]
+        terms = run("identify", log, "--project", project, "--json").json["terms"]
+        assert terms[1]["value"] == pytest.approx(30.0, rel=0.05)
 
 
 def test_a_side_in_the_mirror_is_doubted_without_a_heading() -> None:
@@ -140,7 +204,7 @@ def test_a_topic_map_makes_tread_speeds_of_a_twist() -> None:
     parts = ("linear.x", "angular.z")
     labels = {part: Column(topic="/odom", field=f"twist.twist.{part}") for part in parts}
     fields = BagFields(labels, {"/odom": "nav_msgs/msg/Odometry"})
-    sources = fields.twist(0.5)
+    (sources,) = fields.treads(0.5)
     assert not fields.wheel_rates(sources)
     mapped = fields.topic_map(sources, 1.0, "odometry").channels
     twist = SimpleNamespace(linear=SimpleNamespace(x=0.7), angular=SimpleNamespace(z=0.4))
@@ -159,14 +223,9 @@ def test_efforts_of_joints_make_a_power_as_it_is_told() -> None:
         for k in "ab"
     }
     fields = BagFields(every, {"/joints": "sensor_msgs/msg/JointState"})
-    told = fields.torques(fields.channels())
-    assert "field: '2*effort[left_a|left_b]', times: 'velocity[left_a|left_b]'" in told
-    part = {
-        "topic": "/joints",
-        "field": "2*effort[left_a|left_b]",
-        "times": "velocity[left_a|left_b]",
-    }
-    (column,) = TopicMap(channels={"p_left": part}).channels["p_left"]
+    told = fields.torques(fields.treads(0.5)[0])
+    text = told.partition("--columns ")[2].strip('"')
+    column = fields.parse(text)["p_left"]
     message = SimpleNamespace(
         name=["left_a", "left_b", "right_a"], velocity=[2.0, 2.0, 9.0], effort=[3.0, 4.0, 9.0]
     )
@@ -195,3 +254,142 @@ def test_what_could_be_one_unit_or_another_is_asked_for(
     pd.DataFrame({**made, **columns}).to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(DriveLogError, match=told):
         start(tmp_path / "log.csv", MEASURES)
+
+
+def written(folder: Path, name: str = "log.csv", **columns: object) -> Path:
+    made = {"time": AT.t, "left_speed": AT.left, "right_speed": AT.right} | columns
+    pd.DataFrame(made).to_csv(folder / name, index=False)
+    return folder / name
+
+
+HALF = {"volts": AT.volts, "main_battery_current": 0.5 * AT.amps,
+        "aux_battery_current": 0.5 * AT.amps}  # fmt: skip
+
+
+def test_two_batteries_are_not_one(tmp_path: Path) -> None:
+    with pytest.raises(DriveLogError, match=r"main_battery_current\+aux_battery_current"):
+        start(written(tmp_path, gyro_z=AT.yaw_rate, **HALF), MEASURES)
+
+
+def test_a_power_without_a_wheel_is_wrong(tmp_path: Path) -> None:
+    torque = {f"{place}_{side}_effort": 0.5 * power / np.where(speed == 0.0, 1.0, speed)
+              for place in ("front", "rear")
+              for side, speed, power in (("left", AT.left, AT.p_left),
+                                         ("right", AT.right, AT.p_right))}  # fmt: skip
+    file = written(tmp_path, gyro_z=AT.yaw_rate, **torque)
+    one = "p_left=front_left_effort*left_speed,p_right=front_right_effort*right_speed"
+    made = start(file, Given(**ROVER.measures, columns=one))
+    told = [check for check in made.checks if not check.ok and "rear_left_effort" in check.what]
+    assert not made.sound and len(told) == 1
+    whole = "{0}=(front_{1}_effort+rear_{1}_effort)*{1}_speed"
+    assert whole.format("p_left", "left") in told[0].remedy
+    both = ",".join(whole.format(f"p_{side}", side) for side in ("left", "right"))
+    assert start(file, Given(**ROVER.measures, columns=both)).sound
+
+
+@pytest.mark.parametrize("compass", [False, True])
+def test_east_and_north_with_a_heading_are_a_pose(tmp_path: Path, compass: bool) -> None:
+    """USER: ``odom_east_m, odom_north_m, heading_deg``; the wheel radius comes from it."""
+    at = AT.log.channels
+    heading = np.degrees(at["yaw"])
+    file = written(
+        tmp_path, left_speed=AT.left / 0.15, right_speed=AT.right / 0.15, power=AT.power,
+        odom_east_m=at["x"], odom_north_m=at["y"],
+        heading_deg=(90.0 - heading if compass else heading) % 360.0,
+    )  # fmt: skip
+    columns = "v_left=left_speed[rad/s*0.15],v_right=right_speed[rad/s*0.15]"
+    made = start(file, Given(**ROVER.measures, columns=columns))
+    assert made.sound, made.checks
+    log = read_log(file, dict(made.project.columns))
+    rate = np.gradient(np.unwrap(log.channel("yaw")), log.t)
+    assert np.corrcoef(rate, log.channel("v_right") - log.channel("v_left"))[0, 1] > 0.9
+    assert not any("pose" in warning for warning in log.warnings)
+
+
+def test_an_orientation_is_a_heading(tmp_path: Path) -> None:
+    half = 0.5 * AT.log.channels["yaw"]
+    file = written(tmp_path, power=AT.power, qx=0.0, qy=0.0, qz=np.sin(half), qw=np.cos(half))
+    columns = start(file, MEASURES).project.columns
+    log = read_log(file, dict(columns))
+    np.testing.assert_allclose(np.unwrap(log.channel("yaw")), np.unwrap(2.0 * half), atol=1e-9)
+
+
+def test_a_clock_that_is_an_hour_off_is_named_and_shifted(tmp_path: Path) -> None:
+    hours = np.arange(0.0, 9000.0, 2.0)
+    phase = np.cumsum(np.random.default_rng(3).uniform(0.1, 0.3, len(hours)))
+    speed = np.where(np.sin(phase) > 0.0, 0.6, 0.0)
+    frame = {"time": 1.7e9 + hours, "left_speed": speed, "right_speed": speed}
+    pd.DataFrame(frame).to_csv(tmp_path / "wheels.csv", index=False)
+    battery = {"time": 1.7e9 + hours + 3600.0, "power": 100.0 * speed + 5.0}
+    pd.DataFrame(battery).to_csv(tmp_path / "battery.csv", index=False)
+    path = f"{tmp_path / 'wheels.csv'}+{tmp_path / 'battery.csv'}"
+    (wrong,) = [check for check in start(path, MEASURES).checks if not check.ok]
+    assert "clock of the power is 1 h ahead" in wrong.what and "@-1h" in wrong.remedy
+    assert start(f"{path}@-1h", MEASURES).sound
+
+
+@pytest.mark.parametrize(("step", "unit"), [(5.0, "s"), (5e-3, "ms")])
+def test_rows_seconds_apart_are_told_from_milliseconds(
+    tmp_path: Path, step: float, unit: str
+) -> None:
+    t = np.arange(0.0, 600.0 if unit == "s" else 30.0, step)
+    speed = 0.4 * (1 + np.sign(np.sin(t / 40.0))) if unit == "s" else 0.8 * np.sin(t / 3.0) ** 2
+    clock = t if unit == "s" else 1e3 * t
+    frame = {"clock": clock, "left_speed": speed, "right_speed": speed, "power": 90 * speed}
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    assert start(tmp_path / "log.csv", MEASURES).project.columns["t"].unit in (unit, "")
+    log = read_log(
+        tmp_path / "log.csv", dict(start(tmp_path / "log.csv", MEASURES).project.columns)
+    )
+    assert np.median(np.diff(log.t)) == pytest.approx(step)
+
+
+def test_several_drives_make_one_project(tmp_path: Path, run: Run) -> None:
+    extra = {"power": AT.power, "gyro_z": AT.yaw_rate}
+    first, second = (written(tmp_path, name, **extra) for name in ("a.csv", "b.csv"))
+    third = written(tmp_path, "c.csv", power=-AT.power, gyro_z=AT.yaw_rate)
+    options = ("--track", 0.45, "--wheelbase", 0.5, "--mass", 30, "--out", tmp_path / "p.yaml")
+    told = run("start", first, second, *options)
+    assert told.code == 0 and "holds the same readings" in told.out
+    assert f"next: energyplan identify {first} {second}" in told.out
+    told = run("start", first, third, *options)
+    assert told.code == 2 and "c.csv" in told.err and "wrong sign" in told.err
+
+
+def test_a_history_of_tasks_tells_resistance_and_friction(tmp_path: Path, run: Run) -> None:
+    noise = np.random.default_rng(2)
+    distance, turning = noise.uniform(20, 90, 50), noise.uniform(1, 20, 50)
+    duration = distance / 0.7 + noise.uniform(10, 400, 50)
+    vehicle = ROVER.vehicle
+    joules = ROVER.K * (2 * distance + (vehicle.icr.left + vehicle.icr.right) * turning)
+    joules = joules + ROVER.mu * vehicle.slip_moment * turning + 15.0 * duration
+    made = {"distance_m": distance, "turning_deg": np.degrees(turning), "duration_min":
+            duration / 60.0, "energy_Wh": joules / 3600.0 * noise.normal(1, 0.01, 50)}  # fmt: skip
+    pd.DataFrame(made).to_csv(tmp_path / "tasks.csv", index=False)
+    found = identify_tasks(tasks_of(read_table(tmp_path / "tasks.csv", DriveLogError)), vehicle)
+    truth = [ROVER.K, ROVER.mu, 15.0]
+    assert np.all(np.abs(found.model.coefficients - truth) < 4 * found.errors)
+    np.testing.assert_allclose(found.model.coefficients, truth, rtol=0.1)
+    with pytest.raises(DriveLogError, match="a row is a task"):
+        start(tmp_path / "tasks.csv", MEASURES)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "found"),
+    [
+        ("robot.yaml", "serial_number: j100-0001\nplatform: {}\n", {"like": "jackal"}),
+        ("base.yaml", "c:\n  ros__parameters: {wheel_separation: 0.5, wheel_radius: 0.1}\n",
+         {"track": 0.5, "wheel_radius": 0.1}),
+        ("r.urdf", '<robot><link name="w"><inertial><mass value="9"/></inertial><visual><geometry>'
+         '<cylinder radius="0.1"/></geometry></visual></link><joint name="left_wheel" type='
+         '"continuous"><origin xyz="0.2 0.25 0"/><child link="w"/></joint><joint name="right_wheel"'
+         ' type="continuous"><origin xyz="-0.2 -0.25 0"/></joint></robot>',
+         {"mass": 9.0, "wheelbase": 0.4, "track": 0.5, "wheel_radius": 0.1}),
+    ],
+)  # fmt: skip
+def test_files_of_other_tools_tell_the_robot(
+    tmp_path: Path, name: str, text: str, found: dict[str, object]
+) -> None:
+    (tmp_path / name).write_text(text)
+    told = read_like(str(tmp_path / name))
+    assert {key: getattr(one, "name", one) for key, one in told.items()} == found
