@@ -58,13 +58,19 @@ def identify_tasks(tasks: Mapping[str, FloatArray], vehicle: Vehicle) -> TaskFit
     fitted = _fit(columns, energy)
     warnings: list[str] = []
     if hotel is not None and not _SEEN * fitted.errors[-1] < abs(fitted.values[-1]):
-        duration = columns.pop(hotel)
-        change = float((duration / energy).sum() / (columns[TRACTION] / energy).sum())
+        duration, open_load = columns.pop(hotel), float(fitted.errors[-1])
+        fitted = _fit(columns, energy)
+        change = fitted.slopes @ (duration / energy)  # of the coefficients, by a watt left out
+        most = float(np.min(fitted.values / np.maximum(change, 1e-300)))
+        # a load from none to the one that leaves no resistance is as likely as any other
+        open_load = min(open_load, most / np.sqrt(12.0))
+        covariance = fitted.covariance + open_load**2 * np.outer(change, change)
+        fitted = fitted._replace(covariance=covariance)
         warnings.append(
             "the tasks do not show a hotel load apart from the rest: it counts as resistance, and "
-            f"each watt of it lowers K by about {change:.2g} N"
+            f"each watt of it lowers K by about {change[0]:.2g} N; the standard errors hold a load "
+            f"of up to {most:.2g} W"
         )
-        fitted = _fit(columns, energy)
     values, covariance, rest = fitted.values, fitted.covariance, fitted.rest
     model = PowerModel(
         vehicle=vehicle, terms=tuple(columns), coefficients=values, covariance=covariance,
@@ -103,6 +109,7 @@ class _Fitted(NamedTuple):
     values: FloatArray
     covariance: FloatArray
     rest: FloatArray  # relative errors of the tasks' energies
+    slopes: FloatArray  # (k, n): change of the values with the relative energies
 
     @property
     def errors(self) -> FloatArray:
@@ -115,7 +122,8 @@ def _fit(columns: Mapping[Term, FloatArray], energy: FloatArray) -> _Fitted:
     scale = np.sqrt((X * X).sum(axis=0))
     if np.linalg.matrix_rank(X / scale, tol=1e-6) < len(scale):
         if len(scale) > 1 and [*columns][-1].name == "hotel_load":
-            return _Fitted(np.zeros(len(scale)), np.diag(np.full(len(scale), np.inf)), energy)
+            unknown = np.diag(np.full(len(scale), np.inf))
+            return _Fitted(np.zeros(len(scale)), unknown, energy, np.zeros_like(X.T))
         raise NotIdentifiableError(
             "the tasks are all alike: distance and turning grow together; give tasks that differ, "
             "as some with much turning, or record a drive"
@@ -130,7 +138,7 @@ def _fit(columns: Mapping[Term, FloatArray], energy: FloatArray) -> _Fitted:
     inverse = np.linalg.inv(weighted.T @ X)
     meat = (weighted * rest[:, None]).T @ (weighted * rest[:, None])
     covariance = len(energy) / (len(energy) - len(values)) * inverse @ meat @ inverse
-    return _Fitted(values, covariance, rest)
+    return _Fitted(values, covariance, rest, inverse @ weighted.T)
 
 
 def _of_arcs(model: PowerModel, half: float) -> float:
