@@ -531,8 +531,8 @@ def mission(
         result = evaluate(asked)
     if trajectories:
         trajectories.mkdir(parents=True, exist_ok=True)
-        for k, leg in enumerate(result.trajectories, start=1):
-            write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
+        for k, leg in enumerate(result.legs, start=1):
+            write_trajectory(leg.trajectory, trajectories / f"leg_{k:02d}.csv")
     if report:
         from energyplan.output.pages import mission_page
 

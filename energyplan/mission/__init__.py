@@ -1,14 +1,10 @@
 """Battery budget missions of one robot or several; see `energyplan.mission.evaluation`."""
 
 from energyplan.mission.evaluation import (
-    ChargerReport,
     Doubt,
     Evaluated,
-    LegReport,
     MissionReport,
-    Stop,
     TaskReport,
-    Timeline,
     evaluate,
     evaluate_many,
 )
@@ -22,11 +18,12 @@ from energyplan.mission.robots import (
     RobotState,
     evaluate_fleet,
 )
+from energyplan.mission.trip import Activity, ChargerReport, Segment, Stop, Timeline
 from energyplan.mission.types import Charger, Mission, Remedy, Spreads, Task
 
 __all__ = [
-    "Charger", "ChargerReport", "Doubt", "Evaluated", "Fleet", "FleetReport", "LeftOut",
-    "LegReport", "Mission", "MissionReport", "Remedy", "Robot", "RobotReport", "RobotState",
-    "Routes", "Spreads", "Stop", "Task", "TaskReport", "Timeline", "evaluate", "evaluate_fleet",
+    "Activity", "Charger", "ChargerReport", "Doubt", "Evaluated", "Fleet", "FleetReport", "LeftOut",
+    "Mission", "MissionReport", "Remedy", "Robot", "RobotReport", "RobotState", "Routes", "Segment",
+    "Spreads", "Stop", "Task", "TaskReport", "Timeline", "evaluate", "evaluate_fleet",
     "evaluate_many",
 ]  # fmt: skip

@@ -12,24 +12,23 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from energyplan import html
 from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError, UnknownNameError
 from energyplan.kinds import checked
+from energyplan.mission import trip
 from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
 from energyplan.mission.order import attempt, best_stops, finish
+from energyplan.mission.trip import Activity, ChargerReport, Segment, Stop, Timeline
 from energyplan.mission.types import Mission, Remedy
-from energyplan.path import FloatArray, Path, Pose, Trajectory
+from energyplan.path import Path
 
 Verdict = Literal["reachable", "unreachable"]
-_INSTANT = 0.5  # a shorter wait is no line of the timetable [s]
-
-StopKind = Literal["start", "task", "charge", "end"]
 Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
 
 
@@ -56,54 +55,6 @@ class TaskReport:
 
 
 @dataclass(frozen=True)
-class Stop:
-    """A place at which the robot stops, and when."""
-
-    name: str  # the place
-    kind: StopKind  # what it stops for
-    pose: Pose  # where [m], [rad]
-    arrival: float  # when it gets there [s]
-    departure: float  # when it leaves [s]
-    soc: float  # state of charge on leaving, as expected
-    soc_lower: float  # the same at the bound
-
-
-@dataclass(frozen=True, eq=False)
-class LegReport:
-    """A drive from one stop to the next."""
-
-    start: str  # where it begins
-    goal: str  # where it ends
-    departure: float  # when it begins [s]
-    energy: float  # energy, as expected [J]
-    trajectory: Trajectory  # the drive, from time 0
-    soc: FloatArray  # (n,): state of charge at each of its samples, as expected
-    soc_lower: FloatArray  # (n,): the same at the bound
-
-
-@dataclass(frozen=True)
-class Activity:
-    """A line of a mission's timetable."""
-
-    start: float  # when it begins [s]
-    end: float  # when it ends [s]
-    kind: Literal["drive", "wait", "work", "charge"]  # what the robot does
-    place: str  # where; of a drive, from where to where
-    soc_start: float  # state of charge before it, as expected
-    soc_end: float  # state of charge after it, as expected
-
-
-@dataclass(frozen=True)
-class ChargerReport:
-    """How a charger is used."""
-
-    name: str  # the charger
-    visits: int  # how often the robot charges there
-    duration: float  # how long in all [s]
-    energy: float  # energy that it supplies, as expected [J]
-
-
-@dataclass(frozen=True)
 class Doubt:
     """What one unknown costs."""
 
@@ -113,45 +64,79 @@ class Doubt:
 
 
 @dataclass(frozen=True)
-class Timeline:
-    """The mission over time; arrays of one shape."""
-
-    t: FloatArray  # (n,): time [s]
-    x: FloatArray  # (n,): x of the pose [m]
-    y: FloatArray  # (n,): y of the pose [m]
-    yaw: FloatArray  # (n,): heading of the pose [rad]
-    power: FloatArray  # (n,): power at the battery from each time to the next [W]
-    soc: FloatArray  # (n,): state of charge, as expected
-    soc_lower: FloatArray  # (n,): the same at the bound
-    soc_upper: FloatArray  # (n,): as far above what is expected as the bound is below
-
-
-@dataclass(frozen=True)
 class MissionReport(html.Readable):
     """Which tasks can be done, in which order, with what energy."""
 
     mission: Mission
     tasks: tuple[TaskReport, ...]  # one for each task, in the order of the mission
-    order: tuple[str, ...]  # names of the stops in the order of their visits, chargers included
+    trip: tuple[Segment, ...]  # what the robot does, from its start to its end
     energy: float  # energy of the whole mission, expected [J]
     energy_upper: float  # the same at the bound [J]
-    soc_end: float  # state of charge at the end, expected
-    soc_end_lower: float  # the same at the bound
     feasible: bool  # whether every required task is reachable and it ends where it must
-    end: str  # where it ends
-    duration: float  # how long it takes [s]
     proven: bool  # whether, for a free order, no better one exists on the routes known
-    timeline: Timeline
-    paths: tuple[Path, ...]  # the drives
-    trajectories: tuple[Trajectory, ...] = ()  # timed, each from 0; without those that stay
-    route: tuple[Stop, ...] = ()  # the stops with their times, from the start to the end
-    # Largest first, taken between the charges where the largest margin is needed; without charges
+    gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
+    # Largest first, between the charges where the largest margin is needed; without charges
     # that is the whole mission. The squares add up to the variance.
     uncertainty: tuple[Doubt, ...] = ()
-    legs: tuple[LegReport, ...] = ()
-    chargers: tuple[ChargerReport, ...] = ()
-    gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
     warnings: tuple[str, ...] = ()  # what to know before trusting the figures
+
+    @cached_property
+    def route(self) -> tuple[Stop, ...]:
+        """The stops with their times, from the start to the end."""
+        return trip.stops(self.trip)
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Names of the stops in the order of their visits, chargers included."""
+        names = [stop.name for stop in self.route]
+        chargers = {charger.name for charger in self.mission.chargers}
+        last = names[-1:] if names[-1] in chargers - {names[-2]} else []
+        return (*names[1:-1], *last)
+
+    @property
+    def end(self) -> str:
+        """Where the mission ends."""
+        return self.route[-1].name
+
+    @property
+    def duration(self) -> float:
+        """Duration of the mission [s]."""
+        return self.route[-1].arrival - self.mission.time
+
+    @property
+    def soc_end(self) -> float:
+        """State of charge at the end, expected."""
+        return self.route[-1].soc
+
+    @property
+    def soc_end_lower(self) -> float:
+        """State of charge at the end, at the bound."""
+        return self.route[-1].soc_lower
+
+    @property
+    def legs(self) -> tuple[Segment, ...]:
+        """The drives from stop to stop."""
+        return tuple(part for part in self.trip if part.leg is not None)
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The paths of the drives."""
+        return tuple(part.leg.path for part in self.trip if part.leg is not None)
+
+    @property
+    def chargers(self) -> tuple[ChargerReport, ...]:
+        """How each charger is used."""
+        return trip.uses(self.trip, [charger.name for charger in self.mission.chargers])
+
+    @property
+    def timetable(self) -> tuple[Activity, ...]:
+        """What the robot does from when to when, in the order of time."""
+        return trip.activities(self.trip)
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """The mission over time."""
+        return trip.timeline(self.trip)
 
     @property
     def headline(self) -> str:
@@ -186,27 +171,6 @@ class MissionReport(html.Readable):
         return f"{self.headline};{subject} {told}" if self.duration else self.headline
 
     @property
-    def timetable(self) -> tuple[Activity, ...]:
-        """What the robot does from when to when, in the order of time."""
-        begins = {task.name: task.start for task in self.tasks}
-        spans: list[tuple[float, float, Literal["drive", "wait", "work", "charge"], str]] = [
-            (leg.departure, leg.departure + leg.trajectory.duration, "drive",
-             f"{leg.start} to {leg.goal}")
-            for leg in self.legs
-        ]  # fmt: skip
-        for stop in self.route[1:-1]:
-            begin = stop.arrival if stop.kind == "charge" else begins[stop.name]
-            if begin > stop.arrival + _INSTANT:
-                spans.append((stop.arrival, begin, "wait", stop.name))
-            kind: Literal["work", "charge"] = "charge" if stop.kind == "charge" else "work"
-            spans.append((begin, stop.departure, kind, stop.name))
-        spans.sort(key=lambda span: span[:2])
-        charge = [np.interp(span[:2], self.timeline.t, self.timeline.soc) for span in spans]
-        return tuple(
-            Activity(*span, *map(float, soc)) for span, soc in zip(spans, charge, strict=True)
-        )
-
-    @property
     def tables(self) -> tuple[html.Summary, ...]:
         """The report as titled rows: tasks, timetable, and what is uncertain."""
         tasks = [
@@ -215,7 +179,7 @@ class MissionReport(html.Readable):
                for joules in (task.energy, task.energy_upper)),
              f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
              task.remedy or "-")
-            for task in map(self.task, self.table["name"])
+            for task in self._ranked
         ]  # fmt: skip
         times = [
             (clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
@@ -258,65 +222,18 @@ class MissionReport(html.Readable):
         return known[name]
 
     @property
-    def table(self) -> pd.DataFrame:
-        """One row for each task, the flagged ones first, then in the order of their visits."""
+    def _ranked(self) -> list[TaskReport]:
+        """The tasks, the flagged ones first, then in the order of their visits."""
         rank = {name: k for k, name in enumerate(self.order)}
-        rows = sorted(
+        return sorted(
             self.tasks, key=lambda t: (t.verdict == "reachable", rank.get(t.name, len(rank)))
         )
-        columns = (
-            "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
-            "shortfall", "remedy",
-        )  # fmt: skip
-        return pd.DataFrame([[getattr(t, c) for c in columns] for t in rows], columns=list(columns))
 
 
 def clock(seconds: float) -> str:
     """Return a time as hours, minutes and seconds."""
     whole = round(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
-
-
-def leg_reports(walk: Walk, end: State) -> tuple[LegReport, ...]:
-    """Return the drives of a mission."""
-    names, node, legs = walk.legs.names, walk.start.node, []
-    for piece in end.pieces:
-        if piece.leg is not None and piece.leg.trajectory is not None:
-            legs.append(
-                LegReport(
-                    names[node], names[piece.goal], float(piece.t[0]), piece.leg.energy.mean,
-                    piece.leg.trajectory, piece.soc, piece.soc_lower,
-                )
-            )  # fmt: skip
-        node = piece.goal
-    return tuple(legs)
-
-
-def charger_reports(walk: Walk, end: State) -> tuple[ChargerReport, ...]:
-    """Return how each charger is used."""
-    found = []
-    for node in walk.legs.chargers:
-        visits = [p for p in end.pieces if p.kind == "charge" and p.goal == node]
-        duration = sum(float(p.t[-1] - p.t[0]) for p in visits)
-        energy = sum(float(-p.power[:-1] @ np.diff(p.t)) for p in visits)
-        found.append(ChargerReport(walk.legs.names[node], len(visits), duration, energy))
-    return tuple(found)
-
-
-def timeline(walk: Walk, end: State) -> Timeline:
-    """Return the mission over time."""
-    columns: list[list[np.ndarray]] = [[] for _ in range(8)]
-    for piece in end.pieces:
-        drive = None if piece.leg is None else piece.leg.trajectory
-        if drive is None:
-            x, y, yaw = (np.full(len(piece.t), value) for value in walk.legs.poses[piece.goal])
-        else:
-            x, y, yaw = drive.x, drive.y, drive.yaw
-        mirror = np.minimum(2 * piece.soc - piece.soc_lower, 1.0)
-        parts = (piece.t, x, y, yaw, piece.power, piece.soc, piece.soc_lower, mirror)
-        for column, part in zip(columns, parts, strict=True):
-            column.append(part)
-    return Timeline(*(np.concatenate(c) if c else np.zeros(0) for c in columns))
 
 
 def doubts(walk: Walk, end: State) -> tuple[Doubt, ...]:
@@ -424,34 +341,17 @@ class Evaluation:
             for told, task in zip(tasks, self.mission.tasks, strict=True)
             if task.required and told.verdict == "unreachable"
         ]
-        end, route = self.end, self.route(self.end)
-        to_charger = end.node in self.legs.chargers and route[-2].name != route[-1].name
-        stops = route[1:] if to_charger else route[1:-1]
-        drives = [piece.leg.path for piece in end.pieces if piece.leg is not None]
+        end = self.end
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
-            order=tuple(stop.name for stop in stops),
+            trip=self.walk.mark(end, "end").trip,
             energy=end.total.mean,
             energy_upper=end.total.upper(self.walk.quantile),
-            soc_end=end.expected.soc,
-            soc_end_lower=end.worst.soc,
             feasible=last is not None and not missed,
-            end=self.legs.names[end.node],
-            duration=end.time - self.mission.time,
             proven=self.proven,
             gap=self.gap,
-            timeline=timeline(self.walk, end),
-            paths=tuple(drives),
-            trajectories=tuple(
-                piece.leg.trajectory
-                for piece in end.pieces
-                if piece.leg is not None and piece.leg.trajectory is not None
-            ),
-            route=route,
             uncertainty=doubts(self.walk, end),
-            legs=leg_reports(self.walk, end),
-            chargers=charger_reports(self.walk, end),
             warnings=self._warnings(),
         )
 
@@ -491,36 +391,6 @@ class Evaluation:
         self.done.append(task)
         return tried.after
 
-    def _arrival(self, task: int) -> float:
-        """Return when the robot got to a task that is done [s]."""
-        after = self.attempts[task].attempt.after
-        arrival = after.time
-        for piece in reversed(after.pieces):
-            if piece.goal != task + 1 or piece.kind not in ("wait", "work"):
-                break
-            arrival = float(piece.t[0])
-        return arrival
-
-    def route(self, end: State) -> tuple[Stop, ...]:
-        """Return the stops: the start, tasks and charges in the order of their times, the end."""
-        names, poses, start = self.legs.names, self.legs.poses, self.walk.start
-        stops = []
-        for k in self.done:
-            after = self.attempts[k].attempt.after
-            charge = after.expected.soc, after.worst.soc
-            times = self._arrival(k), after.time
-            stops.append(Stop(names[k + 1], "task", poses[k + 1], *times, *charge))
-        for piece in end.pieces:
-            if piece.kind == "charge":
-                times, charge = piece.t[[0, -1]].tolist(), (piece.soc[-1], piece.soc_lower[-1])
-                node = piece.goal
-                stops.append(Stop(names[node], "charge", poses[node], *times, *map(float, charge)))
-        stops.sort(key=lambda stop: stop.arrival)
-        first = Stop(names[0], "start", poses[0], start.time, start.time, *[start.expected.soc] * 2)
-        charge = end.expected.soc, end.worst.soc
-        last = Stop(names[end.node], "end", poses[end.node], end.time, end.time, *charge)
-        return (first, *stops, last)
-
     def _warnings(self) -> tuple[str, ...]:
         battery = self.mission.battery
         notes: tuple[str, ...] = ()
@@ -555,8 +425,9 @@ class Evaluation:
                 after.expected.soc,
             )  # fmt: skip
             if k in self.done:
+                stop = trip.stops(after.trip)[-1]
                 return replace(
-                    told, start=after.time - task.dwell, arrival=self._arrival(k),
+                    told, start=after.time - task.dwell, arrival=stop.arrival,
                     departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
                 )  # fmt: skip
             # it could be done, but a later one could then not be

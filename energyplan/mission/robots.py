@@ -18,9 +18,10 @@ import numpy as np
 from energyplan import html
 from energyplan.errors import MissionError
 from energyplan.kinds import checked
-from energyplan.mission.evaluation import Evaluation, Stop, clock
+from energyplan.mission.evaluation import Evaluation, clock
 from energyplan.mission.legs import Legs, Routes, State, Walk
 from energyplan.mission.order import EXACT, Matrix, Order, attempt, finish, shared
+from energyplan.mission.trip import Stop, stops
 from energyplan.mission.types import Charger, Mission, Name, Task
 from energyplan.path import Pose
 from energyplan.records import ReadOnly, record
@@ -144,7 +145,7 @@ class RobotReport:
     def at(self, time: float) -> RobotState:
         """Return where the robot stands at a time [s]; what it is at by then is ended first."""
         pose, soc, now = self.route[0].pose, self.route[0].soc, time
-        for piece in self.end.pieces:
+        for piece in self.end.trip:
             if piece.t[0] > now:
                 break
             drive = None if piece.leg is None else piece.leg.trajectory
@@ -378,12 +379,14 @@ class _Sharing:
         state = found.go()
         last = finish(found.walk, state)
         end = state if last is None else last
-        first, *rest = found.route(end)
-        at = [(s.goal - legs.chargers.start, s) for s in end.pieces if s.goal in legs.chargers]
+        trip = walk.mark(end, "end").trip
+        route = stops(trip)
+        numbered = {charger.name: k for k, charger in enumerate(self.fleet.chargers)}
+        at = [(numbered[s.goal], s) for s in trip if s.goal in numbered]
         report = RobotReport(
             name=self.fleet.robots[r].name,
-            tasks=tuple(stop.name for stop in rest if stop.kind == "task"),
-            route=(replace(first, soc_lower=found.walk.start.worst.soc), *rest),
+            tasks=tuple(stop.name for stop in route if stop.kind == "task"),
+            route=route,
             energy=end.total.mean,
             energy_upper=end.total.upper(walk.quantile),
             soc_end=end.expected.soc,

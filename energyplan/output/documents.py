@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.live import Event
-    from energyplan.mission import FleetReport, LegReport, MissionReport
+    from energyplan.mission import FleetReport, MissionReport, Segment
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan
@@ -220,7 +220,7 @@ def event(report: Event) -> Document:
     return named
 
 
-def _leg(leg: LegReport, trajectory: bool) -> Document:
+def _leg(leg: Segment, trajectory: bool) -> Document:
     """Return a leg, with its trajectory as columns over its time if asked."""
     drive = leg.trajectory
     report = {**picked(leg, "start goal departure energy"), "duration": plain(drive.duration)}
