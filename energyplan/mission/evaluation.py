@@ -12,228 +12,18 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from energyplan import html
 from energyplan.battery import Battery
-from energyplan.errors import BatteryError, EnergyPlanError, MissionError, UnknownNameError
+from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.kinds import checked
-from energyplan.mission import trip
 from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
 from energyplan.mission.order import attempt, best_stops, finish
-from energyplan.mission.trip import Activity, ChargerReport, Segment, Stop, Timeline
+from energyplan.mission.report import Doubt, MissionReport, Reason, TaskReport
+from energyplan.mission.trip import stops
 from energyplan.mission.types import Mission, Remedy
-from energyplan.path import Path
-
-Verdict = Literal["reachable", "unreachable"]
-Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
-
-
-@dataclass(frozen=True)
-class TaskReport:
-    """What comes of one task."""
-
-    name: str  # the task
-    verdict: Verdict
-    reason: Reason  # why not
-    reachable_alone: bool  # whether it would be reachable as the mission's only task
-    energy: float  # energy that it takes with the way there, as expected [J]
-    energy_upper: float  # the same at the bound [J]
-    soc_after: float  # expected state of charge when it is done
-    shortfall: float = 0.0  # missing energy, with the route to a safe place and the reserve [J]
-    remedy: str = ""  # what would make the task reachable
-    detail: str = ""  # why not, in one sentence with figures
-    start: float = np.nan  # when it begins [s]
-    remedies: tuple[Remedy, ...] = ()  # the remedies that a program can apply
-    arrival: float = np.nan  # when the robot gets there [s]
-    departure: float = np.nan  # when it leaves [s]
-    soc_lower: float = np.nan  # state of charge at the bound when it is done
-    start_upper: float = np.nan  # when it begins at the latest, at the confidence asked [s]
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """What one unknown costs."""
-
-    source: str  # what is not known
-    energy: float  # standard deviation that it alone gives the energy [J]
-    saving: float  # margin that would be freed if it were known [J]
-
-
-@dataclass(frozen=True)
-class MissionReport(html.Readable):
-    """Which tasks can be done, in which order, with what energy."""
-
-    mission: Mission
-    tasks: tuple[TaskReport, ...]  # one for each task, in the order of the mission
-    trip: tuple[Segment, ...]  # what the robot does, from its start to its end
-    energy: float  # energy of the whole mission, expected [J]
-    energy_upper: float  # the same at the bound [J]
-    feasible: bool  # whether every required task is reachable and it ends where it must
-    proven: bool  # whether, for a free order, no better one exists on the routes known
-    gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
-    # Largest first, between the charges where the largest margin is needed; without charges
-    # that is the whole mission. The squares add up to the variance.
-    uncertainty: tuple[Doubt, ...] = ()
-    warnings: tuple[str, ...] = ()  # what to know before trusting the figures
-
-    @cached_property
-    def route(self) -> tuple[Stop, ...]:
-        """The stops with their times, from the start to the end."""
-        return trip.stops(self.trip)
-
-    @property
-    def order(self) -> tuple[str, ...]:
-        """Names of the stops in the order of their visits, chargers included."""
-        names = [stop.name for stop in self.route]
-        chargers = {charger.name for charger in self.mission.chargers}
-        last = names[-1:] if names[-1] in chargers - {names[-2]} else []
-        return (*names[1:-1], *last)
-
-    @property
-    def end(self) -> str:
-        """Where the mission ends."""
-        return self.route[-1].name
-
-    @property
-    def duration(self) -> float:
-        """Duration of the mission [s]."""
-        return self.route[-1].arrival - self.mission.time
-
-    @property
-    def soc_end(self) -> float:
-        """State of charge at the end, expected."""
-        return self.route[-1].soc
-
-    @property
-    def soc_end_lower(self) -> float:
-        """State of charge at the end, at the bound."""
-        return self.route[-1].soc_lower
-
-    @property
-    def legs(self) -> tuple[Segment, ...]:
-        """The drives from stop to stop."""
-        return tuple(part for part in self.trip if part.leg is not None)
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """The paths of the drives."""
-        return tuple(part.leg.path for part in self.trip if part.leg is not None)
-
-    @property
-    def chargers(self) -> tuple[ChargerReport, ...]:
-        """How each charger is used."""
-        return trip.uses(self.trip, [charger.name for charger in self.mission.chargers])
-
-    @property
-    def timetable(self) -> tuple[Activity, ...]:
-        """What the robot does from when to when, in the order of time."""
-        return trip.activities(self.trip)
-
-    @cached_property
-    def timeline(self) -> Timeline:
-        """The mission over time."""
-        return trip.timeline(self.trip)
-
-    @property
-    def headline(self) -> str:
-        """What comes of the mission, in one sentence that agrees with `feasible`."""
-        out = [
-            asked.required
-            for told, asked in zip(self.tasks, self.mission.tasks, strict=True)
-            if told.verdict == "unreachable"
-        ]
-        count = len(self.tasks)
-        tasks = "the only task" if count == 1 else f"{len(out)} of {count} tasks"
-        if any(out):
-            required = "" if all(out) else f", {sum(out)} of them required"
-            return f"not feasible as asked: {tasks} cannot be done{required}"
-        left = f"{tasks}, optional, {'is' if len(out) == 1 else 'are'} left out" if out else ""
-        if not self.feasible:
-            return "; ".join(
-                filter(None, ("not feasible as asked: it cannot end where it must", left))
-            )
-        if not out:
-            return "the task can be done" if count == 1 else f"all {count} tasks can be done"
-        needed = any(task.required for task in self.mission.tasks)
-        return f"all required tasks can be done; {left}" if needed else left
-
-    @property
-    def sentence(self) -> str:
-        """The headline, how long what can be done takes, and how much of that is charging."""
-        charging = sum(one.duration for one in self.chargers)
-        told = f"{self.duration / 60:.0f} min"
-        told += f", {charging / 60:.0f} min of which charging" if charging else ""
-        subject = "" if self.feasible else " what can be done takes"
-        return f"{self.headline};{subject} {told}" if self.duration else self.headline
-
-    @property
-    def tables(self) -> tuple[html.Summary, ...]:
-        """The report as titled rows: tasks, timetable, and what is uncertain."""
-        tasks = [
-            (task.name, task.verdict, task.reason.replace("_", " ").replace("none", "-"),
-             *(html.number(joules / 3600) if np.isfinite(joules) else "-"
-               for joules in (task.energy, task.energy_upper)),
-             f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
-             task.remedy or "-")
-            for task in self._ranked
-        ]  # fmt: skip
-        times = [
-            (clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
-             f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
-            for one in self.timetable
-        ]  # fmt: skip
-        unknown = [
-            (
-                html.words(one.source),
-                *(html.number(part / 3600, 2) for part in (one.energy, one.saving)),
-            )
-            for one in self.uncertainty
-        ]
-        wh = f"{html.number(self.energy / 3600)} Wh"
-        most = f"{html.number(self.energy_upper / 3600)} Wh"
-        sure = f"{100 * self.mission.confidence:.0f} %"
-        left = f"{100 * self.soc_end:.0f} % of charge at the end"
-        found = (
-            html.Summary(f"Tasks: {wh}, at {sure} confidence at most {most}; {left}", (
-                "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
-            ), tasks),
-            html.Summary("Timetable", (
-                "time", "what", "where", "minutes", "charge from", "to"
-            ), times),
-            html.Summary("Uncertainty of the energy", (
-                "source", "1 sigma [Wh]", "margin freed if known [Wh]"
-            ), unknown),
-        )  # fmt: skip
-        return tuple(one for one in found if one.rows)
-
-    def _summaries(self) -> list[html.Summary]:
-        title = f"{self.mission.name}: {self.sentence}"
-        return [html.Summary(title, (), (), self.warnings), *self.tables]
-
-    def task(self, name: str) -> TaskReport:
-        """Return the report of the named task."""
-        known = {task.name: task for task in self.tasks}
-        if name not in known:
-            raise UnknownNameError("task", name, known)
-        return known[name]
-
-    @property
-    def _ranked(self) -> list[TaskReport]:
-        """The tasks, the flagged ones first, then in the order of their visits."""
-        rank = {name: k for k, name in enumerate(self.order)}
-        return sorted(
-            self.tasks, key=lambda t: (t.verdict == "reachable", rank.get(t.name, len(rank)))
-        )
-
-
-def clock(seconds: float) -> str:
-    """Return a time as hours, minutes and seconds."""
-    whole = round(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 
 
 def doubts(walk: Walk, end: State) -> tuple[Doubt, ...]:
@@ -298,6 +88,10 @@ def evaluate(
     >>> evaluate(mission).feasible
     True
     """
+    if mission.robots:
+        from energyplan.mission.robots import Sharing
+
+        return Sharing(mission, progress, routes).report()
     return Evaluation(mission, progress, Legs(mission, progress, routes)).report()
 
 
@@ -321,6 +115,7 @@ class Evaluation:
         tasks: Sequence[int] | None = None,
     ) -> None:
         self.mission = mission
+        self.shared = tasks is not None
         self.tasks = range(len(mission.tasks)) if tasks is None else tasks
         self.legs = legs
         self.walk = Walk(self.legs, taken)
@@ -335,12 +130,11 @@ class Evaluation:
         state = self.go()
         last = finish(self.walk, state)
         self.end = state if last is None else last
-        tasks = tuple(self._task(k) for k in range(len(self.mission.tasks)))
-        missed = [
-            told.name
-            for told, task in zip(tasks, self.mission.tasks, strict=True)
-            if task.required and told.verdict == "unreachable"
-        ]
+        # a robot's share has no remedies: what it cannot do is offered to the others
+        shown = self.done if self.shared else self.tasks
+        tasks = tuple(self._task(k) for k in shown)
+        required = {task.name for task in self.mission.tasks if task.required}
+        missed = [one for one in tasks if one.verdict == "unreachable" and one.name in required]
         end = self.end
         return MissionReport(
             mission=self.mission,
@@ -425,7 +219,7 @@ class Evaluation:
                 after.expected.soc,
             )  # fmt: skip
             if k in self.done:
-                stop = trip.stops(after.trip)[-1]
+                stop = stops(after.trip)[-1]
                 return replace(
                     told, start=after.time - task.dwell, arrival=stop.arrival,
                     departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
