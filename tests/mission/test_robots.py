@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from worlds import tiny
 
-from energyplan import cli
-from energyplan.errors import MissionError
+from energyplan import cli, watch
+from energyplan.errors import InvalidInputError, MissionError
 from energyplan.io.maps import write_map
 from energyplan.io.mission import read_mission
 from energyplan.mission import (
@@ -27,6 +27,7 @@ from energyplan.mission import (
 from energyplan.output.pages import mission_page
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.ros import mission_answer
 from energyplan.terrain import OccupancyGrid
 
 MODEL = PowerModel.preset("quadriga:empty:marble")
@@ -201,6 +202,12 @@ def _outside() -> tuple[Task, ...]:
     return (replace(TASKS[0], pose=Pose(-1.0, 1.5, 0.0)),)
 
 
+def test_a_log_is_of_one_robot() -> None:
+    both = shared(robot("west", 4.0), robot("east", 28.0))
+    with pytest.raises(InvalidInputError, match=r"several robots \(west, east\), and a log is of"):
+        next(iter(watch([], mission=both)))
+
+
 def test_a_report_of_several_robots_is_read_as_one() -> None:
     """Sums and longest times of the robots; each has an end of its own."""
     report = evaluate(shared(robot("west", 4.0), robot("east", 28.0)))
@@ -269,7 +276,9 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     file = tmp_path / "fleet.yaml"
     file.write_text(text)
     words = ["energyplan", "mission", str(file), "--json", "--fail", "alpha@100"]
-    monkeypatch.setattr("sys.argv", words)
+    page, drives = tmp_path / "page.html", tmp_path / "drives"
+    more = ["--effort", "500", "--report", str(page), "--trajectories", str(drives)]
+    monkeypatch.setattr("sys.argv", [*words, *more])
     with pytest.raises(SystemExit) as left:
         cli.main()
     assert not left.value.code
@@ -279,6 +288,10 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     assert len(names) == len(set(names)) == 4
     assert told["after_failure"]["robot"] == "alpha"
     assert {one["name"] for one in told["after_failure"]["robots"]} <= {"beta", "gamma"}
+    assert sum(len(one["legs"]) for one in told["robots"]) == len([*drives.iterdir()])
+    assert all(f">{one}</h2>" in page.read_text() for one in ("alpha", "beta", "gamma"))
+    answered = json.loads(mission_answer(text.replace("3000", "500"), tmp_path))
+    assert [one["tasks"] for one in answered["robots"]] == [one["tasks"] for one in told["robots"]]
     monkeypatch.setattr("sys.argv", [*words[:3], "--fail", "alpha"])
     with pytest.raises(SystemExit) as left:
         cli.main()
