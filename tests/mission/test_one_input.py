@@ -128,8 +128,8 @@ def shared() -> Mission:
         Robot("near", changes={"start": (2.6, 3.5, 0.0)}),
         Robot("far", ("arm",), {"start": (5.0, 4.0, 0.0), "soc": 0.4}),
     )
-    look = Task("look", (3.0, 2.5, 0.0), dwell=500.0, power=150.0, needs=("arm",))
-    wash = Task("wash", (2.6, 3.5, 0.5), dwell=500.0, power=150.0)
+    look = Task("look", (3.0, 2.5, 0.0), dwell=500.0, power=150.0)
+    wash = Task("wash", (2.6, 3.5, 0.5), dwell=500.0, power=150.0, needs=("arm",))
     return replace(charging(), tasks=(look, wash), robots=robots)
 
 
@@ -203,7 +203,7 @@ PARTS = [
         name="other", pose=(6.0, 2.2, 0.0), dwell=61.0, power=51.0, payload=6.0, prize=2.0,
         required=False, window=(41.0, 500.0), power_spread=30.0, dwell_spread=30.0,
     ), {"prize": "all tasks fit", "required": "all tasks fit"}),
-    Part(shared, ("tasks", 0), Task, like(needs=())),
+    Part(shared, ("tasks", 1), Task, like(needs=())),
     Part(shared, ("robots", 0), Robot, like(
         name="other", skills=("arm",), changes={"start": (2.6, 3.5, 0.0), "soc": 0.8},
     )),
