@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from energyplan.battery import Battery
-from energyplan.mission import Charger, Fleet, Mission, Robot, Task, evaluate_fleet
+from energyplan.mission import Charger, Mission, Robot, Task, evaluate
 from energyplan.mission.order import OrderProblem, shared, solve
 from energyplan.path import FloatArray, Pose
 from energyplan.power import PowerModel
@@ -93,11 +93,11 @@ def planned(robots: int, tasks: int) -> None:
         coefficient_spread=0.05, order="free", planning_effort=2500,
     )  # fmt: skip
     members = tuple(
-        Robot(f"r{k}", replace(first, start=pose, model=models[k % 2]))
+        Robot(f"r{k}", changes={"start": pose, "model": models[k % 2]})
         for k, pose in enumerate(free(robots))
     )
     begun, wall = time.process_time(), time.perf_counter()
-    report = evaluate_fleet(Fleet(members))
+    report = evaluate(replace(first, robots=members))
     print(
         f"{robots} robots, {tasks} tasks with routes: {tasks - len(report.left_out)} done,"
         f" {report.energy / 3600:.0f} Wh,"

@@ -17,7 +17,7 @@ def tell(title: str, report: MissionReport) -> None:
         f"{title}: {report.headline}; "
         f"ends at {100 * report.soc_end:.0f} % (at least {100 * report.soc_end_lower:.0f} %)"
     )
-    for task in report.table.itertuples():
+    for task in report.tasks:
         print(f"  {task.name:24s} {task.verdict:12s} {task.reason:20s} {task.remedy}")
 
 

@@ -36,7 +36,6 @@ from energyplan.errors import EnergyPlanError
 from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
-from energyplan.io.fleet import read_fleet
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.husky import read_husky
 from energyplan.io.logs import read_log
@@ -295,7 +294,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], bool]] = {
     "preset.yaml": (read_vehicle, True),
     "model.yaml": (read_model, True),
     "mission.yaml": (read_mission, True),
-    "fleet.yaml": (read_fleet, True),
+    "fleet.yaml": (read_mission, True),
     "battery.yaml": (read_battery, True),
     "topics.yaml": (TopicMap.read, True),
     "map.yaml": (read_map, True),

@@ -21,7 +21,7 @@ from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.io.config import Project
 from energyplan.logs.mapping import Column
-from energyplan.mission import Fleet, Robot
+from energyplan.mission import Robot
 from energyplan.physics.robot import Effect
 from energyplan.planning.replanning import replan
 from energyplan.power import Sides
@@ -278,7 +278,7 @@ HELD: list[Callable[[], object]] = [
     lambda: CostMap(np.zeros((9, 9)), 0.1),
     lambda: LOG,
     lambda: mission(payload_models={"a": {10.0: MODEL}}, confidence=0.5),
-    lambda: Fleet([Robot("one", mission(confidence=0.5))], {}),
+    lambda: mission(confidence=0.5, robots=(Robot("one", changes={"soc": 0.9}),)),
     lambda: FoundEffect(
         "hotel_load", "P_0", 40.2, "W", 0.6, Evidence(0.42, 0.06, 1e-8), details={"phase": 0.1}
     ),

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 import energyplan as ep
-from energyplan.io.fleet import _Charger
 from energyplan.kinds import bounds, doubts_of
 from energyplan.mission import Spreads
 from energyplan.terrain import SpeedLimit
@@ -25,7 +24,6 @@ OWNERS: dict[str, list[Any]] = {
     "mission: tasks": [ep.Task],
     "mission: chargers": [ep.Charger],
     "mission: spreads": [Spreads],
-    "fleet: chargers": [_Charger],
     "surfaces": [SpeedLimit],
 }
 """Files, and what holds their numbers."""

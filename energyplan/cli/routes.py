@@ -20,7 +20,6 @@ from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
     from energyplan.cost import EnergyCost
-    from energyplan.io.documents import Document
     from energyplan.mission import Mission
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
@@ -514,66 +513,49 @@ def mission(
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
 
-    document = load(file, MissionError)
-    if "robots" in document.data:
-        if report or trajectories:
-            raise InvalidInputError(
-                f"{file} is a mission of several robots, which has no --report and no "
-                "--trajectories yet; leave them out"
-            )
-        _robots(document, file.parent, fail, effort, reverse, json, strict)
-        return
-    if fail is not None:
+    asked = _with_options(build(load(file, MissionError), file.parent), effort, reverse)
+    if fail is not None and not asked.robots:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
-    asked = _with_options(build(document, file.parent), effort, reverse)
+    name, instant = _failure(fail) if fail else ("", 0.0)
     warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"):
         result = evaluate(asked)
+        after = evaluate(result.after_failure(name, instant)) if name else None
     if trajectories:
         trajectories.mkdir(parents=True, exist_ok=True)
-        for k, leg in enumerate(result.trajectories, start=1):
-            write_trajectory(leg, trajectories / f"leg_{k:02d}.csv")
+        for r, one in enumerate(result.robots or (result,), start=1):
+            robot = f"robot_{r:02d}_" if result.robots else ""
+            for k, leg in enumerate(one.legs, start=1):
+                write_trajectory(leg.trajectory, trajectories / f"{robot}leg_{k:02d}.csv")
     if report:
         from energyplan.output.pages import mission_page
 
         write_report(mission_page(result), report)
-    answer(documents.mission(result, bool(trajectories)), text.mission(result), json=json)
-    verdict(result.feasible, strict)
+    document, lines = documents.mission(result, bool(trajectories)), text.mission(result)
+    if after is not None:
+        document["after_failure"] = {"robot": name, "time": instant, **documents.mission(after)}
+        lines += [f"if {name} fails at {instant:g} s:", *text.mission(after)]
+    answer(document, lines, json=json)
+    verdict(result.feasible and (after is None or after.feasible), strict)
 
 
 def _with_options(asked: Mission, effort: int | None, reverse: str | None) -> Mission:
-    if effort is not None:
-        asked = replace(asked, planning_effort=effort)
-    if reverse:
-        vehicle = replace(asked.model.vehicle, reverse=reverse == "yes")
-        asked = replace(asked, model=replace(asked.model, vehicle=vehicle))
-    return asked
+    """Give a mission, and each of several robots, what the command says."""
 
+    def changed(name: str, value: Any) -> Any:
+        if name == "planning_effort" and effort is not None:
+            return effort
+        if name == "model" and reverse:
+            return replace(value, vehicle=replace(value.vehicle, reverse=reverse == "yes"))
+        return value
 
-def _robots(
-    file: Document, folder: Path, fail: str | None, effort: int | None, reverse: str | None,
-    json: bool, strict: bool,
-) -> None:  # fmt: skip
-    """Share the tasks of a mission between its robots."""
-    from energyplan.io.fleet import fleet_from
-    from energyplan.mission import Fleet, evaluate_fleet
-    from energyplan.output import documents
-
-    name, instant = _failure(fail) if fail else ("", 0.0)
-    asked = fleet_from(file, folder)
-    robots = [
-        replace(one, mission=_with_options(one.mission, effort, reverse)) for one in asked.robots
-    ]
-    asked = Fleet(tuple(robots), asked.places, asked.name)
-    with progress("evaluating the mission"):
-        report = evaluate_fleet(asked)
-        after = evaluate_fleet(report.after_failure(name, instant)) if name else None
-    document, lines = documents.fleet(report), str(report).splitlines()
-    if after is not None:
-        document["after_failure"] = {"robot": name, "time": instant, **documents.fleet(after)}
-        lines += [f"if {name} fails at {instant:g} s:", *str(after).splitlines()]
-    answer(document, lines, json=json)
-    verdict(report.feasible and (after is None or after.feasible), strict)
+    keys = ("planning_effort", "model")
+    robots = tuple(
+        replace(one, changes={key: changed(key, value) for key, value in one.changes.items()})
+        for one in asked.robots
+    )
+    whole = {key: changed(key, getattr(asked, key)) for key in keys}
+    return replace(asked, robots=robots, **whole)
 
 
 def _failure(text: str) -> tuple[str, float]:

@@ -122,7 +122,7 @@ _TELLING = {
     "a parameters file of Nav2": {"planner_server"},
     "a mission": {"tasks", "battery"},
     "a site": {"map", "clearance"},
-    "a fleet": {"robots"},
+    "a mission of several robots": {"robots"},
     "a power model": {"terms"},
     "a vehicle": {"mass", "track"},
     "a project": {"vehicle", "columns"},

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle
-from energyplan.io.documents import Document, Loc, beside, load, parse
+from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
 from energyplan.io.maps import PARTS, read_site
 from energyplan.kinds import checked, described, doubts_of
-from energyplan.mission import Mission
-from energyplan.mission.types import Place
+from energyplan.mission import Mission, Robot, Task
+from energyplan.mission.types import OWN, Name, Place
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.terrain import with_weights
@@ -78,6 +80,8 @@ _MODELS = dict[str, dict[float, str]]
 
 def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     """Build a mission from a document, which names files beside it, or `anywhere`."""
+    if "robots" in document.data:
+        return _of_robots(document, folder, anywhere)
 
     def at(loc: Loc, read: Callable[..., T], *given: Any) -> T:
         try:
@@ -147,6 +151,62 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     return replace(document, data=data).check(
         Mission, context={"places": places, "where": document.where}
     )
+
+
+class _Entry(Checked, BaseModel):
+    """A robot in a file: its name, its skills, and what it has in place of the mission's."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    name: Name
+    skills: tuple[str, ...] = ()
+
+
+_Entries = Annotated[list[_Entry], Field(min_length=1, max_length=100)]
+
+
+def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
+    """Build a mission of several robots: each one's is read as a mission of its own."""
+    entries = document.check(_Entries, ("robots",))
+    common = {k: v for k, v in document.data.items() if k != "robots"}
+    extras = [entry.model_extra or {} for entry in entries]
+    places = document.check(dict[str, Place], ("places",)) if "places" in common else {}
+    tasks: tuple[Task, ...] = ()
+    if "tasks" in common:
+        tasks = document.check(tuple[Task, ...], ("tasks",), {"places": places})
+    for j, task in enumerate(tasks):
+        if not any({*task.needs} <= {*entry.skills} for entry in entries):
+            told = f"no robot has {', '.join(task.needs)}; give it to one"
+            raise document.fail(("tasks", j, "needs"), told)
+    own = {"start", *(key for extra in extras for key in extra)} - {"vehicle"}
+    if "model" in own or any("vehicle" in extra for extra in extras):
+        own |= {"model", "surfaces", "heights"}  # what a model knows of the ground is laid out
+    robots: list[Robot] = []
+    for k, (entry, extra) in enumerate(zip(entries, extras, strict=True)):
+        for key in extra.keys() - {*OWN}:
+            told = f"a robot has no such key; it may have name, skills, {', '.join(OWN)}"
+            raise document.fail(("robots", k, key), told)
+        able = [j for j, task in enumerate(tasks) if {*task.needs} <= {*entry.skills}]
+        if tasks and not able:
+            told = f"robot {entry.name!r} has the skills for no task; leave it out"
+            raise document.fail(("robots", k), told)
+        data = {"order": "free", **common, **extra, "name": entry.name}
+        if tasks:
+            data["tasks"] = [common["tasks"][j] for j in able]
+        lines = {
+            place: line for place, line in document.lines.items()
+            if place[:1] not in {("robots",), ("tasks",), *((key,) for key in extra)}
+        }  # fmt: skip
+        for place, line in document.lines.items():
+            if place[:2] == ("robots", k):
+                lines[place[2:]] = line
+            elif place[:1] == ("tasks",) and place[1:2] and place[1] in able:
+                lines["tasks", able.index(int(place[1])), *place[2:]] = line
+        mission = build(Document(document.source, data, lines, MissionError), folder, anywhere)
+        changes = {key: getattr(mission, key) for key in own}
+        robots.append(Robot(entry.name, entry.skills, changes))
+    whole: dict[str, Any] = {"name": str(common.get("name", Path(document.source).stem)),
+                             "home": mission.home if "home" in common else None}  # fmt: skip
+    return replace(mission, tasks=tasks, robots=tuple(robots), **whole)
 
 
 def read_battery(source: str | Path) -> Battery:

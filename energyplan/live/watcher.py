@@ -131,6 +131,10 @@ def watch(
         )
     if prior is None and mission is None:
         raise InvalidInputError("the robot is not known; give a model, a vehicle or a mission")
+    if mission is not None and mission.robots:
+        names = ", ".join(robot.name for robot in mission.robots)
+        told = f"the mission has several robots ({names}), and a log is of one"
+        raise InvalidInputError(f"{told}; give a mission of that robot alone")
     yield from _Watch(prior, mission, settings or Settings(), former).run(lines, columns, name)
 
 

@@ -12,311 +12,18 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
-from energyplan import html
 from energyplan.battery import Battery
-from energyplan.errors import BatteryError, EnergyPlanError, MissionError, UnknownNameError
+from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.kinds import checked
 from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
 from energyplan.mission.order import attempt, best_stops, finish
+from energyplan.mission.report import Doubt, MissionReport, Reason, TaskReport
+from energyplan.mission.trip import stops
 from energyplan.mission.types import Mission, Remedy
-from energyplan.path import FloatArray, Path, Pose, Trajectory
-
-Verdict = Literal["reachable", "unreachable"]
-_INSTANT = 0.5  # a shorter wait is no line of the timetable [s]
-
-StopKind = Literal["start", "task", "charge", "end"]
-Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
-
-
-@dataclass(frozen=True)
-class TaskReport:
-    """What comes of one task."""
-
-    name: str  # the task
-    verdict: Verdict
-    reason: Reason  # why not
-    reachable_alone: bool  # whether it would be reachable as the mission's only task
-    energy: float  # energy that it takes with the way there, as expected [J]
-    energy_upper: float  # the same at the bound [J]
-    soc_after: float  # expected state of charge when it is done
-    shortfall: float = 0.0  # missing energy, with the route to a safe place and the reserve [J]
-    remedy: str = ""  # what would make the task reachable
-    detail: str = ""  # why not, in one sentence with figures
-    start: float = np.nan  # when it begins [s]
-    remedies: tuple[Remedy, ...] = ()  # the remedies that a program can apply
-    arrival: float = np.nan  # when the robot gets there [s]
-    departure: float = np.nan  # when it leaves [s]
-    soc_lower: float = np.nan  # state of charge at the bound when it is done
-    start_upper: float = np.nan  # when it begins at the latest, at the confidence asked [s]
-
-
-@dataclass(frozen=True)
-class Stop:
-    """A place at which the robot stops, and when."""
-
-    name: str  # the place
-    kind: StopKind  # what it stops for
-    pose: Pose  # where [m], [rad]
-    arrival: float  # when it gets there [s]
-    departure: float  # when it leaves [s]
-    soc: float  # state of charge on leaving, as expected
-    soc_lower: float  # the same at the bound
-
-
-@dataclass(frozen=True, eq=False)
-class LegReport:
-    """A drive from one stop to the next."""
-
-    start: str  # where it begins
-    goal: str  # where it ends
-    departure: float  # when it begins [s]
-    energy: float  # energy, as expected [J]
-    trajectory: Trajectory  # the drive, from time 0
-    soc: FloatArray  # (n,): state of charge at each of its samples, as expected
-    soc_lower: FloatArray  # (n,): the same at the bound
-
-
-@dataclass(frozen=True)
-class Activity:
-    """A line of a mission's timetable."""
-
-    start: float  # when it begins [s]
-    end: float  # when it ends [s]
-    kind: Literal["drive", "wait", "work", "charge"]  # what the robot does
-    place: str  # where; of a drive, from where to where
-    soc_start: float  # state of charge before it, as expected
-    soc_end: float  # state of charge after it, as expected
-
-
-@dataclass(frozen=True)
-class ChargerReport:
-    """How a charger is used."""
-
-    name: str  # the charger
-    visits: int  # how often the robot charges there
-    duration: float  # how long in all [s]
-    energy: float  # energy that it supplies, as expected [J]
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """What one unknown costs."""
-
-    source: str  # what is not known
-    energy: float  # standard deviation that it alone gives the energy [J]
-    saving: float  # margin that would be freed if it were known [J]
-
-
-@dataclass(frozen=True)
-class Timeline:
-    """The mission over time; arrays of one shape."""
-
-    t: FloatArray  # (n,): time [s]
-    x: FloatArray  # (n,): x of the pose [m]
-    y: FloatArray  # (n,): y of the pose [m]
-    yaw: FloatArray  # (n,): heading of the pose [rad]
-    power: FloatArray  # (n,): power at the battery from each time to the next [W]
-    soc: FloatArray  # (n,): state of charge, as expected
-    soc_lower: FloatArray  # (n,): the same at the bound
-    soc_upper: FloatArray  # (n,): as far above what is expected as the bound is below
-
-
-@dataclass(frozen=True)
-class MissionReport(html.Readable):
-    """Which tasks can be done, in which order, with what energy."""
-
-    mission: Mission
-    tasks: tuple[TaskReport, ...]  # one for each task, in the order of the mission
-    order: tuple[str, ...]  # names of the stops in the order of their visits, chargers included
-    energy: float  # energy of the whole mission, expected [J]
-    energy_upper: float  # the same at the bound [J]
-    soc_end: float  # state of charge at the end, expected
-    soc_end_lower: float  # the same at the bound
-    feasible: bool  # whether every required task is reachable and it ends where it must
-    end: str  # where it ends
-    duration: float  # how long it takes [s]
-    proven: bool  # whether, for a free order, no better one exists on the routes known
-    timeline: Timeline
-    paths: tuple[Path, ...]  # the drives
-    trajectories: tuple[Trajectory, ...] = ()  # timed, each from 0; without those that stay
-    route: tuple[Stop, ...] = ()  # the stops with their times, from the start to the end
-    # Largest first, taken between the charges where the largest margin is needed; without charges
-    # that is the whole mission. The squares add up to the variance.
-    uncertainty: tuple[Doubt, ...] = ()
-    legs: tuple[LegReport, ...] = ()
-    chargers: tuple[ChargerReport, ...] = ()
-    gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
-    warnings: tuple[str, ...] = ()  # what to know before trusting the figures
-
-    @property
-    def headline(self) -> str:
-        """What comes of the mission, in one sentence that agrees with `feasible`."""
-        out = [
-            asked.required
-            for told, asked in zip(self.tasks, self.mission.tasks, strict=True)
-            if told.verdict == "unreachable"
-        ]
-        count = len(self.tasks)
-        tasks = "the only task" if count == 1 else f"{len(out)} of {count} tasks"
-        if any(out):
-            required = "" if all(out) else f", {sum(out)} of them required"
-            return f"not feasible as asked: {tasks} cannot be done{required}"
-        left = f"{tasks}, optional, {'is' if len(out) == 1 else 'are'} left out" if out else ""
-        if not self.feasible:
-            return "; ".join(
-                filter(None, ("not feasible as asked: it cannot end where it must", left))
-            )
-        if not out:
-            return "the task can be done" if count == 1 else f"all {count} tasks can be done"
-        needed = any(task.required for task in self.mission.tasks)
-        return f"all required tasks can be done; {left}" if needed else left
-
-    @property
-    def sentence(self) -> str:
-        """The headline, how long what can be done takes, and how much of that is charging."""
-        charging = sum(one.duration for one in self.chargers)
-        told = f"{self.duration / 60:.0f} min"
-        told += f", {charging / 60:.0f} min of which charging" if charging else ""
-        subject = "" if self.feasible else " what can be done takes"
-        return f"{self.headline};{subject} {told}" if self.duration else self.headline
-
-    @property
-    def timetable(self) -> tuple[Activity, ...]:
-        """What the robot does from when to when, in the order of time."""
-        begins = {task.name: task.start for task in self.tasks}
-        spans: list[tuple[float, float, Literal["drive", "wait", "work", "charge"], str]] = [
-            (leg.departure, leg.departure + leg.trajectory.duration, "drive",
-             f"{leg.start} to {leg.goal}")
-            for leg in self.legs
-        ]  # fmt: skip
-        for stop in self.route[1:-1]:
-            begin = stop.arrival if stop.kind == "charge" else begins[stop.name]
-            if begin > stop.arrival + _INSTANT:
-                spans.append((stop.arrival, begin, "wait", stop.name))
-            kind: Literal["work", "charge"] = "charge" if stop.kind == "charge" else "work"
-            spans.append((begin, stop.departure, kind, stop.name))
-        spans.sort(key=lambda span: span[:2])
-        charge = [np.interp(span[:2], self.timeline.t, self.timeline.soc) for span in spans]
-        return tuple(
-            Activity(*span, *map(float, soc)) for span, soc in zip(spans, charge, strict=True)
-        )
-
-    @property
-    def tables(self) -> tuple[html.Summary, ...]:
-        """The report as titled rows: tasks, timetable, and what is uncertain."""
-        tasks = [
-            (task.name, task.verdict, task.reason.replace("_", " ").replace("none", "-"),
-             *(html.number(joules / 3600) if np.isfinite(joules) else "-"
-               for joules in (task.energy, task.energy_upper)),
-             f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
-             task.remedy or "-")
-            for task in map(self.task, self.table["name"])
-        ]  # fmt: skip
-        times = [
-            (clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
-             f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
-            for one in self.timetable
-        ]  # fmt: skip
-        unknown = [
-            (
-                html.words(one.source),
-                *(html.number(part / 3600, 2) for part in (one.energy, one.saving)),
-            )
-            for one in self.uncertainty
-        ]
-        wh = f"{html.number(self.energy / 3600)} Wh"
-        most = f"{html.number(self.energy_upper / 3600)} Wh"
-        sure = f"{100 * self.mission.confidence:.0f} %"
-        left = f"{100 * self.soc_end:.0f} % of charge at the end"
-        found = (
-            html.Summary(f"Tasks: {wh}, at {sure} confidence at most {most}; {left}", (
-                "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
-            ), tasks),
-            html.Summary("Timetable", (
-                "time", "what", "where", "minutes", "charge from", "to"
-            ), times),
-            html.Summary("Uncertainty of the energy", (
-                "source", "1 sigma [Wh]", "margin freed if known [Wh]"
-            ), unknown),
-        )  # fmt: skip
-        return tuple(one for one in found if one.rows)
-
-    def _summaries(self) -> list[html.Summary]:
-        title = f"{self.mission.name}: {self.sentence}"
-        return [html.Summary(title, (), (), self.warnings), *self.tables]
-
-    def task(self, name: str) -> TaskReport:
-        """Return the report of the named task."""
-        known = {task.name: task for task in self.tasks}
-        if name not in known:
-            raise UnknownNameError("task", name, known)
-        return known[name]
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """One row for each task, the flagged ones first, then in the order of their visits."""
-        rank = {name: k for k, name in enumerate(self.order)}
-        rows = sorted(
-            self.tasks, key=lambda t: (t.verdict == "reachable", rank.get(t.name, len(rank)))
-        )
-        columns = (
-            "name", "verdict", "reason", "reachable_alone", "energy", "energy_upper", "soc_after",
-            "shortfall", "remedy",
-        )  # fmt: skip
-        return pd.DataFrame([[getattr(t, c) for c in columns] for t in rows], columns=list(columns))
-
-
-def clock(seconds: float) -> str:
-    """Return a time as hours, minutes and seconds."""
-    whole = round(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
-
-
-def leg_reports(walk: Walk, end: State) -> tuple[LegReport, ...]:
-    """Return the drives of a mission."""
-    names, node, legs = walk.legs.names, walk.start.node, []
-    for piece in end.pieces:
-        if piece.leg is not None and piece.leg.trajectory is not None:
-            legs.append(
-                LegReport(
-                    names[node], names[piece.goal], float(piece.t[0]), piece.leg.energy.mean,
-                    piece.leg.trajectory, piece.soc, piece.soc_lower,
-                )
-            )  # fmt: skip
-        node = piece.goal
-    return tuple(legs)
-
-
-def charger_reports(walk: Walk, end: State) -> tuple[ChargerReport, ...]:
-    """Return how each charger is used."""
-    found = []
-    for node in walk.legs.chargers:
-        visits = [p for p in end.pieces if p.kind == "charge" and p.goal == node]
-        duration = sum(float(p.t[-1] - p.t[0]) for p in visits)
-        energy = sum(float(-p.power[:-1] @ np.diff(p.t)) for p in visits)
-        found.append(ChargerReport(walk.legs.names[node], len(visits), duration, energy))
-    return tuple(found)
-
-
-def timeline(walk: Walk, end: State) -> Timeline:
-    """Return the mission over time."""
-    columns: list[list[np.ndarray]] = [[] for _ in range(8)]
-    for piece in end.pieces:
-        drive = None if piece.leg is None else piece.leg.trajectory
-        if drive is None:
-            x, y, yaw = (np.full(len(piece.t), value) for value in walk.legs.poses[piece.goal])
-        else:
-            x, y, yaw = drive.x, drive.y, drive.yaw
-        mirror = np.minimum(2 * piece.soc - piece.soc_lower, 1.0)
-        parts = (piece.t, x, y, yaw, piece.power, piece.soc, piece.soc_lower, mirror)
-        for column, part in zip(columns, parts, strict=True):
-            column.append(part)
-    return Timeline(*(np.concatenate(c) if c else np.zeros(0) for c in columns))
 
 
 def doubts(walk: Walk, end: State) -> tuple[Doubt, ...]:
@@ -381,6 +88,10 @@ def evaluate(
     >>> evaluate(mission).feasible
     True
     """
+    if mission.robots:
+        from energyplan.mission.robots import Sharing
+
+        return Sharing(mission, progress, routes).report()
     return Evaluation(mission, progress, Legs(mission, progress, routes)).report()
 
 
@@ -404,6 +115,7 @@ class Evaluation:
         tasks: Sequence[int] | None = None,
     ) -> None:
         self.mission = mission
+        self.shared = tasks is not None
         self.tasks = range(len(mission.tasks)) if tasks is None else tasks
         self.legs = legs
         self.walk = Walk(self.legs, taken)
@@ -418,40 +130,22 @@ class Evaluation:
         state = self.go()
         last = finish(self.walk, state)
         self.end = state if last is None else last
-        tasks = tuple(self._task(k) for k in range(len(self.mission.tasks)))
-        missed = [
-            told.name
-            for told, task in zip(tasks, self.mission.tasks, strict=True)
-            if task.required and told.verdict == "unreachable"
-        ]
-        end, route = self.end, self.route(self.end)
-        to_charger = end.node in self.legs.chargers and route[-2].name != route[-1].name
-        stops = route[1:] if to_charger else route[1:-1]
-        drives = [piece.leg.path for piece in end.pieces if piece.leg is not None]
+        # a robot's share has no remedies: what it cannot do is offered to the others
+        shown = self.done if self.shared else self.tasks
+        tasks = tuple(self._task(k) for k in shown)
+        required = {task.name for task in self.mission.tasks if task.required}
+        missed = [one for one in tasks if one.verdict == "unreachable" and one.name in required]
+        end = self.end
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
-            order=tuple(stop.name for stop in stops),
+            trip=self.walk.mark(end, "end").trip,
             energy=end.total.mean,
             energy_upper=end.total.upper(self.walk.quantile),
-            soc_end=end.expected.soc,
-            soc_end_lower=end.worst.soc,
             feasible=last is not None and not missed,
-            end=self.legs.names[end.node],
-            duration=end.time - self.mission.time,
             proven=self.proven,
             gap=self.gap,
-            timeline=timeline(self.walk, end),
-            paths=tuple(drives),
-            trajectories=tuple(
-                piece.leg.trajectory
-                for piece in end.pieces
-                if piece.leg is not None and piece.leg.trajectory is not None
-            ),
-            route=route,
             uncertainty=doubts(self.walk, end),
-            legs=leg_reports(self.walk, end),
-            chargers=charger_reports(self.walk, end),
             warnings=self._warnings(),
         )
 
@@ -491,36 +185,6 @@ class Evaluation:
         self.done.append(task)
         return tried.after
 
-    def _arrival(self, task: int) -> float:
-        """Return when the robot got to a task that is done [s]."""
-        after = self.attempts[task].attempt.after
-        arrival = after.time
-        for piece in reversed(after.pieces):
-            if piece.goal != task + 1 or piece.kind not in ("wait", "work"):
-                break
-            arrival = float(piece.t[0])
-        return arrival
-
-    def route(self, end: State) -> tuple[Stop, ...]:
-        """Return the stops: the start, tasks and charges in the order of their times, the end."""
-        names, poses, start = self.legs.names, self.legs.poses, self.walk.start
-        stops = []
-        for k in self.done:
-            after = self.attempts[k].attempt.after
-            charge = after.expected.soc, after.worst.soc
-            times = self._arrival(k), after.time
-            stops.append(Stop(names[k + 1], "task", poses[k + 1], *times, *charge))
-        for piece in end.pieces:
-            if piece.kind == "charge":
-                times, charge = piece.t[[0, -1]].tolist(), (piece.soc[-1], piece.soc_lower[-1])
-                node = piece.goal
-                stops.append(Stop(names[node], "charge", poses[node], *times, *map(float, charge)))
-        stops.sort(key=lambda stop: stop.arrival)
-        first = Stop(names[0], "start", poses[0], start.time, start.time, *[start.expected.soc] * 2)
-        charge = end.expected.soc, end.worst.soc
-        last = Stop(names[end.node], "end", poses[end.node], end.time, end.time, *charge)
-        return (first, *stops, last)
-
     def _warnings(self) -> tuple[str, ...]:
         battery = self.mission.battery
         notes: tuple[str, ...] = ()
@@ -555,8 +219,9 @@ class Evaluation:
                 after.expected.soc,
             )  # fmt: skip
             if k in self.done:
+                stop = stops(after.trip)[-1]
                 return replace(
-                    told, start=after.time - task.dwell, arrival=self._arrival(k),
+                    told, start=after.time - task.dwell, arrival=stop.arrival,
                     departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
                 )  # fmt: skip
             # it could be done, but a later one could then not be

@@ -23,6 +23,7 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
 from energyplan.mission.energy import Estimate, Gauge, Grounds, gauge_of
+from energyplan.mission.trip import Kind, Leg, Segment
 from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, find, plan
@@ -53,24 +54,6 @@ _TOGETHER = 8
 
 _OCTILE = np.cos(np.pi / 8)
 """Least distance over way along the eight directions of a grid."""
-
-
-@dataclass(frozen=True)
-class Leg:
-    """A drive from one place to another."""
-
-    path: Path  # where it leads
-    trajectory: Trajectory | None  # when the robot is where
-    power: FloatArray  # (n,): mean power of each interval of the trajectory [W]
-    spread: FloatArray  # (n,): standard deviation of the power of each interval [W]
-    energy: Estimate  # its energy
-    trouble: str = ""
-    detail: str = ""  # what the trouble is
-
-    @property
-    def duration(self) -> float:
-        """Time that it takes [s]."""
-        return 0.0 if self.trajectory is None else self.trajectory.duration
 
 
 @dataclass(frozen=True)
@@ -531,19 +514,6 @@ class Charge(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Segment:
-    """A stretch of the mission: a drive, a stay or a charge."""
-
-    kind: str  # what the robot does
-    goal: int  # node at its end
-    t: FloatArray  # (n,): time [s]
-    power: FloatArray  # (n,): power from each time to the next [W]
-    soc: FloatArray  # (n,): state of charge as expected
-    soc_lower: FloatArray  # (n,): state of charge where the energy is at its bound
-    leg: Leg | None = None  # the drive
-
-
-@dataclass(frozen=True)
 class State:
     """Where the robot stands."""
 
@@ -556,8 +526,8 @@ class State:
     origin: tuple[float, float]  # state of charge and time after the last charge
     expected: Charge  # the battery as expected
     worst: Charge  # the battery where the energy is at its bound
-    pieces: tuple[Segment, ...] = ()  # what it did so far
-    stretches: tuple[Estimate, ...] = ()  # what was spent between one charge and the next, so far
+    trip: tuple[Segment, ...] = ()  # what it did so far
+    stretches: tuple[Estimate, ...] = ()  # energies between one charge and the next, so far
 
     @property
     def time_spread(self) -> float:
@@ -593,7 +563,35 @@ class Walk:
         told, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
         gauge, origin = self.legs.gauge, (mission.soc, mission.time)
         known = np.zeros(self.legs.grounds.size)
-        return State(0, mission.payload, mission.time, known, gauge, nothing, origin, told, least)
+        return self.mark(
+            State(0, mission.payload, mission.time, known, gauge, nothing, origin, told, least),
+            "start",
+        )
+
+    def mark(self, state: State, kind: Kind) -> State:
+        """Add an instant to the trip: its start or end, or a task that takes no time."""
+        t, power, soc, low = np.outer(
+            [state.time, 0.0, state.expected.soc, state.worst.soc], np.ones(2)
+        )
+        return self._add(state, kind, t, power, soc, low)
+
+    def _add(
+        self,
+        state: State,
+        kind: Kind,
+        t: FloatArray,
+        power: FloatArray,
+        soc: FloatArray,
+        soc_lower: FloatArray,
+        leg: Leg | None = None,
+        start: int | None = None,
+    ) -> State:
+        """Add a segment that ends at the place of a state to its trip."""
+        names, here = self.legs.names, state.node
+        begin = names[here if start is None else start]
+        pose = self.legs.poses[here]
+        one = Segment(kind, begin, names[here], pose, t, power, soc, soc_lower, leg)
+        return replace(state, trip=(*state.trip, one))
 
     def at_least(self, soc: float) -> float:
         """Return the state of charge at the bound when the gauge tells one."""
@@ -621,11 +619,10 @@ class Walk:
             return None
         if leg.trajectory is None:
             return replace(state, node=goal)
-        moved = self._draw(
-            state, "drive", goal, leg.trajectory.t, leg.power, leg.spread, leg.energy, leg
-        )
         late = state.lateness + self.legs.grounds.driving_time(leg.duration)
-        return replace(moved, node=goal, lateness=late)
+        moved = replace(state, node=goal, lateness=late)
+        t, start = leg.trajectory.t, state.node
+        return self._draw(moved, "drive", t, leg.power, leg.spread, leg.energy, leg, start)
 
     @cached_property
     def stations(self) -> tuple[int, ...]:
@@ -647,24 +644,24 @@ class Walk:
         late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
         return replace(self.wait(state, time - state.time), lateness=late * state.lateness)
 
-    def _stay(self, state: State, kind: str, duration: float, energy: Estimate) -> State:
+    def _stay(self, state: State, kind: Kind, duration: float, energy: Estimate) -> State:
         """Stand still for so long [s], which takes an energy."""
         if duration <= _INSTANT:
-            return state
+            return state if kind == "wait" else self.mark(state, kind)
         t = np.linspace(0.0, duration, int(min(max(duration / _STEP, 1), _MOST_STEPS)) + 1)
         flat = np.full(len(t) - 1, energy.mean / duration)
-        return self._draw(state, kind, state.node, t, flat, np.ones(len(flat)), energy)
+        return self._draw(state, kind, t, flat, np.ones(len(flat)), energy)
 
     def _draw(
         self,
         state: State,
-        kind: str,
-        goal: int,
+        kind: Kind,
         t: FloatArray,
         power: FloatArray,
         spread: FloatArray,
         energy: Estimate,
         leg: Leg | None = None,
+        start: int | None = None,
     ) -> State:
         spent = state.spent + self.legs.from_battery(energy)
         more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
@@ -674,16 +671,16 @@ class Walk:
         clock = state.time + t - t[0]
         expected, soc = self._run(state.expected, clock, power)
         worst, soc_lower = self._run(state.worst, clock, raised)
-        piece = Segment(kind, goal, clock, np.append(power, power[-1]), soc, soc_lower, leg)
-        return replace(
+        state = replace(
             state,
             time=float(clock[-1]),
             spent=spent,
             total=state.total + energy,
             expected=expected,
             worst=worst,
-            pieces=(*state.pieces, piece),
         )
+        power = np.append(power, power[-1])
+        return self._add(state, kind, clock, power, soc, soc_lower, leg, start)
 
     def _run(self, charge: Charge, t: FloatArray, power: FloatArray) -> tuple[Charge, FloatArray]:
         run = self.mission.battery.simulate(
@@ -710,9 +707,8 @@ class Walk:
         filled = [np.interp(t, *one) for one in (high, low)]
         power = np.where(t < min(enough, t[-1]), -charger.power, 0.0)
         t = state.time + t
-        piece = Segment("charge", state.node, t, power, filled[0], filled[1])
         low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
-        return replace(
+        state = replace(
             state,
             time=float(t[-1]),
             spent=gauge,
@@ -720,8 +716,8 @@ class Walk:
             stretches=(*state.stretches, state.spent),
             expected=high_end,
             worst=low_end,
-            pieces=(*state.pieces, piece),
         )
+        return self._add(state, "charge", t, power, *filled)
 
     def _charge(
         self, charge: Charge, charger: Charger, until: float

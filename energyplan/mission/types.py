@@ -178,6 +178,8 @@ class Task:
     power_spread, dwell_spread : float, optional
         Standard deviations of the tool's power [W] and of the duration [s]; those of
         `Mission.spreads` where not given. Tasks with the same power and spread share a tool.
+    needs : tuple of str
+        Of several robots only those that have all these skills can do it.
 
     Raises
     ------
@@ -200,6 +202,7 @@ class Task:
     window: tuple[Time, Time] = (0.0, inf)
     power_spread: ToolPower | None = None
     dwell_spread: Duration | None = None
+    needs: tuple[str, ...] = ()
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -242,6 +245,8 @@ class Charger:
         State of charge at which the robot leaves.
     temperature : float, optional
         Temperature of the battery while it charges there [degC]; that on the way where not given.
+    places : int
+        Of several robots, how many can charge there at a time.
 
     Raises
     ------
@@ -259,6 +264,61 @@ class Charger:
     power: Annotated[Power, Within((0.1, 1e6), (5, 5e4), "W")]
     until: Annotated[Fraction, Within((0.01, 1), (0.3, 1), "", PERCENT)] = 0.95
     temperature: Temperature | None = None
+    places: Annotated[int, Within((1, 1000), (1, 20))] = 1
+
+
+OWN = (
+    "model", "vehicle", "battery", "start", "home", "soc", "reserve", "payload", "payload_models",
+    "speed", "return_to", "planning_effort", "planning_time",
+)  # fmt: skip
+"""Keys of a mission's file that each of several robots may have for itself."""
+
+
+@record(MissionError)
+class Robot(ReadOnly):
+    """One of several robots that do a mission.
+
+    Parameters
+    ----------
+    name : str
+        Name, unique in the mission.
+    skills : tuple of str
+        What it can do: a task is for robots with all skills that it `needs`.
+    changes : mapping
+        What it has for itself in place of the mission's: ``start``, ``soc``, ``battery``,
+        ``model``, ``home``, ``reserve``, ``payload``, ``speed``, ``return_to`` and others.
+
+    Raises
+    ------
+    MissionError
+        If a key is not one that a robot may have for itself.
+
+    Examples
+    --------
+    >>> Robot("west", changes={"start": (1.0, 2.0, 0.0), "soc": 0.8}).skills
+    ()
+    """
+
+    name: Name
+    skills: tuple[str, ...] = ()
+    changes: Annotated[Mapping[str, Any], instance_of(Mapping)] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        known = {*OWN, "surfaces", "heights", "time"} - {"vehicle"}
+        for key in self.changes:
+            keys = ", ".join(sorted(known))
+            require(key in known, f"{key}: a robot has no such key; it may have {keys}", "changes")
+        object.__setattr__(self, "changes", MappingProxyType(dict(self.changes)))
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """Where a robot is at some time."""
+
+    pose: Pose  # its pose
+    soc: float  # its state of charge
+    done: tuple[str, ...] = ()  # tasks that it has done
+    time: float = 0.0  # time [s]
 
 
 @record(MissionError)
@@ -404,6 +464,8 @@ class Mission(ReadOnly, html.Readable):
         (`energyplan.terrain.laid_out`).
     clearance : float
         Distance that the footprint keeps from obstacles on the way [m].
+    robots : sequence of Robot
+        Robots that share the tasks and chargers; one robot does them all where none is listed.
 
     Raises
     ------
@@ -459,6 +521,7 @@ class Mission(ReadOnly, html.Readable):
     spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)
     waiting: Duration = 0.0
     clearance: Annotated[Length, Within((0, 100), (0, 2), "m")] = 0.0
+    robots: Annotated[tuple[Robot, ...], Field(max_length=100)] = ()
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 
     also: ClassVar = ("vehicle", "places", "keepout", "costmap")  # keys of a file alone
@@ -495,6 +558,8 @@ class Mission(ReadOnly, html.Readable):
     @pydantic.model_validator(mode="after")
     def _doubts(self, info: ValidationInfo) -> Mission:
         """Note what is unusual, with its line where a file says so."""
+        if self.robots:  # each has its own
+            return self
         where = (info.context or {}).get("where", in_words)
         found = [*doubts_of(self), *doubts_of(self.vehicle, ("model", "vehicle"))]
         most = self.payload + sum(max(task.payload, 0.0) for task in self.tasks)
@@ -518,6 +583,11 @@ class Mission(ReadOnly, html.Readable):
             if place.costmap is not None:
                 told = "the costmap of the site does not count: routes are those of least energy"
                 object.__setattr__(self, "notes", (told,))
+        if self.robots:
+            require(self.tasks, "the mission has no task; list at least one", "tasks")
+            self._check_names()
+            _ = self.parts
+            return
         object.__setattr__(self, "home", self.start if self.home is None else self.home)
         for key, by_payload in self.payload_models.items():
             require(
@@ -548,7 +618,8 @@ class Mission(ReadOnly, html.Readable):
 
     def __getstate__(self) -> dict[str, object]:
         state = super().__getstate__()
-        state.pop("free_map", None)
+        for name in ("free_map", "parts"):
+            state.pop(name, None)
         return state
 
     def _check_names(self) -> None:
@@ -561,6 +632,12 @@ class Mission(ReadOnly, html.Readable):
                 kind, k, "name",
             )  # fmt: skip
             seen.add(name)
+        for k, robot in enumerate(self.robots):
+            require(
+                robot.name not in [other.name for other in self.robots[:k]],
+                f"the name {robot.name!r} stands twice; give each robot its own",
+                "robots", k, "name",
+            )  # fmt: skip
 
     def _check_numbers(self) -> None:
         require(
@@ -681,6 +758,54 @@ class Mission(ReadOnly, html.Readable):
         kept = self.surfaces.keep_out if self.surfaces is not None else ()
         return self.map.with_blocked(kept) if kept else self.map
 
+    @cached_property
+    def parts(self) -> tuple[Mission, ...]:
+        """The mission of each of several robots, with the tasks that it has the skills for."""
+        found = []
+        for k, robot in enumerate(self.robots):
+            able = [j for j, task in enumerate(self.tasks) if {*task.needs} <= {*robot.skills}]
+            told = f"robot {robot.name!r} has the skills for no task; leave it out"
+            require(able, told, "robots", k)
+            try:
+                tasks = tuple(self.tasks[j] for j in able)
+                changes: dict[str, Any] = {"order": "free", "name": robot.name, **robot.changes}
+                found.append(replace(self, tasks=tasks, robots=(), **changes))
+            except MissionError as problem:
+                place = list(problem.place)
+                if place[:1] == ["tasks"] and len(place) > 1:
+                    place[1] = able[int(place[1])]
+                elif place and place[0] in robot.changes:
+                    place = ["robots", k, *place]
+                raise MissionError(f"robot {robot.name!r}: {problem}", place) from None
+        return tuple(found)
+
+    @checked(MissionError)
+    def resume_robots(self, states: Mapping[str, RobotState], done: Iterable[str] = ()) -> Mission:
+        """Return what is left of a mission of several robots for those that are still there.
+
+        Parameters
+        ----------
+        states : mapping
+            Where each robot is that goes on, by its name.
+        done : iterable of str
+            Names of the tasks that are done, beyond those in `states`.
+        """
+        unknown = states.keys() - {robot.name for robot in self.robots}
+        require(not unknown, f"no robot is called {', '.join(sorted(unknown))}")
+        finished = {*done, *(task for state in states.values() for task in state.done)}
+        rest = []
+        for robot, part in zip(self.robots, self.parts, strict=True):
+            if robot.name not in states or not {task.name for task in part.tasks} - finished:
+                continue
+            state = states[robot.name]
+            own = sum(task.payload for task in part.tasks if task.name in state.done)
+            now = {"start": state.pose, "soc": state.soc, "time": state.time, "home": part.home,
+                   "payload": part.payload + own}  # fmt: skip
+            rest.append(replace(robot, changes={**robot.changes, **now}))
+        require(rest, "no robot is left that can do a task that is left")
+        left = tuple(task for task in self.tasks if task.name not in finished)
+        return replace(self, tasks=left, robots=tuple(rest))
+
     @checked(MissionError)
     def resume(
         self,
@@ -707,6 +832,7 @@ class Mission(ReadOnly, html.Readable):
         model : PowerModel, optional
             The model as corrected since the start; models with payload are scaled alike.
         """
+        require(not self.robots, "the mission has several robots; use resume_robots")
         names = set(done)
         unknown = names - {task.name for task in self.tasks}
         require(not unknown, f"no task is called {', '.join(sorted(unknown))}")

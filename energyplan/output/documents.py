@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
     from energyplan.live import Event
-    from energyplan.mission import FleetReport, LegReport, MissionReport
+    from energyplan.mission import MissionReport, Segment
     from energyplan.path import FloatArray
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
@@ -191,6 +191,8 @@ def feasibility(report: FeasibilityReport) -> Document:
 
 def mission(report: MissionReport, trajectories: bool = False) -> Document:
     """Return what ``energyplan mission --json`` prints; with the legs' trajectories if asked."""
+    if report.robots:
+        return _of_robots(report, trajectories)
     keys = (
         "name verdict reason reachable_alone energy energy_upper soc_after shortfall remedy "
         "remedies arrival departure soc_lower start start_upper"
@@ -210,12 +212,25 @@ def mission(report: MissionReport, trajectories: bool = False) -> Document:
     }
 
 
-def fleet(report: FleetReport) -> Document:
-    """Return what ``energyplan mission --json`` prints of several robots."""
-    keys = "name tasks route energy energy_upper soc_end soc_end_lower duration waiting"
+def _of_robots(report: MissionReport, trajectories: bool) -> Document:
+    """Return the answer for several robots; the legs only with their trajectories."""
+    keys = "route energy energy_upper soc_end soc_end_lower duration waiting"
+    required = {task.name: task.required for task in report.mission.tasks}
     return {
-        "robots": [picked(one, keys) for one in report.robots],
-        **picked(report, "left_out energy energy_upper proven gap feasible"),
+        "robots": [
+            {
+                "name": one.mission.name,
+                "tasks": [task.name for task in one.tasks],
+                **picked(one, keys),
+                **({"legs": [_leg(leg, True) for leg in one.legs]} if trajectories else {}),
+            }
+            for one in report.robots
+        ],
+        "left_out": [
+            {"name": task.name, "required": required[task.name], "reasons": list(task.reasons)}
+            for task in report.left_out
+        ],
+        **picked(report, "energy energy_upper proven gap feasible"),
     }
 
 
@@ -235,7 +250,7 @@ def event(report: Event) -> Document:
     return named
 
 
-def _leg(leg: LegReport, trajectory: bool) -> Document:
+def _leg(leg: Segment, trajectory: bool) -> Document:
     """Return a leg, with its trajectory as columns over its time if asked."""
     drive = leg.trajectory
     report = {**picked(leg, "start goal departure energy"), "duration": plain(drive.duration)}

@@ -329,17 +329,21 @@ def mission_page(report: MissionReport) -> Page:
     """Return the report of a mission, flagged tasks first."""
     page = Page(f"Mission: {report.mission.name}")
     _models(page, report.mission.model, report.mission.surfaces)
-    flagged = [task for task in report.tasks if task.verdict == "unreachable"]
-    page.paragraph(
-        f"{report.sentence[0].upper()}{report.sentence[1:]}. It ends at {report.end}.", "lead"
-    )
-    for task in flagged:
+    end = "" if report.robots else f" It ends at {report.end}."
+    page.paragraph(f"{report.sentence[0].upper()}{report.sentence[1:]}.{end}", "lead")
+    for task in report.left_out:
         remedy = f"; remedy: {task.remedy}" if task.remedy else ""
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
     for warning in report.warnings:
         page.paragraph(f"Warning: {warning}.", "flag")
-    page.pictures(mission_pictures(report))
+    if not report.robots:
+        page.pictures(mission_pictures(report))
     page.summaries(report.tables)
+    for robot in report.robots:
+        page.heading(robot.mission.name)
+        page.paragraph(f"{robot.sentence[0].upper()}{robot.sentence[1:]}. It ends at {robot.end}.")
+        page.pictures(mission_pictures(robot))
+        page.summaries(robot.tables)
     return page
 
 

@@ -203,7 +203,7 @@ def test_no_path():
     assert behind.remedy.startswith("clear the route or move the task")
     assert report.task("near").verdict == "reachable"
     assert not report.feasible
-    assert report.table["name"].tolist() == ["behind", "near"]
+    assert [row[0] for row in report.tables[0].rows] == ["behind", "near"]
 
 
 def test_motor_limits():

@@ -24,7 +24,7 @@ import energyplan as ep
 from energyplan.io.config import write_model
 from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import write_map
-from energyplan.mission import Charger, Mission, Routes, Spreads, Task, evaluate, legs
+from energyplan.mission import Charger, Mission, Robot, Routes, Spreads, Task, evaluate, legs
 from energyplan.mission.legs import Legs
 from energyplan.output import documents
 from energyplan.planning import PlanningProblem, plan
@@ -122,10 +122,22 @@ def charging() -> Mission:
     )  # fmt: skip
 
 
+def shared() -> Mission:
+    """Two robots, the nearer one without the skill; both have to charge at one place."""
+    robots = (
+        Robot("near", changes={"start": (2.6, 3.5, 0.0)}),
+        Robot("far", ("arm",), {"start": (5.0, 4.0, 0.0), "soc": 0.4}),
+    )
+    look = Task("look", (3.0, 2.5, 0.0), dwell=500.0, power=150.0)
+    wash = Task("wash", (2.6, 3.5, 0.5), dwell=500.0, power=150.0, needs=("arm",))
+    return replace(charging(), tasks=(look, wash), robots=robots)
+
+
 def reported(asked: Mission, routes: Routes) -> str:
     found = evaluate(asked, routes=routes)
     whole = documents.mission(found, trajectories=True)
-    return json.dumps([whole, found.timeline.soc_lower.tolist(), found.warnings])
+    lines = [one.timeline.soc_lower.tolist() for one in found.robots or (found,)]
+    return json.dumps([whole, lines, found.warnings])
 
 
 def planned(asked: PlanningProblem, _: object = None) -> str:
@@ -180,7 +192,7 @@ PARTS = [
                confidence=0.8, coefficient_spread=0.1, order="free",
                home=(1.5, 2.5, 0.0), time=30.0, speed=0.4, objective="length",
                planner="rrtstar", planning_time=9.0, planning_effort=3000, name="other",
-               waiting=20.0, clearance=0.3),
+               waiting=20.0, clearance=0.3, robots=(Robot("mission", changes={"soc": 0.8}),)),
     }, {
         "planning_time": "it is long enough",
         "name": LABEL,
@@ -191,6 +203,11 @@ PARTS = [
         name="other", pose=(6.0, 2.2, 0.0), dwell=61.0, power=51.0, payload=6.0, prize=2.0,
         required=False, window=(41.0, 500.0), power_spread=30.0, dwell_spread=30.0,
     ), {"prize": "all tasks fit", "required": "all tasks fit"}),
+    Part(shared, ("tasks", 1), Task, like(needs=())),
+    Part(shared, ("robots", 0), Robot, like(
+        name="other", skills=("arm",), changes={"start": (2.6, 3.5, 0.0), "soc": 0.8},
+    )),
+    Part(shared, ("chargers", 0), Charger, like(places=2)),
     Part(charging, ("chargers", 0), Charger, like(
         name="other", pose=(1.2, 1.3, 0.0), power=300.0, until=0.8, temperature=25.0,
     )),

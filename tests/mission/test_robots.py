@@ -11,22 +11,23 @@ import numpy as np
 import pytest
 from worlds import tiny
 
-from energyplan import cli
-from energyplan.errors import MissionError
-from energyplan.io.fleet import read_fleet
+from energyplan import cli, watch
+from energyplan.errors import InvalidInputError, MissionError
 from energyplan.io.maps import write_map
+from energyplan.io.mission import read_mission
 from energyplan.mission import (
     Charger,
-    Fleet,
     Mission,
+    MissionReport,
     Robot,
     RobotState,
     Task,
     evaluate,
-    evaluate_fleet,
 )
+from energyplan.output.pages import mission_page
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.ros import mission_answer
 from energyplan.terrain import OccupancyGrid
 
 MODEL = PowerModel.preset("quadriga:empty:marble")
@@ -38,28 +39,35 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def robot(name: str, x: float, energy: float = 1e5, **changes: Any) -> Robot:
+    start = Pose(x, 1.5, 0.0)
+    return Robot(name, changes={"start": start, "battery": tiny(energy), **changes})
+
+
+def shared(*robots: Robot, tasks: tuple[Task, ...] = TASKS, **changes: Any) -> Mission:
     values: dict[str, Any] = {
-        "model": MODEL, "map": HALL, "battery": tiny(energy), "start": Pose(x, 1.5, 0.0),
-        "tasks": TASKS, "planning_effort": 5_000, "reserve": 0.0, "confidence": 0.5,
-        "order": "free", "return_to": "start",
+        "planning_effort": 5_000, "reserve": 0.0, "confidence": 0.5, "order": "free",
+        "return_to": "start", **changes,
     }  # fmt: skip
-    return Robot(name, Mission(**{**values, **changes}))
+    return Mission(MODEL, HALL, tiny(1e5), Pose(4.0, 1.5, 0.0), tasks, robots=robots, **values)
+
+
+def names(report: MissionReport) -> tuple[str, ...]:
+    return tuple(task.name for task in report.tasks)
 
 
 def test_each_does_what_lies_near_it() -> None:
     """From 4 m to 12 m and back, from 28 m to 30 m and back; nothing is cheaper."""
-    report = evaluate_fleet(Fleet((robot("west", 4.0), robot("east", 28.0))))
-    assert set(report.robot("west").tasks) == {"a", "b"}
-    assert report.robot("east").tasks == ("c",)
+    report = evaluate(shared(robot("west", 4.0), robot("east", 28.0)))
+    assert set(names(report.robot("west"))) == {"a", "b"}
+    assert names(report.robot("east")) == ("c",)
     assert report.energy == pytest.approx(METRE * (16 + 4), rel=1e-3)
     assert report.feasible
 
 
 def test_each_ones_budget_is_that_of_its_own_mission() -> None:
-    fleet = Fleet((robot("west", 4.0, confidence=0.95, coefficient_spread=0.1),
-                   robot("east", 28.0, confidence=0.95, coefficient_spread=0.1)))  # fmt: skip
-    told = evaluate_fleet(fleet).robot("west")
-    alone = evaluate(replace(fleet.robots[0].mission, tasks=tuple(TASKS[k] for k in (0, 1))))
+    both = shared(robot("west", 4.0), robot("east", 28.0), confidence=0.95, coefficient_spread=0.1)
+    told = evaluate(both).robot("west")
+    alone = evaluate(replace(both.parts[0], tasks=tuple(TASKS[k] for k in (0, 1))))
     assert told.energy == pytest.approx(alone.energy, rel=1e-6)
     assert told.energy_upper == pytest.approx(alone.energy_upper, rel=1e-6)
     assert told.soc_end_lower == pytest.approx(alone.soc_end_lower, rel=1e-6)
@@ -68,21 +76,26 @@ def test_each_ones_budget_is_that_of_its_own_mission() -> None:
 
 def test_a_weak_battery_leaves_a_task_to_the_other() -> None:
     """East has 1.5 m of charge; west goes all the way, 26 m and back."""
-    report = evaluate_fleet(Fleet((robot("west", 4.0), robot("east", 28.0, 1.5 * METRE))))
-    assert set(report.robot("west").tasks) == {"a", "b", "c"}
-    assert report.robot("east").tasks == ()
+    report = evaluate(shared(robot("west", 4.0), robot("east", 28.0, 1.5 * METRE)))
+    assert set(names(report.robot("west"))) == {"a", "b", "c"}
+    assert names(report.robot("east")) == ()
     assert report.energy == pytest.approx(METRE * 52, rel=1e-3)
 
 
 def test_a_shared_charger_is_waited_for_and_two_places_spare_that() -> None:
     """Both hold 9 m of charge; with the 40 m that the dock gives they do the rest."""
     tasks = tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in (("w", 3.0), ("e", 31.0)))
-    dock = (Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0),)
-    own = [{"tasks": (task,), "chargers": dock, "soc": 0.225, "battery": tiny(40 * METRE)}
-           for task in tasks]  # fmt: skip
-    robots = robot("left", 14.0, **own[1]), robot("right", 20.0, **own[0])
+    tasks = tuple(replace(task, needs=(task.name,)) for task in tasks)
+    dock = Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0)
+    robots = [replace(robot(name, x, 40 * METRE, soc=0.225), skills=(task,))
+              for name, x, task in (("left", 14.0, "e"), ("right", 20.0, "w"))]  # fmt: skip
     waited = {
-        count: [r.waiting for r in evaluate_fleet(Fleet(robots, {"dock": count})).robots]
+        count: [
+            r.waiting
+            for r in evaluate(
+                shared(*robots, tasks=tasks, chargers=(replace(dock, places=count),))
+            ).robots
+        ]
         for count in (1, 2)
     }
     assert waited[2] == [0.0, 0.0]
@@ -90,7 +103,7 @@ def test_a_shared_charger_is_waited_for_and_two_places_spare_that() -> None:
     assert first == 0.0
     # they get there at once; the first takes 40 m less the 6 m that are left, at 50 W
     assert second == pytest.approx(METRE * (40 - 6) / 50.0, abs=31.0)
-    report = evaluate_fleet(Fleet(robots, {"dock": 1}))
+    report = evaluate(shared(*robots, tasks=tasks, chargers=(dock,)))
     stays = sorted(
         (s.departure, s.arrival) for r in report.robots for s in r.route if s.kind == "charge"
     )
@@ -100,15 +113,14 @@ def test_a_shared_charger_is_waited_for_and_two_places_spare_that() -> None:
 
 def test_who_fails_is_replaced_by_whom_it_costs_least() -> None:
     """West fails on its way; what it has done stays done, and the others go from where they are."""
-    fleet = Fleet((robot("west", 4.0), robot("middle", 16.0), robot("east", 28.0)))
-    report = evaluate_fleet(fleet)
-    assert {r.name: r.tasks for r in report.robots} == {
+    report = evaluate(shared(robot("west", 4.0), robot("middle", 16.0), robot("east", 28.0)))
+    assert {r.mission.name: names(r) for r in report.robots} == {
         "west": ("a",), "middle": ("b",), "east": ("c",),
     }  # fmt: skip
     rest = report.after_failure("west", 0.0)
     assert [r.name for r in rest.robots] == ["middle", "east"]
-    after = evaluate_fleet(rest)
-    assert set(after.robot("middle").tasks) == {"a", "b"}
+    after = evaluate(rest)
+    assert set(names(after.robot("middle"))) == {"a", "b"}
     late = max(stop.departure for stop in report.robot("west").route if stop.kind == "task")
     again = report.after_failure("west", late + 1e-6)
     assert "a" not in {task.name for task in again.tasks}
@@ -119,22 +131,20 @@ def test_who_fails_is_replaced_by_whom_it_costs_least() -> None:
 
 
 def test_where_a_robot_is_at_some_time() -> None:
-    told = evaluate_fleet(Fleet((robot("one", 4.0),))).robot("one")
+    told = evaluate(shared(robot("one", 4.0))).robot("one")
     stop = next(stop for stop in told.route if stop.kind == "task")
     early, half = told.at(-1.0), told.at(stop.arrival / 2)
     assert early.pose == Pose(4.0, 1.5, 0.0)
     assert 4.0 < half.pose.x < stop.pose.x
     assert half.done == ()
     last = told.at(1e9)
-    assert last.done == told.tasks
+    assert last.done == names(told)
     assert last.soc == pytest.approx(told.soc_end)
     assert last.pose == pytest.approx((4.0, 1.5, 0.0), abs=1e-6)
 
 
 def test_what_no_robot_can_do_is_told_with_its_reasons() -> None:
-    report = evaluate_fleet(
-        Fleet((robot("west", 4.0, 20 * METRE), robot("middle", 14.0, 20 * METRE)))
-    )
+    report = evaluate(shared(robot("west", 4.0, 20 * METRE), robot("middle", 14.0, 20 * METRE)))
     [left] = report.left_out
     assert left.name == "c"
     assert left.reasons == ("battery", "battery")
@@ -147,8 +157,7 @@ def test_many_robots_and_tasks() -> None:
     From 3 m to 14 and back, from 16 m to 21.5 and back, from 30 m to 24 and back.
     """
     tasks = tuple(Task(f"t{k}", Pose(4.0 + 2.5 * k, 1.5, 0.0)) for k in range(11))
-    fleet = Fleet(tuple(robot(f"r{x}", x, tasks=tasks) for x in (3.0, 16.0, 30.0)))
-    report = evaluate_fleet(fleet)
+    report = evaluate(shared(*(robot(f"r{x}", x) for x in (3.0, 16.0, 30.0)), tasks=tasks))
     assert report.left_out == ()
     assert not report.proven
     assert report.energy <= METRE * 2 * (11 + 5.5 + 6) + 1
@@ -157,48 +166,82 @@ def test_many_robots_and_tasks() -> None:
 def test_chargers_are_never_taken_twice() -> None:
     """Four robots that all have to charge at one dock with two places."""
     tasks = tuple(Task(f"t{k}", Pose(4.0 + 8.0 * k, 1.5, 0.0), required=False) for k in range(4))
-    dock = (Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0),)
-    own = {"chargers": dock, "soc": 0.25, "battery": tiny(40 * METRE)}
-    fleet = Fleet(
-        tuple(robot(f"r{k}", x, tasks=(tasks[k],), **own)
-              for k, x in enumerate((20.0, 22.0, 12.0, 14.0))), {"dock": 2},
-    )  # fmt: skip
-    stays = [(s.departure, s.arrival) for r in evaluate_fleet(fleet).robots for s in r.route
+    tasks = tuple(replace(task, needs=(task.name,)) for task in tasks)
+    dock = Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0, places=2)
+    robots = [replace(robot(f"r{k}", x, 40 * METRE, soc=0.25), skills=(f"t{k}",))
+              for k, x in enumerate((20.0, 22.0, 12.0, 14.0))]  # fmt: skip
+    report = evaluate(shared(*robots, tasks=tasks, chargers=(dock,)))
+    stays = [(s.departure, s.arrival) for r in report.robots for s in r.route
              if s.kind == "charge"]  # fmt: skip
     assert len(stays) >= 3
     for end, _ in stays:
         assert sum(begin < end - 1e-6 <= other for other, begin in stays) <= 2
 
 
-def test_fleets_that_make_no_sense_are_refused() -> None:
+def test_robots_that_make_no_sense_are_refused() -> None:
     one = robot("one", 4.0)
-    with pytest.raises(MissionError, match="the fleet has no robot"):
-        Fleet(())
     with pytest.raises(MissionError, match="the name 'one' stands twice"):
-        Fleet((one, one))
-    other = robot("two", 8.0, tasks=(replace(TASKS[0], dwell=5.0),))
-    with pytest.raises(MissionError, match="task 'a' of robot 'two' differs"):
-        Fleet((one, other))
-    dock = (Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0),)
-    with pytest.raises(MissionError, match="robot 'two' has other chargers"):
-        Fleet((one, robot("two", 8.0, chargers=dock)))
-    with pytest.raises(MissionError, match="there is no charger 'dock'"):
-        Fleet((one,), {"dock": 1})
+        shared(one, one)
+    with pytest.raises(MissionError, match="colour: a robot has no such key"):
+        robot("one", 4.0, colour="red")
+    with pytest.raises(MissionError, match="robot 'one': task 'a'") as refused:
+        shared(one, tasks=(Task("x", Pose(8.0, 1.5, 0.0), needs=("arm",)), *_outside()))
+    assert refused.value.place == ("tasks", 1, "pose")
+    with pytest.raises(MissionError, match="'one' has the skills for no task"):
+        shared(one, tasks=(replace(TASKS[0], needs=("arm",)),))
+    with pytest.raises(MissionError, match=r"robot 'one': .*soc.* is 1\.6") as refused:
+        shared(replace(one, changes={**one.changes, "soc": 1.6}))
+    assert refused.value.place[:2] == ("robots", 0)
     with pytest.raises(MissionError, match="no robot is called three"):
-        Fleet((one,)).resume({"three": RobotState(Pose(1, 1, 0), 1.0)})
+        shared(one).resume_robots({"three": RobotState(Pose(1, 1, 0), 1.0)})
+    with pytest.raises(MissionError, match="several robots; use resume_robots"):
+        shared(one).resume((1, 1, 0), 1.0)
+
+
+def _outside() -> tuple[Task, ...]:
+    return (replace(TASKS[0], pose=Pose(-1.0, 1.5, 0.0)),)
+
+
+def test_a_log_is_of_one_robot() -> None:
+    both = shared(robot("west", 4.0), robot("east", 28.0))
+    with pytest.raises(InvalidInputError, match=r"several robots \(west, east\), and a log is of"):
+        next(iter(watch([], mission=both)))
+
+
+def test_a_report_of_several_robots_is_read_as_one() -> None:
+    """Sums and longest times of the robots; each has an end of its own."""
+    report = evaluate(shared(robot("west", 4.0), robot("east", 28.0)))
+    assert report.headline == "all 3 tasks can be done"
+    assert report.duration == max(one.duration for one in report.robots)
+    assert len(report.legs) == sum(len(one.legs) for one in report.robots)
+    assert [one.name for one in report.tasks] == ["a", "b", "c"]
+    with pytest.raises(MissionError, match="each of several robots has its own end"):
+        _ = report.soc_end
+    page = mission_page(report).html()
+    assert page.count("<figure>") == 4
+    assert ">west</h2>" in page
+
+
+def test_a_task_for_whose_skills_no_robot_is_left_is_not_done() -> None:
+    """The only robot with an arm fails before it does anything."""
+    tasks = (*TASKS[:2], replace(TASKS[2], needs=("arm",)))
+    both = shared(replace(robot("arm", 16.0), skills=("arm",)), robot("west", 4.0), tasks=tasks)
+    report = evaluate(evaluate(both).after_failure("arm", 0.0))
+    [left] = report.left_out
+    assert (left.name, left.reasons, report.feasible) == ("c", (), False)
 
 
 # -- files and the command -----------------------------------------------------------------------
 
 
 def test_a_file_gives_each_robot_what_it_has_the_skills_for() -> None:
-    fleet = read_fleet(ROOT / "examples" / "fleet_warehouse.yaml")
-    able = {r.name: [task.name for task in r.mission.tasks] for r in fleet.robots}
+    mission = read_mission(ROOT / "examples" / "fleet_warehouse.yaml")
+    able = {part.name: [task.name for task in part.tasks] for part in mission.parts}
     assert "turn the valve" in able["alpha"]
     assert "turn the valve" not in able["beta"]
-    assert [r.mission.soc for r in fleet.robots] == pytest.approx([1.0, 0.6, 0.35])
-    assert fleet.places == {"dock": 1}
-    assert fleet.robots[0].mission.map is fleet.robots[1].mission.map
+    assert [part.soc for part in mission.parts] == pytest.approx([1.0, 0.6, 0.35])
+    assert [part.home == part.start for part in mission.parts] == [True] * 3
+    assert mission.parts[0].map is mission.parts[1].map
 
 
 @pytest.mark.parametrize(
@@ -208,7 +251,7 @@ def test_a_file_gives_each_robot_what_it_has_the_skills_for() -> None:
         ("needs: [arm]", "needs: [wings]", r"line \d+, tasks\.1\.needs: no robot has wings"),
         ("skills: [arm]", "colour: red", r"robots\.0\.colour: a robot has no such key"),
         ("places: 1", "places: 0", r"chargers\.0\.places"),
-        ("robots:", "robot:", "robots: this key is missing"),
+        ("robots:", "robot:", "did you mean robots?"),
         ("pose: [16.0, 7.2, 0]", "pose: [0, 0, 0]", r"tasks\.1\.pose: task 'turn the valve'"),
     ],
 )
@@ -219,7 +262,7 @@ def test_what_is_wrong_with_a_file_is_told_with_its_line(
     file = tmp_path / "fleet.yaml"
     file.write_text(text.replace(before, after, 1))
     with pytest.raises(MissionError, match=message):
-        read_fleet(file)
+        read_mission(file)
 
 
 def test_the_command_tells_who_does_what_and_who_takes_over(
@@ -233,7 +276,9 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     file = tmp_path / "fleet.yaml"
     file.write_text(text)
     words = ["energyplan", "mission", str(file), "--json", "--fail", "alpha@100"]
-    monkeypatch.setattr("sys.argv", words)
+    page, drives = tmp_path / "page.html", tmp_path / "drives"
+    more = ["--effort", "500", "--report", str(page), "--trajectories", str(drives)]
+    monkeypatch.setattr("sys.argv", [*words, *more])
     with pytest.raises(SystemExit) as left:
         cli.main()
     assert not left.value.code
@@ -243,6 +288,10 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     assert len(names) == len(set(names)) == 4
     assert told["after_failure"]["robot"] == "alpha"
     assert {one["name"] for one in told["after_failure"]["robots"]} <= {"beta", "gamma"}
+    assert sum(len(one["legs"]) for one in told["robots"]) == len([*drives.iterdir()])
+    assert all(f">{one}</h2>" in page.read_text() for one in ("alpha", "beta", "gamma"))
+    answered = json.loads(mission_answer(text.replace("3000", "500"), tmp_path))
+    assert [one["tasks"] for one in answered["robots"]] == [one["tasks"] for one in told["robots"]]
     monkeypatch.setattr("sys.argv", [*words[:3], "--fail", "alpha"])
     with pytest.raises(SystemExit) as left:
         cli.main()

@@ -191,9 +191,10 @@ def mission_map(report: MissionReport) -> Figure:
     picture.set_figheight(picture.get_figheight() + 0.7)
     picture.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40, panchor=TOP)
     stops = [stop.name for stop in report.route]
-    good = {task.name for task in report.tasks if task.verdict == "reachable"}
+    good = {task.name: task.verdict == "reachable" for task in report.tasks}
     ordered = sorted(
-        mission.tasks, key=lambda task: stops.index(task.name) if task.name in stops else len(stops)
+        (task for task in mission.tasks if task.name in good),
+        key=lambda task: stops.index(task.name) if task.name in stops else len(stops),
     )
     places = [("S", "start", mission.start, "s", style.BLACK)]
     places += [
@@ -201,7 +202,7 @@ def mission_map(report: MissionReport) -> Figure:
             str(k),
             task.name,
             task.pose,
-            *(("o", style.GREEN) if task.name in good else ("D", style.RED)),
+            *(("o", style.GREEN) if good[task.name] else ("D", style.RED)),
         )
         for k, task in enumerate(ordered, start=1)
     ]

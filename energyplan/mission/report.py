@@ -1,0 +1,331 @@
+"""The answer to a mission: what comes of each task, the trip, and what is not certain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from energyplan import html
+from energyplan.errors import MissionError, UnknownNameError
+from energyplan.mission.trip import (
+    Activity,
+    ChargerReport,
+    Segment,
+    Stop,
+    Timeline,
+    activities,
+    stops,
+    timeline,
+    uses,
+)
+from energyplan.mission.types import Mission, Remedy, RobotState
+from energyplan.path import Path, Pose
+
+Verdict = Literal["reachable", "unreachable"]
+Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
+
+
+@dataclass(frozen=True)
+class TaskReport:
+    """What comes of one task."""
+
+    name: str  # the task
+    verdict: Verdict
+    reason: Reason  # why not
+    reachable_alone: bool  # whether it would be reachable as the mission's only task
+    energy: float  # energy that it takes with the way there, as expected [J]
+    energy_upper: float  # the same at the bound [J]
+    soc_after: float  # expected state of charge when it is done
+    shortfall: float = 0.0  # missing energy, with the route to a safe place and the reserve [J]
+    remedy: str = ""  # what would make the task reachable
+    detail: str = ""  # why not, in one sentence with figures
+    start: float = np.nan  # when it begins [s]
+    remedies: tuple[Remedy, ...] = ()  # the remedies that a program can apply
+    arrival: float = np.nan  # when the robot gets there [s]
+    departure: float = np.nan  # when it leaves [s]
+    soc_lower: float = np.nan  # state of charge at the bound when it is done
+    start_upper: float = np.nan  # when it begins at the latest, at the confidence asked [s]
+    reasons: tuple[str, ...] = ()  # of several robots, why each that has the skills cannot do it
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What one unknown costs."""
+
+    source: str  # what is not known
+    energy: float  # standard deviation that it alone gives the energy [J]
+    saving: float  # margin that would be freed if it were known [J]
+
+
+@dataclass(frozen=True, eq=False)
+class MissionReport(html.Readable):
+    """Which tasks can be done, in which order, with what energy."""
+
+    mission: Mission
+    tasks: tuple[TaskReport, ...]  # one for each task, in the order of the mission
+    trip: tuple[Segment, ...]  # what the robot does, from its start to its end
+    energy: float  # energy of the whole mission, expected [J]
+    energy_upper: float  # the same at the bound [J]
+    feasible: bool  # whether every required task is reachable and it ends where it must
+    proven: bool  # whether, for a free order, no better one exists on the routes known
+    gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
+    # Largest first, between the charges where the largest margin is needed; without charges
+    # that is the whole mission. The squares add up to the variance.
+    uncertainty: tuple[Doubt, ...] = ()
+    warnings: tuple[str, ...] = ()  # what to know before trusting the figures
+    # Of several robots, what each does; its tasks are those that it does, in this order. The whole
+    # has no trip of its own.
+    robots: tuple[MissionReport, ...] = ()
+
+    @cached_property
+    def route(self) -> tuple[Stop, ...]:
+        """The stops with their times, from the start to the end."""
+        return stops(self.trip)
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Names of the stops in the order of their visits, chargers included."""
+        names = [stop.name for stop in self.route]
+        chargers = {charger.name for charger in self.mission.chargers}
+        last = [name for name in names[-1:] if name in chargers - {names[-2]}]
+        return (*names[1:-1], *last)
+
+    @property
+    def _last(self) -> Stop:
+        if self.robots:
+            raise MissionError("each of several robots has its own end; see `robots` of the report")
+        return self.route[-1]
+
+    @property
+    def end(self) -> str:
+        """Where the mission ends."""
+        return self._last.name
+
+    @property
+    def duration(self) -> float:
+        """Duration of the mission, of several robots the longest [s]."""
+        if self.robots:
+            return max(robot.duration for robot in self.robots)
+        return self._last.arrival - self.mission.time
+
+    @property
+    def soc_end(self) -> float:
+        """State of charge at the end, expected."""
+        return self._last.soc
+
+    @property
+    def soc_end_lower(self) -> float:
+        """State of charge at the end, at the bound."""
+        return self._last.soc_lower
+
+    def _parts(self, *kinds: str) -> tuple[Segment, ...]:
+        trips = [robot.trip for robot in self.robots] or [self.trip]
+        return tuple(part for trip in trips for part in trip if part.kind in kinds)
+
+    @property
+    def legs(self) -> tuple[Segment, ...]:
+        """The drives from stop to stop."""
+        return self._parts("drive")
+
+    @property
+    def charges(self) -> tuple[Segment, ...]:
+        """The charges."""
+        return self._parts("charge")
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The paths of the drives."""
+        return tuple(part.leg.path for part in self.legs if part.leg is not None)
+
+    @property
+    def chargers(self) -> tuple[ChargerReport, ...]:
+        """How each charger is used."""
+        return uses(self.charges, [charger.name for charger in self.mission.chargers])
+
+    @property
+    def waiting(self) -> float:
+        """Time spent waiting for chargers [s]."""
+        names = {charger.name for charger in self.mission.chargers}
+        waits = (part for part in self._parts("wait") if part.goal in names)
+        return sum(part.arrival - part.departure for part in waits)
+
+    @property
+    def left_out(self) -> tuple[TaskReport, ...]:
+        """The tasks that are not done."""
+        return tuple(task for task in self.tasks if task.verdict == "unreachable")
+
+    @property
+    def timetable(self) -> tuple[Activity, ...]:
+        """What the robot does from when to when, in the order of time."""
+        return activities(self.trip)
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """The mission over time."""
+        return timeline(self.trip)
+
+    @property
+    def headline(self) -> str:
+        """What comes of the mission, in one sentence that agrees with `feasible`."""
+        needed = {task.name for task in self.mission.tasks if task.required}
+        out = [task.name in needed for task in self.left_out]
+        count = len(self.tasks)
+        if not count:
+            return "it has nothing to do"
+        tasks = "the only task" if count == 1 else f"{len(out)} of {count} tasks"
+        if any(out):
+            required = "" if all(out) else f", {sum(out)} of them required"
+            return f"not feasible as asked: {tasks} cannot be done{required}"
+        left = f"{tasks}, optional, {'is' if len(out) == 1 else 'are'} left out" if out else ""
+        if not self.feasible:
+            return "; ".join(
+                filter(None, ("not feasible as asked: it cannot end where it must", left))
+            )
+        if not out:
+            return "the task can be done" if count == 1 else f"all {count} tasks can be done"
+        return f"all required tasks can be done; {left}" if needed else left
+
+    @property
+    def sentence(self) -> str:
+        """The headline, how long what can be done takes, and how much of that is charging."""
+        charging = sum(one.duration for one in self.chargers)
+        told = f"{self.duration / 60:.0f} min"
+        told += f", {charging / 60:.0f} min of which charging" if charging else ""
+        subject = "" if self.feasible else " what can be done takes"
+        return f"{self.headline};{subject} {told}" if self.duration else self.headline
+
+    @property
+    def tables(self) -> tuple[html.Summary, ...]:
+        """The report as titled rows: tasks, timetable, and what is uncertain."""
+        if self.robots:
+            return self._of_robots()
+        tasks = [
+            (task.name, task.verdict, task.reason.replace("_", " ").replace("none", "-"),
+             *(html.number(joules / 3600) if np.isfinite(joules) else "-"
+               for joules in (task.energy, task.energy_upper)),
+             f"{100 * task.soc_after:.0f} %" if np.isfinite(task.soc_after) else "-",
+             task.remedy or "-")
+            for task in self._ranked
+        ]  # fmt: skip
+        times = [
+            (clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
+             f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
+            for one in self.timetable
+        ]  # fmt: skip
+        unknown = [
+            (
+                html.words(one.source),
+                *(html.number(part / 3600, 2) for part in (one.energy, one.saving)),
+            )
+            for one in self.uncertainty
+        ]
+        wh = f"{html.number(self.energy / 3600)} Wh"
+        most = f"{html.number(self.energy_upper / 3600)} Wh"
+        sure = f"{100 * self.mission.confidence:.0f} %"
+        left = f"{100 * self.soc_end:.0f} % of charge at the end"
+        found = (
+            html.Summary(f"Tasks: {wh}, at {sure} confidence at most {most}; {left}", (
+                "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
+            ), tasks),
+            html.Summary("Timetable", (
+                "time", "what", "where", "minutes", "charge from", "to"
+            ), times),
+            html.Summary("Uncertainty of the energy", (
+                "source", "1 sigma [Wh]", "margin freed if known [Wh]"
+            ), unknown),
+        )  # fmt: skip
+        return tuple(one for one in found if one.rows)
+
+    def _of_robots(self) -> tuple[html.Summary, ...]:
+        robots = [
+            (one.mission.name, len(one.tasks), *(html.number(e / 3600) for e in (one.energy,
+             one.energy_upper)), f"{one.duration / 60:.1f}", f"{one.waiting / 60:.1f}",
+             f"{100 * one.soc_end:.0f} %", f"{100 * one.soc_end_lower:.0f} %")
+            for one in self.robots
+        ]  # fmt: skip
+        times = [
+            (one.mission.name, clock(stop.arrival), stop.kind, stop.name,
+             f"{(stop.departure - stop.arrival) / 60:.1f}", f"{100 * stop.soc:.0f} %")
+            for one in self.robots
+            for stop in one.route[1:]
+        ]  # fmt: skip
+        found = (
+            html.Summary("Robots", (
+                "robot", "tasks", "energy [Wh]", "at most [Wh]", "minutes", "waiting [min]",
+                "charge left", "at least"
+            ), robots),
+            html.Summary("Timetable", (
+                "robot", "time", "what", "where", "minutes", "charge after"
+            ), times),
+            html.Summary("Not assigned", (
+                "task", "why"
+            ), [(task.name, task.detail) for task in self.left_out]),
+        )  # fmt: skip
+        return tuple(one for one in found if one.rows)
+
+    def _summaries(self) -> list[html.Summary]:
+        title = f"{self.mission.name}: {self.sentence}"
+        return [html.Summary(title, (), (), self.warnings), *self.tables]
+
+    def task(self, name: str) -> TaskReport:
+        """Return the report of the named task."""
+        known = {task.name: task for task in self.tasks}
+        if name not in known:
+            raise UnknownNameError("task", name, known)
+        return known[name]
+
+    def robot(self, name: str) -> MissionReport:
+        """Return what one of several robots does."""
+        known = {robot.mission.name: robot for robot in self.robots}
+        if name not in known:
+            names = ", ".join(known) or "none"
+            raise MissionError(f"no robot is called {name!r}; the robots are {names}")
+        return known[name]
+
+    def at(self, time: float) -> RobotState:
+        """Return where the robot is at a time [s]; a stay under way by then is completed."""
+        here, now = self.trip[0], time
+        pose, soc = here.pose, float(here.soc[0])
+        for part in self.trip:
+            if part.departure > now:
+                break
+            sample = -1
+            if part.leg is not None and part.arrival > now:
+                sample = int((part.t <= now).sum()) - 1
+            pose, soc = Pose(*map(float, part.poses[sample])), float(part.soc[sample])
+            if sample >= 0:
+                break
+            now = max(now, part.arrival)
+        return RobotState(pose, soc, self.done_by(now), now)
+
+    def done_by(self, time: float) -> tuple[str, ...]:
+        """Return the tasks that are done by a time [s]."""
+        return tuple(s.name for s in self.route if s.kind == "task" and s.departure <= time)
+
+    def after_failure(self, name: str, time: float) -> Mission:
+        """Return what is left for the other robots when one fails at a time [s].
+
+        They complete what they do then. What the robot that failed has done stays done.
+        """
+        failed = self.robot(name)
+        states = {
+            robot.mission.name: robot.at(time) for robot in self.robots if robot is not failed
+        }
+        return self.mission.resume_robots(states, failed.done_by(time))
+
+    @property
+    def _ranked(self) -> list[TaskReport]:
+        """The tasks, the flagged ones first, then in the order of their visits."""
+        rank = {name: k for k, name in enumerate(self.order)}
+        return sorted(
+            self.tasks, key=lambda t: (t.verdict == "reachable", rank.get(t.name, len(rank)))
+        )
+
+
+def clock(seconds: float) -> str:
+    """Return a time as hours, minutes and seconds."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
