@@ -232,7 +232,7 @@ PARTS = [
         "loads": lambda: 1.1 * Vehicle.preset("quadriga:empty").loads,
         "footprint": lambda: 1.1 * Vehicle.preset("quadriga:empty").footprint,
         **like(name="other", drive_efficiency=0.8, regen_efficiency=0.0, max_yaw_rate=0.2,
-               battery_power=80.0, usual_speed=0.6, tracking_tolerance=0.0),
+               battery_power=80.0, usual_speed=0.6, tracking_tolerance=0.0, reverse=False),
     }, {"name": LABEL}),
     Part(hilly, ("model", "vehicle"), Vehicle, like(battery_return=0.1),
          {"battery_return": "friction takes more than the slopes give"}),
