@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.battery._kernel import Circuit, discharge
-from energyplan.battery._tables import CHEMISTRIES, PRESETS, chemistry_of
+from energyplan.battery._tables import CHEMISTRIES, chemistry_of
+from energyplan.battery._tables import PRESETS as PRESETS
 from energyplan.errors import BatteryError, UnknownNameError
 from energyplan.kinds import Within, checked, numbers
 from energyplan.path import FloatArray

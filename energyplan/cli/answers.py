@@ -50,14 +50,12 @@ def warn(text: str) -> None:
 
 def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
     """Print the answer, as JSON or as text, of which a list holds parts; JSON names presets."""
-    presets = [
-        {"name": name, "measured": False, "source": source}
-        for name, source in presets_used.get().items()
-    ]
-    if presets:
-        document = {**document, "preset": presets}
     warn_with_answer()
     if json:
+        if presets_used.get():
+            from energyplan.io.sites import with_presets
+
+            document = with_presets(document, presets_used.get())
         say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
         say("\n".join(map(str, text)) if isinstance(text, list) else str(text))

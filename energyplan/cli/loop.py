@@ -13,7 +13,7 @@ from energyplan.cli import options as opt
 from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
 from energyplan.cli.options import Drive, Site, writes
-from energyplan.cli.routes import priced_ground, problem_of
+from energyplan.cli.routes import ground_of, problem_of
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def drive(
 
     Prints the predicted energy and the energy that the drive took.
     """
-    from energyplan.io.maps import read_site
+    from energyplan.io.sites import read_site
     from energyplan.io.tables import read_trajectory, write_log
     from energyplan.output import documents
     from energyplan.physics import Ground as Floor
@@ -88,13 +88,14 @@ def drive(
 
     wanted = read_trajectory(trajectory)
     place = read_site(map_file) if map_file else None
-    cost, surfaces, heights = priced_ground(Drive(model, at_battery=True), place)
+    ground = ground_of(Drive(model), place)
+    surfaces, heights = (ground.site.surfaces, ground.site.heights) if ground.site else (None, None)
     recording = Sensors.parse(sensors)
-    simulated = Robot.from_model(cost.model)
+    simulated = Robot.from_model(ground.model)
     x, y, _ = wanted.poses[len(wanted) // 2]
     simulated = switch_on(simulated, robot.effects(simulated, float(x), float(y)))
     with progress("driving"):
-        result = run(wanted, simulated, cost.model, ground=Floor(surfaces, heights))
+        result = run(wanted, simulated, ground.model, ground=Floor(surfaces, heights))
     if out:
         write_log(recording.log(result.run, out.name), out)
     secret = robot.hidden is not None
@@ -211,7 +212,7 @@ def design(
     """
     from energyplan.io.config import read_model
     from energyplan.io.documents import parse_pose
-    from energyplan.io.maps import read_site
+    from energyplan.io.sites import read_site
     from energyplan.io.tables import write_trajectory
     from energyplan.output import documents, text
     from energyplan.physics.design import design as run

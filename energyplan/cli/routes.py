@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -19,14 +19,12 @@ from energyplan.cli.options import Drive, Effort, Site, number, writes
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
-    from energyplan.cost import EnergyCost
+    from energyplan.io.sites import Ground
     from energyplan.mission import Mission
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.power import PowerModel
-    from energyplan.terrain import HeightMap, SurfaceMap
     from energyplan.terrain import Site as Place
-    from energyplan.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -93,38 +91,15 @@ class Routing:
             atomic_write(self.plot, image(picture, self.plot.suffix))
 
 
-class PricedGround(NamedTuple):
-    """What is driven on, and what motions cost there."""
-
-    cost: EnergyCost
-    surfaces: SurfaceMap | None
-    heights: HeightMap | None
-
-
-def priced_ground(drive: Drive, place: Place | None) -> PricedGround:
-    """Return the ground of a site, and what motions cost on it."""
-    from energyplan.cost import EnergyCost
-    from energyplan.cost.speeds import parse_speed
+def ground_of(drive: Drive, place: Place | None) -> Ground:
+    """Return the model that drives on the ground of a site; say what there is to know of it."""
     from energyplan.io.config import read_model
-    from energyplan.power.effects import reads_slope, with_weight
-    from energyplan.terrain import knows_ground, with_weights
+    from energyplan.io.sites import on_site
 
-    power = read_model(drive.model)
-    surfaces, heights = (place.surfaces, place.heights) if place else (None, None)
-    warn_of_surfaces(power.vehicle, surfaces)
-    if knows_ground(power):
-        warn(
-            f"{power.name} contains ground: it counts unless a file of surfaces or heights is given"
-        )
-    if heights is not None:
-        if not reads_slope(power):
-            warn(
-                f"no term of {power.name} depends on slope: the weight of "
-                f"{power.vehicle.mass:.4g} kg is added"
-            )
-        power, surfaces = with_weight(power), with_weights(surfaces) if surfaces else None
-    speed = parse_speed(drive.speed, power.vehicle)
-    return PricedGround(EnergyCost(power, battery=drive.at_battery, speed=speed), surfaces, heights)
+    ground = on_site(read_model(drive.model), place)
+    for note in ground.notes:
+        warn(note)
+    return ground
 
 
 def level_model(name: str) -> PowerModel:
@@ -145,44 +120,19 @@ def problem_of(
     site: Site, drive: Drive, start: Pose, goal: Pose, reverse: str | None = None, **more: Any
 ) -> PlanningProblem:
     """Return the problem that options name."""
-    from energyplan.io.geojson import read_surfaces
-    from energyplan.io.maps import read_keepout, read_site
-    from energyplan.planning import PlanningProblem
+    from energyplan.io.config import read_model
+    from energyplan.io.sites import SiteFile, load_site, problem_from
 
-    place = read_site(site.map_file)
-    if site.surfaces:
-        place = replace(place, surfaces=read_surfaces(site.surfaces))
-    if site.keepout:
-        place = replace(place, keepout=read_keepout(site.keepout))
-    if site.clearance is not None:
-        place = replace(place, clearance=site.clearance)
-    ground = priced_ground(drive, place)
-    for note in place.notes:
+    names = {key: str(value) for key, value in vars(site).items() if isinstance(value, Path)}
+    named = SiteFile(map=names.pop("map_file"), **names, clearance=site.clearance or 0.0)
+    place = load_site(named, lambda key, name, read: read(Path(name)))
+    asked = problem_from(
+        place, read_model(drive.model), (start, goal), battery=drive.at_battery, speed=drive.speed,
+        reverse=reverse == "yes" if reverse else None, **more,
+    )  # fmt: skip
+    for note in asked.notes:
         warn(note)
-    place = replace(place, surfaces=ground.surfaces)
-    if place.costmap is not None and not more.get("costmap_weight"):
-        warn("the costmap of the site does not count: plan takes --costmap-weight")
-    if reverse:
-        more["vehicle"] = replace(ground.cost.vehicle, reverse=reverse == "yes")
-    return PlanningProblem(place, ground.cost, start, goal, **more)  # type: ignore[arg-type]
-
-
-def warn_of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> None:
-    """Say where something is of a robot with another footprint than the one that drives has."""
-    import numpy as np
-
-    for other in {other.name: other for other in others}.values():
-        if not np.allclose(vehicle.footprint, other.footprint, rtol=0.05):
-            warn(
-                f"{what} of another robot, {other.name}, whose footprint is not that of the "
-                f"model's {vehicle.name}"
-            )
-
-
-def warn_of_surfaces(vehicle: Vehicle, ground: SurfaceMap | None) -> None:
-    """Say where the model of a surface is of another robot than the one that drives."""
-    others = (surface.model.vehicle for surface in (ground.surfaces if ground else ()))
-    warn_of_another_robot("models of the surfaces are", vehicle, others)
+    return asked.problem
 
 
 @contextmanager
@@ -344,17 +294,20 @@ def check(
     from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
     from energyplan.html import number as figure
     from energyplan.io.config import read_vehicle
-    from energyplan.io.maps import read_site
+    from energyplan.io.sites import of_another_robot, read_site
     from energyplan.io.tables import read_drive, write_trajectory
     from energyplan.limits.feasibility import check as run
     from energyplan.output import documents
     from energyplan.path import Trajectory
     from energyplan.planning.driven import drive_path, priced_models
 
-    cost, ground, hills = priced_ground(drive, read_site(map_file) if map_file else None)
+    driven = ground_of(drive, read_site(map_file) if map_file else None)
+    cost = driven.cost(drive.at_battery, drive.speed)
+    ground, hills = (driven.site.surfaces, driven.site.heights) if driven.site else (None, None)
     limits = read_vehicle(vehicle) if vehicle else None
     if limits is not None:
-        warn_of_another_robot("the motor limits are", cost.vehicle, [limits])
+        for note in of_another_robot("the motor limits are", cost.vehicle, [limits]):
+            warn(note)
     found = read_drive(trajectory, cost.icr.longitudinal)
     if not isinstance(found, Trajectory):
         if limits is not None:
@@ -447,8 +400,10 @@ def reach(
     if battery:
         from energyplan.io.mission import read_battery  # with all of missions
 
-        charge = 1.0 if soc is None else _fraction("--soc", soc)
-        energy = energy_of_charge(problem.cost, read_battery(battery), charge)
+        charge, pack = 1.0 if soc is None else _fraction("--soc", soc), read_battery(battery)
+        for note in pack.notes:
+            warn(note)
+        energy = energy_of_charge(problem.cost, pack, charge)
     usable = None if energy is None else (1.0 - kept) * energy
     with progress("searching"):
         found = energy_map(
@@ -517,7 +472,6 @@ def mission(
     if fail is not None and not asked.robots:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
     name, instant = _failure(fail) if fail else ("", 0.0)
-    warn_of_surfaces(asked.model.vehicle, asked.surfaces)
     with progress("evaluating the mission"):
         result = evaluate(asked)
         after = evaluate(result.after_failure(name, instant)) if name else None
@@ -541,6 +495,7 @@ def mission(
 
 def _with_options(asked: Mission, effort: int | None, reverse: str | None) -> Mission:
     """Give a mission, and each of several robots, what the command says."""
+    from energyplan.io.mission import noted
 
     def changed(name: str, value: Any) -> Any:
         if name == "planning_effort" and effort is not None:
@@ -555,7 +510,7 @@ def _with_options(asked: Mission, effort: int | None, reverse: str | None) -> Mi
         for one in asked.robots
     )
     whole = {key: changed(key, getattr(asked, key)) for key in keys}
-    return replace(asked, robots=robots, **whole)
+    return noted(replace(asked, robots=robots, **whole), asked.notes)
 
 
 def _failure(text: str) -> tuple[str, float]:

@@ -294,6 +294,11 @@ def write_model(model: PowerModel, path: str | Path) -> Path:
     >>> again.coefficient("slip_friction") == model.coefficient("slip_friction")
     True
     """
+    return atomic_write(path, model_text(model))
+
+
+def model_text(model: PowerModel) -> str:
+    """Return what the file of a model holds."""
     terms = []
     for item, value in zip(model.terms, model.coefficients, strict=True):
         try:
@@ -320,7 +325,7 @@ def write_model(model: PowerModel, path: str | Path) -> Path:
     if model.residual is not None:
         told = vars(model.residual).items()
         data["residual"] = {k: float(v) for k, v in told if v is not None}
-    return _dump(data, path)
+    return _text(data)
 
 
 def _is_file(source: str | Path) -> bool:
@@ -472,7 +477,11 @@ def plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _dump(data: dict[str, Any], path: str | Path) -> Path:
-    return atomic_write(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))
+    return atomic_write(path, _text(data))
+
+
+def _text(data: dict[str, Any]) -> str:
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import re
 import struct
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
@@ -21,15 +21,14 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from energyplan.errors import DriveLogError, EnergyPlanError, MapError
+from energyplan.errors import DriveLogError, MapError
 from energyplan.io.bags import is_bag, opened_bag
 from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file
-from energyplan.io.geojson import read_obstacles, read_surfaces
+from energyplan.io.geojson import read_obstacles
 from energyplan.kinds import NO_NUMBER, checked, warn
 from energyplan.path import Pose, as_pose
-from energyplan.records import amount_of
-from energyplan.terrain import CostMap, Site, SpeedLimit, with_limits
+from energyplan.terrain import CostMap, SpeedLimit
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid, from_raster
 from energyplan.terrain.heights import HeightMap
 
@@ -692,54 +691,3 @@ def _of_layer(file: Path, message: Any, layer: Any) -> _Raster:
     reach = 0.5 * info.resolution * (1.0 - np.array(cells.shape))
     x, y = from_raster(reach, Pose(at.x, at.y, yaw), 1.0)
     return _Raster(cells[::-1].T, float(info.resolution), Pose(float(x), float(y), yaw))
-
-
-# -- sites ----------------------------------------------------------------------------------------
-
-
-class SiteFile(Checked, BaseModel):
-    """What the file of a site may hold: names of files, and a distance."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    map: str  # the map: whatever `read_map` takes
-    surfaces: str | None = None  # areas of other ground: GeoJSON
-    heights: str | None = None  # heights of the ground: whatever `read_heights` takes
-    keepout: str | None = None  # a second map: the robot stays out of its occupied cells
-    costmap: str | None = None  # a map of soft costs
-    speed_mask: str | None = None  # a mask of Nav2's speed filter: see `read_speed_mask`
-    clearance: Annotated[float, amount_of("length"), Field(ge=0, allow_inf_nan=False)] = 0.0  # [m]
-
-
-PARTS: dict[str, Callable[[Path], Any]] = {
-    "surfaces": read_surfaces, "heights": read_heights, "keepout": read_keepout,
-    "costmap": read_costmap,
-}  # fmt: skip
-"""What reads a part of a site, by its key."""
-
-
-@checked(MapError)
-def read_site(path: str | Path, *, inside: bool = False) -> Site:
-    """Read a site: a YAML file that names its map and what else there is; or a map alone.
-
-    The keys are ``map`` (required), ``surfaces``, ``heights``, ``keepout``, ``costmap`` and
-    ``speed_mask``, names of files relative to this one, and ``clearance``, a distance such as
-    ``0.2`` or ``20 cm``. As a service asks, no file is read that is not `inside` the site's
-    folder. Errors name the line.
-    """
-    file = Path(path)
-    document = load(file, MapError) if file.suffix in {".yaml", ".yml"} and is_file(file) else None
-    if document is None or "map" not in document.data or {"tasks", "image"} & {*document.data}:
-        return Site(read_map(file))
-    spec = document.check(SiteFile)
-    parts: dict[str, Any] = {}
-    for key, read in {"map": read_map, **PARTS, "speed_mask": read_speed_mask}.items():
-        name = getattr(spec, key)
-        if name is not None:
-            try:
-                parts[key] = read(beside(file, key, name) if inside else file.parent / name)
-            except EnergyPlanError as problem:
-                raise document.fail((key,), str(problem)) from None
-    limits = parts.pop("speed_mask", ())
-    parts["surfaces"] = with_limits(parts.get("surfaces"), limits)
-    return Site(**parts, clearance=spec.clearance)

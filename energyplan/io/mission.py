@@ -14,13 +14,11 @@ from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
-from energyplan.io.maps import PARTS, read_site
+from energyplan.io.sites import PARTS, SiteFile, load_site, on_site
 from energyplan.kinds import checked, described, doubts_of
 from energyplan.mission import Mission, Robot, Task
 from energyplan.mission.types import OWN, Name, Place
 from energyplan.power import PowerModel
-from energyplan.power.effects import with_weight
-from energyplan.terrain import with_weights
 from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
@@ -102,9 +100,8 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     def named(read: Callable[[Path], T], preset: Callable[[str], T]) -> Callable[[str], T]:
         return lambda name: read(file(name)) if _is_yaml(name) else preset(name)
 
-    def weighed(model: PowerModel) -> PowerModel:
-        # a model from level ground says nothing about slopes; the wheel loads tell the weight
-        return with_weight(model) if hills else model
+    def part(key: str, name: str, read: Callable[[Path], T]) -> T:
+        return at((key,), read, at((key,), file, name))
 
     optional = ("vehicle", *PARTS)
     given = {k: v for k, v in document.data.items() if k != "places"}
@@ -114,19 +111,10 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
             told = f"{described(value)} is no name of a file or preset; give one"
             raise document.fail((key,), told + document.another_kind(Mission))
     places = document.check(dict[str, Place], ("places",)) if "places" in document.data else {}
-    hills, known = False, set[str]()
+    site, notes, known = None, tuple[str, ...](), set[str]()
     if "map" in data:
-        found = at(("map",), lambda name: read_site(file(name), inside=not anywhere), data["map"])
-        parts = {
-            key: at((key,), lambda key: PARTS[key](file(data.pop(key))), key)
-            for key in PARTS
-            if key in data
-        }
-        site = replace(found, **parts)
-        hills = site.heights is not None
-        if hills and site.surfaces is not None:
-            site = replace(site, surfaces=with_weights(site.surfaces))
-        data["map"] = site
+        names = SiteFile(map=data["map"], **{key: data.pop(key) for key in PARTS if key in data})
+        data["map"] = site = load_site(names, part, inside=not anywhere)
         known = {one.model.name for one in (site.surfaces.surfaces if site.surfaces else ())}
     read_named = named(read_model, PowerModel.preset)
     if "model" in data:
@@ -134,22 +122,25 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
         if "vehicle" in data:
             vehicle = at(("vehicle",), named(read_vehicle, Vehicle.preset), data.pop("vehicle"))
             model = replace(model, vehicle=vehicle.with_icr(model.vehicle.icr))
-        data["model"] = weighed(model)
-        known |= {data["model"].name}
+        data["model"], ground, notes = on_site(model, site)
+        data |= {} if ground is None else {"map": ground}
+        known |= {model.name}
     if isinstance(data.get("battery"), str) and _is_yaml(data["battery"]):
         data["battery"] = at(("battery",), lambda name: read_battery(file(name)), data["battery"])
     heavy: dict[str, dict[float, PowerModel]] = {}
     if "payload_models" in data:
         for name, models in document.check(_MODELS, ("payload_models",)).items():
             loc = "payload_models", name
-            heavy[name] = {mass: weighed(at(loc, read_named, one)) for mass, one in models.items()}
+            heavy[name] = {
+                mass: on_site(at(loc, read_named, one), site).model for mass, one in models.items()
+            }
             if "map" in data and name not in known:
                 raise document.fail(
                     loc, f"the mission has no such model; it has {', '.join(sorted(known))}"
                 )
     data = {"name": Path(document.source).stem, **data, "payload_models": heavy}
     return replace(document, data=data).check(
-        Mission, context={"places": places, "where": document.where}
+        Mission, context={"places": places, "where": document.where, "notes": notes}
     )
 
 
@@ -206,15 +197,24 @@ def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
         robots.append(Robot(entry.name, entry.skills, changes))
     whole: dict[str, Any] = {"name": str(common.get("name", Path(document.source).stem)),
                              "home": mission.home if "home" in common else None}  # fmt: skip
-    return replace(mission, tasks=tasks, robots=tuple(robots), **whole)
+    return noted(replace(mission, tasks=tasks, robots=tuple(robots), **whole), mission.notes)
 
 
-def read_battery(source: str | Path) -> Battery:
-    """Return a battery from words, a preset, or a YAML file with the keys of a mission's."""
-    if not _is_yaml(str(source)):
+def noted(mission: Mission, notes: tuple[str, ...]) -> Mission:
+    """Give a mission that was changed the notes of the file that it is from."""
+    object.__setattr__(mission, "notes", tuple(dict.fromkeys((*notes, *mission.notes))))
+    return mission
+
+
+def read_battery(source: str | Path | dict[str, Any]) -> Battery:
+    """Return a battery from words, a preset, the keys of a mission's, or a YAML file of them."""
+    if isinstance(source, dict):
+        document, name = Document("battery", source, {}, MissionError), "battery"
+    elif not _is_yaml(str(source)):
         return Battery.of(str(source))
-    document = load(source, MissionError)
-    data = {"name": Path(source).stem, **document.data}
+    else:
+        document, name = load(source, MissionError), Path(source).stem
+    data = {"name": name, **document.data}
     battery = replace(document, data=data).check(Battery)
     document.warn(doubts_of(battery))
     return battery

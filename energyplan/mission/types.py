@@ -524,7 +524,7 @@ class Mission(ReadOnly, html.Readable):
     robots: Annotated[tuple[Robot, ...], Field(max_length=100)] = ()
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 
-    also: ClassVar = ("vehicle", "places", "keepout", "costmap")  # keys of a file alone
+    also: ClassVar = ("vehicle", "places", "keepout", "costmap", "speed_mask")  # of a file
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -573,7 +573,8 @@ class Mission(ReadOnly, html.Readable):
                     told = f"a standard deviation of {spread:g} is more than the mean of {mean:g}"
                     found.append((("tasks", k, name), told))
         notes = (f"{where(place)}: {text}" for place, text in found)
-        object.__setattr__(self, "notes", (*self.notes, *notes))
+        known = (info.context or {}).get("notes", ())
+        object.__setattr__(self, "notes", (*self.notes, *known, *notes))
         return self
 
     def __post_init__(self) -> None:

@@ -349,9 +349,7 @@ def mission_page(report: MissionReport) -> Page:
 
 def mission_pictures(report: MissionReport) -> Iterator[Picture]:
     """Yield the route on the map, coloured by power, and the state of charge over time."""
-    yield Picture(
-        "map", plots.mission_map(report), "The route, coloured by the power at the battery."
-    )
+    yield Picture("map", plots.mission_map(report), "The route, coloured by the state of charge.")
     yield Picture(
         "charge",
         plots.mission_charge(report),

@@ -25,6 +25,7 @@ from energyplan.cost import EnergyCost
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.bags import TopicMap, read_message
 from energyplan.io.mission import mission_from
+from energyplan.io.sites import models_of, with_presets
 from energyplan.logs.clean import POWER_WAYS, total_power
 from energyplan.mission import evaluate
 from energyplan.output import documents
@@ -418,6 +419,8 @@ def diagnostics_message(
 def mission_answer(text: str, folder: str | Path) -> str:
     """Tell whether a mission can be done, text in and text out."""
     try:
-        return json.dumps(documents.mission(evaluate(mission_from(text, folder))))
+        mission = mission_from(text, folder)
+        answer = with_presets(documents.mission(evaluate(mission)), models_of(mission))
+        return json.dumps(answer)
     except errors.EnergyPlanError as error:
         return json.dumps({"error": " ".join(str(error).split())})

@@ -7,9 +7,8 @@ import base64
 import io
 import json
 import math
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator, Sequence
 from contextlib import aclosing, asynccontextmanager
-from dataclasses import replace
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -19,15 +18,15 @@ import numpy as np
 from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.staticfiles import StaticFiles
+from shapely.geometry import mapping
 from starlette.exceptions import HTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import ClientDisconnect
 
 from energyplan import __version__
-from energyplan.battery import Battery
+from energyplan.battery import PRESETS as BATTERY_PRESETS
 from energyplan.comparison import compare
 from energyplan.compilation import compile_kernels
-from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
 from energyplan.errors import (
     CancelledError,
@@ -40,10 +39,12 @@ from energyplan.errors import (
 )
 from energyplan.fit import identify
 from energyplan.io.bags import topic_map_of
-from energyplan.io.config import Project
+from energyplan.io.config import Project, model_text, read_model, read_vehicle
+from energyplan.io.documents import load
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.logs import read_log
-from energyplan.io.mission import mission_from, read_mission
+from energyplan.io.mission import mission_from, read_battery, read_mission
+from energyplan.io.sites import Asked, SiteFile, models_of, on_site, problem_from, with_presets
 from energyplan.io.start import Given, Start
 from energyplan.io.start import start as start_of
 from energyplan.io.tables import contours_document
@@ -53,8 +54,10 @@ from energyplan.logs import DriveLog
 from energyplan.mission import Routes, evaluate
 from energyplan.output import documents
 from energyplan.path import Trajectory, as_pose
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import plan
 from energyplan.planning import planners as known_planners
+from energyplan.power import PowerModel
+from energyplan.power.presets import MODEL_PRESETS
 from energyplan.reach import energy_map, energy_of_charge
 from energyplan.serve.requests import (
     MOST_EFFORT,
@@ -80,7 +83,6 @@ from energyplan.serve.store import (
     StoppingError,
     Store,
     UnknownFileError,
-    kind_of,
 )
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
@@ -216,11 +218,6 @@ class _Service:
         except Exception as error:  # noqa: BLE001  the answer has begun: a status comes too late
             yield f"event: problem\ndata: {bytes(self.problem(error).body).decode()}\n\n"
 
-    def cost(self, name: str, battery: bool) -> EnergyCost:
-        """Return the cost of a model's motions."""
-        model = self.store.model(name)
-        return EnergyCost(model, battery=battery)
-
 
 def _written(document: Document) -> bytes:
     """Write an answer; numbers are finite, and there is an end to it."""
@@ -249,9 +246,10 @@ def _parts(value: Any) -> Iterator[str]:
         yield json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
-def _noted(found: Document, notes: list[str]) -> Document:
-    """Add notes to an answer."""
-    return {**found, "notes": [*found.get("notes", ()), *notes]} if notes else found
+def _whole(found: Document, notes: Sequence[str], model: PowerModel, *more: PowerModel) -> Document:
+    """Add to an answer what there is to know of what it was made from."""
+    notes = [*found.get("notes", ()), *notes, *unusual(model.vehicle, "vehicle")]
+    return with_presets({**found, "notes": notes} if notes else found, (model, *more))
 
 
 def _files(service: _Service) -> APIRouter:
@@ -265,7 +263,9 @@ def _files(service: _Service) -> APIRouter:
     @router.get("/files")
     async def listing() -> Document:
         """List the data folder by kind, and the planners."""
-        return {**await asyncio.to_thread(store.names), "planners": list(known_planners())}
+        presets = {"models": [*MODEL_PRESETS], "batteries": [*BATTERY_PRESETS]}
+        names = await asyncio.to_thread(store.names)
+        return {**names, "presets": presets, "planners": [*known_planners()]}
 
     @router.put("/files/{name:path}", status_code=201)
     async def upload(name: str, request: Request) -> Document:
@@ -277,21 +277,15 @@ def _files(service: _Service) -> APIRouter:
     @router.get("/maps/{name:path}")
     async def map_document(name: str, request: Request) -> Response:
         """Return size, resolution [m], origin and a picture of a map's occupied cells."""
-        return await service.answer(request, lambda job: _map_document(store.map(name)))
+        return await service.answer(
+            request, lambda job: _map_document(store.site(SiteFile(map=name)).grid)
+        )
 
     @router.get("/surfaces/{name:path}")
     async def surface_document(name: str) -> Response:
         """Return the polygons of surfaces as they are."""
         await asyncio.to_thread(store.read, name, read_surfaces)
         return FileResponse(store.path(name), media_type="application/geo+json")
-
-    @router.get("/models/{name}")
-    async def model_document(name: str) -> Document:
-        """Return a model's terms, and its vehicle's footprint [m]."""
-        model = await asyncio.to_thread(store.model, name)
-        footprint = documents.plain(model.vehicle.footprint)
-        mass = model.vehicle.mass
-        return {"terms": documents.terms(model), "footprint": footprint, "mass": mass}
 
     return router
 
@@ -318,57 +312,57 @@ def _map_document(grid: Any) -> Document:
 def _routes(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
-    def problem_of(asked: PlanRequest | RangeRequest, battery: bool, goal: list[float],
-                   **more: Any) -> PlanningProblem:  # fmt: skip
-        cost = service.cost(asked.model, battery)
-        place: Any = store.site(asked)  # of which a problem takes the parts
+    def question(
+        asked: PlanRequest | RangeRequest, battery: bool, goal: list[float], **more: Any
+    ) -> Asked:
         ends = as_pose(asked.start, "start"), as_pose(goal, "goal")
-        if asked.reverse is not None:
-            more["vehicle"] = replace(cost.vehicle, reverse=asked.reverse)
-        return PlanningProblem(place, cost, *ends, **more)
+        model = store.named(asked.model, read_model)
+        return problem_from(
+            store.site(asked), model, ends, battery=battery, reverse=asked.reverse, **more
+        )
 
     def planned(
         run: Callable[..., Any], document: Callable[[Any], Document], job: Job, asked: PlanRequest
     ) -> Document:
-        query = problem_of(
+        query = question(
             asked, asked.battery, asked.goal, objective=asked.objective,
             costmap_weight=asked.costmap_weight,
         )  # fmt: skip
         job.say("planning")
         limit = math.inf if asked.time_limit is None else asked.time_limit
         try:
-            found = document(run(query, asked.planner, limit, effort=asked.effort))
+            found = document(run(query.problem, asked.planner, limit, effort=asked.effort))
         except NoPathError as error:  # an answer, as on the command line
-            return documents.no_path(error)
-        return _noted(found, [*store.site(asked).notes, *unusual(query.cost.vehicle, "vehicle")])
+            found = documents.no_path(error)
+        return _whole(found, query.notes, *models_of(query.problem))
 
     def reach(job: Job, asked: RangeRequest) -> Document:
         if (asked.energy is None) == (asked.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
-        question = problem_of(asked, asked.pack is not None, asked.start)
+        problem, notes = question(asked, asked.pack is not None, asked.start)
         there_is = asked.energy
-        if asked.pack:
-            there_is = energy_of_charge(question.cost, Battery.preset(asked.pack), asked.soc)
+        if asked.pack is not None:
+            pack = store.named(asked.pack, read_battery)
+            there_is, notes = energy_of_charge(problem.cost, pack, asked.soc), notes + pack.notes
         assert there_is is not None
         usable = (1.0 - asked.reserve) * there_is
         job.say("searching")
         found = energy_map(
-            question, energy=usable, back=asked.back, confidence=asked.confidence,
+            problem, energy=usable, back=asked.back, confidence=asked.confidence,
             coefficient_spread=asked.coefficient_spread,
         )  # fmt: skip
         areas = found.areas(usable)
         told = {**documents.energy_map(found, areas), "areas": contours_document(areas)}
-        return _noted(told, unusual(question.cost.vehicle, "vehicle"))
+        return _whole(told, notes, *models_of(problem))
 
     def checked(job: Job, asked: CheckRequest) -> Document:
-        names = ("t", "x", "y", "yaw", "v", "omega")
-        columns = {name: getattr(asked, name) for name in names}
+        columns = {name: column for name, column in asked if name != "model"}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise InvalidInputError(f"the columns have different lengths: {lengths}")
-        model = store.model(asked.model)
+        model, _, notes = on_site(store.named(asked.model, read_model), None)
         told = documents.feasibility(check(Trajectory(**columns), model))
-        return _noted(told, unusual(model.vehicle, "vehicle"))
+        return _whole(told, notes, model)
 
     service.answers(router, "/plan", PlanRequest, partial(planned, plan, documents.plan))
     compared = partial(planned, compare, documents.comparison)
@@ -387,19 +381,38 @@ def _compiled() -> None:
 def _missions(service: _Service) -> APIRouter:
     router, store, routes = APIRouter(), service.store, Routes()
 
+    def opened(job: Job, name: str) -> Document:
+        """Return what the page shows of a mission's file, and what the file holds."""
+        file = store.path(name)
+        mission = read_mission(file, inside=True)
+        shapes = [
+            {"type": "Feature", "properties": {"surface": name}, "geometry": mapping(area)}
+            for name, area in (mission.surfaces.polygons if mission.surfaces else ())
+        ]
+        return {
+            "document": documents.plain(load(file, InvalidInputError).data),
+            **documents.picked(mission, "start soc reserve coefficient_spread tasks chargers"),
+            "map": _map_document(mission.map),
+            "areas": {"type": "FeatureCollection", "features": shapes},
+        }
+
+    @router.get("/missions/{name:path}")
+    async def mission_document(name: str, request: Request) -> Response:
+        """Return what a mission's file holds, its numbers in SI units, and a picture of its map."""
+        return await service.answer(request, lambda job: opened(job, name))
+
     def evaluated(job: Job, asked: MissionRequest) -> Document:
-        if (asked.mission is None) == (asked.document is None):
-            raise InvalidInputError("give either mission, the name of a file, or document")
-        file = None if asked.mission is None else store.path(asked.mission)
-        if "robots" in (asked.document or ()) or (file and kind_of(file) == "fleets"):
+        if asked.mission is None and asked.document is None:
+            raise InvalidInputError("give mission, the name of a file, or document")
+        file = store.folder / "mission" if asked.mission is None else store.path(asked.mission)
+        mission = (
+            read_mission(file, inside=True) if asked.document is None
+            else mission_from(asked.document, file.parent)
+        )  # fmt: skip
+        if mission.robots:
             raise InvalidInputError(
-                "it is a fleet, and one robot's missions are served; energyplan mission takes its "
-                "file"
+                "it is a fleet, and one robot's missions are served; energyplan mission takes it"
             )
-        if file is not None:
-            mission = read_mission(file, inside=True)
-        else:
-            mission = mission_from(asked.document or {}, store.folder)
         if len(mission.tasks) > MOST_TASKS or (mission.planning_effort or 0) > MOST_EFFORT:
             raise InvalidInputError(
                 f"the mission has more than {MOST_TASKS} tasks, or a planning_effort above "
@@ -407,10 +420,10 @@ def _missions(service: _Service) -> APIRouter:
             )
         _compiled()
         job.limit(asked.time_limit)
-        told = evaluate(mission, lambda text: job.say(text), routes=routes)
-        names = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
-        along = {name: documents.plain(getattr(told.timeline, name)) for name in names}
-        return {**documents.mission(told, trajectories=True), "timeline": along}
+        told = evaluate(mission, job.say, routes=routes)
+        along = documents.picked(told.timeline, "t x y soc soc_lower soc_upper power")
+        found = {**documents.mission(told, trajectories=True), "timeline": along}
+        return with_presets(found, models_of(mission))
 
     service.answers(router, "/mission", MissionRequest, evaluated)
     return router
@@ -421,7 +434,7 @@ def _logs(service: _Service) -> APIRouter:
 
     def begun(name: str, robot: Robot) -> Start:
         known = robot.model_dump(exclude_none=True, exclude={"like"})
-        like = store.vehicle(robot.like) if robot.like else None
+        like = store.named(robot.like, read_vehicle) if robot.like else None
         return start_of(store.path(name), Given(**known, like=like))
 
     def project_of(asked: IdentifyRequest) -> Project | None:
@@ -447,19 +460,21 @@ def _logs(service: _Service) -> APIRouter:
 
     def identified(job: Job, asked: IdentifyRequest) -> Document:
         project = project_of(asked)
-        vehicle = project.vehicle if project else store.vehicle(asked.vehicle or "")
+        vehicle = project.vehicle if project else store.named(asked.vehicle or "", read_vehicle)
         logs = read(asked, asked.logs, project)
         job.say("identifying")
-        return documents.identification(identify(logs, vehicle))
+        found = identify(logs, vehicle)
+        return {**documents.identification(found), "model_file": model_text(found.model)}
 
     def diagnosed(job: Job, asked: DiagnoseRequest) -> Document:
         def say(fraction: float, note: str = "") -> None:
             job.say("diagnosing", fraction=fraction, note=note)
 
         project = project_of(asked)
-        vehicle = project.vehicle if project else store.vehicle(asked.vehicle or "")
+        vehicle = project.vehicle if project else store.named(asked.vehicle or "", read_vehicle)
         logs, judging = (read(asked, names, project) for names in (asked.logs, asked.holdout))
-        return documents.diagnosis(diagnose(logs, holdout=judging, vehicle=vehicle, progress=say))
+        found = diagnose(logs, holdout=judging, vehicle=vehicle, progress=say)
+        return {**documents.diagnosis(found), "model_file": model_text(found.model)}
 
     def started(job: Job, asked: StartRequest) -> Document:
         made = begun(asked.log, asked.robot)

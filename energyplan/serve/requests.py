@@ -26,7 +26,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from energyplan.errors import InvalidInputError
 from energyplan.io.documents import MAX_NODES
-from energyplan.io.maps import SiteFile
+from energyplan.io.sites import SiteFile
 from energyplan.path import FloatArray
 
 LONGEST, MOST_EFFORT = 60.0, 5_000_000
@@ -65,7 +65,7 @@ class RangeRequest(SiteFile, _Asked):
     start: PoseRow
     back: PoseRow | None = Field(None, description="a pose to get back to, such as a charger's")
     energy: float | None = Field(None, gt=0)
-    pack: Name | None = Field(None, description="name of a battery", examples=["quadriga"])
+    pack: Name | dict[str, Any] | None = Field(None, description="battery, as a mission's file has")
     soc: float = Field(1.0, gt=0, le=1)
     reserve: float = Field(0.0, ge=0, lt=1)
     confidence: float | None = Field(None, gt=0, lt=1)
@@ -117,7 +117,7 @@ def request_of(kind: type[A], body: bytes) -> A:
         raise InvalidInputError("; ".join(places[:20])) from None
 
 
-def _few(document: dict[str, Any] | None) -> dict[str, Any] | None:
+def _few(document: Any) -> Any:
     """Refuse a document of more values than a file may hold."""
     waiting, count = [document], 0
     while waiting:
@@ -132,7 +132,7 @@ def _few(document: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 class MissionRequest(_Asked):
-    """A mission: a file of the data folder, or what such a file would hold."""
+    """A mission: a file of the data folder, or what one would hold; with both, in its place."""
 
     mission: Name | None = None
     document: Annotated[dict[str, Any] | None, AfterValidator(_few)] = None

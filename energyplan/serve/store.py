@@ -9,8 +9,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
-from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,17 +21,20 @@ from energyplan.errors import (
     InvalidInputError,
     TimeLimitError,
 )
-from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.files import atomic_write, files_behind
-from energyplan.io.maps import PARTS, SiteFile, at_most, read_site
+from energyplan.io.maps import at_most
+from energyplan.io.mission import read_battery
+from energyplan.io.sites import SiteFile, load_site
 from energyplan.planning.budget import cancellable
-from energyplan.terrain import OccupancyGrid, Site
+from energyplan.terrain import Site
 
 T = TypeVar("T")
 
 KINDS = {
     "maps": (".yaml", ".yml", ".map"),
     "models": (".yaml", ".yml"),
+    "vehicles": (".yaml", ".yml"),
+    "batteries": (".yaml", ".yml"),
     "missions": (".yaml", ".yml"),
     "logs": (".csv", ".csv.gz", ".parquet", ".mcap", ".bag", ".db3"),
     "surfaces": (".geojson", ".json"),
@@ -41,6 +42,12 @@ KINDS = {
 }
 """What a data folder holds, and how the names end."""
 
+_TELLING: tuple[tuple[str, set[str]], ...] = (
+    ("fleets", {"robots"}), ("missions", {"tasks"}), ("maps", {"map", "image"}),
+    ("models", {"terms"}), ("vehicles", {"vehicle", "contacts", "track", "mass", "icr"}),
+    ("batteries", {"chemistry", "unit_capacity", "capacity", "health", "preset"}),
+)  # fmt: skip
+"""Keys of which any shows what a YAML file is; the first kind that fits."""
 _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
 _LONGEST = 200  # letters of a name
 _KEPT = 32  # files whose content is kept
@@ -94,29 +101,15 @@ class Store:
             raise UnknownFileError(f"{name!r} lies outside the data folder")
         return file
 
-    def map(self, name: str) -> OccupancyGrid:
-        """Return a map, or that of a site."""
-        return self.site(SiteFile(map=name)).grid
-
     def site(self, asked: SiteFile) -> Site:
         """Return a site; its map is the same object, with its tables, while its files are."""
-        found = self.read(asked.map, partial(read_site, inside=True), "site")
-        given = {key: getattr(asked, key) for key in PARTS}
-        parts = {key: self.read(name, PARTS[key]) for key, name in given.items() if name}
-        return replace(found, **parts, clearance=asked.clearance or found.clearance)
+        return load_site(asked, lambda key, name, read: self.read(name, read), inside=True)
 
-    def model(self, name: str) -> Any:
-        """Return a power model: a file of the folder, or a preset."""
-        return self._or_preset(name, read_model)
-
-    def vehicle(self, name: str) -> Any:
-        """Return a vehicle: a file of the folder, or a preset."""
-        return self._or_preset(name, read_vehicle)
-
-    def _or_preset(self, name: str, read: Callable[[Path | str], T]) -> T:
-        if name.endswith(KINDS["models"]):
+    def named(self, name: Any, read: Callable[[Any], T]) -> T:
+        """Return what a file of the folder holds, or what a name stands for; paths are refused."""
+        if isinstance(name, str) and name.endswith(KINDS["models"]):
             return self.read(name, read)
-        if not re.fullmatch(r"[\w:-]+", name):  # a path could lie outside the folder
+        if read is not read_battery and not re.fullmatch(r"[\w:-]+", name):
             raise UnknownFileError(f"{name!r} is neither a preset nor a file of the data folder")
         return read(name)
 
@@ -170,15 +163,11 @@ def _stamp(files: list[Path]) -> _Stamp:
 
 
 def kind_of(file: Path) -> str:
-    """Return which kind of YAML file this is, by its keys; a fleet is none of `KINDS`."""
+    """Return which kind of YAML file this is, by its keys; not each is one of `KINDS`."""
     with file.open("rb") as stream:
         text = stream.read(65536).decode("utf-8", "replace")
     keys = set(re.findall(r"^(\w+)\s*:", text, re.MULTILINE))
-    if "robots" in keys:
-        return "fleets"
-    if "tasks" in keys:
-        return "missions"
-    return "maps" if {"image", "resolution"} <= keys or "map" in keys else "models"
+    return next((kind for kind, telling in _TELLING if telling & keys), "others")
 
 
 # -- work ---------------------------------------------------------------------------------------

@@ -28,7 +28,8 @@ from energyplan.errors import ConfigError, InvalidInputError, MapError
 from energyplan.io.documents import read_json
 from energyplan.io.geojson import read_surfaces, write_surfaces
 from energyplan.io.logs import read_log
-from energyplan.io.maps import at_most, read_heights, read_map, read_site, write_map
+from energyplan.io.maps import at_most, read_heights, read_map, write_map
+from energyplan.io.sites import read_site
 from energyplan.mission import Mission, Task
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem

@@ -12,7 +12,8 @@ from PIL import Image
 
 from energyplan.errors import MapError
 from energyplan.io.geojson import read_surfaces, write_surfaces
-from energyplan.io.maps import read_site, read_speed_mask
+from energyplan.io.maps import read_speed_mask
+from energyplan.io.sites import read_site
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
 from energyplan.path import Path, Pose, Trajectory

@@ -21,7 +21,7 @@ import shapely
 from numpy.typing import NDArray
 
 import energyplan as ep
-from energyplan.io.config import write_model
+from energyplan.io.config import read_model, write_model
 from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import write_map
 from energyplan.mission import Charger, Mission, Robot, Routes, Spreads, Task, evaluate, legs
@@ -414,9 +414,9 @@ def test_the_store_reads_a_model_anew_when_a_field_of_its_vehicle_changes(tmp_pa
     for name, value in part.changes.items():
         now = changed(model(), ("vehicle",), {name: value()})
         write_model(now, tmp_path / "m.yaml")
-        found = store.model("m.yaml")
+        found = store.named("m.yaml", read_model)
         assert found.vehicle == now.vehicle != before.vehicle, name
-        assert store.model("m.yaml") is found
+        assert store.named("m.yaml", read_model) is found
         before = now
 
 

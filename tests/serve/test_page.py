@@ -10,11 +10,14 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
+import yaml
 
 import energyplan as ep
 from energyplan import simulate
@@ -24,28 +27,14 @@ ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
 
 
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    folder = tmp_path_factory.mktemp("data")
-    for file in (ROOT / "maps").glob("warehouse*"):
-        shutil.copy(file, folder)
-    model = ep.PowerModel.preset("quadriga:full:concrete")
-    ep.write_model(model.with_term(HOTEL, 40.0), folder / "hotel.yaml")
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Serve a folder, and give the address of its page."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    server = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "energyplan",
-            "serve",
-            str(folder),
-            "--port",
-            str(port),
-            "--no-token",
-        ]
-    )
+    command = ["-m", "energyplan", "serve", str(folder), "--port", str(port), "--no-token"]
+    server = subprocess.Popen([sys.executable, *command])
     try:
         for _ in range(600):
             try:
@@ -60,10 +49,61 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         server.wait(30)
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("data")
+    for file in (ROOT / "maps").glob("warehouse*"):
+        shutil.copy(file, made)
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    ep.write_model(model.with_term(HOTEL, 40.0), made / "hotel.yaml")
+    return made
+
+
+@pytest.fixture(scope="module")
+def address(folder: Path) -> Iterator[str]:
+    with served(folder) as at:
+        yield at
+
+
+ROUND = """\
+model: ours.yaml
+map: office.yaml
+battery: 24 V 20 Ah lead-acid
+coefficient_spread: 5 %
+order: free
+return_to: start
+planning_effort: 1000
+start: [1.2, 2.0, 90deg]
+places: {door: [3.9, 2.0, 90deg]}
+chargers: [{name: dock, pose: [1.2, 2.0, 90deg], power: 100 W}]
+tasks:
+  - {name: pump, pose: door, dwell: {mean: 20 min, std: 1 min}, power: 60 W, window: [0, 2 h]}
+  - {name: meter, pose: [3.9, 5.0, 90deg], dwell: 5 min, power: 30 W}
+  - {name: hall, pose: [6, 2, 0], dwell: 4 h, power: 200 W, required: false}
+"""
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a folder with a mission of a robot of one's own, not at its top."""
+    top = tmp_path_factory.mktemp("prepared")
+    (top / "north").mkdir()
+    for file in ("office.yaml", "office.png"):
+        shutil.copy(ROOT / "maps" / file, top / "north")
+    model = replace(ep.PowerModel.preset("husky_a200:flooring"), name="ours")
+    ep.write_model(model, top / "north" / "ours.yaml")
+    (top / "north" / "round.yaml").write_text(ROUND)
+    with served(top) as at:
+        yield at
+
+
 class Opened:
     """A page, with what went wrong on it and what it loaded from elsewhere."""
 
-    def __init__(self, browser: Any, address: str, width: int, scheme: str = "light") -> None:
+    def __init__(
+        self, browser: Any, address: str, width: int, scheme: str = "light",
+        surfaces: str | None = "warehouse_surfaces.geojson",
+    ) -> None:  # fmt: skip
         self.page = browser.new_page(viewport={"width": width, "height": 850}, color_scheme=scheme)
         self.errors: list[str] = []
         self.elsewhere: list[str] = []
@@ -82,8 +122,9 @@ class Opened:
         )
         self.page.goto(address)
         self.page.wait_for_selector(".walls")
-        surfaces = self.page.locator("select[name=surfaces]")
-        surfaces.select_option("warehouse_surfaces.geojson")
+        if surfaces is None:
+            return
+        self.page.select_option("select[name=surfaces]", surfaces)
         self.page.wait_for_selector(".leaflet-overlay-pane path")
         self.box = self.page.locator("#map").bounding_box()
 
@@ -91,6 +132,11 @@ class Opened:
         self.page.mouse.click(
             self.box["x"] + self.box["width"] * across, self.box["y"] + self.box["height"] * down
         )
+
+    def hours(self) -> list[float]:
+        """Return when what was done began, and when the mission ended."""
+        times = self.page.locator("#verdicts tr td:nth-child(2)").all_inner_texts()
+        return [int(text.partition(":")[0]) + int(text.partition(":")[2]) / 60 for text in times]
 
     def route(self) -> str:
         """Place start and goal, and return the energy that is told."""
@@ -107,21 +153,22 @@ class Opened:
 )
 def test_two_clicks_make_a_route(browser: Any, address: str, width: int, scheme: str) -> None:
     opened = Opened(browser, address, width, scheme)
-    opened.page.fill("input[name=model]", "hotel.yaml")  # at rest it draws power, too
+    # the folder's own model: at rest it draws power, too
+    assert opened.page.input_value("input[name=model]") == "hotel.yaml"
     told = opened.route()
-    assert told.endswith(" J")
+    assert told.endswith(" Wh")
     rows = opened.page.inner_text("#answer table")
     assert "slip friction" in rows
     assert "no route takes less than" in rows
     # the saving is what the two energies beside it give, and their parts add up
-    driven = re.search(r"energy as driven, with its stops\s+([\d,]+) J\s+([\d,]+) J", rows)
-    assert driven is not None and told == f"{driven[1]} J"
-    least, most = (float(text.replace(",", "")) for text in driven.groups())
+    driven = re.search(r"energy as driven, with its stops\s+([\d.]+) Wh\s+([\d.]+) Wh", rows)
+    assert driven is not None and told == f"{driven[1]} Wh"
+    least, most = map(float, driven.groups())
     said = re.search(r"saves ([\d.]+) %", opened.page.inner_text("#answer p"))
     assert said is not None
     assert float(said[1]) == pytest.approx(100 * (1 - least / most), abs=0.1)
-    parts = re.findall(r"^[a-z ]+\t([-\d,]+) J\t", rows.partition("energy as")[0], re.M)
-    assert sum(float(part.replace(",", "")) for part in parts) == pytest.approx(least, abs=3)
+    parts = re.findall(r"^[a-z ]+\t([-\d.]+) Wh\t", rows.partition("energy as")[0], re.M)
+    assert sum(map(float, parts)) == pytest.approx(least, abs=3e-3)
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= width
     assert (opened.errors, opened.elsewhere) == ([], [])
 
@@ -151,17 +198,21 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     opened = Opened(browser, address, 1300)
     opened.click(0.25, 0.75)
     opened.page.click("#tab-mission")
+    opened.page.fill("input[name=pack]", "quadriga")
     opened.click(0.3, 0.22)
     opened.click(0.75, 0.72)
     opened.page.click("text=Will it last?")
     opened.page.wait_for_selector("#verdicts table, #status.bad", timeout=120_000)
     assert "tasks can be done" in opened.page.inner_text("#status")
-    assert opened.page.locator("#verdicts tr").count() == 3
-    times = opened.page.locator("#verdicts tr td:nth-child(3)").all_inner_texts()
-    hours = [int(text.partition(":")[0]) + int(text.partition(":")[2]) / 60 for text in times]
+    assert opened.page.locator("#verdicts tr").count() == 4
+    hours = opened.hours()
     assert hours == sorted(hours)
     names = opened.page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
-    assert names == ["task 2", "task 1"]  # not in the order in which they were placed
+    assert names == [
+        "task 2",
+        "task 1",
+        "end, at start",
+    ]  # not in the order in which they were placed
     assert opened.page.locator("#charge canvas").count() == 1
     drawn = opened.page.locator(".leaflet-overlay-pane path[stroke='#0072b2']")
     assert drawn.count() >= 3  # out, between and back
@@ -173,6 +224,52 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     assert opened.errors == []
 
 
+@pytest.mark.parametrize("width", [1300, pytest.param(390, marks=pytest.mark.nightly)])
+def test_the_mission_that_was_prepared_is_opened_changed_and_answered(
+    browser: Any, prepared: str, width: int
+) -> None:
+    opened = Opened(browser, prepared, width, surfaces=None)
+    page, sent = opened.page, list[Any]()
+    page.on("request", lambda one: sent.append(one.post_data_json) if one.post_data else None)
+    page.wait_for_selector("#tasks tr")
+    shown = {key: page.input_value(f"[name={key}]") for key in ("map", "model", "pack", "file")}
+    assert shown == {
+        "map": "north/office.yaml", "model": "north/ours.yaml", "pack": "24 V 20 Ah lead-acid",
+        "file": "north/round.yaml",
+    }  # fmt: skip
+    rows = [
+        [one.input_value() for one in row.locator("input[type=number]").all()]
+        for row in page.locator("#tasks tr:has(td)").all()
+    ]
+    assert rows == [["20", "60", "", "120"], ["5", "30", "", ""], ["240", "200", "", ""]]
+    page.click("text=Will it last?")
+    page.wait_for_selector("#verdicts table", timeout=120_000)
+    as_it_is = yaml.safe_load(ROUND)
+    assert sent.pop() == {"mission": "north/round.yaml", "document": as_it_is}
+    before = page.inner_text("#verdicts")
+    assert "hall: out of reach; the battery does not last. Remedy: " in before
+    assert re.search(r"\d J|no_path|out of reach: ", before) is None
+    names = page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
+    hours = opened.hours()
+    assert hours == sorted(hours) and names[-1] == "end, at start" and {"pump", "meter"} < {*names}
+    page.locator("[title='2'].leaflet-marker-icon").focus()
+    page.keyboard.press("Shift+ArrowUp")
+    assert page.locator("#verdicts.stale").count() == 1
+    page.fill("[aria-label='watts of pump']", "120")
+    page.fill("[aria-label='minutes of hall']", "1")
+    page.click("text=Will it last?")
+    page.wait_for_selector("#verdicts:not(.stale) table", timeout=120_000)
+    assert "All 3 tasks can be done" in page.inner_text("#status")
+    changed = sent.pop()["document"]
+    moved = changed["tasks"][1].pop("pose")
+    assert moved == pytest.approx([3.9, 5.5, 1.5708], abs=1e-4)
+    as_it_is["tasks"][0]["power"], as_it_is["tasks"][2]["dwell"] = 120, 60
+    del as_it_is["tasks"][1]["pose"]
+    assert changed == as_it_is  # what was not touched stands as the file says it
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert (opened.errors, opened.elsewhere) == ([], [])
+
+
 def test_it_begins_without_a_mouse(browser: Any, address: str) -> None:
     opened = Opened(browser, address, 1300)
     opened.page.locator("#map").focus()
@@ -182,8 +279,8 @@ def test_it_begins_without_a_mouse(browser: Any, address: str) -> None:
     assert opened.page.locator("#legend .tint").count() > 2
 
 
-def test_a_log_is_read_for_the_robot_that_is_named(
-    browser: Any, address: str, tmp_path: Path
+def test_a_log_is_read_for_the_robot_that_is_named_and_its_model_used(
+    browser: Any, address: str, folder: Path, tmp_path: Path
 ) -> None:
     log = simulate.identification_drive(ep.PowerModel.preset("quadriga:full:concrete"), seed=1)
     made = {"stamp": log.t, "left_speed": log.channel("v_left"), "power_W": log.power,
@@ -196,10 +293,21 @@ def test_a_log_is_read_for_the_robot_that_is_named(
     opened.page.wait_for_selector("text=Which robot is this?")
     for key, value in (("track", "0.5"), ("wheelbase", "0.475"), ("mass", "147")):
         opened.page.fill(f"#drives input[name={key}]", value)
-    choose.set_input_files([])
-    choose.set_input_files(tmp_path / "own.csv")
+    opened.page.keyboard.press("Tab")  # the log that was sent is read again
     opened.page.wait_for_selector("#found h2:has-text('Identified')", timeout=120_000)
     assert "left_speed [m/s]" in opened.page.inner_text("#found")
+    assert len([*folder.glob("logs/*-own.csv")]) == 1
+    opened.page.click("text=Keep this model and use it")
+    opened.page.wait_for_selector("text=Download it")
+    (kept,) = folder.glob("models/*.yaml")
+    assert opened.page.input_value("input[name=model]") == f"models/{kept.name}"
+    with opened.page.expect_download() as loaded:
+        opened.page.click("text=Download it")
+    model = ep.read_model(kept)
+    assert Path(loaded.value.path()).read_text() == kept.read_text()
+    assert model.coefficient("slip_friction") == pytest.approx(0.647, rel=0.05)
+    opened.page.click("#tab-route")
+    assert opened.route().endswith(" Wh")
     assert opened.errors == []
 
 
@@ -209,6 +317,7 @@ def test_places_in_reach_are_drawn(browser: Any, address: str) -> None:
     before = opened.page.locator(".leaflet-overlay-pane path").count()
     opened.click(0.25, 0.75)
     opened.page.click("#tab-mission")
+    opened.page.fill("input[name=pack]", "24 V 22 Ah lead-acid")
     opened.page.fill("input[name=soc]", "21")
     opened.page.click("#tab-route")
     opened.page.click("text=How far on this charge?")

@@ -94,7 +94,8 @@ def test_a_plan_is_that_of_the_library(client: TestClient) -> None:
     expected = documents.plan(ep.plan(ep.PlanningProblem(grid, cost, (2, 2, 0), (5, 2, 0))))
     told = answer.json()
     assert (told["effort_limit"], told["speed"]) == (EFFORT, expected["speed"])
-    assert set(told) == set(expected)
+    assert set(told) == {*expected, "preset"}
+    assert told["preset"][0]["name"] == MODEL and not told["preset"][0]["measured"]
     assert told["energy"] == pytest.approx(expected["energy"], rel=1e-9)  # a straight line
 
 
@@ -192,9 +193,9 @@ def test_a_mask_keeps_out_and_a_clearance_keeps_away(client: TestClient, folder:
     masked = {**QUERY, "keepout": "mask.yaml", "effort": 20_000}
     told = client.post("/api/plan", json=masked).json()
     assert (told["path"], told["certainty"]) == (None, "proven")
-    wide = client.post("/api/plan", json={**QUERY, "clearance": 50.0}).json()
+    wide = client.post("/api/plan", json={**QUERY, "clearance": 20.0}).json()
     assert wide["path"] is None
-    assert "clearance of 50 m" in wide["reason"]
+    assert "clearance of 20 m" in wide["reason"]
 
 
 def test_a_map_is_a_picture_of_its_cells(client: TestClient) -> None:
@@ -267,7 +268,7 @@ def test_a_log_of_a_robot_of_ones_own_is_read_as_start_reads_it(tmp_path: Path) 
             assert answer.status_code == 422 and "give either vehicle" in answer.json()["detail"]
         heavy = {**robot, "mass": 147100.0}
         answer = client.post("/api/identify", json={"logs": ["own.csv"], "robot": heavy})
-        assert answer.status_code == 422 and "the mass is in g" in answer.json()["detail"]
+        assert answer.status_code == 422 and "(not grams)" in answer.json()["detail"]
 
 
 def test_no_page_of_another_site_frames_or_scripts_the_page(client: TestClient) -> None:

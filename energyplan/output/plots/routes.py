@@ -10,11 +10,13 @@ import matplotlib.collections
 import matplotlib.lines
 import matplotlib.patches
 import matplotlib.path
+import matplotlib.ticker
 import matplotlib.transforms
 import numpy as np
 import shapely
 from matplotlib.figure import Figure
 
+from energyplan.mission.report import clock
 from energyplan.output.plots import style
 from energyplan.path import Path
 from energyplan.planning.driven import spending
@@ -34,6 +36,12 @@ TOP = (0.5, 1.0)
 
 OCCUPIED, UNKNOWN = 0.25, 0.85
 """Greys of cells, from black to white."""
+
+CHARGING = style.ORANGE
+"""Colour of what charges."""
+
+STEPS = (1, 5, 10, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 28800, 86400)
+"""Distances of marks on an axis of times [s]."""
 
 MARK = 6.0
 """Half of the size of the mark of a place [points]."""
@@ -88,6 +96,7 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
     ways = "to get there" if found.back is None else "to get there and back"
     sure = "" if found.confidence is None else f", with {100 * found.confidence:g} %"
     label = f"energy {ways}{sure} [kJ]"
+    picture.set_layout_engine("compressed")
     picture.colorbar(image, ax=ax, label=label, location="bottom", aspect=40, panchor=TOP)
     return picture
 
@@ -175,7 +184,7 @@ def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
 
 
 def mission_map(report: MissionReport) -> Figure:
-    """Draw a mission's route, coloured by power, and its places, numbered."""
+    """Draw a mission's route, coloured by the state of charge, and its places, numbered."""
     mission, line = report.mission, report.timeline
     areas = mission.surfaces.polygons if mission.surfaces else ()
     picture = routes(mission.map, {}, surfaces=areas)
@@ -186,10 +195,12 @@ def mission_map(report: MissionReport) -> Figure:
     drawn = mpl.collections.LineCollection(
         list(pairs), cmap="viridis", lw=2.5, zorder=3, rasterized=True
     )
-    drawn.set_array(line.power[:-1][moving])
+    drawn.set_array(100 * line.soc[:-1][moving])
     ax.add_collection(drawn)
-    picture.set_figheight(picture.get_figheight() + 0.7)
-    picture.colorbar(drawn, ax=ax, label="power [W]", location="bottom", aspect=40, panchor=TOP)
+    picture.set_layout_engine("compressed")  # no room between the map and the bar
+    picture.set_figheight(picture.get_figheight() + 0.3)
+    label = "state of charge [%]"
+    picture.colorbar(drawn, ax=ax, label=label, location="bottom", aspect=40, panchor=TOP)
     stops = [stop.name for stop in report.route]
     good = {task.name: task.verdict == "reachable" for task in report.tasks}
     ordered = sorted(
@@ -206,15 +217,18 @@ def mission_map(report: MissionReport) -> Figure:
         )
         for k, task in enumerate(ordered, start=1)
     ]
-    places += [("C", charger.name, charger.pose, "P", style.BLUE) for charger in mission.chargers]
+    places += [("C", charger.name, charger.pose, "p", style.BLUE) for charger in mission.chargers]
     signs: dict[tuple[float, float], list[str]] = {}
-    for sign, _, pose, marker, color in places:
-        ax.plot(pose.x, pose.y, marker, color=color, ms=2 * MARK, mec="white", zorder=5)
+    for sign, _, pose, *_ in places:
         signs.setdefault((pose.x, pose.y), []).append(sign)
+    for _, _, pose, marker, color in places:
+        if len(signs[pose.x, pose.y]) == 1:
+            ax.plot(pose.x, pose.y, marker, color=color, ms=2 * MARK, mec="white", zorder=5)
+    frame = {"boxstyle": "round,pad=0.25", "fc": style.BLACK, "ec": "white"}
     for at, names in signs.items():
         ax.annotate(
             ",".join(names), at, ha="center", va="center_baseline", color="white", zorder=6,
-            fontsize="x-small", fontweight="bold",
+            fontsize="x-small", fontweight="bold", bbox=frame if len(names) > 1 else None,
         )  # fmt: skip
     handles = [
         mpl.lines.Line2D(
@@ -238,15 +252,14 @@ def _short(name: str) -> str:
 def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
     """Draw the state of charge over a mission, its band, and the reserve."""
     line, mission = report.timeline, report.mission
-    minutes = line.t / 60
     band = f"{100 * mission.confidence:.0f} % band"
     ax.fill_between(
-        minutes, 100 * line.soc_lower, 100 * line.soc_upper, color=style.SKY, alpha=0.5, lw=0,
+        line.t, 100 * line.soc_lower, 100 * line.soc_upper, color=style.SKY, alpha=0.5, lw=0,
         label=band,
     )  # fmt: skip
-    ax.plot(minutes, 100 * line.soc, color=style.BLUE, lw=1.5, label="expected")
+    ax.plot(line.t, 100 * line.soc, color=style.BLUE, lw=1.5, label="expected")
     ax.axhline(100 * mission.reserve, color=style.RED, ls="--", lw=1.2, label="reserve")
-    style.label(ax, "time [min]", "state of charge [%]", "")
+    _clock(ax, "state of charge [%]")
     ax.set_ylim(0, 105)
     style.legend(ax, above=True)
     return ax
@@ -255,16 +268,25 @@ def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
 def visits(ax: Axes, report: MissionReport) -> Axes:
     """Draw when the robot is where: a bar for each stop, with its name beside the axis."""
     names = list(dict.fromkeys(stop.name for stop in report.route))
-    colors = {"charge": style.BLUE, "task": style.GREEN, "start": style.BLACK, "end": style.BLACK}
+    colors = {"charge": CHARGING, "task": style.GREEN, "start": style.BLACK, "end": style.BLACK}
     for stop in report.route:
-        begin, stay = stop.arrival / 60, (stop.departure - stop.arrival) / 60
+        begin, stay = stop.arrival, stop.departure - stop.arrival
         row = names.index(stop.name)
         ax.barh(row, stay, left=begin, height=0.6, color=colors[stop.kind])
         ax.plot(begin, row, "|", color=colors[stop.kind], ms=8)
     ax.set_yticks(range(len(names)), [_short(name) for name in names], fontsize="small")
     ax.set_ylim(len(names) - 0.5, -0.5)
-    style.label(ax, "time [min]", "", "")
+    _clock(ax, "")
     return ax
+
+
+def _clock(ax: Axes, what: str) -> None:
+    """Name both axes; times are written as the timetable has them."""
+    style.label(ax, "time [h:min:s]", what, "")
+    first, last = ax.dataLim.intervalx
+    step = next((step for step in STEPS if last - first <= 6 * step), (last - first) / 6)
+    ax.xaxis.set_major_locator(mpl.ticker.MultipleLocator(step))
+    ax.xaxis.set_major_formatter(mpl.ticker.FuncFormatter(lambda at, _: clock(at)))
 
 
 def mission_charge(report: MissionReport) -> Figure:
@@ -278,18 +300,20 @@ def mission_charge(report: MissionReport) -> Figure:
     state_of_charge(charge, report)
     visits(where, report)
     line = report.timeline
-    minutes = line.t / 60
     moved = np.any(np.diff(np.column_stack([line.x, line.y, line.yaw]), axis=0) != 0, axis=1)
     driving = np.append(moved, False)
     for which, color, name in (
         (driving, style.BLUE, "driving"),
-        (~driving, style.GREEN, "standing"),
+        (~driving & (line.power >= 0), style.GREEN, "standing"),
+        (~driving & (line.power < 0), CHARGING, "charging"),
     ):
+        if not np.any(which):
+            continue
         power.fill_between(
-            minutes, np.where(which, line.power, 0.0), step="post", color=color, lw=0.4,
+            line.t, np.where(which, line.power, 0.0), step="post", color=color, lw=0.4,
             label=name, rasterized=True,
         )  # fmt: skip
-    style.label(power, "time [min]", "power [W]", "")
+    _clock(power, "power [W]")
     style.legend(power, above=True)
     for ax in (charge, where):
         ax.set_xlabel("")

@@ -84,6 +84,7 @@ export class Chart {
     const pose = [x, y, yaw];
     const icon = (name) => L.divIcon({
       className: "", html: `<div class="pin ${name}">${label}</div>`, iconSize: [26, 26],
+      iconAnchor: [kind === "charger" ? 36 : 13, 13],  // a dock is often where the robot begins
     });
     const marker = L.marker(at(x, y), {
       draggable: true, icon: icon(kind), title: label, alt: `pose ${label}`, keyboard: true,

@@ -6,7 +6,8 @@ import { Chart } from "./chart.js";
 const $ = (id) => document.getElementById(id);
 const scene = $("scene");
 const status = $("status");
-let start = null, goal = null, tasks = [], mode = "route", asked = null, plot = null;
+let start = null, goal = null, tasks = [], chargers = [], mode = "route", asked = null, plot = null;
+let files = {}, mission = null, logs = [];  // what the folder holds, the mission that is open, the logs sent
 
 const chart = new Chart("map", place);
 
@@ -40,9 +41,11 @@ function table(header, rows) {
 
 const raised = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴" };
 const unit = (text) => text === "1" ? "" : ` ${text.replace(/\^([-\d]+)/g, (_, n) => [...n].map((c) => raised[c] ?? c).join(""))}`;
-// Energies are in J up to that of a long drive, in Wh beyond.
-const energy = (value) => value == null ? "–" : Math.abs(value) < 36000
-  ? `${(Math.round(value) || 0).toLocaleString("en")} J` : `${(value / 3600).toPrecision(4)} Wh`;
+const energy = (value) => {
+  if (value == null) return "–";
+  const digits = Math.abs(value) < 36000 ? 3 : Math.abs(value) < 360000 ? 2 : 1;
+  return `${(value / 3600).toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits })} Wh`;
+};
 const percent = (value) => `${(100 * value).toFixed(1)} %`;
 
 // the scene
@@ -51,14 +54,24 @@ function options(select, names, none) {
   select.replaceChildren(...(none ? [new Option(none, "")] : []), ...names.map((n) => new Option(n, n)));
 }
 
+// The page begins with what the folder holds: its mission if there is one, else its map and model.
 async function begin() {
-  const files = await get("files");
+  files = await get("files");
   options(scene.map, files.maps);
   options(scene.surfaces, files.surfaces, "none");
-  $("models").replaceChildren(...[...files.models, "quadriga:empty:concrete",
-    "quadriga:empty:marble", "quadriga:full:concrete", "quadriga:full:marble"].map((n) => new Option(n)));
+  options($("battery").file, files.missions, "none");
+  list("models", [...files.models, ...files.presets.models]);
+  list("packs", [...files.batteries, ...files.presets.batteries]);
+  const [model] = files.models, [pack] = files.batteries;
+  scene.model.value = model ?? "quadriga:full:concrete";
+  $("battery").pack.value = pack ?? (model ? "" : "quadriga");
+  if (files.missions.length) return open(files.missions[0]);
   if (!files.maps.length) return say("The data folder holds no map (a YAML file with its image).", true);
   await load();
+}
+
+function list(id, names) {
+  $(id).replaceChildren(...names.map((name) => new Option(name)));
 }
 
 async function load() {
@@ -68,17 +81,23 @@ async function load() {
     get(`maps/${scene.map.value}`), surfaces ? get(`surfaces/${surfaces}`) : null,
   ]);
   reset();
+  await draw(grid, areas);
+}
+
+async function draw(grid, areas) {
   await chart.show(grid, areas);
   $("legend").replaceChildren(...[["least energy", "var(--least)"], ["shortest", "var(--short)"], ...chart.legend]
     .map(([name, tint]) => { const made = element("span", name, "tint"); made.style.borderColor = tint; return made; }));
 }
 
 function reset() {
-  for (const marked of [start, goal, ...tasks]) marked?.remove();
-  [start, goal, tasks] = [null, null, []];
+  for (const marked of [start, goal, ...tasks, ...chargers]) marked?.remove();
+  [start, goal, tasks, chargers, mission] = [null, null, [], [], null];
+  $("battery").file.value = "";
+  $("battery").charger.parentElement.hidden = false;
   clearRoutes();
-  $("verdicts").replaceChildren();
-  $("charge").replaceChildren();
+  for (const id of ["verdicts", "charge", "tasks"]) $(id).replaceChildren();
+  $("tasks").hidden = true;
   say("Click on the map to place the start, or press Enter on it to place it in the middle.");
 }
 
@@ -88,7 +107,7 @@ function stale() {
   for (const id of ["verdicts", "charge"]) $(id).classList.add("stale");
   for (const task of tasks) task.mark("");
   chart.routes.clearLayers();
-  say("Poses have changed: ask again whether the battery lasts.");
+  say("The mission has changed: ask again whether the battery lasts.");
 }
 
 function place(x, y) {
@@ -96,7 +115,8 @@ function place(x, y) {
     start = chart.pose("S", [x, y, 0], () => { stale(); replan(); });
     say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
   } else if (mode === "mission") {
-    tasks.push(chart.pose(String(tasks.length + 1), [x, y, 0], stale, "task"));
+    add({ name: `task ${1 + Math.max(0, ...tasks.map((task) => task.number))}`, pose: [x, y, 0], dwell: 600,
+      power: 100, window: [0, null], required: false });
     stale();
     say(`${tasks.length} task${tasks.length > 1 ? "s" : ""}. Ask whether the battery lasts.`);
   } else if (!goal) {
@@ -160,14 +180,16 @@ function show(told) {
 // range
 
 async function range() {
-  if (!start) return say("Place the start on the map first.", true);
   const form = $("battery");
+  if (!start) return say("Place the start on the map first.", true);
+  if (!form.pack.value && !mission) return say("Name the battery on the tab Mission first.", true);
   const spread = form.spread.value / 100;
   say("Searching for all places in reach…");
   try {
     const told = await post("range", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
-      start: start.pose, back: $("back").checked ? start.pose : null, pack: form.preset.value,
+      start: start.pose, back: $("back").checked ? start.pose : null,
+      pack: form.pack.value || mission?.document.battery || null,
       soc: form.soc.value / 100, reserve: form.reserve.value / 100,
       coefficient_spread: spread, confidence: spread > 0 ? 0.95 : null,
     });
@@ -182,31 +204,124 @@ async function range() {
 
 // missions
 
+// Show a mission's file: its map, places and tasks as the service reads them.
+async function open(name) {
+  say(`Opening ${name}…`);
+  const told = await get(`missions/${name}`);
+  reset();
+  await draw(told.map, told.areas);
+  const folder = name.slice(0, name.lastIndexOf("/") + 1), form = $("battery"), { document } = told;
+  const known = (names, own) => names.includes(folder + own) ? folder + own : own;
+  scene.map.value = known(files.maps, document.map);
+  scene.surfaces.value = known(files.surfaces, document.surfaces ?? "");
+  scene.model.value = known(files.models, document.model);
+  mission = { name, folder, document, model: scene.model.value };
+  form.file.value = name;
+  const own = typeof document.battery === "string";
+  fill(form.pack, own ? document.battery : "");
+  form.pack.placeholder = own ? "24 V 20 Ah lead-acid" : "as in the file";
+  for (const [key, value] of [["soc", told.soc], ["reserve", told.reserve], ["spread", told.coefficient_spread]]) fill(form[key], round(100 * value));
+  form.charger.parentElement.hidden = told.chargers.length > 0;
+  fill(form.charger, 0);
+  start = chart.pose("S", told.start, () => { start.moved = true; stale(); replan(); });
+  chargers = told.chargers.map(({ pose }) => {
+    const made = chart.pose("C", pose, () => { made.moved = true; stale(); }, "charger");
+    return made;
+  });
+  told.tasks.forEach((task, k) => add(task, document.tasks[k]));
+  if (mode !== "mission") $("tab-mission").click();
+  say(`${name}: ${tasks.length} task${tasks.length > 1 ? "s" : ""}. Move or change them, and ask whether the battery lasts.`);
+}
+
+const round = (value) => Number(value.toPrecision(6));
+
+function fill(input, value) {
+  input.defaultValue = value ?? "";
+  input.value = input.defaultValue;
+}
+
+// Add a task, with a row of its own; `raw` is what the file says of it.
+function add({ name, pose, dwell, power, window: [first, last], required }, raw = null) {
+  const number = 1 + Math.max(0, ...tasks.map((task) => task.number));
+  const task = chart.pose(String(number), pose, () => { task.moved = true; stale(); }, "task");
+  const row = element("tr"), input = (label, value, type = "number") => {
+    const made = element("input");
+    Object.assign(made, { type, min: 0, step: "any", ariaLabel: `${label} of ${name}` });
+    if (type === "checkbox") made.checked = made.defaultChecked = value; else fill(made, value);
+    made.addEventListener("change", stale);
+    const cell = element("td");
+    cell.append(made);
+    row.append(cell);
+    return made;
+  };
+  row.append(element("td", `${number} ${name}`));
+  const minutes = (seconds) => seconds == null ? "" : round(seconds / 60);
+  Object.assign(task, {
+    name, number, raw, row, dwell: input("minutes", minutes(dwell)), power: input("watts", round(power)),
+    first: input("earliest start", first ? minutes(first) : ""), last: input("latest start", minutes(last)),
+    required: input("required", required, "checkbox"),
+  });
+  const drop = element("button", "×"), cell = element("td");
+  Object.assign(drop, { type: "button", title: `Remove ${name}` });
+  drop.addEventListener("click", () => { task.remove(); row.remove(); tasks = tasks.filter((one) => one !== task); $("tasks").hidden = !tasks.length; stale(); });
+  cell.append(drop);
+  row.append(cell);
+  if (!tasks.length) $("tasks").replaceChildren(...table(["task", "takes [min]", "tool [W]", "not before", "not after", "must", ""], []).children);
+  $("tasks").append(row);
+  $("tasks").hidden = false;
+  tasks.push(task);
+}
+
+// What a mission's file would hold: that of the open one, with what was changed on the page.
+function written() {
+  const form = $("battery"), document = structuredClone(mission?.document ?? { order: "free", return_to: "start" });
+  const put = (holder, raw, key, input, value) => {
+    if (raw && (input.type === "checkbox" ? input.checked === input.defaultChecked : input.value === input.defaultValue)) return;
+    holder[key] = holder[key]?.mean === undefined ? value : { ...holder[key], mean: value };
+  };
+  if (!mission) Object.assign(document, { map: scene.map.value, ...(scene.surfaces.value && { surfaces: scene.surfaces.value }) });
+  const { model } = scene, folder = mission?.folder ?? "";
+  if (model.value !== mission?.model) document.model = model.value.startsWith(folder) ? model.value.slice(folder.length) : model.value;
+  if (!mission || form.pack.value !== form.pack.defaultValue) document.battery = form.pack.value;
+  for (const [key, name] of [["soc", "soc"], ["reserve", "reserve"], ["coefficient_spread", "spread"]]) put(document, mission, key, form[name], form[name].value / 100);
+  if (!mission || start.moved) document.start = start.pose;
+  const power = Number(form.charger.value);
+  if (power) document.chargers = [{ name: "charger", pose: start.pose, power }];
+  else chargers.forEach((one, k) => { if (one.moved) document.chargers[k].pose = one.pose; });
+  document.tasks = tasks.map((task) => {
+    const made = { ...task.raw, name: task.name }, { raw } = task;
+    if (!raw || task.moved) made.pose = task.pose;
+    put(made, raw, "dwell", task.dwell, 60 * task.dwell.value);
+    put(made, raw, "power", task.power, Number(task.power.value));
+    put(made, raw, "required", task.required, task.required.checked);
+    if ([task.first, task.last].some((one) => one.value !== one.defaultValue)) {
+      made.window = [60 * task.first.value, task.last.value === "" ? 1e9 : 60 * task.last.value];  // s
+    }
+    return made;
+  });
+  return document;
+}
+
 async function evaluate(event) {
   event.preventDefault();
   if (!start || !tasks.length) return say("Place the start and some tasks on the map first.", true);
-  const form = $("battery");
-  if (!form.reportValidity()) return null;
-  const document_ = {
-    model: scene.model.value, map: scene.map.value, battery: form.preset.value,
-    soc: form.soc.value / 100, reserve: form.reserve.value / 100, order: "free",
-    return_to: "start", start: start.pose, coefficient_spread: form.spread.value / 100,
-    tasks: tasks.map((task, k) => ({
-      name: `task ${k + 1}`, pose: task.pose, dwell: 60 * form.dwell.value,
-      power: Number(form.power.value), required: false,
-    })),
-  };
-  if (scene.surfaces.value) document_.surfaces = scene.surfaces.value;
-  const power = Number(form.charger.value);
-  if (power) document_.chargers = [{ name: "charger", pose: start.pose, power }];
+  if (!$("battery").reportValidity()) return null;
   say("Evaluating the mission…");
   try {
-    const told = await post("mission", { document: document_ });
-    verdicts(told);
+    verdicts(await post("mission", { mission: mission?.name ?? null, document: written() }));
   } catch (error) { say(error.message, true); }
 }
 
-const clock = (t) => t == null ? "–" : `${Math.floor(t / 3600)}:${String(Math.floor(t / 60) % 60).padStart(2, "0")}`;
+const clock = (t) => {
+  if (t == null) return "–";
+  const whole = Math.round(t / 60);
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+};
+const REASONS = {
+  no_path: "no drivable path leads there", motor: "a turn on the way is beyond the motors' limits",
+  late: "its time window is over by then", time_limit: "no route was found in the time for planning",
+  battery: "the battery does not last", blocked_by_earlier: "alone it could be done, but not with the other tasks",
+};
 
 function verdicts(told) {
   for (const id of ["verdicts", "charge"]) $(id).classList.remove("stale");
@@ -215,18 +330,18 @@ function verdicts(told) {
   say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
   const full = (soc) => soc == null ? "–" : `${(100 * soc).toFixed(0)} %`;
+  const done = told.tasks.filter((task) => task.verdict === "reachable");
   const rows = [
-    ...told.tasks.map((task) => [task.arrival ?? Infinity, [
-      task.name,
-      task.verdict === "reachable" ? ["reachable", "text good"]
-        : [`out of reach: ${task.reason.replaceAll("_", " ")}${task.remedy ? `; ${task.remedy}` : ""}`, "text bad"],
-      clock(task.arrival), energy(task.energy), full(task.soc_after),
-    ]]),
+    ...done.map((task) => [task.arrival, [[task.name, "text good"], clock(task.arrival), clock(task.departure), energy(task.energy), full(task.soc_after)]]),
     ...told.timetable.filter((row) => row.kind === "charge").map((row) => [row.start, [
-      row.place, `charges ${Math.round((row.end - row.start) / 60)} min`, clock(row.start), "–", full(row.soc_end),
-    ]]),
-  ].sort(([a], [b]) => a < b ? -1 : a > b ? 1 : 0);  // by time; what is out of reach comes last
-  $("verdicts").replaceChildren(table(["task", "verdict", "at", "energy", "charge after"], rows.map(([, row]) => row)));
+      [`charging at ${row.place}`, "text"], clock(row.start), clock(row.end), "–", full(row.soc_end)]]),
+  ].sort(([a], [b]) => a - b).map(([, row]) => row);
+  rows.push([[`end, at ${told.end}`, "text"], clock(told.duration), "", energy(told.energy), full(told.soc_end)]);
+  const left = told.tasks.filter((task) => task.verdict !== "reachable").map((task) => element("p",
+    `${task.name}: out of reach; ${REASONS[task.reason] ?? task.reason}.${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
+  const most = `The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`;
+  $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows), element("p", most, "hint"),
+    ...told.warnings.map((text) => element("p", text, "hint")));
   const line = told.timeline;
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
@@ -241,47 +356,71 @@ function verdicts(told) {
 
 // logs
 
-async function drives(files) {
-  if (!files.length) return;
+async function drives(chosen) {
+  if (!chosen.length) return;
   try {
-    const names = [];
-    for (const file of files) {
+    logs = [];
+    for (const file of chosen) {
       const name = `logs/${Date.now()}-${file.name.replace(/[^\w.+-]/g, "_")}`;
       say(`Sending ${file.name}…`);
       await upload(name, file);
-      names.push(name);
+      logs.push(name);
     }
-    const form = $("drives");
-    const whose = { vehicle: form.vehicle.value || null };
-    const parts = [];
-    if (!whose.vehicle) {
-      const number = (key) => form[key].value ? Number(form[key].value) : null;
-      whose.robot = { track: number("track"), wheelbase: number("wheelbase"), mass: number("mass"),
-        wheel_radius: number("radius"), columns: form.columns.value || null };
-      if (!whose.robot.track || !whose.robot.mass) return say("Which robot is this? Give a vehicle, or track and mass of your own.", true);
-      const read = await post("start", { log: names[0], robot: whose.robot });
-      parts.push(element("h2", "Read as"), table(["channel", "column"],
-        Object.entries(read.columns).map(([channel, column]) => [channel, `${column} [${read.units[channel]}]`])),
-        ...read.checks.filter((check) => !check.ok).map((check) => element("p", `${check.what}. ${check.remedy}`, "bad")));
-      $("found").replaceChildren(...parts);
-      if (!read.sound) return say("The log contradicts itself or the robot: see below.", true);
-    }
-    say("Looking for the robot's parameters…");
-    const found = await post("identify", { logs: names, ...whose });
-    const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`}${unit(t.unit)}`]);
-    parts.push(element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
-      ...found.warnings.map((text) => element("p", text, "hint")));
-    if (names.length > 1) {
-      say("Tracing what the model does not explain…");
-      const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
-      parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
-        table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
-        element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
-        ...told.advice.map((text) => element("p", text, "hint")));
-    }
-    $("found").replaceChildren(...parts);
-    say("Done.");
+    await learn();
   } catch (error) { say(error.message, true); }
+}
+
+// Learn from the logs that were sent; again, once more is known of the robot.
+async function learn() {
+  const form = $("drives"), names = logs;
+  const whose = { vehicle: form.vehicle.value || null };
+  const parts = [];
+  if (!whose.vehicle) {
+    const number = (key) => form[key].value ? Number(form[key].value) : null;
+    whose.robot = { track: number("track"), wheelbase: number("wheelbase"), mass: number("mass"),
+      wheel_radius: number("radius"), columns: form.columns.value || null };
+    if (!whose.robot.track || !whose.robot.mass) return say("Which robot is this? Give a vehicle, or track and mass of your own.", true);
+    const read = await post("start", { log: names[0], robot: whose.robot });
+    parts.push(element("h2", "Read as"), table(["channel", "column"],
+      Object.entries(read.columns).map(([channel, column]) => [channel, `${column} [${read.units[channel]}]`])),
+      ...read.checks.filter((check) => !check.ok).map((check) => element("p", `${check.what}. ${check.remedy}`, "bad")));
+    $("found").replaceChildren(...parts);
+    if (!read.sound) return say("The log contradicts itself or the robot: see below.", true);
+  }
+  say("Looking for the robot's parameters…");
+  const found = await post("identify", { logs: names, ...whose });
+  const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`}${unit(t.unit)}`]);
+  parts.push(element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
+    ...found.warnings.map((text) => element("p", text, "hint")), keeper(found.model_file));
+  if (names.length > 1) {
+    say("Tracing what the model does not explain…");
+    const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
+    parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
+      table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
+      element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
+      ...told.advice.map((text) => element("p", text, "hint")), keeper(told.model_file));
+  }
+  $("found").replaceChildren(...parts);
+  say("Done.");
+}
+
+// A button that keeps a model in the folder, has the page use it, and lets it be downloaded.
+function keeper(text) {
+  const made = element("p"), button = element("button", "Keep this model and use it");
+  button.addEventListener("click", async () => {
+    const name = `${mission?.folder ?? ""}models/model-${Date.now()}.yaml`;  // where the mission may name it
+    try {
+      await upload(name, new Blob([text]));
+      files.models.push(name);
+      list("models", [...files.models, ...files.presets.models]);
+      scene.model.value = name;
+      stale();
+      const link = Object.assign(element("a", "Download it"), { href: URL.createObjectURL(new Blob([text])), download: name.split("/").pop() });
+      made.replaceChildren(`Kept as ${name}; Route and Mission use it. `, link);
+    } catch (error) { say(error.message, true); }
+  });
+  made.append(button);
+  return made;
 }
 
 // events
@@ -300,12 +439,16 @@ for (const tab of document.querySelectorAll("[role=tab]")) {
 }
 scene.map.addEventListener("change", () => load().catch((error) => say(error.message, true)));
 scene.surfaces.addEventListener("change", () => load().catch((error) => say(error.message, true)));
-scene.model.addEventListener("change", replan);
+scene.model.addEventListener("change", () => { stale(); replan(); });
 scene.addEventListener("submit", (event) => event.preventDefault());
 $("again").addEventListener("click", reset);
 $("far").addEventListener("click", range);
 $("battery").addEventListener("submit", evaluate);
-$("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; stale(); });
+$("battery").file.addEventListener("change", ({ target }) => (target.value ? open(target.value) : load()).catch((error) => say(error.message, true)));
+for (const input of $("battery").querySelectorAll("input")) input.addEventListener("change", stale);
+$("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; $("tasks").replaceChildren(); $("tasks").hidden = true; stale(); });
+$("drives").addEventListener("submit", (event) => event.preventDefault());
+$("drives").addEventListener("change", ({ target }) => { if (logs.length && target.type !== "file") learn().catch((error) => say(error.message, true)); });
 const drop = $("drop");
 drop.querySelector("input").addEventListener("change", (event) => drives([...event.target.files]));
 for (const kind of ["dragover", "dragleave", "drop"]) {

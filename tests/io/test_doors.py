@@ -1,0 +1,269 @@
+"""The same question by command, HTTP, Python and ROS 2: one answer, one refusal, word by word."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import commands
+import numpy as np
+import pytest
+import yaml
+
+import energyplan as ep
+from energyplan import ros
+from energyplan.errors import EnergyPlanError, NoPathError
+from energyplan.io.config import read_model, write_model
+from energyplan.io.maps import write_map
+from energyplan.io.mission import read_battery, read_mission
+from energyplan.io.sites import SiteFile, load_site, models_of, problem_from, with_presets
+from energyplan.output import documents
+from energyplan.reach import energy_of_charge
+
+pytest.importorskip("fastapi", reason="the service needs the extra serve")
+from fastapi.testclient import TestClient
+
+from energyplan.serve import create_app
+
+MARBLE = "quadriga:full:marble"
+PLAN: dict[str, Any] = {"map": "room.yaml", "model": MARBLE, "start": [1, 1, 0], "goal": [4, 1, 0]}
+RANGE = {"map": "room.yaml", "model": MARBLE, "start": [1, 1, 0]}
+MISSION: dict[str, Any] = {
+    "model": MARBLE, "map": "room.yaml", "battery": "24 V 20 Ah lead-acid", "start": [1, 1, 0],
+    "planning_effort": 300, "coefficient_spread": 0.05,
+    "tasks": [{"name": "look", "pose": [4, 1, 0], "dwell": "1 min", "power": "20 W"}],
+}  # fmt: skip
+WEIGHT = "no term of quadriga:full:marble depends on slope: the weight of 147.1 kg is added"
+OTHER = "models of the surfaces are of another robot, husky_a200, whose footprint is not that"
+
+
+class Said(NamedTuple):
+    """What a door answered: its figures and what it said beside them, or why it refused."""
+
+    figures: tuple[float, ...] = ()
+    notes: frozenset[str] = frozenset()
+    presets: tuple[str, ...] = ()
+    refusal: str = ""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("doors")
+    room = np.zeros((40, 60), bool)
+    write_map(ep.OccupancyGrid(room, 0.1), place / "room.yaml")
+    room[:, 25:28] = True
+    write_map(ep.OccupancyGrid(room, 0.1), place / "mask.yaml")
+    heights = "\n".join(" ".join(f"{0.02 * x:.2f}" for x in range(8)) for _ in range(6))
+    header = "ncols 8\nnrows 6\nxllcorner -1\nyllcorner -1\ncellsize 1\n"
+    (place / "hill.asc").write_text(header + heights + "\n")
+    for name, at in (("hill", 0), ("far", 90)):
+        area = [[[at, 0], [at + 6, 0], [at + 6, 4], [at, 4], [at, 0]]]
+        feature = {"type": "Feature", "properties": {"model": "husky_a200:flooring"},
+                   "geometry": {"type": "Polygon", "coordinates": area}}  # fmt: skip
+        collection = {"type": "FeatureCollection", "features": [feature]}
+        (place / f"{name}.geojson").write_text(json.dumps(collection))
+    for name, parts in (
+        ("slope", {"heights": "hill.asc"}),
+        ("both", {"heights": "hill.asc", "surfaces": "hill.geojson"}),
+        ("broken", {"heights": "none.asc"}),
+        ("costly", {"costmap": "mask.yaml"}),
+    ):
+        (place / f"{name}.yaml").write_text(yaml.safe_dump({"map": "room.yaml", **parts}))
+    write_model(ep.PowerModel.preset(MARBLE).with_coefficients([0.5, 90.0]), place / "wrong.yaml")
+    (place / "wrong.yaml").write_text("terms: [{name: slip_friction, value: much}]\n")
+    return place
+
+
+@pytest.fixture(scope="module")
+def client(folder: Path) -> Iterator[TestClient]:
+    with TestClient(create_app(folder), "http://localhost") as made:
+        yield made
+
+
+def said(document: dict[str, Any], *notes: str) -> Said:
+    """Return what an answer says, with what was said beside it."""
+    keys = ("energy", "lower_bound", "area", "soc_end", "energy_upper")
+    beside = {*notes, *document.get("notes", ()), *document.get("warnings", ())}
+    return Said(
+        tuple(float(document[key]) for key in keys if key in document),
+        frozenset(beside),
+        tuple(one["name"] for one in document.get("preset", ())),
+        document.get("reason", ""),
+    )
+
+
+def by_command(capsys: pytest.CaptureFixture[str], *words: object) -> Said:
+    left = commands.run(capsys, *words, "--json")
+    lines = left.err.splitlines()
+    if left.code:
+        (line,) = lines
+        line = line.removeprefix("energyplan: ").replace(f"{Path.cwd()}/", "")
+        return Said(refusal=line)  # the service names no folder
+    return said(left.json, *(one for one in lines if not one.startswith("preset ")))
+
+
+def by_http(client: TestClient, path: str, body: dict[str, Any]) -> Said:
+    answer = client.post(f"/api/{path}", json=body)
+    told = answer.json()
+    return said(told) if answer.status_code == 200 else Said(refusal=told["detail"])
+
+
+def by_python(work: Callable[[], tuple[dict[str, Any], tuple[str, ...]]]) -> Said:
+    try:
+        document, notes = work()
+    except NoPathError as error:
+        return said(documents.no_path(error))
+    except EnergyPlanError as error:
+        return Said(refusal=" ".join(str(error).split()).replace(f"{Path.cwd()}/", ""))
+    return said(document, *notes)
+
+
+def options(asked: dict[str, Any]) -> list[str]:
+    """Return a request as the options of a command."""
+    words = []
+    for key, value in asked.items():
+        poses = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+        words += [f"--{key.replace('_', '-')}", poses]
+    return words
+
+
+def asked_of(asked: dict[str, Any], battery: bool = False) -> Any:
+    """Return the problem of a request in Python."""
+    names = {k: v for k, v in asked.items() if k in SiteFile.model_fields}
+    site = load_site(SiteFile(**names), lambda key, name, read: read(Path(name)))
+    ends = tuple(ep.path.as_pose(asked[key], key) for key in ("start", "goal") if key in asked)
+    return problem_from(
+        site, read_model(asked["model"]), (ends[0], ends[-1]), battery=battery,
+        **{key: asked[key] for key in ("costmap_weight", "objective") if key in asked},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, ""),
+        ({"map": "slope.yaml"}, WEIGHT),
+        ({"map": "both.yaml"}, OTHER),
+        ({"surfaces": "hill.geojson"}, OTHER),
+        ({"surfaces": "far.geojson"}, "none of the surfaces lies on the map"),
+        ({"keepout": "mask.yaml"}, "no path leads from"),
+        ({"clearance": 0.3}, ""),
+        ({"map": "costly.yaml"}, "the costmap of the site does not count"),
+        ({"map": "broken.yaml"}, "broken.yaml, line 1, heights: "),
+        ({"model": "quadriga:full:lava"}, "lava"),
+        ({"model": "wrong.yaml"}, "wrong.yaml, line 1"),
+        ({"start": [-5, 1, 0]}, "outside the map"),
+        ({"objective": "money"}, "money"),
+    ],
+)
+def test_a_route_is_the_same_by_every_door(
+    change: dict[str, Any], words: str, folder: Path, client: TestClient,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(folder)
+    asked = {**PLAN, **change}
+    spent = {"effort": 300, "time_limit": 60}
+
+    def python() -> tuple[dict[str, Any], tuple[str, ...]]:
+        problem, notes = asked_of(asked)
+        found = documents.plan(ep.plan(problem, **spent))
+        return with_presets(found, models_of(problem)), notes
+
+    command = by_command(capsys, "plan", *options({**asked, **spent}))
+    http = by_http(client, "plan", {**asked, **spent})
+    if "objective" in change:  # the service has a list of what may stand there
+        assert words in command.refusal and "'energy', 'length' or 'time'" in http.refusal
+        return
+    own = by_python(python)
+    assert http.figures == pytest.approx(command.figures, rel=1e-12)
+    assert http[1:] == command[1:]
+    assert own.refusal == command.refusal
+    if not own.refusal:
+        assert own.figures == pytest.approx(command.figures, rel=1e-12)
+        assert own[1:] == command[1:]
+    assert words in " ".join((*command.notes, command.refusal))
+    if not command.refusal:
+        assert command.presets
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"energy": 400.0}, ""),
+        ({"battery": "24 V 20 Ah lead-acid", "soc": 0.21, "reserve": 0.99}, "resistance"),
+        ({"battery": "quadriga", "soc": 0.3, "reserve": 0.99, "map": "slope.yaml"}, WEIGHT),
+        ({"battery": "24 V of hope"}, "24 V of hope"),
+    ],
+)
+def test_what_is_within_reach_is_the_same_by_every_door(
+    change: dict[str, Any], words: str, folder: Path, client: TestClient,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(folder)
+    asked = {**RANGE, **change}
+    pack = {"pack" if key == "battery" else key: value for key, value in asked.items()}
+
+    def python() -> tuple[dict[str, Any], tuple[str, ...]]:
+        problem, notes = asked_of(asked, "battery" in asked)
+        energy = asked.get("energy")
+        if "battery" in asked:
+            battery = read_battery(asked["battery"])
+            energy = energy_of_charge(problem.cost, battery, asked.get("soc", 1.0))
+            notes += battery.notes
+        assert energy is not None
+        usable = (1.0 - asked.get("reserve", 0.0)) * energy
+        found = ep.energy_map(problem, energy=usable)
+        document = documents.energy_map(found, found.areas(usable))
+        return with_presets(document, models_of(problem)), notes
+
+    command = by_command(capsys, "range", *options(asked))
+    assert by_http(client, "range", pack) == by_python(python) == command
+    assert words in " ".join((*command.notes, command.refusal))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, "typical of its chemistry"),
+        ({"map": "slope.yaml"}, WEIGHT),
+        ({"heights": "hill.asc", "surfaces": "hill.geojson"}, OTHER),
+        ({"keepout": "mask.yaml"}, ""),
+        ({"model": "quadriga:full:lava"}, "lava"),
+        ({"map": "broken.yaml"}, "broken.yaml, line 1, heights: "),
+    ],
+)
+def test_a_mission_is_the_same_by_every_door(
+    change: dict[str, Any], words: str, folder: Path, client: TestClient,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(folder)
+    asked = {**MISSION, **change}
+    file = Path("mission.yaml")
+    text = yaml.safe_dump(asked)
+    file.write_text(text)
+
+    def python() -> tuple[dict[str, Any], tuple[str, ...]]:
+        mission = read_mission(file)
+        return with_presets(documents.mission(ep.evaluate(mission)), models_of(mission)), ()
+
+    answer = json.loads(ros.mission_answer(text, "."))
+    refused = answer.get("error", "").replace(f"{folder}/", "")
+    node = Said(refusal=refused) if refused else said(answer)
+    own = by_python(python)
+    doors = [
+        node, by_http(client, "mission", {"mission": "mission.yaml"}),
+        by_command(capsys, "mission", file),
+    ]  # fmt: skip
+    changed = by_http(client, "mission", {"mission": "mission.yaml", "document": asked})
+    if own.refusal:  # what is no file has no name and no line
+        lines = own.refusal.partition(": ")[2]
+        assert changed.refusal.endswith(lines) and words in own.refusal
+        doors = [one._replace(refusal=one.refusal.partition(": ")[2]) for one in doors]
+        assert {one.refusal for one in doors} == {lines}
+        return
+    for door in (*doors, changed):
+        assert door.figures == pytest.approx(own.figures, rel=1e-12)
+        assert (door.notes, door.presets) == (own.notes, own.presets)
+    assert words in " ".join(own.notes) and MARBLE in own.presets
