@@ -14,6 +14,7 @@ from energyplan.errors import (
     ConfigError,
     EnergyPlanError,
     InvalidInputError,
+    StorageError,
     UnknownNameError,
     UnusualValueWarning,
 )
@@ -281,7 +282,7 @@ def test_atomic_write_keeps_the_old_file_when_it_fails(tmp_path, monkeypatch):
     file = tmp_path / "deep" / "it.txt"
     atomic_write(file, "old")
     monkeypatch.setattr("os.fsync", lambda handle: (_ for _ in ()).throw(OSError(28, "disk full")))
-    with pytest.raises(InvalidInputError, match="disk full"):
+    with pytest.raises(StorageError, match="disk full"):
         atomic_write(file, "new")
     assert file.read_text() == "old"
     assert [entry.name for entry in file.parent.iterdir()] == ["it.txt"]
