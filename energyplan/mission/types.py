@@ -131,8 +131,9 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
                 raise ValueError(f"{len(value)} numbers")
             value = float(value[0]), float(value[1]), float(amount("angle", value[2]))
         except NO_NUMBER as problem:
+            why = f" ({problem})" if isinstance(problem, ValueError) else ""
             raise ValueError(
-                f"{value} is no pose ({problem}); give x, y [m] and yaw [rad] or as 90deg"
+                f"{value} is no pose{why}; give x, y [m] and yaw [rad] or as 90deg"
             ) from None
     return as_pose(value, "the pose")
 
