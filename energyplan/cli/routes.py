@@ -123,8 +123,11 @@ def problem_of(
     from energyplan.io.config import read_model
     from energyplan.io.sites import SiteFile, load_site, problem_from
 
-    names = {key: str(value) for key, value in vars(site).items() if isinstance(value, Path)}
-    named = SiteFile(map=names.pop("map_file"), **names, clearance=site.clearance or 0.0)
+    names: dict[str, Any] = {
+        key: str(value) for key, value in vars(site).items() if isinstance(value, Path)
+    }
+    named = SiteFile(map=names.pop("map_file"), **names)
+    named = named.model_copy(update={"clearance": site.clearance or 0.0})
     place = load_site(named, lambda key, name, read: read(Path(name)))
     asked = problem_from(
         place, read_model(drive.model), (start, goal), battery=drive.at_battery, speed=drive.speed,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -23,7 +23,6 @@ from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.maps import read_costmap, read_heights, read_keepout, read_map, read_speed_mask
 from energyplan.kinds import checked
-from energyplan.mission import Mission
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel
@@ -32,6 +31,9 @@ from energyplan.power.presets import MODEL_PRESETS
 from energyplan.records import amount_of
 from energyplan.terrain import Site, knows_ground, with_limits, with_weights
 from energyplan.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from energyplan.mission import Mission
 
 T = TypeVar("T")
 

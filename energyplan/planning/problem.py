@@ -48,6 +48,9 @@ KEPT = (0.9, 0.5, 0.0)
 MOVED = 0.05
 """How far a start that touches an obstacle is moved at most [m]: what localisation is off by."""
 
+LARGEST_CLEARANCE = 20.0
+"""Largest distance that can be kept from obstacles [m]."""
+
 _RINGS = 0.005  # between the rings of poses that it is moved to [m]
 _HALVINGS = 12  # of the clearance, until what there is of it at an end is known well enough
 _TURN = 0.05  # between two poses of a path that are tested for the clearance [rad]
@@ -156,9 +159,9 @@ class PlanningProblem:
             raise InvalidInputError(
                 f"the weight of the costmap is {self.costmap_weight}; give a number of 0 or more"
             )
-        if not 0.0 <= self.clearance < np.inf:
+        if not 0.0 <= self.clearance <= LARGEST_CLEARANCE:
             raise InvalidInputError(
-                f"the clearance is {self.clearance} m; give a distance of 0 m or more"
+                f"the clearance is {self.clearance} m; give 0 to {LARGEST_CLEARANCE:g} m"
             )
         object.__setattr__(self, "start", as_pose(self.start, "start"))
         object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
