@@ -72,7 +72,7 @@ class Comparison(html.Readable):
             *([(STEADY, *(plan.energy for plan in plans))] if self.driven else []),
             ("lower bound of energy at steady speeds [J]", best.lower_bound, "-"),
             *([("of it for the height [J]", best.potential, "-")] if best.potential else []),
-            ("at most above the least possible [%]", 100 * best.gap, "-"),
+            ("at most above the least possible [%]", html.number(100 * best.gap, whole=100), "-"),
         ]
         title = f"saving: {self.sentence}"
         parts = [

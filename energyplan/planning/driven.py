@@ -344,7 +344,7 @@ class Plan(html.Readable):
             ("turning [deg]", float(np.degrees(self.turning))),
             *([(STEADY, self.energy)] if spent.driven else []),
             *self._costs(),
-            ("at most above the least possible [%]", 100 * self.gap),
+            ("at most above the least possible [%]", html.number(100 * self.gap, whole=100)),
         ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
         if self.effort_limit is not None:
