@@ -268,14 +268,16 @@ def test_plans_lie_between_the_bound_and_an_exhaustive_search(seed):
 
 
 def test_energy_against_time_where_the_way_down_pays_for_itself():
-    problem = PlanningProblem(
-        HALL, EnergyCost(MODEL.with_term(VISCOUS_LOSS, 80.0)), (2, 6, 0), (14, 6, 0),
-        heights=plane(-0.4, 0.0),
-    )  # fmt: skip
-    plans = [
-        plan(replace(problem, cost=replace(problem.cost, time_value=value)), effort=2_000)
-        for value in (0.0, 30.0, 120.0)
+    model = MODEL.with_term(VISCOUS_LOSS, 80.0)
+    costs = [
+        EnergyCost(model, speed="cheapest"),
+        *(EnergyCost(model, time_value=value) for value in (30.0, 120.0)),
     ]
+    plans = [
+        plan(PlanningProblem(HALL, cost, (2, 6, 0), (14, 6, 0), heights=plane(-0.4, 0.0)),
+             effort=2_000)
+        for cost in costs
+    ]  # fmt: skip
     assert np.all(np.diff([found.energy for found in plans]) > 0)
     assert np.all(np.diff([found.duration for found in plans]) < 0)
     assert plans[0].energy < 0
