@@ -180,7 +180,7 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: ep.OccupancyGrid(np.zeros((3, 3), bool), 0.1, (0, 0, 90)), "seems to be in degrees"),
     (lambda: ep.steering.energy((0, 0, 0), (1, 1, 180), COST), "the yaw of goal is 180 rad"),
     (lambda: ep.steering.energy((0, 0, 0), (1e300, 1, 0), COST), "goal lies beyond"),
-    (lambda: robot(track=40), "track is 40; give 0.01 to 30 m (not centimetres)"),
+    (lambda: robot(track=40), r"track is 40; give 0.01 to 30 m \(not centimetres\)"),
     (lambda: robot(icr=ep.TreadICR.symmetric(40)), "tread ICR lies 40 m"),
     (lambda: LINE.poses(1e-12), "segments"),
 ]
