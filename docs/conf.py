@@ -16,6 +16,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "numpydoc",
+    "table_reference",
     "sphinx.ext.viewcode",
 ]
 exclude_patterns = ["_build"]

@@ -1,4 +1,4 @@
-"""What users read about ready-made robots, models and effects is what the library plans with."""
+"""What users read about ready-made robots and models is what the library plans with."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from energyplan import PowerModel, Vehicle
-from energyplan.power.effects import catalogue
 from energyplan.power.presets import MODEL_PRESETS
 from energyplan.vehicle import VEHICLE_PRESETS
 
@@ -68,21 +67,3 @@ def test_power_models() -> None:
             # a run differs from the mean as a whole, and the mean is known to its own error
             stated = np.hypot(of_mean, spread * value)
             assert error == (pytest.approx(stated) if stated else None), name
-
-
-def test_effects() -> None:
-    table = _table("Effects")
-    assert set(table) == set(catalogue())
-    for name, (size, low, high, of_mass, tried) in table.items():
-        entry = catalogue()[name]
-        assert size == f"{entry.symbol} [{entry.unit}]"
-        stated = float(low), float(high)
-        assert entry.plausible == stated, name
-        for mass in (1.0, 80.0, 9e4):
-            shares = [float(part) for part in of_mass.split(" to ")] if of_mass else [-inf, inf]
-            vehicle = Vehicle.preset("jackal").with_mass(mass)
-            expected = max(stated[0], shares[0] * mass), min(stated[1], shares[1] * mass)
-            assert entry.limits(vehicle) == pytest.approx(expected), name
-        parts = [part.partition(": ") for part in tried.split("; ") if part]
-        grid = {key: tuple(map(float, values.split(", "))) for key, _, values in parts}
-        assert dict(entry.grid) == grid, name
