@@ -11,7 +11,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "README.md"]),
-        (f"share/{NAME}/config", ["config/planner.yaml", "config/identifier.yaml"]),
+        (
+            f"share/{NAME}/config",
+            ["config/planner.yaml", "config/identifier.yaml", "config/controller.yaml"],
+        ),
         (f"share/{NAME}/launch", ["launch/planner.launch.py"]),
     ],
     install_requires=["setuptools"],

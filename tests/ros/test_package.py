@@ -46,6 +46,15 @@ def test_the_manifest_names_every_ros_package_that_the_node_imports() -> None:
     assert {"tf2_ros_py" if name == "tf2_ros" else name for name in foreign} <= depends
 
 
+def test_every_file_of_parameters_is_installed() -> None:
+    setup = (ROOT / "setup.py").read_text()
+    files = list((ROOT / "config").iterdir())
+    assert len(files) == 3
+    for file in files:
+        assert f'"config/{file.name}"' in setup
+        assert "ros__parameters" in next(iter(yaml.safe_load(file.read_text()).values()))
+
+
 @pytest.mark.parametrize("name", MAINS)
 def test_the_nodes_use_only_what_the_library_has(name: str) -> None:
     used = {
