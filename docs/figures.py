@@ -218,9 +218,39 @@ def reach() -> Figure:
     return plots.energy_map(ep.energy_map(problem, back=problem.start), problem.map)
 
 
+def friction() -> Figure:
+    """Moment between the sides by yaw rate, and the power that holding one takes."""
+    made = Figure(figsize=(plots.WIDTH, 2.6), layout="constrained")
+    moment, heat = made.subplots(1, 2)
+    limit = MODEL.coefficient("slip_friction") * MODEL.vehicle.slip_moment
+    moment.plot([-0.1, 0, 0, 0.1], [-limit, -limit, limit, limit], color=plots.BLUE, lw=2)
+    moment.annotate(
+        "sticks: anything\nwithin the limit", (0, 0), (0.02, -0.25 * limit), fontsize="small"
+    )
+    moment.annotate("slides: the limit", (0.05, limit), (0.012, 0.72 * limit), fontsize="small")
+    moment.set(xlabel="yaw rate [rad/s]", ylabel="moment [N m]")
+    force = MODEL.coefficient("traction_resistance")
+    held = np.linspace(-limit, limit, 101)
+    push = held / MODEL.vehicle.icr.slip_track
+    for name, loss, color, dash in (("no losses", 0.0, plots.BLUE, "-"),
+                                    ("copper loss", 6e-4, plots.RED, "--")):  # fmt: skip
+        power = 2 * force * 0.5 + loss * ((force - push) ** 2 + (force + push) ** 2)
+        heat.plot(held, power, color=color, ls=dash, lw=2, label=name)
+    heat.set(
+        xlabel="moment held [N m]",
+        ylabel="power [W]",
+        ylim=(0, None),
+    )
+    heat.legend(fontsize="small", frameon=False, title="straight ahead, 0.5 m/s")
+    for ax in (moment, heat):
+        ax.spines[["top", "right"]].set_visible(False)
+    return made
+
+
 FIGURES: dict[str, Callable[[], Figure]] = {
     "iso_energy": iso_energy, "turns": turns, "bound": bound, "residual": residual,
     "told_taken": told_taken, "range": reach, "planner": planner,
+    "friction": friction,
 }  # fmt: skip
 
 
