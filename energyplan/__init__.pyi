@@ -23,6 +23,7 @@ from .mission import Charger as Charger
 from .mission import Mission as Mission
 from .mission import Task as Task
 from .mission import evaluate as evaluate
+from .mission import evaluate_many as evaluate_many
 from .motion import Motion as Motion
 from .output import plots as plots
 from .path import Path as Path

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json as jsonlib
 import math
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +16,7 @@ import typer
 from typer import Argument, Option
 
 from energyplan.cli import options as opt
-from energyplan.cli.answers import NO, answer, progress, verdict, warn, write_report
+from energyplan.cli.answers import NO, answer, progress, say, verdict, warn, write_report
 from energyplan.cli.app import app
 from energyplan.cli.options import Drive, Effort, Site, number, writes
 from energyplan.errors import InvalidInputError, NoPathError
@@ -436,8 +439,9 @@ def _fraction(option: str, text: str) -> float:
 
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
-    file: Annotated[
-        Path, Argument(metavar="MISSION.yaml", help="Its keys are listed in docs/missions.")
+    files: Annotated[
+        list[Path],
+        Argument(metavar="MISSION.yaml...", help="Its keys are listed in docs/missions."),
     ],
     effort: opt.Work = None,
     reverse: opt.Reverse = None,
@@ -456,6 +460,21 @@ def mission(
             help="Write each drive to this folder (t,x,y,yaw,v,omega), and into --json.",
         ),
     ] = None,
+    cluster: Annotated[
+        str | None,
+        Option(
+            metavar="ADDRESS",
+            help="Evaluate many missions on Dask's scheduler at tcp://HOST:8786, or on the cores "
+            "of this machine, local: a JSON line for each.",
+        ),
+    ] = None,
+    results: Annotated[
+        Path | None,
+        Option(
+            callback=writes(".jsonl"),
+            help="With --cluster: add the lines to this file; missions that it has are skipped.",
+        ),
+    ] = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
@@ -464,14 +483,18 @@ def mission(
     Names the tasks that cannot be done, why, and what would change that. A file with robots is
     shared between them: which robot does which task, and when it charges.
     """
-    from energyplan.errors import MissionError
-    from energyplan.io.documents import load
-    from energyplan.io.mission import build
     from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
 
-    asked = _with_options(build(load(file, MissionError), file.parent), effort, reverse)
+    if cluster is not None:
+        if report or trajectories or fail:
+            raise InvalidInputError("--report, --trajectories and --fail are of one mission alone")
+        _many(files, cluster, results, effort, reverse, strict)
+        return
+    if len(files) > 1 or results:
+        raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
+    asked = _read_mission(files[0], effort, reverse)
     if fail is not None and not asked.robots:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
     name, instant = _failure(fail) if fail else ("", 0.0)
@@ -496,9 +519,43 @@ def mission(
     verdict(result.feasible and (after is None or after.feasible), strict)
 
 
-def _with_options(asked: Mission, effort: int | None, reverse: str | None) -> Mission:
-    """Give a mission, and each of several robots, what the command says."""
-    from energyplan.io.mission import noted
+def _many(
+    files: list[Path], address: str, results: Path | None, effort: int | None,
+    reverse: str | None, strict: bool,
+) -> None:  # fmt: skip
+    """Print a JSON line for each of many missions; one that fails stops no other."""
+    from energyplan.io.many import answers, cluster
+
+    work = partial(_evaluated, effort=effort, reverse=reverse)
+    given = {"effort": effort, "reverse": reverse}
+    failed, feasible = 0, True
+    with cluster(address) as executor:
+        for line in answers(work, files, executor, results, given):
+            say(jsonlib.dumps(line, allow_nan=False))
+            sys.stdout.flush()
+            failed += "error" in line
+            feasible &= line.get("feasible", True)
+    if failed:
+        warn(f"{failed} of {len(set(files))} missions failed; their lines say why")
+        raise typer.Exit(1)
+    verdict(feasible, strict)
+
+
+def _evaluated(file: Path, effort: int | None, reverse: str | None) -> dict[str, Any]:
+    """Return the answer to a mission's file, as a worker does."""
+    from energyplan.io.sites import models_of, with_presets
+    from energyplan.mission import evaluate
+    from energyplan.output import documents
+
+    asked = _read_mission(file, effort, reverse)
+    return with_presets(documents.mission(evaluate(asked)), models_of(asked))
+
+
+def _read_mission(file: Path, effort: int | None, reverse: str | None) -> Mission:
+    """Read a mission, and give it, and each of several robots, what the command says."""
+    from energyplan.io.mission import noted, read_mission
+
+    asked = read_mission(file)
 
     def changed(name: str, value: Any) -> Any:
         if name == "planning_effort" and effort is not None:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from energyplan.diagnosis import Diagnosis
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
-    from energyplan.fit.doubts import Adequacy
     from energyplan.fit.tasks import TaskFit
     from energyplan.io.start import Start
     from energyplan.limits.feasibility import FeasibilityReport
@@ -27,10 +26,44 @@ if TYPE_CHECKING:
     from energyplan.physics import Driven, Loop
     from energyplan.physics.design import Design
     from energyplan.planning import Plan
-    from energyplan.power import PowerModel, Residual
+    from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
+    from energyplan.vehicle import TreadICR
 
 Document = dict[str, Any]
+
+SHOWN = {
+    "Adequacy": "noise residual slow_noise slow_residual coloured time missing adequate",
+    "Check": "what value expected ok remedy",
+    "Design": "separates manoeuvres sentence",
+    "Diagnosis": "verdict effects training choosing judging predictions average set_aside "
+    "unexplained advice explanations before after after_undated adequacy",
+    "Driven": "energy_predicted energy_measured error arrived tracking_error heading_error "
+    "final_error",
+    "EnergyMap": "complete_to confidence",
+    "Explanation": "effects probability",
+    "FeasibilityReport": "feasible max_speed_scale energy duration reason violations",
+    "ICREstimate": "turning source",
+    "Identification": "residual adequacy foretold set_aside warnings",
+    "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
+    "feasible chargers timetable proven gap warnings uncertainty",
+    "NoPathError": "certainty resolution",
+    "Plan": "energy length turning lower_bound gap planning_time planner potential effort "
+    "effort_limit cost soft_cost breakdown notes",
+    "Residual": "rmse mae bias energy_error",
+    "Round": "energy_predicted energy_interval energy_measured error overhead effects length note",
+    "Segment": "start goal departure energy",
+    "TaskReport": "name verdict reason reachable_alone energy energy_upper soc_after shortfall "
+    "remedy remedies arrival departure soc_lower start start_upper",
+    "TreadICR": "left right longitudinal",
+}
+"""What is shown of a type, where that is not all of its fields."""
+
+
+def shown(kind: type) -> list[str]:
+    """Return the names of what is shown of a type."""
+    names = SHOWN.get(kind.__name__)
+    return [item.name for item in fields(kind)] if names is None else names.split()
 
 
 def plain(value: Any) -> Any:
@@ -45,19 +78,10 @@ def plain(value: Any) -> Any:
         return int(value)
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
-    if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+    kind = type(value)
+    if kind.__name__ in SHOWN or is_dataclass(kind):
+        return {name: plain(getattr(value, name)) for name in shown(kind)}
     return value
-
-
-def picked(value: Any, names: str) -> Document:
-    """Return some attributes of a result."""
-    return {name: plain(getattr(value, name)) for name in names.split()}
-
-
-def residual(found: Residual) -> Document:
-    """Return the errors of a prediction [W], and of its energy [fraction]."""
-    return picked(found, "rmse mae bias energy_error")
 
 
 def terms(model: PowerModel) -> list[Document]:
@@ -69,16 +93,14 @@ def terms(model: PowerModel) -> list[Document]:
     ]  # fmt: skip
 
 
+def _icr(found: TreadICR, spread: Mapping[str, float] | None) -> Document:
+    return {**plain(found), "std_error": plain(spread)}
+
+
 def identification(found: Identification) -> Document:
     """Return what ``energyplan identify --json`` prints."""
-    spread = plain(found.icr_std_error)
-    return {
-        "terms": terms(found.model),
-        "icr": {**picked(found.icr, "left right longitudinal"), "std_error": spread},
-        "residual": residual(found.residual),
-        "adequacy": adequacy(found.adequacy),
-        **picked(found, "foretold set_aside warnings"),
-    }
+    icr = _icr(found.icr, found.icr_std_error)
+    return {"terms": terms(found.model), "icr": icr, **plain(found)}
 
 
 def tasks(found: TaskFit, history: Mapping[str, FloatArray]) -> Document:
@@ -86,7 +108,7 @@ def tasks(found: TaskFit, history: Mapping[str, FloatArray]) -> Document:
     whole = float(np.nansum(history["energy"]))
     return {
         "terms": terms(found.model),
-        "icr": {**picked(found.model.vehicle.icr, "left right longitudinal"), "std_error": None},
+        "icr": _icr(found.model.vehicle.icr, None),
         "tasks": len(found.energies),
         "residual": {"relative": found.spread, "energy_error": plain(
             float(found.energies.sum()) / whole - 1.0)},
@@ -94,16 +116,9 @@ def tasks(found: TaskFit, history: Mapping[str, FloatArray]) -> Document:
     }  # fmt: skip
 
 
-def adequacy(left: Adequacy) -> Document:
-    """Return what a model leaves beside the noise."""
-    return {**plain(left), "adequate": left.adequate}
-
-
 def icr(found: ICREstimate) -> Document:
     """Return what ``energyplan identify --spin --json`` prints."""
-    values = picked(found.icr, "left right longitudinal")
-    spread = plain(found.std_error)
-    return {"icr": {**values, "std_error": spread}, **picked(found, "turning source")}
+    return {"icr": _icr(found.icr, found.std_error), **plain(found)}
 
 
 def start(result: Start) -> Document:
@@ -118,38 +133,23 @@ def start(result: Start) -> Document:
         "topics": None if project.topics is None else project.topics.model_dump(),
         "vehicle": plain(plain_vehicle(project.vehicle)),
         "defaults": plain(project.defaults),
-        "checks": [picked(check, "what value expected ok remedy") for check in result.checks],
+        "checks": plain(result.checks),
         "notes": list(result.notes),
     }
 
 
 def diagnosis(report: Diagnosis) -> Document:
     """Return what ``energyplan diagnose --json`` prints."""
-    return {
-        **picked(
-            report, "verdict effects training choosing judging predictions average set_aside "
-            "unexplained advice",
-        ),
-        "explanations": [picked(one, "effects probability") for one in report.explanations],
-        "before": residual(report.before),
-        "after": residual(report.after),
-        "after_undated": None if report.after_undated is None else residual(report.after_undated),
-        "adequacy": adequacy(report.adequacy),
-        "terms": terms(report.model),
-    }  # fmt: skip
+    return {**plain(report), "terms": terms(report.model)}
 
 
 def plan(result: Plan) -> Document:
-    """Return what ``energyplan plan --json`` prints; null for what only driving it tells."""
-    keys = (
-        "energy length turning lower_bound gap planning_time planner potential effort effort_limit "
-        "cost soft_cost breakdown notes"
-    )
+    """Return what ``energyplan plan --json`` prints."""
     drive = None if result.why_not_driven else result.driven
     driven = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
               "breakdown_driven": "breakdown"}  # fmt: skip
     return {
-        **picked(result, keys),
+        **plain(result),
         "reverse_length": plain(result.path.reverse_length),
         "path": plain(result.path.poses()),
         **{key: plain(getattr(drive, name, None)) for key, name in driven.items()},
@@ -158,7 +158,7 @@ def plan(result: Plan) -> Document:
 
 def no_path(error: NoPathError) -> Document:
     """Return what ``energyplan plan --json`` prints where there is no path."""
-    return {"path": None, "reason": str(error), **picked(error, "certainty resolution")}
+    return {"path": None, "reason": str(error), **plain(error)}
 
 
 def comparison(result: Comparison) -> Document:
@@ -175,62 +175,46 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> Document:
     """Return what ``energyplan range --json`` prints."""
     return {
         "area": plain(found.reachable(float(np.finfo(float).max))),
-        **picked(found, "complete_to confidence"),
+        **plain(found),
         "contours": [{"energy": plain(a.energy), "area": plain(a.area.area)} for a in areas],
     }
 
 
 def feasibility(report: FeasibilityReport) -> Document:
     """Return what ``energyplan check --json`` prints."""
-    keys = "kind side start end peak limit"
-    return {
-        **picked(report, "feasible max_speed_scale energy duration reason"),
-        "violations": [picked(violation, keys) for violation in report.violations],
-    }
+    found: Document = plain(report)
+    return found
 
 
 def mission(report: MissionReport, trajectories: bool = False) -> Document:
-    """Return what ``energyplan mission --json`` prints; with the legs' trajectories if asked."""
-    if report.robots:
-        return _of_robots(report, trajectories)
-    keys = (
-        "name verdict reason reachable_alone energy energy_upper soc_after shortfall remedy "
-        "remedies arrival departure soc_lower start start_upper"
-    )
-    whole = (
-        "headline order route energy energy_upper soc_end soc_end_lower end duration feasible "
-        "chargers timetable proven gap warnings"
-    )
-    return {
-        "tasks": [
-            {**picked(task, keys), "pose": plain(asked.pose)}
-            for task, asked in zip(report.tasks, report.mission.tasks, strict=True)
-        ],
-        **picked(report, whole),
-        "uncertainty": [picked(doubt, "source energy saving") for doubt in report.uncertainty],
-        "legs": [_leg(leg, trajectories) for leg in report.legs],
+    """Return what ``energyplan mission --json`` prints; with the legs' trajectories if asked.
+
+    Of several robots each has the same keys, but for its own name.
+    """
+    poses = {task.name: task.pose for task in report.mission.tasks}
+    found = {
+        "tasks": [{**plain(task), "pose": plain(poses[task.name])} for task in report.tasks],
+        **(_of_robots(report, trajectories) if report.robots else plain(report)),
     }
+    if not report.robots:
+        found["legs"] = [_leg(leg, trajectories) for leg in report.legs]
+    return found
 
 
 def _of_robots(report: MissionReport, trajectories: bool) -> Document:
-    """Return the answer for several robots; the legs only with their trajectories."""
-    keys = "route energy energy_upper soc_end soc_end_lower duration waiting"
+    """Return what several robots have together, and what each does."""
     required = {task.name: task.required for task in report.mission.tasks}
+    together = "headline energy energy_upper duration feasible proven gap warnings"
     return {
+        **{name: plain(getattr(report, name)) for name in together.split()},
         "robots": [
-            {
-                "name": one.mission.name,
-                "tasks": [task.name for task in one.tasks],
-                **picked(one, keys),
-                **({"legs": [_leg(leg, True) for leg in one.legs]} if trajectories else {}),
-            }
+            {"name": one.mission.name, **mission(one, trajectories), "waiting": plain(one.waiting)}
             for one in report.robots
         ],
         "left_out": [
             {"name": task.name, "required": required[task.name], "reasons": list(task.reasons)}
             for task in report.left_out
         ],
-        **picked(report, "energy energy_upper proven gap feasible"),
     }
 
 
@@ -253,7 +237,7 @@ def event(report: Event) -> Document:
 def _leg(leg: Segment, trajectory: bool) -> Document:
     """Return a leg, with its trajectory as columns over its time if asked."""
     drive = leg.trajectory
-    report = {**picked(leg, "start goal departure energy"), "duration": plain(drive.duration)}
+    report = {**plain(leg), "duration": plain(drive.duration)}
     if trajectory:
         columns = {name: getattr(drive, name) for name in ("t", "x", "y", "yaw", "v", "omega")}
         columns |= {"soc": leg.soc, "soc_lower": leg.soc_lower}
@@ -263,9 +247,8 @@ def _leg(leg: Segment, trajectory: bool) -> Document:
 
 def driven(result: Driven, secret: bool = False) -> Document:
     """Return what ``energyplan drive --json`` prints; what was taken not by term if `secret`."""
-    keys = "energy_predicted energy_measured error arrived tracking_error heading_error final_error"
     return {
-        **picked(result, keys),
+        **plain(result),
         "duration": plain(result.trajectory.duration),
         "terms": [
             {"name": name, "told": report} | ({} if secret else {"taken": taken})
@@ -277,11 +260,10 @@ def driven(result: Driven, secret: bool = False) -> Document:
 
 def loop(result: Loop) -> Document:
     """Return what ``energyplan close-the-loop --json`` prints."""
-    keys = "energy_predicted energy_interval energy_measured error overhead effects length note"
     return {
         "rounds": [
-            picked(now, keys)
-            | {
+            {
+                **plain(now),
                 "arrived": plain(now.driven.arrived) if now.driven else None,
                 "survey": plain(now.survey.trajectory.duration) if now.survey else None,
             }
@@ -295,11 +277,10 @@ def loop(result: Loop) -> Document:
 def design(result: Design) -> Document:
     """Return what ``energyplan design --json`` prints."""
     return {
-        "separates": [picked(pair, "true other log_odds") for pair in result.separates],
+        **plain(result),
         "probabilities_expected": [
             {"explanation": label, "if_true": plain(value)}
             for label, value in result.probabilities_expected
         ],
         "duration": plain(result.trajectory.duration),
-        **picked(result, "manoeuvres sentence"),
     }

@@ -1,0 +1,115 @@
+"""One function over many files, on a cluster: an answer for each as it is ready, none twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Executor, as_completed
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from energyplan import __version__
+from energyplan.errors import InvalidInputError, MissingDependencyError
+from energyplan.io.files import atomic_write, files_behind
+
+Line = dict[str, Any]
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """Connect to Dask's scheduler at an address; ``local`` starts a worker on each core."""
+    try:
+        from distributed import Client
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "a cluster needs Dask; pip install 'energyplan[cluster]'"
+        ) from error
+    try:
+        local = {"threads_per_worker": 1, "silence_logs": logging.CRITICAL}
+        client = Client(timeout=10, **(local if address == "local" else {"address": address}))
+    except (OSError, ValueError) as problem:
+        why = " ".join(str(problem).split())
+        raise InvalidInputError(
+            f"no cluster answers at {address!r} ({why}); start one with dask scheduler, or write "
+            "local for the cores of this machine"
+        ) from None
+    with client:
+        yield client.get_executor(pure=False)
+
+
+def answers(
+    work: Callable[[Path], Mapping[str, Any]],
+    files: Iterable[str | Path],
+    executor: Executor,
+    results: str | Path | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Iterator[Line]:
+    """Apply a function to many files; yield each answer when it is ready.
+
+    Parameters
+    ----------
+    work : callable
+        Answers one file by a dictionary that JSON can hold.
+    files : iterable of str or Path
+        The files, which workers read by the same names.
+    executor : concurrent.futures.Executor
+        Who works: that of `cluster`, or any other.
+    results : str or Path, optional
+        A file of JSON lines that each answer is added to. Files that it has an answer of are
+        skipped, unless they, or files that they name, or the settings have changed since.
+    settings : mapping, optional
+        What else the answers depend on.
+
+    Yields
+    ------
+    dict
+        The ``file``, the ``checksum`` of all that was read, and the answer, or the ``error``.
+    """
+    checksums = {str(file): _checksum(file, settings or {}) for file in files}
+    target = None if results is None else Path(results)
+    kept = {} if target is None else _kept(target, checksums)
+    if target is not None:
+        atomic_write(target, "".join(kept.values()))
+    pending = {executor.submit(work, Path(one)): one for one in checksums if one not in kept}
+    for future in as_completed(pending):
+        name = pending.pop(future)
+        line: Line = {"file": name, "checksum": checksums[name]}
+        try:
+            line = {**line, **future.result()}
+            text = json.dumps(line, allow_nan=False)
+        except Exception as error:  # noqa: BLE001  a file that fails stops no other
+            line = {**line, "error": " ".join(str(error).split()) or type(error).__name__}
+            text = json.dumps(line)
+        if target is not None:
+            with target.open("a", encoding="utf-8") as stream:
+                stream.write(f"{text}\n")
+        yield line
+
+
+def _checksum(file: str | Path, settings: Mapping[str, Any]) -> str:
+    """Return a checksum of all that the answer to a file depends on."""
+    found = hashlib.sha256(repr((__version__, sorted(settings.items()))).encode())
+    for value in (file, *settings.values()):
+        for part in files_behind(value) if isinstance(value, str | Path) else ():
+            found.update(hashlib.sha256(part.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def _kept(results: Path, checksums: Mapping[str, str]) -> dict[str, str]:
+    """Return the lines of a file of results that still hold, by file; none that was cut off."""
+    kept = {}
+    lines = results.read_text(encoding="utf-8").split("\n") if results.exists() else [""]
+    for number, line in enumerate(lines[:-1], 1):
+        try:
+            found = json.loads(line)
+            holds = found["checksum"] == checksums.get(found["file"], found["checksum"])
+        except (ValueError, TypeError, KeyError):
+            raise InvalidInputError(
+                f"{results}, line {number} is no answer to a file; name another file of results"
+            ) from None
+        if holds and "error" not in found:
+            kept[found["file"]] = f"{line}\n"
+    return kept
