@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 ROUNDING = 1e-9
 """Part of a whole below which a part of it is rounding."""
@@ -86,21 +86,39 @@ WIDE = 4
 _NUMERIC = re.compile(r"[-+]?\d[-+\d.e±%() to]*|-")
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table; columns of numbers are aligned to the right, a ``-`` stands for nothing."""
-    names = [html.escape(name) for name in header]
-    wide = len(names) > WIDE
-    labels = names if wide else [""] * len(names)
-    body = [[_text(value) for value in row] for row in rows]
-    kinds = [_is_numeric(column) for column in zip(*body, strict=True)] or [False] * len(names)
-    head = "".join(
-        f"<th {_RIGHT}>{name}</th>" if right else f"<th>{name}</th>"
-        for name, right in zip(names, kinds, strict=True)
-    )
-    lines = ["".join(_cell(*one) for one in zip(row, labels, kinds, strict=True)) for row in body]
-    kind = ' class="wide"' if wide else ""
-    rest = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{rest}</tbody></table>"
+@cache
+def _templates() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("energyplan"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True,
+    )  # fmt: skip
+
+
+def rendered(template: str, **values: Any) -> str:
+    """Return HTML from one of the package's templates, which escape all text."""
+    return str(_templates().get_template(template).render(**values))
+
+
+class Cells(NamedTuple):
+    """The texts of a table; columns of numbers stand to the right, ``-`` stands for nothing."""
+
+    header: tuple[str, ...]
+    rows: list[list[str]]
+    numeric: list[bool]  # of each column
+
+    @classmethod
+    def of(cls, header: Sequence[str], rows: Iterable[Sequence[object]]) -> Cells:
+        """Return the texts of values."""
+        body = [[_text(value) for value in row] for row in rows]
+        numeric = [_is_numeric(column) for column in zip(*body, strict=True)]
+        return cls((*header,), body, numeric or [False] * len(header))
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is shown row by row where a page is narrow."""
+        return len(self.header) > WIDE
 
 
 class Summary(NamedTuple):
@@ -113,22 +131,19 @@ class Summary(NamedTuple):
 
     def html(self) -> str:
         """Return it as a notebook shows it."""
-        body = [*self.rows]
-        cells = table(self.header, body) if body else ""
-        items = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
-        said = f"<ul>{items}</ul>" if items else ""
-        return f"<div><b>{html.escape(self.title)}</b>{cells}{said}</div>"
+        cells = Cells.of(self.header, self.rows)
+        return rendered("summary.html", title=self.title, cells=cells, notes=self.notes)
 
     def text(self) -> str:
         """Return it as lines of text; columns of numbers are aligned to the right."""
-        body = [[_text(value) for value in row] for row in self.rows]
-        numeric = [_is_numeric(column) for column in zip(*body, strict=True)]
+        cells = Cells.of(self.header, self.rows)
+        body = cells.rows
         lines = [[*self.header], *body] if any(self.header) and body else body
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         told = [
             "  ".join(
                 text.rjust(width) if right else text.ljust(width)
-                for text, width, right in zip(line, widths, numeric, strict=True)
+                for text, width, right in zip(line, widths, cells.numeric, strict=False)
             )
             for line in lines
         ]
@@ -155,9 +170,6 @@ class Readable:
         return "\n".join(one.text() for one in self._summaries())
 
 
-_RIGHT = 'style="text-align:right"'
-
-
 def _text(value: object) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
@@ -167,11 +179,3 @@ def _text(value: object) -> str:
 def _is_numeric(column: Sequence[str]) -> bool:
     """Tell whether a column is one of numbers, some of which may be absent."""
     return any(text != "-" for text in column) and all(map(_NUMERIC.fullmatch, column))
-
-
-def _cell(text: str, label: str, right: bool) -> str:
-    kinds = [name for name, is_it in (("number", right), ("none", text == "-")) if is_it]
-    told = f' class="{" ".join(kinds)}"' if kinds else ""
-    told += f" {_RIGHT}" if right else ""
-    told += f' data-label="{label}"' if label else ""
-    return f"<td{told}>{html.escape(text)}</td>"

@@ -58,6 +58,8 @@ SHOWN = {
     "TreadICR": "left right longitudinal",
 }
 """What is shown of a type, where that is not all of its fields."""
+TOGETHER = "headline energy energy_upper duration feasible proven gap warnings"
+"""What is shown of a mission of several robots as a whole."""
 
 
 def shown(kind: type) -> list[str]:
@@ -204,9 +206,8 @@ def mission(report: MissionReport, trajectories: bool = False) -> Document:
 def _of_robots(report: MissionReport, trajectories: bool) -> Document:
     """Return what several robots have together, and what each does."""
     required = {task.name: task.required for task in report.mission.tasks}
-    together = "headline energy energy_upper duration feasible proven gap warnings"
     return {
-        **{name: plain(getattr(report, name)) for name in together.split()},
+        **{name: plain(getattr(report, name)) for name in TOGETHER.split()},
         "robots": [
             {"name": one.mission.name, **mission(one, trajectories), "waiting": plain(one.waiting)}
             for one in report.robots

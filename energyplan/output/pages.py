@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import html
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from energyplan import __version__
-from energyplan import html as _html
 from energyplan.errors import InvalidInputError
-from energyplan.html import chance, number, words
+from energyplan.html import Cells, Summary, chance, number, quantity, rendered, words
 from energyplan.output import plots
 from energyplan.output.plots.style import LINES, svg
 from energyplan.path import wrap_angle
@@ -35,98 +33,40 @@ if TYPE_CHECKING:
     from energyplan.terrain import SurfaceMap
 
 
-_CSS = """
-:root { color-scheme: light dark; --text: #1b1b1b; --soft: #555; --line: #d8d8d8; --flag: #fdf2ea;
-        --code: #f2f2f2; --back: #fff; }
-@media (prefers-color-scheme: dark) {
-  :root { --text: #e6e6e6; --soft: #aaa; --line: #444; --flag: #3a2a1e; --code: #2a2a2a;
-          --back: #161616; }
-  figure img { background: #fff; border-radius: .3rem; }
-}
-body { font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var(--back);
-       max-width: 60rem; margin: 0 auto; padding: 1rem; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.25rem; margin-top: 2.2rem; }
-p.lead { font-size: 1.1rem; }
-.flag { border-left: 4px solid #d55e00; background: var(--flag); padding: .5rem .8rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .8rem 0; }
-th, td { padding: .3rem .7rem; border-bottom: 1px solid var(--line); text-align: left;
-         vertical-align: top; }
-th { border-bottom: 2px solid #888; }
-td.number { white-space: nowrap; }
-figure { margin: 1rem 0; } figure img { width: 100%; height: auto; }
-.results { display: grid; grid-template-columns: repeat(auto-fit, minmax(11rem, 1fr)); gap: 1rem; }
-.results div { border-top: 3px solid #0072b2; padding-top: .4rem; display: flex;
-       flex-direction: column; justify-content: space-between; }
-.results dt { color: var(--soft); }
-.results dd { margin: 0; font-size: 1.4rem; font-weight: 600; }
-figcaption { color: var(--soft); font-size: .9rem; margin-top: .5rem; }
-footer { margin-top: 3rem; border-top: 1px solid var(--line); padding-top: .6rem;
-         color: var(--soft); font-size: .85rem; overflow-wrap: anywhere; }
-footer dl { display: grid; grid-template-columns: max-content 1fr; gap: .3rem 1rem; margin: 0; }
-footer dt { font-weight: 600; } footer dd { margin: 0; }
-footer .sum { display: block; font-family: monospace; font-size: .75rem; }
-code { background: var(--code); padding: .1rem .3rem; overflow-wrap: anywhere; }
-@media (max-width: 40rem) {
-  table { font-size: .9rem; } th, td { padding: .3rem .4rem; }
-  table.wide, table.wide tbody, table.wide tr { display: block; }
-  table.wide thead { display: none; }
-  table.wide tr { border-bottom: 2px solid #888; padding: .4rem 0; }
-  table.wide td, table.wide td.number { display: grid; grid-template-columns: 9rem 1fr;
-         border: 0; text-align: left !important; padding: .1rem .2rem; overflow-wrap: anywhere; }
-  td.number { white-space: normal; } table.wide td.none:not(:first-child) { display: none; }
-  table.wide td:first-child { font-weight: 600; }
-  table.wide td::before { content: attr(data-label); color: var(--soft); padding-right: .5rem; }
-}
-@media print {
-  :root { --text: #000; --soft: #444; --line: #bbb; --back: #fff; --code: #f2f2f2;
-          --flag: #fdf2ea; }
-  body { font-size: 11pt; max-width: none; padding: 0; }
-  h2 { break-after: avoid; } figure, table, tr, footer { break-inside: avoid; }
-  figure img { max-width: 28rem; } .scroll { overflow: visible; } table { font-size: 9pt; }
-}
-"""
-
-
 @dataclass
 class Page:
-    """An HTML page that is built from top to bottom; all text is escaped."""
+    """An HTML page that is built from top to bottom; its template escapes all text."""
 
     title: str  # title of the page
-    _parts: list[str] = field(default_factory=list, repr=False)
-    _origin: list[tuple[str, str]] = field(default_factory=list, repr=False)
+    _parts: list[tuple[str, Any]] = field(default_factory=list, repr=False)
+    _results: list[tuple[str, str]] = field(default_factory=list, repr=False)
+    _origin: dict[tuple[str, str], str] = field(default_factory=dict, repr=False)
 
     def heading(self, text: str) -> None:
         """Start a section."""
-        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+        self._parts.append(("heading", text))
 
     def paragraph(self, text: str, kind: str = "") -> None:
         """Add a paragraph; `kind` is ``""``, ``"lead"`` or ``"flag"`` (a warning)."""
-        self._parts.append(f'<p class="{html.escape(kind)}">{html.escape(text)}</p>')
+        self._parts.append(("paragraph", (text, kind)))
 
     def results(self, results: Iterable[tuple[str, str]]) -> None:
         """Add the main results at the top of the page: a label and a value each."""
-        items = "".join(
-            f"<div><dt>{html.escape(label)}</dt><dd>{html.escape(value)}</dd></div>"
-            for label, value in results
-        )
-        self._parts.insert(0, f'<dl class="results">{items}</dl>')
+        self._results += results
 
     def bullets(self, lines: Iterable[str]) -> None:
         """Add a list."""
-        items = "".join(f"<li>{html.escape(line)}</li>" for line in lines)
-        if items:
-            self._parts.append(f"<ul>{items}</ul>")
+        self._parts.append(("bullets", list(lines)))
 
     def command(self, text: str) -> None:
         """Add a command line."""
-        self._parts.append(f"<p><code>{html.escape(text)}</code></p>")
+        self._parts.append(("command", text))
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         """Add a table; numbers are aligned to the right and shown with four digits."""
-        self._parts.append(f'<div class="scroll">{_html.table(header, rows)}</div>')
+        self._parts.append(("table", Cells.of(header, rows)))
 
-    def summaries(self, found: Iterable[_html.Summary]) -> None:
+    def summaries(self, found: Iterable[Summary]) -> None:
         """Add titled rows: a section for each, with its notes below."""
         for one in found:
             self.heading(f"{one.title[:1].upper()}{one.title[1:]}")
@@ -141,34 +81,24 @@ class Page:
 
     def picture(self, figure: Figure, caption: str) -> None:
         """Add a figure, as vectors, with its caption."""
-        data = base64.b64encode(svg(figure)).decode("ascii")
-        text = html.escape(caption)
-        self._parts.append(
-            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{data}">'
-            f"<figcaption>{text}</figcaption></figure>"
-        )
+        self._parts.append(("picture", (base64.b64encode(svg(figure)).decode("ascii"), caption)))
 
     def made_from(
         self, *, call: str = "", files: Iterable[Path] = (), model: PowerModel | None = None
     ) -> None:
         """Say at the end of the page what it was made from; may be called several times."""
-        lines = [("Made by", f"<code>{html.escape(call)}</code>")] if call else []
+        lines = {("Made by", call): ""} if call else {}
         if model is not None:
             robot = model.vehicle
-            named = f"{robot.name}: {_html.number(robot.mass)} kg, slip track "
             values = ", ".join(
-                f"{_html.words(term.name)} {_html.quantity(value, None, term.unit)}"
+                f"{words(term.name)} {quantity(value, None, term.unit)}"
                 for term, value in zip(model.terms, model.coefficients.tolist(), strict=True)
             )
-            lines += [
-                ("Vehicle", html.escape(f"{named}{_html.number(robot.icr.slip_track)} m")),
-                ("Model", html.escape(f"{model.name}: {values}")),
-            ]
-        lines += [
-            ("Read", f'{html.escape(str(f))} <span class="sum">SHA-256 {_checksum(f)}</span>')
-            for f in files
-        ]
-        self._origin.extend(line for line in lines if line not in self._origin)
+            track = f"slip track {number(robot.icr.slip_track)} m"
+            lines["Vehicle", f"{robot.name}: {number(robot.mass)} kg, {track}"] = ""
+            lines["Model", f"{model.name}: {values}"] = ""
+        lines |= {("Read", str(file)): f"SHA-256 {_checksum(file)}" for file in files}
+        self._origin = {**self._origin, **lines}
 
     def html(self) -> str:
         """Return the page; it loads nothing from elsewhere.
@@ -176,16 +106,11 @@ class Page:
         The date is that of now, or of the environment variable ``SOURCE_DATE_EPOCH`` (seconds since
         1970), with which the same input gives the same bytes.
         """
-        title = html.escape(self.title)
-        origin = [("Date", _date()), ("Program", f"energyplan {__version__}"), *self._origin]
-        end = "".join(f"<dt>{name}</dt><dd>{text}</dd>" for name, text in origin)
-        return (
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<title>{title}</title><style>{_CSS}</style></head>"
-            f"<body><h1>{title}</h1>{''.join(self._parts)}"
-            f"<footer><dl>{end}</dl></footer></body></html>\n"
-        )
+        made = {("Date", _date()): "", ("Program", f"energyplan {__version__}"): ""}
+        return rendered(
+            "page.html", title=self.title, results=self._results, parts=self._parts,
+            origin={**made, **self._origin},
+        )  # fmt: skip
 
 
 def _date() -> str:

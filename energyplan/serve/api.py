@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.staticfiles import StaticFiles
+from pydantic import BaseModel
 from shapely.geometry import mapping
 from starlette.exceptions import HTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -51,7 +53,7 @@ from energyplan.io.tables import contours_document
 from energyplan.kinds import unusual
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
-from energyplan.mission import Routes, evaluate
+from energyplan.mission import MissionReport, Routes, evaluate
 from energyplan.output import documents
 from energyplan.path import Trajectory, as_pose
 from energyplan.planning import plan
@@ -59,10 +61,10 @@ from energyplan.planning import planners as known_planners
 from energyplan.power import PowerModel
 from energyplan.power.presets import MODEL_PRESETS
 from energyplan.reach import energy_map, energy_of_charge
+from energyplan.serve import answers
 from energyplan.serve.requests import (
     MOST_EFFORT,
     MOST_TASKS,
-    A,
     Access,
     CheckRequest,
     DiagnoseRequest,
@@ -73,8 +75,8 @@ from energyplan.serve.requests import (
     RangeRequest,
     Robot,
     StartRequest,
+    complaint,
     problem,
-    request_of,
 )
 from energyplan.serve.store import (
     BusyError,
@@ -113,17 +115,20 @@ def application(
         yield
         service.pool.close()
 
+    schema = {"schema": answers.PROBLEM.model_json_schema()}
+    refusal = {"description": "RFC 9457", "content": {"application/problem+json": schema}}
     app = FastAPI(
         title="energyplan", version=__version__, lifespan=lifespan, docs_url=None, redoc_url=None,
         description="Energy-aware path planning for wheeled skid-steer robots.",
+        responses={"default": refusal},
     )  # fmt: skip
     app.state.stop = service.pool.close
     app.add_middleware(Guard, token=token)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts, www_redirect=False)
     app.add_middleware(Access)  # the outermost
     app.add_exception_handler(Exception, service.failed)
-    app.add_exception_handler(EnergyPlanError, service.failed)
-    app.add_exception_handler(HTTPException, service.failed)
+    for kind in (EnergyPlanError, HTTPException, RequestValidationError):
+        app.add_exception_handler(kind, service.failed)
     app.add_exception_handler(ClientDisconnect, service.gone)
     for router in (_files(service), _routes(service), _missions(service), _logs(service)):
         app.include_router(router, prefix="/api")
@@ -157,6 +162,8 @@ class _Service:
             told = problem(error.status_code, str(error.detail), str(error.detail))
             told.headers.update(error.headers or {})
             return told
+        if isinstance(error, RequestValidationError):
+            error = InvalidInputError(complaint(error))
         if isinstance(error, CancelledError) and self.pool.closing:
             error = StoppingError("the service is ending; try again in a while")
         status = next((code for kind, code in STATUS if isinstance(error, kind)), 500)
@@ -169,19 +176,18 @@ class _Service:
         return answer
 
     def answers(
-        self, router: APIRouter, path: str, kind: type[A], work: Callable[[Job, A], Document]
-    ) -> None:
-        """Have a path answered by work; what it asks and what it answers are written there, too."""
+        self, router: APIRouter, path: str, asked: type[BaseModel], shape: Any,
+        work: Callable[[Job, Any], Document],
+    ) -> None:  # fmt: skip
+        """Have a path answered by work, which is told what was asked."""
 
-        async def endpoint(request: Request) -> Response:
-            body = await request.body()
-            return await self.answer(request, lambda job: work(job, request_of(kind, body)))
+        async def endpoint(body: Any, request: Request) -> Response:
+            return await self.answer(request, lambda job: work(job, body))
 
-        content = {"application/json": {"schema": kind.model_json_schema()}}
-        extra = {"requestBody": {"content": content, "required": True}}
+        endpoint.__annotations__["body"] = asked
         router.add_api_route(
-            path, endpoint, methods=["POST"], openapi_extra=extra, summary=kind.__doc__,
-            response_class=Response, name=path.strip("/"),
+            path, endpoint, methods=["POST"], response_model=shape, summary=asked.__doc__,
+            name=path.strip("/"),
         )  # fmt: skip
 
     async def answer(self, request: Request, work: Callable[[Job], Document]) -> Response:
@@ -255,33 +261,33 @@ def _whole(found: Document, notes: Sequence[str], model: PowerModel, *more: Powe
 def _files(service: _Service) -> APIRouter:
     router, store, pool = APIRouter(), service.store, service.pool
 
-    @router.get("/health")
+    @router.get("/health", response_model=answers.HEALTH)
     async def health() -> Document:
         """Tell that the service is there, and how busy it is."""
         return {"version": __version__, "workers": pool.workers, "load": pool.load}
 
-    @router.get("/files")
+    @router.get("/files", response_model=answers.FILES)
     async def listing() -> Document:
         """List the data folder by kind, and the planners."""
         presets = {"models": [*MODEL_PRESETS], "batteries": [*BATTERY_PRESETS]}
         names = await asyncio.to_thread(store.names)
         return {**names, "presets": presets, "planners": [*known_planners()]}
 
-    @router.put("/files/{name:path}", status_code=201)
+    @router.put("/files/{name:path}", status_code=201, response_model=answers.SAVED)
     async def upload(name: str, request: Request) -> Document:
         """Add a file to the data folder; one that is there is never replaced."""
         content = await request.body()
         await asyncio.to_thread(store.save, name, content)
         return {"name": name, "bytes": len(content)}
 
-    @router.get("/maps/{name:path}")
+    @router.get("/maps/{name:path}", response_model=answers.MAP)
     async def map_document(name: str, request: Request) -> Response:
         """Return size, resolution [m], origin and a picture of a map's occupied cells."""
         return await service.answer(
             request, lambda job: _map_document(store.site(SiteFile(map=name)).grid)
         )
 
-    @router.get("/surfaces/{name:path}")
+    @router.get("/surfaces/{name:path}", response_model=dict[str, Any])
     async def surface_document(name: str) -> Response:
         """Return the polygons of surfaces as they are."""
         await asyncio.to_thread(store.read, name, read_surfaces)
@@ -364,12 +370,18 @@ def _routes(service: _Service) -> APIRouter:
         told = documents.feasibility(check(Trajectory(**columns), model))
         return _whole(told, notes, model)
 
-    service.answers(router, "/plan", PlanRequest, partial(planned, plan, documents.plan))
+    routed = partial(planned, plan, documents.plan)
+    service.answers(router, "/plan", PlanRequest, answers.PLAN, routed)
     compared = partial(planned, compare, documents.comparison)
-    service.answers(router, "/compare", PlanRequest, compared)
-    service.answers(router, "/range", RangeRequest, reach)
-    service.answers(router, "/check", CheckRequest, checked)
+    service.answers(router, "/compare", PlanRequest, answers.COMPARISON, compared)
+    service.answers(router, "/range", RangeRequest, answers.RANGE, reach)
+    service.answers(router, "/check", CheckRequest, answers.CHECK, checked)
     return router
+
+
+def _timeline(report: MissionReport) -> Document:
+    names = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
+    return {name: documents.plain(getattr(report.timeline, name)) for name in names}
 
 
 @cache
@@ -389,14 +401,18 @@ def _missions(service: _Service) -> APIRouter:
             {"type": "Feature", "properties": {"surface": name}, "geometry": mapping(area)}
             for name, area in (mission.surfaces.polygons if mission.surfaces else ())
         ]
+        keys = ("start", "soc", "reserve", "coefficient_spread", "tasks", "chargers")
         return {
             "document": documents.plain(load(file, InvalidInputError).data),
-            **documents.picked(mission, "start soc reserve coefficient_spread tasks chargers"),
+            **{key: documents.plain(getattr(mission, key)) for key in keys},
+            "robots": [
+                {"name": one.name, "start": documents.plain(one.start)} for one in mission.parts
+            ],
             "map": _map_document(mission.map),
             "areas": {"type": "FeatureCollection", "features": shapes},
         }
 
-    @router.get("/missions/{name:path}")
+    @router.get("/missions/{name:path}", response_model=answers.PREPARED)
     async def mission_document(name: str, request: Request) -> Response:
         """Return what a mission's file holds, its numbers in SI units, and a picture of its map."""
         return await service.answer(request, lambda job: opened(job, name))
@@ -409,10 +425,6 @@ def _missions(service: _Service) -> APIRouter:
             read_mission(file, inside=True) if asked.document is None
             else mission_from(asked.document, file.parent)
         )  # fmt: skip
-        if mission.robots:
-            raise InvalidInputError(
-                "it is a fleet, and one robot's missions are served; energyplan mission takes it"
-            )
         if len(mission.tasks) > MOST_TASKS or (mission.planning_effort or 0) > MOST_EFFORT:
             raise InvalidInputError(
                 f"the mission has more than {MOST_TASKS} tasks, or a planning_effort above "
@@ -420,12 +432,16 @@ def _missions(service: _Service) -> APIRouter:
             )
         _compiled()
         job.limit(asked.time_limit)
-        told = evaluate(mission, job.say, routes=routes)
-        along = documents.picked(told.timeline, "t x y soc soc_lower soc_upper power")
-        found = {**documents.mission(told, trajectories=True), "timeline": along}
-        return with_presets(found, models_of(mission))
+        report = evaluate(mission, job.say, routes=routes)
+        found = documents.mission(report, trajectories=True)
+        for one, told in zip(report.robots, found.get("robots", ()), strict=True):
+            told["timeline"] = _timeline(one)
+        if not report.robots:
+            found["timeline"] = _timeline(report)
+        models = [model for part in mission.parts or (mission,) for model in models_of(part)]
+        return with_presets(found, models)
 
-    service.answers(router, "/mission", MissionRequest, evaluated)
+    service.answers(router, "/mission", MissionRequest, answers.MISSION, evaluated)
     return router
 
 
@@ -480,7 +496,7 @@ def _logs(service: _Service) -> APIRouter:
         made = begun(asked.log, asked.robot)
         return {**documents.start(made), "sound": made.sound}
 
-    service.answers(router, "/start", StartRequest, started)
-    service.answers(router, "/identify", IdentifyRequest, identified)
-    service.answers(router, "/diagnose", DiagnoseRequest, diagnosed)
+    service.answers(router, "/start", StartRequest, answers.START, started)
+    service.answers(router, "/identify", IdentifyRequest, answers.IDENTIFICATION, identified)
+    service.answers(router, "/diagnose", DiagnoseRequest, answers.DIAGNOSIS, diagnosed)
     return router

@@ -6,10 +6,11 @@ import asyncio
 import hmac
 import logging
 import time
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 import numpy as np
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import (
     AfterValidator,
@@ -17,14 +18,13 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainValidator,
-    ValidationError,
     WithJsonSchema,
+    model_validator,
 )
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from energyplan.errors import InvalidInputError
 from energyplan.io.documents import MAX_NODES
 from energyplan.io.sites import SiteFile
 from energyplan.path import FloatArray
@@ -32,8 +32,8 @@ from energyplan.path import FloatArray
 LONGEST, MOST_EFFORT = 60.0, 5_000_000
 """Largest time limit [s] and effort that a request may ask for."""
 
-MOST_ROWS, MOST_TASKS = 200_000, 500
-"""Largest number of samples of a trajectory in a request, and of tasks of a mission."""
+MOST_ROWS, MOST_TASKS, MOST_KEYS = 200_000, 500, 100
+"""Largest number of samples of a trajectory in a request, of tasks of a mission, and of keys."""
 
 PoseRow = Annotated[list[float], Field(min_length=3, max_length=3, examples=[[2.0, 2.0, 0.0]])]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -41,6 +41,13 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 class _Asked(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _few_keys(cls, given: Any) -> Any:
+        if isinstance(given, dict) and len(given) > MOST_KEYS:
+            raise ValueError(f"it has more than {MOST_KEYS} keys")
+        return given
 
 
 class PlanRequest(SiteFile, _Asked):
@@ -102,19 +109,16 @@ class CheckRequest(_Asked):
     omega: Column
 
 
-A = TypeVar("A", bound=BaseModel)
-
-
-def request_of(kind: type[A], body: bytes) -> A:
-    """Read what is asked."""
-    try:
-        return kind.model_validate_json(body)
-    except ValidationError as error:
-        places = [
-            f"{'.'.join(str(part) for part in found['loc']) or 'the body'}: {found['msg']}"
-            for found in error.errors(include_url=False, include_context=False, include_input=False)
-        ]
-        raise InvalidInputError("; ".join(places[:20])) from None
+def complaint(error: RequestValidationError) -> str:
+    """Return what is wrong with a request, place by place."""
+    found = []
+    for one in error.errors():
+        place = ".".join(str(part) for part in one["loc"][1:])
+        message = one["msg"]
+        if one["type"] == "json_invalid":
+            place, message = "", f"Invalid JSON: {one['ctx']['error']}"
+        found.append(f"{place or 'the body'}: {message}")
+    return "; ".join(found[:20])
 
 
 def _few(document: Any) -> Any:

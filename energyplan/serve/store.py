@@ -43,7 +43,7 @@ KINDS = {
 """What a data folder holds, and how the names end."""
 
 _TELLING: tuple[tuple[str, set[str]], ...] = (
-    ("fleets", {"robots"}), ("missions", {"tasks"}), ("maps", {"map", "image"}),
+    ("missions", {"tasks"}), ("maps", {"map", "image"}),
     ("models", {"terms"}), ("vehicles", {"vehicle", "contacts", "track", "mass", "icr"}),
     ("batteries", {"chemistry", "unit_capacity", "capacity", "health", "preset"}),
 )  # fmt: skip

@@ -17,10 +17,10 @@ import yaml
 
 import energyplan as ep
 from energyplan.export.graph import read_route_graph
-from energyplan.io.tables import write_log
 from energyplan.io.many import answers, cluster
 from energyplan.io.maps import write_map
 from energyplan.io.mission import read_mission
+from energyplan.io.tables import write_log
 from energyplan.output import documents
 from energyplan.planning.graphs import price_edges
 
@@ -106,8 +106,11 @@ def test_logs_and_route_graphs_are_answered_by_the_same_function(
     address: str, tmp_path: Path
 ) -> None:
     model = ep.PowerModel.preset(MARBLE)
-    points = [{"type": "Feature", "properties": {"id": k},
-               "geometry": {"type": "Point", "coordinates": [3.0 * k, 0.0]}} for k in (0, 1)]  # fmt: skip
+    points = [
+        {"type": "Feature", "properties": {"id": k},
+         "geometry": {"type": "Point", "coordinates": [3.0 * k, 0.0]}}
+        for k in (0, 1)
+    ]  # fmt: skip
     edge = {"type": "Feature", "properties": {"id": 9, "startid": 0, "endid": 1},
             "geometry": {"type": "MultiLineString", "coordinates": []}}  # fmt: skip
     graph = tmp_path / "graph.geojson"
@@ -128,7 +131,9 @@ def test_logs_and_route_graphs_are_answered_by_the_same_function(
         assert {key: found[str(file)][key] for key in alone} == alone
 
 
-def test_missions_in_python_take_the_cluster_for_an_executor(address: str, missions: list[Path]) -> None:
+def test_missions_in_python_take_the_cluster_for_an_executor(
+    address: str, missions: list[Path]
+) -> None:
     asked = [read_mission(file) for file in missions[:3]]
     with cluster(address) as executor:
         found = {one.index: one.report for one in ep.evaluate_many(asked, executor)}

@@ -8,7 +8,7 @@ import pytest
 
 from energyplan import PowerModel, __version__
 from energyplan.errors import InvalidInputError
-from energyplan.html import quantity, table, unit
+from energyplan.html import Summary, quantity, unit
 from energyplan.output import plots
 from energyplan.output.pages import Page
 from energyplan.output.plots import svg
@@ -97,15 +97,15 @@ def test_the_date_of_a_page_can_be_given(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_cells_of_wide_tables_carry_their_header() -> None:
-    wide = table(("a", "b", "c", "d", "<e>"), [(1, 2, 3, 4, "x")])
+    wide = Summary("", ("a", "b", "c", "d", "<e>"), [(1, 2, 3, 4, "x")]).html()
     assert wide.count("data-label=") == 5
     assert 'data-label="&lt;e&gt;"' in wide
-    assert "data-label=" not in table(("a", "b"), [(1, 2)])
+    assert "data-label=" not in Summary("", ("a", "b"), [(1, 2)]).html()
 
 
 def test_columns_of_numbers_stand_to_the_right_and_what_is_absent_is_told() -> None:
     rows = [("a 1", "1 to 2", "-", 1.5), ("b", "-", "-", 2)]
-    made = table(("name", "span", "gone", "size"), rows)
+    made = Summary("", ("name", "span", "gone", "size"), rows).html()
     assert made.count('<th style="text-align:right">') == 2
     assert re.findall(r'<td class="([a-z ]+)"[^>]*>([^<]*)', made) == [
         ("number", "1 to 2"), ("none", "-"), ("number", "1.5"),

@@ -39,6 +39,7 @@ from energyplan.errors import InvalidInputError
 from energyplan.io.config import write_model
 from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
+from energyplan.io.mission import mission_from
 from energyplan.io.tables import write_log
 from energyplan.mission.legs import shortest_ways
 from energyplan.output import documents
@@ -595,17 +596,87 @@ def test_others_are_heard_while_the_ways_of_many_tasks_are_found(
     assert sum(places) == 50 and max(places) <= 8
 
 
-def test_a_fleet_is_not_offered_and_refused_with_the_command_that_takes_it(
+def test_a_mission_of_several_robots_is_opened_and_answered(
     client: TestClient, folder: Path
 ) -> None:
     shutil.copy(bundled("fleet_warehouse.yaml"), folder)
-    assert "round.yaml" in client.get("/api/files").json()["missions"]
-    assert "fleet_warehouse.yaml" not in client.get("/api/files").text
+    assert "fleet_warehouse.yaml" in client.get("/api/files").json()["missions"]
+    opened = client.get("/api/missions/fleet_warehouse.yaml").json()
     fleet = yaml.safe_load((folder / "fleet_warehouse.yaml").read_text())
-    for asked in ({"mission": "fleet_warehouse.yaml"}, {"document": fleet}):
-        answer = client.post("/api/mission", json=asked)
-        assert answer.status_code == 422
-        assert "it is a fleet" in answer.text and "energyplan mission takes" in answer.text
+    names = [robot["name"] for robot in fleet["robots"]]
+    assert [robot["name"] for robot in opened["robots"]] == names
+    fleet["planning_effort"] = 100
+    answer = client.post("/api/mission", json={"document": fleet})
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    own = documents.mission(ep.evaluate(mission_from(fleet, folder)), trajectories=True)
+    for robot in told["robots"]:
+        assert len(robot.pop("timeline")["t"]) > 1
+    assert told.pop("preset") and told == json.loads(json.dumps(own))
+    assert [robot["name"] for robot in told["robots"]] == names
+    assert sum(len(robot["tasks"]) for robot in told["robots"]) == len(fleet["tasks"])
+
+
+def fits(value: Any, schema: dict[str, Any], known: dict[str, Any], place: str = "") -> list[str]:
+    """Return where a value is not what its schema says, keys that it does not name included."""
+    if "$ref" in schema:
+        return fits(value, known[schema["$ref"].rpartition("/")[2]], known, place)
+    if "anyOf" in schema:
+        found = [fits(value, one, known, place) for one in schema["anyOf"]]
+        return min(found, key=len)
+    kinds = {"object": dict, "array": list, "number": (int, float), "integer": int, "string": str,
+             "boolean": bool, "null": type(None)}  # fmt: skip
+    if "type" in schema and not isinstance(value, kinds[schema["type"]]):
+        return [f"{place}: {value!r} is no {schema['type']}"]
+    wrong = []
+    if properties := schema.get("properties"):
+        wrong = [
+            f"{place}.{key}" for key in {*schema["required"]} - {*value} | {*value} - {*properties}
+        ]
+        for key in {*properties} & {*value}:
+            wrong += fits(value[key], properties[key], known, f"{place}.{key}")
+    elif isinstance(value, list):
+        for item in value:
+            wrong += fits(item, schema["items"], known, f"{place}[]")
+    elif isinstance(value, dict) and isinstance(schema.get("additionalProperties"), dict):
+        for key, item in value.items():
+            wrong += fits(item, schema["additionalProperties"], known, f"{place}.{key}")
+    return wrong
+
+
+def test_requests_and_answers_are_what_openapi_says(client: TestClient, folder: Path) -> None:
+    described = client.get("/openapi.json").json()
+    known = described["components"]["schemas"]
+    logs = {"logs": ["a.csv"], "vehicle": "quadriga:full"}
+    robot = {"track": 0.5, "wheelbase": 0.475, "mass": 147.1}
+    t = [0.0, 1.0, 2.0]
+    columns = {"t": t, "x": t, "y": [0.0] * 3, "yaw": [0.0] * 3, "v": [1.0] * 3, "omega": [0.0] * 3}
+    fleet = yaml.safe_load(bundled("fleet_warehouse.yaml").read_text()) | {"planning_effort": 100}
+    boxed = {**QUERY, "map": "room.yaml", "goal": [7, 2, 0], "effort": 300}
+    asked: list[tuple[str, Any]] = [
+        ("plan", QUERY), ("plan", boxed), ("compare", {**QUERY, "effort": 300}), ("compare", boxed),
+        ("range", {"map": "room.yaml", "model": MODEL, "start": [1, 1, 0], "energy": 900.0}),
+        ("check", {"model": MODEL, **columns}), ("mission", {"mission": "round.yaml"}),
+        ("mission", {"document": fleet}), ("start", {"log": "a.csv", "robot": robot}),
+        ("identify", logs), ("diagnose", {**logs, "holdout": ["b.csv"]}), ("health", None),
+        ("files", None), ("maps/room.yaml", None), ("missions/round.yaml", None),
+    ]  # fmt: skip
+    for path, body in asked:
+        name = f"/api/{path}" if "/" not in path else f"/api/{path.partition('/')[0]}/{{name}}"
+        said = described["paths"][name]["get" if body is None else "post"]
+        if body is None:
+            answer = client.get(f"/api/{path}")
+        else:
+            answer = client.post(f"/api/{path}", json=body)
+            sent = said["requestBody"]["content"]["application/json"]["schema"]
+            assert {*body} <= {*known[sent["$ref"].rpartition("/")[2]]["properties"]}
+        assert answer.status_code == 200, answer.text
+        content = said["responses"]["200"]["content"]["application/json"]["schema"]
+        assert fits(answer.json(), content, known, path) == []
+        assert "422" not in said["responses"]  # one form of all refusals
+    refused = client.post("/api/plan", json={})
+    refusal = said["responses"]["default"]["content"][refused.headers["content-type"]]
+    assert fits(refused.json(), refusal["schema"], known) == []
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO])
