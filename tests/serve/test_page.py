@@ -270,6 +270,43 @@ def test_the_mission_that_was_prepared_is_opened_changed_and_answered(
     assert (opened.errors, opened.elsewhere) == ([], [])
 
 
+def test_a_mission_of_several_robots_is_opened_changed_and_answered(
+    browser: Any, tmp_path: Path
+) -> None:
+    for file in (ROOT / "maps").glob("warehouse*"):
+        shutil.copy(file, tmp_path)
+    fleet = (ROOT / "examples" / "fleet_warehouse.yaml").read_text()
+    (tmp_path / "fleet.yaml").write_text(fleet.replace("effort: 3000", "effort: 100"))
+    with served(tmp_path) as at:
+        opened = Opened(browser, at, 390, surfaces=None)
+        page, sent = opened.page, list[Any]()
+        page.on("request", lambda one: sent.append(one.post_data_json) if one.post_data else None)
+        page.wait_for_selector("#tasks tr")
+        assert page.locator(".pin:text('S')").count() == 3
+        page.locator("[title='S2'].leaflet-marker-icon").focus()
+        page.keyboard.press("ArrowLeft")
+        page.click("text=Will it last?")
+        page.wait_for_selector("#verdicts table", timeout=120_000)
+        assert "All 4 tasks can be done" in page.inner_text("#status")
+        asked, plain = sent.pop()["document"], yaml.safe_load(fleet)
+        assert asked["robots"][1].pop("start")[:2] == pytest.approx([2.4, 8.0])
+        del plain["robots"][1]["start"]
+        assert asked["robots"] == plain["robots"] and "start" not in asked
+        names = page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
+        assert {name.partition(":")[0] for name in names} == {"alpha", "beta", "gamma"}
+        assert {"alpha: end, at start", "gamma: scan the far shelf"} < {*names}
+        hours = opened.hours()
+        assert hours == sorted(hours)
+        tints = {one.get_attribute("stroke") for one in page.locator("path[fill=none]").all()}
+        assert {"#0072b2", "#009e73"} <= tints  # each robot has its own
+        assert page.locator("#charge .u-legend tr").count() == 7
+        assert page.evaluate(
+            "Math.max(...[...document.querySelectorAll('table')].map("
+            "(one) => one.getBoundingClientRect().right))"
+        ) <= 390  # fmt: skip
+        assert (opened.errors, opened.elsewhere) == ([], [])
+
+
 def test_it_begins_without_a_mouse(browser: Any, address: str) -> None:
     opened = Opened(browser, address, 1300)
     opened.page.locator("#map").focus()

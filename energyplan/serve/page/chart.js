@@ -145,7 +145,7 @@ export class Chart {
 
   route(path, name, dashed = false) {
     L.polyline(path.map(([x, y]) => at(x, y)), {
-      color: color(name), weight: dashed ? 3 : 4, dashArray: dashed ? "7 6" : null,
+      color: name.startsWith("--") ? color(name) : name, weight: dashed ? 3 : 4, dashArray: dashed ? "7 6" : null,
       interactive: false,
     }).addTo(this.routes);
   }

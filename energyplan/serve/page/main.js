@@ -6,7 +6,8 @@ import { Chart } from "./chart.js";
 const $ = (id) => document.getElementById(id);
 const scene = $("scene");
 const status = $("status");
-let start = null, goal = null, tasks = [], chargers = [], mode = "route", asked = null, plot = null;
+let start = null, goal = null, robots = [], tasks = [], chargers = [], mode = "route", asked = null, plot = null;
+const TINTS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];  // of robots, in their order
 let files = {}, mission = null, logs = [];  // what the folder holds, the mission that is open, the logs sent
 
 const chart = new Chart("map", place);
@@ -91,10 +92,10 @@ async function draw(grid, areas) {
 }
 
 function reset() {
-  for (const marked of [start, goal, ...tasks, ...chargers]) marked?.remove();
-  [start, goal, tasks, chargers, mission] = [null, null, [], [], null];
+  for (const marked of [goal, ...robots, ...tasks, ...chargers]) marked?.remove();
+  [start, goal, robots, tasks, chargers, mission] = [null, null, [], [], [], null];
   $("battery").file.value = "";
-  $("battery").charger.parentElement.hidden = false;
+  for (const name of ["charger", "soc"]) $("battery")[name].parentElement.hidden = false;
   clearRoutes();
   for (const id of ["verdicts", "charge", "tasks"]) $(id).replaceChildren();
   $("tasks").hidden = true;
@@ -110,9 +111,18 @@ function stale() {
   say("The mission has changed: ask again whether the battery lasts.");
 }
 
+// Mark where the robots begin; a route and a range begin where the first one does.
+function begins(each) {
+  robots = each.map(({ name = "", start: pose }, k) => {
+    const made = chart.pose(each.length > 1 ? `S${k + 1}` : "S", pose, () => { made.moved = true; stale(); replan(); });
+    return Object.assign(made, { name });
+  });
+  [start] = robots;
+}
+
 function place(x, y) {
   if (!start) {
-    start = chart.pose("S", [x, y, 0], () => { stale(); replan(); });
+    begins([{ start: [x, y, 0] }]);
     say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
   } else if (mode === "mission") {
     add({ name: `task ${1 + Math.max(0, ...tasks.map((task) => task.number))}`, pose: [x, y, 0], dwell: 600,
@@ -222,8 +232,9 @@ async function open(name) {
   form.pack.placeholder = own ? "24 V 20 Ah lead-acid" : "as in the file";
   for (const [key, value] of [["soc", told.soc], ["reserve", told.reserve], ["spread", told.coefficient_spread]]) fill(form[key], round(100 * value));
   form.charger.parentElement.hidden = told.chargers.length > 0;
+  form.soc.parentElement.hidden = told.robots.length > 0;  // each has its own
   fill(form.charger, 0);
-  start = chart.pose("S", told.start, () => { start.moved = true; stale(); replan(); });
+  begins(told.robots.length ? told.robots : [told]);
   chargers = told.chargers.map(({ pose }) => {
     const made = chart.pose("C", pose, () => { made.moved = true; stale(); }, "charger");
     return made;
@@ -284,7 +295,7 @@ function written() {
   if (model.value !== mission?.model) document.model = model.value.startsWith(folder) ? model.value.slice(folder.length) : model.value;
   if (!mission || form.pack.value !== form.pack.defaultValue) document.battery = form.pack.value;
   for (const [key, name] of [["soc", "soc"], ["reserve", "reserve"], ["coefficient_spread", "spread"]]) put(document, mission, key, form[name], form[name].value / 100);
-  if (!mission || start.moved) document.start = start.pose;
+  robots.forEach((one, k) => { if (!mission || one.moved) (document.robots?.[k] ?? document).start = one.pose; });
   const power = Number(form.charger.value);
   if (power) document.chargers = [{ name: "charger", pose: start.pose, power }];
   else chargers.forEach((one, k) => { if (one.moved) document.chargers[k].pose = one.pose; });
@@ -326,32 +337,43 @@ const REASONS = {
 function verdicts(told) {
   for (const id of ["verdicts", "charge"]) $(id).classList.remove("stale");
   clearRoutes();
-  for (const { trajectory } of told.legs) chart.route(trajectory.x.map((x, k) => [x, trajectory.y[k]]), "--least");
+  const each = told.robots ?? [told], several = each.length > 1;
+  each.forEach((one, k) => {
+    one.tint = several ? TINTS[k % TINTS.length] : "--least";
+    for (const { trajectory } of one.legs) chart.route(trajectory.x.map((x, j) => [x, trajectory.y[j]]), one.tint);
+  });
   say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
   const full = (soc) => soc == null ? "–" : `${(100 * soc).toFixed(0)} %`;
-  const done = told.tasks.filter((task) => task.verdict === "reachable");
-  const rows = [
-    ...done.map((task) => [task.arrival, [[task.name, "text good"], clock(task.arrival), clock(task.departure), energy(task.energy), full(task.soc_after)]]),
-    ...told.timetable.filter((row) => row.kind === "charge").map((row) => [row.start, [
-      [`charging at ${row.place}`, "text"], clock(row.start), clock(row.end), "–", full(row.soc_end)]]),
-  ].sort(([a], [b]) => a - b).map(([, row]) => row);
-  rows.push([[`end, at ${told.end}`, "text"], clock(told.duration), "", energy(told.energy), full(told.soc_end)]);
+  const named = (one, text) => (several ? `${one.name}: ${text}` : text);
+  const row = (one, [what, kind], from, to, joules, soc) => [[from, one.name], [
+    [named(one, what), `text ${kind}`], clock(from), to === from ? "" : clock(to), joules, full(soc)]];
+  const rows = each.flatMap((one) => [
+    ...one.tasks.filter((task) => task.verdict === "reachable")
+      .map((task) => row(one, [task.name, "good"], task.arrival, task.departure, energy(task.energy), task.soc_after)),
+    ...one.timetable.filter(({ kind }) => kind === "charge")
+      .map((stay) => row(one, [`charging at ${stay.place}`, ""], stay.start, stay.end, "–", stay.soc_end)),
+    row(one, [one.tasks.length ? `end, at ${one.end}` : "nothing to do", ""], one.duration, one.duration, energy(one.energy), one.soc_end),
+  ]).sort(([[a]], [[b]]) => a - b).map(([, cells]) => cells);
+  const why = (task) => [...new Set(told.left_out?.find(({ name }) => name === task.name)?.reasons ?? [task.reason])]
+    .map((reason) => REASONS[reason] ?? reason).join("; ") || "no robot has the skills";
   const left = told.tasks.filter((task) => task.verdict !== "reachable").map((task) => element("p",
-    `${task.name}: out of reach; ${REASONS[task.reason] ?? task.reason}.${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
+    `${task.name}: out of reach; ${why(task)}.${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
   const most = `The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`;
   $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows), element("p", most, "hint"),
     ...told.warnings.map((text) => element("p", text, "hint")));
-  const line = told.timeline;
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
+  const lines = each.map(({ timeline: { t, soc, soc_lower: low } }) => [t.map((x) => x / 60), ...[soc, low].map((line) => line.map((x) => 100 * x))]);
   plot?.destroy();
   plot = new window.uPlot({
     width: $("charge").clientWidth || 340, height: 220, scales: { x: { time: false }, y: { range: [0, 100] } },
-    series: [{ label: "time [min]" }, { label: "expected", stroke: "#0072b2", width: 2 },
-      { label: "at the asked confidence", stroke: "#d55e00", dash: [6, 4] }],
+    series: [{ label: "time [min]" }, ...each.flatMap((one, k) => [
+      { label: named(one, "expected"), stroke: TINTS[k % TINTS.length], width: 2, spanGaps: true },
+      { label: named(one, "at the asked confidence"), stroke: TINTS[(several ? k : 1) % TINTS.length], dash: [6, 4], spanGaps: true },
+    ])],
     axes: [{ ...axis, label: "time [min]", labelSize: 20 }, { ...axis, size: 44, label: "charge [%]", labelSize: 20 }],
-  }, [line.t.map((t) => t / 60), line.soc.map((s) => 100 * s), line.soc_lower.map((s) => 100 * s)], $("charge"));
+  }, several ? window.uPlot.join(lines) : lines[0], $("charge"));
 }
 
 // logs
