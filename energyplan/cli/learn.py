@@ -70,7 +70,7 @@ def start(
     counts_per_revolution: Annotated[
         float | None, Option(metavar="N", help="Counts of an encoder for one turn of the wheel.")
     ] = None,
-    name: Annotated[str, Option(help="Name of the robot.")] = "",
+    name: Annotated[str, Option(help="Name of the robot. Default: the project's.")] = "",
     like: Annotated[
         str | None,
         Option(
@@ -106,6 +106,8 @@ def start(
         told = {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if key not in known}
         asked = {key: value for key, value in told.items() if value is not None}
     known = ({} if like is None else read_like(like)) | known | asked
+    if not name and like is None and out is not None:
+        name = out.stem  # a robot is called as its project is, not as a drive of it
     given = Given(**known, name=name, columns=opt.columns_of(columns))
     try:
         with progress("looking into the log"):

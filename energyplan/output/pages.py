@@ -267,8 +267,9 @@ def mission_page(report: MissionReport) -> Page:
     for robot in report.robots:
         page.heading(robot.mission.name)
         page.paragraph(f"{robot.sentence[0].upper()}{robot.sentence[1:]}. It ends at {robot.end}.")
-        page.pictures(mission_pictures(robot))
-        page.summaries(robot.tables)
+        if robot.tasks:
+            page.pictures(mission_pictures(robot))
+            page.summaries(robot.tables)
     return page
 
 

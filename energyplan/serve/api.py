@@ -451,7 +451,8 @@ def _logs(service: _Service) -> APIRouter:
     def begun(name: str, robot: Robot) -> Start:
         known = robot.model_dump(exclude_none=True, exclude={"like"})
         like = store.named(robot.like, read_vehicle) if robot.like else None
-        return start_of(store.path(name), Given(**known, like=like))
+        called = {} if like else {"name": "robot"}
+        return start_of(store.path(name), Given(**known, **called, like=like))
 
     def project_of(asked: IdentifyRequest) -> Project | None:
         """Return the project of a robot of one's own; a log that contradicts it is refused."""

@@ -263,6 +263,7 @@ def test_a_log_of_a_robot_of_ones_own_is_read_as_start_reads_it(tmp_path: Path) 
         assert told["columns"]["v_left"] == "left_speed" and told["sound"]
         found = client.post("/api/identify", json={"logs": ["own.csv"], "robot": robot})
         assert {term["name"] for term in found.json()["terms"]} >= {"slip_friction"}, found.text
+        assert yaml.safe_load(found.json()["model_file"])["name"] == "robot, own"
         both: dict[str, Any] = {"robot": robot, "vehicle": "quadriga:full"}
         for wrong in ({}, both):
             answer = client.post("/api/identify", json={"logs": ["own.csv"], **wrong})
