@@ -432,6 +432,15 @@ def evaluate_many(
 
     Of missions that share their map, costs and planner one is evaluated first, and the routes that
     it needed are handed to the others. A mission that fails is told with its error.
+
+    Parameters
+    ----------
+    missions : iterable of Mission
+        The missions.
+    executor : concurrent.futures.Executor
+        Who works, such as a pool of processes, or a cluster by `energyplan.io.many.cluster`.
+    routes : Routes, optional
+        Routes that are known already; those that are planned are added.
     """
     known = Routes() if routes is None else routes
     first: dict[int, tuple[Scene, Mission]] = {}
