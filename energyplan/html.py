@@ -37,12 +37,12 @@ def unit(symbol: str) -> str:
 
 def quantity(value: float, error: float | None, symbol: str) -> str:
     """Return a value with its standard error and unit; the error decides on the digits."""
-    told = number(value)
+    text = number(value)
     if error is not None and math.isfinite(error) and error > 0:
         places = max(0, 1 - math.floor(math.log10(error)))
         shown = (f"{value:.{places}f}", f"{error:.{places}f}")
-        told = " ± ".join(shown if places <= 8 else (number(value), number(error, 2)))
-    return f"{told} {unit(symbol)}".rstrip()
+        text = " ± ".join(shown if places <= 8 else (number(value), number(error, 2)))
+    return f"{text} {unit(symbol)}".rstrip()
 
 
 def spanned(value: float, low: float, high: float) -> str:
@@ -148,7 +148,11 @@ class Summary(NamedTuple):
             for line in lines
         ]
         return "\n".join(
-            [self.title, *(f"  {line}".rstrip() for line in told), *(f"- {n}" for n in self.notes)]
+            [
+                self.title,
+                *(f"  {line}".rstrip() for line in aligned),
+                *(f"- {n}" for n in self.notes),
+            ]
         )
 
 

@@ -125,12 +125,12 @@ def table(
     from energyplan.export.table import tabulate, write_cost_table
 
     try:
-        asked = None if speeds is None else [float(text) for text in speeds.split(",")]
+        wanted = None if speeds is None else [float(text) for text in speeds.split(",")]
     except ValueError:
         raise InvalidInputError(
             f"--speeds is {speeds!r}; write metres per second with commas between, like 0.2,0.5"
         ) from None
-    result = tabulate(EnergyCost(level_model(model), battery=at_battery), asked)
+    result = tabulate(EnergyCost(level_model(model), battery=at_battery), wanted)
     write_cost_table(result, out)
     size = {"directions": len(result.angle), "speeds": len(result.speed)}
     lines = [

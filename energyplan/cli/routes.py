@@ -385,7 +385,7 @@ def reach(
 ) -> None:
     """Find how far a given energy takes the robot.
 
-    Computes the energy that it takes to reach each place of a map, and to come back if asked.
+    Computes the energy that it takes to reach each place of a map, and to come back with --return.
     """
     from energyplan.io.documents import parse_pose
     from energyplan.io.tables import write_contours, write_energies
@@ -400,7 +400,7 @@ def reach(
         raise InvalidInputError("--spread needs --confidence; give both")
     kept = _fraction("--reserve", reserve)
     pose = parse_pose(start)
-    # what a battery delivers is counted at the battery
+    # what a battery delivers is measured at the battery
     drive = Drive(model, at_battery=at_battery or battery is not None)
     problem = problem_of(Site(map_file), drive, pose, pose, reverse)
     if battery:
@@ -494,12 +494,12 @@ def mission(
         return
     if len(files) > 1 or results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
-    asked = _read_mission(files[0], effort, reverse)
-    if fail is not None and not asked.robots:
+    wanted = _read_mission(files[0], effort, reverse)
+    if fail is not None and not wanted.robots:
         raise InvalidInputError("--fail goes with a mission's file that has robots; leave it out")
     name, instant = _failure(fail) if fail else ("", 0.0)
     with progress("evaluating the mission"):
-        result = evaluate(asked)
+        result = evaluate(wanted)
         after = evaluate(result.after_failure(name, instant)) if name else None
     if trajectories:
         trajectories.mkdir(parents=True, exist_ok=True)
@@ -547,15 +547,15 @@ def _evaluated(file: Path, effort: int | None, reverse: str | None) -> dict[str,
     from energyplan.mission import evaluate
     from energyplan.output import documents
 
-    asked = _read_mission(file, effort, reverse)
-    return with_presets(documents.mission(evaluate(asked)), models_of(asked))
+    wanted = _read_mission(file, effort, reverse)
+    return with_presets(documents.mission(evaluate(wanted)), models_of(wanted))
 
 
 def _read_mission(file: Path, effort: int | None, reverse: str | None) -> Mission:
     """Read a mission, and give it, and each of several robots, what the command says."""
     from energyplan.io.mission import noted, read_mission
 
-    asked = read_mission(file)
+    wanted = read_mission(file)
 
     def changed(name: str, value: Any) -> Any:
         if name == "planning_effort" and effort is not None:
@@ -567,10 +567,10 @@ def _read_mission(file: Path, effort: int | None, reverse: str | None) -> Missio
     keys = ("planning_effort", "model")
     robots = tuple(
         replace(one, changes={key: changed(key, value) for key, value in one.changes.items()})
-        for one in asked.robots
+        for one in wanted.robots
     )
-    whole = {key: changed(key, getattr(asked, key)) for key in keys}
-    return noted(replace(asked, robots=robots, **whole), asked.notes)
+    whole = {key: changed(key, getattr(wanted, key)) for key in keys}
+    return noted(replace(wanted, robots=robots, **whole), wanted.notes)
 
 
 def _failure(text: str) -> tuple[str, float]:

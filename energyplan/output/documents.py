@@ -189,7 +189,7 @@ def feasibility(report: FeasibilityReport) -> Document:
 
 
 def mission(report: MissionReport, trajectories: bool = False) -> Document:
-    """Return what ``energyplan mission --json`` prints; with the legs' trajectories if asked.
+    """Return what ``energyplan mission --json`` prints; with the legs' trajectories if wanted.
 
     Of several robots each has the same keys, but for its own name.
     """
@@ -236,7 +236,7 @@ def event(report: Event) -> Document:
 
 
 def _leg(leg: Segment, trajectory: bool) -> Document:
-    """Return a leg, with its trajectory as columns over its time if asked."""
+    """Return a leg, with its trajectory as columns over its time if wanted."""
     drive = leg.trajectory
     report = {**plain(leg), "duration": plain(drive.duration)}
     if trajectory:

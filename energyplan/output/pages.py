@@ -106,10 +106,10 @@ class Page:
         The date is that of now, or of the environment variable ``SOURCE_DATE_EPOCH`` (seconds since
         1970), with which the same input gives the same bytes.
         """
-        made = {("Date", _date()): "", ("Program", f"energyplan {__version__}"): ""}
+        here = {("Date", _date()): "", ("Program", f"energyplan {__version__}"): ""}
         return rendered(
             "page.html", title=self.title, results=self._results, parts=self._parts,
-            origin={**made, **self._origin},
+            origin={**here, **self._origin},
         )  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def run(
 ) -> None:
     """Serve a data folder until interrupted.
 
-    Without a token one is made up and printed with the address, unless the service is `open_to_all`
+    Without a token a random one is printed with the address, unless the service is `open_to_all`
     of this machine.
     """
     if open_to_all and not is_loopback(host):
@@ -101,17 +101,17 @@ def listen(host: str, port: int) -> socket.socket:
     """Return the socket of an address; connections have its limits."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        made = socket.create_server((host.strip("[]"), port), family=family)
+        listening = socket.create_server((host.strip("[]"), port), family=family)
     except OSError as problem:
         raise InvalidInputError(
             f"{host}, port {port}, cannot be listened on: {problem.strerror}; give another --port"
         ) from None
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNREAD)
-    return made
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNREAD)
+    return listening
 
 
 def server(app: FastAPI) -> Any:
-    """Return what serves an application; it stops all work when it is told to end."""
+    """Return what serves an application; it stops all work when it ends."""
     try:
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol

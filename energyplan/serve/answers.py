@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from functools import cache, cached_property
-from types import NoneType, UnionType
+from types import GenericAlias, NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
@@ -65,7 +65,8 @@ def _hint(kind: type, key: str) -> Any:
 
 def _plain(hint: Any) -> Any:
     """Return the type of what `energyplan.output.documents.plain` makes of a value of a type."""
-    kind, parts = get_origin(hint) or hint, get_args(hint)
+    kind: Any = get_origin(hint) or hint
+    parts = get_args(hint)
     if kind is Annotated:
         return _plain(parts[0])
     if hint is float:
@@ -77,21 +78,26 @@ def _plain(hint: Any) -> Any:
     if not isinstance(kind, type):
         return Any
     if issubclass(kind, Mapping):
-        return dict[str, _plain(parts[1])] if parts else dict[str, Any]
+        return GenericAlias(dict, (str, _plain(parts[1]))) if parts else dict[str, Any]
     if issubclass(kind, np.ndarray | tuple | list):
-        return list[_plain(parts[0])] if parts[1:] == (...,) else list[Any]
-    return shape(kind) if kind.__name__ in SHOWN or is_dataclass(kind) else Any
+        return _list(_plain(parts[0])) if parts[1:] == (...,) else list[Any]
+    seen: Any = kind
+    return shape(seen) if kind.__name__ in SHOWN or is_dataclass(kind) else Any
+
+
+def _list(kind: Any) -> Any:
+    return GenericAlias(list, (kind,))
 
 
 @cache
-def shape(kind: type) -> type[BaseModel]:
+def shape(kind: Any) -> Any:
     """Return what is shown of a type."""
     return _record(kind.__name__, **{key: _plain(_hint(kind, key)) for key in shown(kind)})
 
 
-def _record(title: str, base: type[BaseModel] = BaseModel, /, **keys: Any) -> Any:
+def _record(title: str, base: Any = BaseModel, /, **keys: Any) -> Any:
     """Return a type with more keys than its base; they are required unless a default is given."""
-    fields = {key: one if isinstance(one, tuple) else (one, ...) for key, one in keys.items()}
+    fields: Any = {key: one if isinstance(one, tuple) else (one, ...) for key, one in keys.items()}
     return create_model(title, __base__=base, **fields)
 
 
@@ -106,9 +112,11 @@ _Plan = _record(
     duration=Number, speed=Number, breakdown_driven=dict[str, float] | None, **_PRESET,
 )  # fmt: skip
 _Leg = _record("Leg", shape(Segment), duration=float, trajectory=dict[str, list[Number]])
-_trip = {"legs": list[_Leg], "timeline": dict[str, list[Number]]}
+_trip = {"legs": _list(_Leg), "timeline": dict[str, list[Number]]}
 _task = _record("TaskReport", shape(TaskReport), pose=list[float])
-_robot = _record("Robot", shape(MissionReport), name=str, waiting=float, tasks=list[_task], **_trip)
+_robot = _record(
+    "Robot", shape(MissionReport), name=str, waiting=float, tasks=_list(_task), **_trip
+)
 _together = {key: _plain(_hint(MissionReport, key)) for key in TOGETHER.split()}
 _left_out = _record("LeftOut", name=str, required=bool, reasons=list[str])
 
@@ -118,27 +126,27 @@ COMPARISON = _record(
 ) | _NoPath  # fmt: skip
 RANGE = _record(
     "EnergyMap", shape(EnergyMap), area=float, areas=_Areas,
-    contours=list[_record("Level", energy=float, area=float)], **_BESIDE,
+    contours=_list(_record("Level", energy=float, area=float)), **_BESIDE,
 )  # fmt: skip
 CHECK = _record("FeasibilityReport", shape(FeasibilityReport), **_BESIDE)
 MISSION = _record(
-    "Mission", shape(MissionReport), tasks=list[_task], **_trip, **_PRESET
+    "Mission", shape(MissionReport), tasks=_list(_task), **_trip, **_PRESET
 ) | _record(
-    "MissionOfRobots", **_together, tasks=list[_task], robots=list[_robot],
-    left_out=list[_left_out], **_PRESET,
+    "MissionOfRobots", **_together, tasks=_list(_task), robots=_list(_robot),
+    left_out=_list(_left_out), **_PRESET,
 )  # fmt: skip
 IDENTIFICATION = _record("Identification", shape(Identification), icr=_ICR, **_Terms)
 DIAGNOSIS = _record("Diagnosis", shape(Diagnosis), **_Terms)
 START = _record(
     "Start", columns=dict[str, str], units=dict[str, str], topics=dict[str, Any] | None,
-    vehicle=dict[str, Any], defaults=dict[str, Any], checks=list[shape(Check)], notes=list[str],
+    vehicle=dict[str, Any], defaults=dict[str, Any], checks=_list(shape(Check)), notes=list[str],
     sound=bool,
 )  # fmt: skip
 MAP = _record("Map", rows=int, columns=int, resolution=float, origin=list[float], image=str)
 PREPARED = _record(
     "Prepared", document=dict[str, Any], start=list[float], soc=float, reserve=float,
-    coefficient_spread=Number, tasks=list[shape(Task)], chargers=list[shape(Charger)],
-    robots=list[_record("Start of a robot", name=str, start=list[float])], map=MAP, areas=_Areas,
+    coefficient_spread=Number, tasks=_list(shape(Task)), chargers=_list(shape(Charger)),
+    robots=_list(_record("RobotStart", name=str, start=list[float])), map=MAP, areas=_Areas,
 )  # fmt: skip
 FILES = _record(
     "Files", **dict.fromkeys(KINDS, list[str]), presets=dict[str, list[str]], planners=list[str]

@@ -7,7 +7,7 @@ import base64
 import io
 import json
 import math
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing, asynccontextmanager
 from functools import cache, partial
 from importlib.resources import files
@@ -23,7 +23,6 @@ from pydantic import BaseModel
 from shapely.geometry import mapping
 from starlette.exceptions import HTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
-from starlette.requests import ClientDisconnect
 
 from energyplan import __version__
 from energyplan.battery import PRESETS as BATTERY_PRESETS
@@ -129,7 +128,6 @@ def application(
     app.add_exception_handler(Exception, service.failed)
     for kind in (EnergyPlanError, HTTPException, RequestValidationError):
         app.add_exception_handler(kind, service.failed)
-    app.add_exception_handler(ClientDisconnect, service.gone)
     for router in (_files(service), _routes(service), _missions(service), _logs(service)):
         app.include_router(router, prefix="/api")
 
@@ -152,16 +150,12 @@ class _Service:
         """Return an error as a client reads it."""
         return self.problem(error)
 
-    async def gone(self, request: Request, error: Exception) -> Response:
-        """Drop a request whose client left before it was whole."""
-        return self.problem(CancelledError("the client went away"))
-
     def problem(self, error: BaseException) -> Response:
         """Return an error of the library, or of the service itself, with its status."""
         if isinstance(error, HTTPException):
-            told = problem(error.status_code, str(error.detail), str(error.detail))
-            told.headers.update(error.headers or {})
-            return told
+            refusal = problem(error.status_code, str(error.detail), str(error.detail))
+            refusal.headers.update(error.headers or {})
+            return refusal
         if isinstance(error, RequestValidationError):
             error = InvalidInputError(complaint(error))
         if isinstance(error, CancelledError) and self.pool.closing:
@@ -176,22 +170,22 @@ class _Service:
         return answer
 
     def answers(
-        self, router: APIRouter, path: str, asked: type[BaseModel], shape: Any,
+        self, router: APIRouter, path: str, given: type[BaseModel], shape: Any,
         work: Callable[[Job, Any], Document],
     ) -> None:  # fmt: skip
-        """Have a path answered by work, which is told what was asked."""
+        """Have a path answered by work, which gets the request."""
 
         async def endpoint(body: Any, request: Request) -> Response:
             return await self.answer(request, lambda job: work(job, body))
 
-        endpoint.__annotations__["body"] = asked
+        endpoint.__annotations__["body"] = given
         router.add_api_route(
-            path, endpoint, methods=["POST"], response_model=shape, summary=asked.__doc__,
+            path, endpoint, methods=["POST"], response_model=shape, summary=given.__doc__,
             name=path.strip("/"),
         )  # fmt: skip
 
     async def answer(self, request: Request, work: Callable[[Job], Document]) -> Response:
-        """Have work done; stop it when the client goes away; stream events where asked."""
+        """Have work done, until the client goes away; stream events if it wants them."""
         job = self.pool.submit(lambda job: _written(work(job)))
         if "text/event-stream" in request.headers.get("accept", ""):
             return StreamingResponse(self._events(request, job), media_type="text/event-stream")
@@ -201,14 +195,14 @@ class _Service:
 
     async def _progress(self, request: Request, job: Job) -> AsyncGenerator[Document]:
         """Yield what a job says until it is done; end it where nobody waits for it."""
-        waiting, told = asyncio.wrap_future(job.future), 0
+        waiting, count = asyncio.wrap_future(job.future), 0
         waiting.add_done_callback(lambda done: done.cancelled() or done.exception())
         try:
-            while not waiting.done() or told < len(job.said):
+            while not waiting.done() or count < len(job.said):
                 if self.pool.closing or await request.is_disconnected():
                     raise CancelledError("the client went away")
-                for event in job.said[told:]:
-                    told += 1
+                for event in job.said[count:]:
+                    count += 1
                     yield event
                 await asyncio.wait({waiting}, timeout=0.1)
         finally:
@@ -226,9 +220,9 @@ class _Service:
 
 
 def _written(document: Document) -> bytes:
-    """Write an answer; numbers are finite, and there is an end to it."""
+    """Write an answer, numbers all finite, up to a size; others are heard meanwhile."""
     parts, size = list[str](), 0
-    for part in _parts(document):
+    for part in json.JSONEncoder(separators=(",", ":"), allow_nan=False).iterencode(document):
         parts.append(part)
         size += len(part)
         if size > MOST:
@@ -236,24 +230,8 @@ def _written(document: Document) -> bytes:
     return "".join(parts).encode()
 
 
-def _parts(value: Any) -> Iterator[str]:
-    """Yield JSON in small parts: Python does nothing else while one is encoded."""
-    if isinstance(value, dict) and value:
-        for k, (key, item) in enumerate(value.items()):
-            yield f"{',' if k else '{'}{json.dumps(key)}:"
-            yield from _parts(item)
-        yield "}"
-    elif isinstance(value, list | tuple) and value and isinstance(value[0], dict | list | tuple):
-        for k, item in enumerate(value):
-            yield "," if k else "["
-            yield from _parts(item)
-        yield "]"
-    else:
-        yield json.dumps(value, separators=(",", ":"), allow_nan=False)
-
-
 def _whole(found: Document, notes: Sequence[str], model: PowerModel, *more: PowerModel) -> Document:
-    """Add to an answer what there is to know of what it was made from."""
+    """Add to an answer its notes, and which of its models are presets."""
     notes = [*found.get("notes", ()), *notes, *unusual(model.vehicle, "vehicle")]
     return with_presets({**found, "notes": notes} if notes else found, (model, *more))
 
@@ -319,56 +297,56 @@ def _routes(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
     def question(
-        asked: PlanRequest | RangeRequest, battery: bool, goal: list[float], **more: Any
+        given: PlanRequest | RangeRequest, battery: bool, goal: list[float], **more: Any
     ) -> Asked:
-        ends = as_pose(asked.start, "start"), as_pose(goal, "goal")
-        model = store.named(asked.model, read_model)
+        ends = as_pose(given.start, "start"), as_pose(goal, "goal")
+        model = store.named(given.model, read_model)
         return problem_from(
-            store.site(asked), model, ends, battery=battery, reverse=asked.reverse, **more
+            store.site(given), model, ends, battery=battery, reverse=given.reverse, **more
         )
 
     def planned(
-        run: Callable[..., Any], document: Callable[[Any], Document], job: Job, asked: PlanRequest
+        run: Callable[..., Any], document: Callable[[Any], Document], job: Job, given: PlanRequest
     ) -> Document:
         query = question(
-            asked, asked.battery, asked.goal, objective=asked.objective,
-            costmap_weight=asked.costmap_weight,
+            given, given.battery, given.goal, objective=given.objective,
+            costmap_weight=given.costmap_weight,
         )  # fmt: skip
         job.say("planning")
-        limit = math.inf if asked.time_limit is None else asked.time_limit
+        limit = math.inf if given.time_limit is None else given.time_limit
         try:
-            found = document(run(query.problem, asked.planner, limit, effort=asked.effort))
+            found = document(run(query.problem, given.planner, limit, effort=given.effort))
         except NoPathError as error:  # an answer, as on the command line
             found = documents.no_path(error)
         return _whole(found, query.notes, *models_of(query.problem))
 
-    def reach(job: Job, asked: RangeRequest) -> Document:
-        if (asked.energy is None) == (asked.pack is None):
+    def reach(job: Job, given: RangeRequest) -> Document:
+        if (given.energy is None) == (given.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
-        problem, notes = question(asked, asked.pack is not None, asked.start)
-        there_is = asked.energy
-        if asked.pack is not None:
-            pack = store.named(asked.pack, read_battery)
-            there_is, notes = energy_of_charge(problem.cost, pack, asked.soc), notes + pack.notes
+        problem, notes = question(given, given.pack is not None, given.start)
+        there_is = given.energy
+        if given.pack is not None:
+            pack = store.named(given.pack, read_battery)
+            there_is, notes = energy_of_charge(problem.cost, pack, given.soc), notes + pack.notes
         assert there_is is not None
-        usable = (1.0 - asked.reserve) * there_is
+        usable = (1.0 - given.reserve) * there_is
         job.say("searching")
         found = energy_map(
-            problem, energy=usable, back=asked.back, confidence=asked.confidence,
-            coefficient_spread=asked.coefficient_spread,
+            problem, energy=usable, back=given.back, confidence=given.confidence,
+            coefficient_spread=given.coefficient_spread,
         )  # fmt: skip
         areas = found.areas(usable)
-        told = {**documents.energy_map(found, areas), "areas": contours_document(areas)}
-        return _whole(told, notes, *models_of(problem))
+        document = {**documents.energy_map(found, areas), "areas": contours_document(areas)}
+        return _whole(document, notes, *models_of(problem))
 
-    def checked(job: Job, asked: CheckRequest) -> Document:
-        columns = {name: column for name, column in asked if name != "model"}
+    def checked(job: Job, given: CheckRequest) -> Document:
+        columns = {name: column for name, column in given if name != "model"}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise InvalidInputError(f"the columns have different lengths: {lengths}")
-        model, _, notes = on_site(store.named(asked.model, read_model), None)
-        told = documents.feasibility(check(Trajectory(**columns), model))
-        return _whole(told, notes, model)
+        model, _, notes = on_site(store.named(given.model, read_model), None)
+        document = documents.feasibility(check(Trajectory(**columns), model))
+        return _whole(document, notes, model)
 
     routed = partial(planned, plan, documents.plan)
     service.answers(router, "/plan", PlanRequest, answers.PLAN, routed)
@@ -417,13 +395,13 @@ def _missions(service: _Service) -> APIRouter:
         """Return what a mission's file holds, its numbers in SI units, and a picture of its map."""
         return await service.answer(request, lambda job: opened(job, name))
 
-    def evaluated(job: Job, asked: MissionRequest) -> Document:
-        if asked.mission is None and asked.document is None:
+    def evaluated(job: Job, given: MissionRequest) -> Document:
+        if given.mission is None and given.document is None:
             raise InvalidInputError("give mission, the name of a file, or document")
-        file = store.folder / "mission" if asked.mission is None else store.path(asked.mission)
+        file = store.folder / "mission" if given.mission is None else store.path(given.mission)
         mission = (
-            read_mission(file, inside=True) if asked.document is None
-            else mission_from(asked.document, file.parent)
+            read_mission(file, inside=True) if given.document is None
+            else mission_from(given.document, file.parent)
         )  # fmt: skip
         if len(mission.tasks) > MOST_TASKS or (mission.planning_effort or 0) > MOST_EFFORT:
             raise InvalidInputError(
@@ -431,11 +409,11 @@ def _missions(service: _Service) -> APIRouter:
                 f"{MOST_EFFORT}; energyplan mission has no such limit"
             )
         _compiled()
-        job.limit(asked.time_limit)
+        job.limit(given.time_limit)
         report = evaluate(mission, job.say, routes=routes)
         found = documents.mission(report, trajectories=True)
-        for one, told in zip(report.robots, found.get("robots", ()), strict=True):
-            told["timeline"] = _timeline(one)
+        for one, robot in zip(report.robots, found.get("robots", ()), strict=True):
+            robot["timeline"] = _timeline(one)
         if not report.robots:
             found["timeline"] = _timeline(report)
         models = [model for part in mission.parts or (mission,) for model in models_of(part)]
@@ -451,51 +429,50 @@ def _logs(service: _Service) -> APIRouter:
     def begun(name: str, robot: Robot) -> Start:
         known = robot.model_dump(exclude_none=True, exclude={"like"})
         like = store.named(robot.like, read_vehicle) if robot.like else None
-        called = {} if like else {"name": "robot"}
-        return start_of(store.path(name), Given(**known, **called, like=like))
+        return start_of(store.path(name), Given(**known, like=like, name="" if like else "robot"))
 
-    def project_of(asked: IdentifyRequest) -> Project | None:
+    def project_of(given: IdentifyRequest) -> Project | None:
         """Return the project of a robot of one's own; a log that contradicts it is refused."""
-        if (asked.vehicle is None) == (asked.robot is None):
+        if (given.vehicle is None) == (given.robot is None):
             raise InvalidInputError("give either vehicle, the name of one, or robot, its measures")
-        if asked.robot is None:
+        if given.robot is None:
             return None
-        made = begun(asked.logs[0], asked.robot)
-        if not made.sound:
-            raise InvalidInputError("; ".join(str(one) for one in made.checks if not one.ok))
-        return made.project
+        result = begun(given.logs[0], given.robot)
+        if not result.sound:
+            raise InvalidInputError("; ".join(str(one) for one in result.checks if not one.ok))
+        return result.project
 
-    def read(asked: IdentifyRequest, names: list[str], project: Project | None) -> list[DriveLog]:
+    def read(given: IdentifyRequest, names: list[str], project: Project | None) -> list[DriveLog]:
         columns = None if project is None else dict(project.columns) or None
-        topics = topic_map_of(asked.vehicle or "") if project is None else project.topics
+        topics = topic_map_of(given.vehicle or "") if project is None else project.topics
         # what reads a log is part of what is kept of it
         return [
-            store.read(name, partial(read_log, columns=columns, topics=topics), asked.vehicle,
+            store.read(name, partial(read_log, columns=columns, topics=topics), given.vehicle,
                        repr(columns), repr(topics))
             for name in names
         ]  # fmt: skip
 
-    def identified(job: Job, asked: IdentifyRequest) -> Document:
-        project = project_of(asked)
-        vehicle = project.vehicle if project else store.named(asked.vehicle or "", read_vehicle)
-        logs = read(asked, asked.logs, project)
+    def identified(job: Job, given: IdentifyRequest) -> Document:
+        project = project_of(given)
+        vehicle = project.vehicle if project else store.named(given.vehicle or "", read_vehicle)
+        logs = read(given, given.logs, project)
         job.say("identifying")
         found = identify(logs, vehicle)
         return {**documents.identification(found), "model_file": model_text(found.model)}
 
-    def diagnosed(job: Job, asked: DiagnoseRequest) -> Document:
+    def diagnosed(job: Job, given: DiagnoseRequest) -> Document:
         def say(fraction: float, note: str = "") -> None:
             job.say("diagnosing", fraction=fraction, note=note)
 
-        project = project_of(asked)
-        vehicle = project.vehicle if project else store.named(asked.vehicle or "", read_vehicle)
-        logs, judging = (read(asked, names, project) for names in (asked.logs, asked.holdout))
+        project = project_of(given)
+        vehicle = project.vehicle if project else store.named(given.vehicle or "", read_vehicle)
+        logs, judging = (read(given, names, project) for names in (given.logs, given.holdout))
         found = diagnose(logs, holdout=judging, vehicle=vehicle, progress=say)
         return {**documents.diagnosis(found), "model_file": model_text(found.model)}
 
-    def started(job: Job, asked: StartRequest) -> Document:
-        made = begun(asked.log, asked.robot)
-        return {**documents.start(made), "sound": made.sound}
+    def started(job: Job, given: StartRequest) -> Document:
+        result = begun(given.log, given.robot)
+        return {**documents.start(result), "sound": result.sound}
 
     service.answers(router, "/start", StartRequest, answers.START, started)
     service.answers(router, "/identify", IdentifyRequest, answers.IDENTIFICATION, identified)

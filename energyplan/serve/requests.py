@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 import numpy as np
-from fastapi.exceptions import RequestValidationError
+from fastapi.exceptions import HTTPException, RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import (
     AfterValidator,
@@ -22,7 +22,6 @@ from pydantic import (
     model_validator,
 )
 from starlette.datastructures import Headers
-from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from energyplan.io.documents import MAX_NODES
@@ -248,7 +247,7 @@ class Guard:
 
         async def bounded() -> Message:
             nonlocal held, whole
-            if whole:  # what comes next is that the client goes away
+            if whole:  # what comes next is that the client leaves
                 return await receive()
             try:
                 async with asyncio.timeout_at(until):
@@ -256,6 +255,8 @@ class Guard:
             except TimeoutError:
                 text = f"the body did not come within {self.deadline:g} s"
                 raise HTTPException(408, text, {"Connection": "close"}) from None
+            if message["type"] == "http.disconnect":
+                raise HTTPException(499, "the client went away")
             size = len(message.get("body", b""))
             held, self.held = held + size, self.held + size
             whole = not message.get("more_body", False)

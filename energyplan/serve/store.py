@@ -51,7 +51,7 @@ _TELLING: tuple[tuple[str, set[str]], ...] = (
 _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
 _LONGEST = 200  # letters of a name
 _KEPT = 32  # files whose content is kept
-_CELLS, _MOST = 2**24, 2**25  # most cells of a map, and of all that is kept beside the newest
+_CELLS, _MOST = 2**24, 2**25  # most cells of a map, and of all that is kept but the newest
 _Stamp = tuple[tuple[Path, int, int, int, int], ...]
 
 
@@ -73,7 +73,7 @@ class Store:
     def names(self) -> dict[str, list[str]]:
         """Return the names of all files by kind.
 
-        Maps, models, vehicles and missions are all YAML: one is told from the other by its keys.
+        Maps, models, vehicles and missions are all YAML: their keys tell them apart.
         """
         found: dict[str, list[str]] = {kind: [] for kind in KINDS}
         for file in sorted(self.folder.rglob("*")):
@@ -101,9 +101,9 @@ class Store:
             raise UnknownFileError(f"{name!r} lies outside the data folder")
         return file
 
-    def site(self, asked: SiteFile) -> Site:
+    def site(self, named: SiteFile) -> Site:
         """Return a site; its map is the same object, with its tables, while its files are."""
-        return load_site(asked, lambda key, name, read: self.read(name, read), inside=True)
+        return load_site(named, lambda key, name, read: self.read(name, read), inside=True)
 
     def named(self, name: Any, read: Callable[[Any], T]) -> T:
         """Return what a file of the folder holds, or what a name stands for; paths are refused."""
@@ -130,20 +130,20 @@ class Store:
                 return found
             stamp = _stamp([file, *files_behind(file)])  # before: what changes then is seen
             self._kept.pop(key, None)
-            made = read(file)
+            content = read(file)
             with self._lock:
-                self._kept[key] = stamp, made
+                self._kept[key] = stamp, content
                 kept = self._kept
                 while len(kept) > _KEPT or (len(kept) > 1 and _cells(kept) > _MOST):
                     kept.pop(next(iter(kept)))
-        return made
+        return content
 
 
 def _cells(kept: dict[Hashable, tuple[_Stamp, Any]]) -> int:
     """Return how many cells the maps, costs and heights of some content have."""
     count = 0
-    for _, made in kept.values():
-        for part in vars(made).values() if isinstance(made, Site) else (made,):
+    for _, content in kept.values():
+        for part in vars(content).values() if isinstance(content, Site) else (content,):
             for name in ("occupied", "costs", "heights"):
                 count += np.size(getattr(part, name, ()))
     return count
@@ -155,10 +155,10 @@ def _stamp(files: list[Path]) -> _Stamp:
     for file in dict.fromkeys(files):
         try:
             stat = file.stat()
-            told = stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
+            state = stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
         except OSError:
-            told = 0, 0, 0, 0
-        found.append((file, *told))
+            state = 0, 0, 0, 0
+        found.append((file, *state))
     return tuple(found)
 
 
@@ -244,7 +244,7 @@ class Pool:
             job.say("started")
             with cancellable(job.unwanted), at_most(_CELLS):
                 job.future.set_result(work(job))
-        except BaseException as error:  # noqa: BLE001  whoever waits is told
+        except BaseException as error:  # noqa: BLE001  for whoever waits
             if isinstance(error, CancelledError) and job.late and not job.cancelled.is_set():
                 error = TimeLimitError("time was over before the answer; give more time_limit")
             job.future.set_exception(error)

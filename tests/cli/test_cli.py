@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,26 +107,16 @@ def test_check_writes_nothing_where_no_speed_is_slow_enough(run: Run, tmp_path: 
     assert not (tmp_path / "slow.csv").exists()
 
 
-def test_plan_and_compare(run: Run, tmp_path: Path) -> None:
+def test_plan_and_compare_write_tables_recordings_and_pictures(run: Run, tmp_path: Path) -> None:
     options = ("--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--effort", 5000)  # fmt: skip
-    out, plot = tmp_path / "path.csv", tmp_path / "path.png"
-    result = run("plan", *options, "--out", out, "--plot", plot, "--json")
-    assert result.code == 0
-    assert result.json["energy"] == pytest.approx(sum(result.json["breakdown"].values()))
-    assert result.json["lower_bound"] <= result.json["energy"]
-    assert result.json["path"][-1] == pytest.approx([3.9, 2, math.pi / 2], abs=1e-6)
+               "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--effort", 1000)  # fmt: skip
+    out, plot, recorded = (tmp_path / name for name in ("path.csv", "path.png", "routes.mcap"))
+    assert run("plan", *options, "--out", out, "--plot", plot).code == 0
     assert out.read_text().startswith("x,y,yaw\n")
     assert plot.read_bytes().startswith(b"\x89PNG")
-    recorded = tmp_path / "routes.mcap"
-    both = run("compare", *options, "--out", recorded, "--json").json
-    fields = bag_fields(recorded).fields.values()
-    assert {field.topic for field in fields} >= {"/map"}
+    assert run("compare", *options, "--out", recorded).code == 0
+    assert {one.topic for one in bag_fields(recorded).fields.values()} >= {"/map"}
     assert recorded.read_bytes().startswith(b"\x89MCAP0")
-    assert both["saving"] == pytest.approx(
-        1 - both["energy_optimal"]["energy"] / both["shortest"]["energy"]
-    )
-    assert both["saving"] >= 0
 
 
 def test_the_same_route_twice_is_told_of_once(run: Run) -> None:
@@ -170,17 +159,12 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     assert both.json["area"] < result.json["area"]
 
 
-def test_range_tells_what_is_in_reach_with_a_probability(run: Run, tmp_path: Path) -> None:
-    options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--start", "1.2,2,90deg", "--json")  # fmt: skip
-    expected = run(*options, "--energy", 1500)
-    sure = run(*options, "--energy", 1500, "--confidence", 0.95, "--spread", 0.1)
-    assert (expected.json["confidence"], sure.json["confidence"]) == (None, 0.95)
-    assert sure.json["area"] < expected.json["area"]
-    charged = run(*options, "--battery", "quadriga", "--soc", 0.0015, "--reserve", 0.5)
+def test_range_takes_what_a_battery_holds_above_the_reserve(run: Run) -> None:
+    told = run("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
+               "--start", "1.2,2,90deg", "--battery", "quadriga", "--soc", 0.0015,
+               "--reserve", 0.5, "--json").json["contours"]  # fmt: skip
     power = ep.EnergyCost(PowerModel.preset("quadriga:empty:concrete"), battery=True)
     usable = 0.5 * ep.Battery.preset("quadriga").usable_energy(most_power(power), 0.0015)
-    told = charged.json["contours"]
     assert (told[-1]["energy"] if told else 0.0) == pytest.approx(float(usable))
 
 
@@ -201,18 +185,3 @@ def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> No
     told = soft.json["energy"] + soft.json["soft_cost"]
     assert soft.json["cost"] == pytest.approx(told)
     assert soft.json["cost"] < plain.json["energy"] + 2000
-
-
-def test_plan_keeps_a_clearance_and_out_of_a_mask(run: Run, tmp_path: Path) -> None:
-    hall = ep.OccupancyGrid(np.zeros((60, 120), bool), 0.1)
-    mask = np.zeros((24, 10), bool)
-    mask[:, 4:6] = True
-    write_map(hall, tmp_path / "hall.yaml")
-    # as Nav2's filters: another resolution, another origin
-    write_map(ep.OccupancyGrid(mask, 0.15, (5.0, 0.6, 0.0)), tmp_path / "mask.yaml")
-    options = ("plan", "--map", tmp_path / "hall.yaml", "--model", "quadriga:empty:concrete",
-               "--start", "2,3,0", "--goal", "10,3,0", "--effort", 4000, "--json")  # fmt: skip
-    straight = run(*options).json
-    around = run(*options, "--keepout", tmp_path / "mask.yaml").json
-    wider = run(*options, "--keepout", tmp_path / "mask.yaml", "--clearance", 0.2).json
-    assert straight["energy"] < around["energy"] < wider["energy"]

@@ -322,7 +322,7 @@ plna | Did you mean 'plan'
 {plan} --goal 1,2,90 | 90deg
 {plan} --goal 2,2,0 --map . | is a folder
 {plan} --goal 2,2,0 --map round.yaml | seems to be a mission
-{plan} --goal 2,2,0 --map site.yaml | site.yaml, line 2, surfaces: 'none.geojson' cannot be read
+{plan} --goal 2,2,0 --map site.yaml | site.yaml, line 2, surfaces: 'gone.geojson' cannot be read
 {plan} --goal 2,2,0 --model office.yaml | line 1
 {plan} --goal 2,2,0 --model office.yaml | seems to be a map
 {plan} --goal 2,2,0 --costmap-weight 5 | a site's file that names a costmap
@@ -347,6 +347,8 @@ icr a.csv --vehicle quadriga | No such command 'icr'
 start a.csv --track nan --out new.yaml | --track is nan; give a number
 design --model model.yaml --duration 1e9 | give
 export lattice --model model.yaml --out l.json --resolution 1e-9 | give
+export graph none.geojson --map office.yaml --model model.yaml | none.geojson: no nodes or no edges
+{plan} --former none.csv | none.csv
 serve . --port=99999 | '99999' should be less than
 """
 
@@ -358,7 +360,8 @@ def test_bad_input_is_refused_in_one_line_that_tells_the_remedy(
     (folder / "same.csv").symlink_to("a.csv")
     (folder / "broken.csv").write_text("t,v_left,v_right,power\n0,0,0,1\n1,0,0,1\n0.5,0,0,1\n")
     (folder / "empty.yaml").write_text("# to be written\n")
-    (folder / "site.yaml").write_text("map: office.yaml\nsurfaces: none.geojson\n")
+    (folder / "none.geojson").write_text('{"type": "FeatureCollection", "features": []}')
+    (folder / "site.yaml").write_text("map: office.yaml\nsurfaces: gone.geojson\n")
     (folder / "round.yaml").write_text(
         "model: quadriga:full:marble\nmap: office.yaml\nbattery: quadriga\n"
         "start: [1.2, 2, 90deg]\ncoefficient_spread: 5 %\n"

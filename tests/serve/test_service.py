@@ -438,6 +438,12 @@ def test_other_bodies_are_refused(client: TestClient) -> None:
     assert client.post("/api/plan", content=b"a=1").status_code == 415
     large = client.post("/api/plan", content=b"", headers={**_JSON, "Content-Length": "999999999"})
     assert large.status_code == 413
+    pieces = client.post("/api/plan", content=iter([bytes(2**20)] * 7), headers=_JSON)
+    assert (pieces.status_code, "larger than" in pieces.text) == (413, True)  # its size untold
+    keys = client.post("/api/plan", json={f"k{k}": 0 for k in range(300_000)})
+    assert (keys.status_code, keys.json()["detail"]) == (
+        422, "the body: Value error, it has more than 100 keys",
+    )  # fmt: skip
     assert client.get("/api/health", headers={"Host": "elsewhere.example"}).status_code == 400
     assert client.get("/api/none").status_code == 404
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 TOP = (0.5, 1.0)
-"""Where a map lies in the room left by a bar of colours: else no room is made for what is above."""
+"""Anchor of the map above a horizontal colour bar; the default clips the legend."""
 
 OCCUPIED, UNKNOWN = 0.25, 0.85
 """Greys of cells, from black to white."""
