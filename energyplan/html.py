@@ -140,20 +140,15 @@ class Summary(NamedTuple):
         body = cells.rows
         lines = [[*self.header], *body] if any(self.header) and body else body
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        told = [
+        aligned = [
             "  ".join(
                 text.rjust(width) if right else text.ljust(width)
                 for text, width, right in zip(line, widths, cells.numeric, strict=False)
             )
             for line in lines
         ]
-        return "\n".join(
-            [
-                self.title,
-                *(f"  {line}".rstrip() for line in aligned),
-                *(f"- {n}" for n in self.notes),
-            ]
-        )
+        indented = (f"  {line}".rstrip() for line in aligned)
+        return "\n".join([self.title, *indented, *(f"- {note}" for note in self.notes)])
 
 
 class Readable:

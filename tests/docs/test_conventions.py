@@ -99,9 +99,9 @@ def test_the_public_names_are_these() -> None:
         "Motion", "MotorLimits", "OccupancyGrid", "OnlineIdentifier", "Path", "Plan", "Planner",
         "PlanningProblem", "Pose", "PowerModel", "Site", "SurfaceMap", "Task", "Trajectory",
         "TreadICR", "Vehicle", "check", "compare", "diagnose", "energy_map", "errors", "evaluate",
-        "evaluate_many", "identify", "plan", "plots", "profile", "read_heights", "read_map", "read_mission",
-        "read_model", "read_surfaces", "read_vehicle", "simulate", "speed", "steering", "watch",
-        "write_model",
+        "evaluate_many", "identify", "plan", "plots", "profile", "read_heights", "read_map",
+        "read_mission", "read_model", "read_surfaces", "read_vehicle", "simulate", "speed",
+        "steering", "watch", "write_model",
     ]  # fmt: skip
 
 
