@@ -16,7 +16,7 @@ import yaml
 from distributed import Client
 from pages import write
 
-from energyplan.cli.routes import _evaluated
+from energyplan.cli.routes import evaluated_mission
 from energyplan.io.files import bundled
 from energyplan.io.many import answers
 
@@ -26,7 +26,7 @@ COUNT = 5
 
 def measured(workers: int, files: list[Path]) -> str:
     """Return the row of some workers."""
-    work = partial(_evaluated, effort=500, reverse=None)
+    work = partial(evaluated_mission, effort=500, reverse=None)
     with Client(n_workers=workers, threads_per_worker=1, dashboard_address=None) as client:
         client.run(work, files[0])  # kernels are compiled or read
         spent = -sum(client.run(time.process_time).values())

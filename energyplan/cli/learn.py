@@ -28,7 +28,7 @@ from energyplan.cli.answers import (
     write_report,
 )
 from energyplan.cli.app import app
-from energyplan.cli.options import Robot, number, writes
+from energyplan.cli.options import RobotOptions, number, writes
 from energyplan.errors import EnergyPlanError, InvalidInputError, NotIdentifiableError
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def _ask(question: str) -> float | None:
 )
 def identify(
     logs: opt.Logs,
-    robot: Robot,
+    robot: RobotOptions,
     method: Annotated[
         Literal["lad", "simplex", "huber", "windows"],
         Option(
@@ -258,7 +258,7 @@ def _tasks(path: Path, battery: str | None) -> Any:
     return tasks_of(read_table(path, DriveLogError), **full)
 
 
-def _read(paths: list[Path], robot: Robot) -> list[DriveLog]:
+def _read(paths: list[Path], robot: RobotOptions) -> list[DriveLog]:
     from energyplan.io.logs import read_drives
 
     with progress("reading") as update:
@@ -313,7 +313,7 @@ def _terms(names: str | None) -> list[Term]:
 )
 def diagnose(
     logs: opt.Logs,
-    robot: Robot,
+    robot: RobotOptions,
     holdout: Annotated[
         list[Path] | None,
         Option(

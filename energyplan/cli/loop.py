@@ -12,7 +12,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
-from energyplan.cli.options import Drive, Site, writes
+from energyplan.cli.options import DriveOptions, SiteOptions, writes
 from energyplan.cli.routes import ground_of, problem_of
 from energyplan.errors import InvalidInputError
 
@@ -88,7 +88,7 @@ def drive(
 
     wanted = read_trajectory(trajectory)
     place = read_site(map_file) if map_file else None
-    ground = ground_of(Drive(model), place)
+    ground = ground_of(DriveOptions(model), place)
     surfaces, heights = (ground.site.surfaces, ground.site.heights) if ground.site else (None, None)
     recording = Sensors.parse(sensors)
     simulated = Robot.from_model(ground.model)
@@ -144,8 +144,8 @@ def close_the_loop(
     from energyplan.physics import Ground as Floor
     from energyplan.physics.loop import Source
 
-    priced = Drive(model, at_battery=True)
-    problem = problem_of(Site(map_file), priced, parse_pose(start), parse_pose(goal))
+    priced = DriveOptions(model, at_battery=True)
+    problem = problem_of(SiteOptions(map_file), priced, parse_pose(start), parse_pose(goal))
     source: Source
     if logs is not None:
         if robot.effect or robot.hidden is not None:

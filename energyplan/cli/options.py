@@ -146,7 +146,7 @@ MaybeSite = Annotated[
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveOptions:
     """What drives, how fast, and where its energy is measured."""
 
     model: ModelName
@@ -155,7 +155,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Site:
+class SiteOptions:
     """The place: its map, and what lies on it or closes parts of it."""
 
     map_file: MapFile
@@ -188,7 +188,7 @@ class Effort:
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotOptions:
     """The robot whose logs are read, and how."""
 
     vehicle: VehicleName

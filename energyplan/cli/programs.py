@@ -10,7 +10,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import answer, progress, warn
 from energyplan.cli.app import App, app
-from energyplan.cli.options import Drive, Site, writes
+from energyplan.cli.options import DriveOptions, SiteOptions, writes
 from energyplan.cli.routes import level_model, problem_of
 from energyplan.errors import InvalidInputError
 
@@ -53,7 +53,9 @@ def graph(
         raise InvalidInputError(f"{file} holds no nodes; give points with an id")
     # where a plan would start and end does not matter to its edges
     somewhere = as_pose((*next(iter(places.nodes(data="pos")))[1], 0.0), "a node")
-    problem = problem_of(Site(map_file), Drive(model, at_battery), somewhere, somewhere)
+    problem = problem_of(
+        SiteOptions(map_file), DriveOptions(model, at_battery), somewhere, somewhere
+    )
     with progress("planning"):
         result = run(places, problem, effort=EFFORT if effort is None else effort)
     if out:

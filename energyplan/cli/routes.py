@@ -18,7 +18,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import NO, answer, progress, say, verdict, warn, write_report
 from energyplan.cli.app import app
-from energyplan.cli.options import Drive, Effort, Site, number, writes
+from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number, writes
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
     from energyplan.power import PowerModel
-    from energyplan.terrain import Site as Place
+    from energyplan.terrain import Site
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Routing:
     plot: opt.Plot = None
 
     def problem(
-        self, site: Site, drive: Drive, start: Pose, goal: Pose, **more: Any
+        self, site: SiteOptions, drive: DriveOptions, start: Pose, goal: Pose, **more: Any
     ) -> PlanningProblem:
         """Return what is to be planned; a recording that could not be written is refused."""
         if self.out and self.out.suffix == opt.RECORDING:
@@ -94,7 +94,7 @@ class Routing:
             atomic_write(self.plot, image(picture, self.plot.suffix))
 
 
-def ground_of(drive: Drive, place: Place | None) -> Ground:
+def ground_of(drive: DriveOptions, place: Site | None) -> Ground:
     """Return the model that drives on the ground of a site; say what there is to know of it."""
     from energyplan.io.config import read_model
     from energyplan.io.sites import on_site
@@ -120,7 +120,12 @@ def level_model(name: str) -> PowerModel:
 
 
 def problem_of(
-    site: Site, drive: Drive, start: Pose, goal: Pose, reverse: str | None = None, **more: Any
+    site: SiteOptions,
+    drive: DriveOptions,
+    start: Pose,
+    goal: Pose,
+    reverse: str | None = None,
+    **more: Any,
 ) -> PlanningProblem:
     """Return the problem that options name."""
     from energyplan.io.config import read_model
@@ -169,8 +174,8 @@ def drive_to(trajectory: Path | None, planned: Plan) -> None:
     "--start 2,2,0 --goal 20,12,90deg --plot route.png"
 )
 def plan(
-    site: Site,
-    drive: Drive,
+    site: SiteOptions,
+    drive: DriveOptions,
     start: opt.PoseText,
     effort: Effort,
     routing: Routing,
@@ -241,8 +246,8 @@ def plan(
     "--start 2,2,0 --goal 20,12,90deg --report routes.html"
 )
 def compare(
-    site: Site,
-    drive: Drive,
+    site: SiteOptions,
+    drive: DriveOptions,
     start: opt.PoseText,
     goal: opt.PoseText,
     effort: Effort,
@@ -279,7 +284,7 @@ def check(
         Path,
         Argument(help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."),
     ],
-    drive: Drive,
+    drive: DriveOptions,
     map_file: opt.MaybeSite = None,
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     out: Annotated[
@@ -401,8 +406,8 @@ def reach(
     kept = _fraction("--reserve", reserve)
     pose = parse_pose(start)
     # what a battery delivers is measured at the battery
-    drive = Drive(model, at_battery=at_battery or battery is not None)
-    problem = problem_of(Site(map_file), drive, pose, pose, reverse)
+    drive = DriveOptions(model, at_battery=at_battery or battery is not None)
+    problem = problem_of(SiteOptions(map_file), drive, pose, pose, reverse)
     if battery:
         from energyplan.io.mission import read_battery  # with all of missions
 
@@ -526,7 +531,7 @@ def _many(
     """Print a JSON line for each of many missions; one that fails stops no other."""
     from energyplan.io.many import answers, cluster
 
-    work = partial(_evaluated, effort=effort, reverse=reverse)
+    work = partial(evaluated_mission, effort=effort, reverse=reverse)
     given = {"effort": effort, "reverse": reverse}
     failed, feasible = 0, True
     with cluster(address) as executor:
@@ -541,7 +546,7 @@ def _many(
     verdict(feasible, strict)
 
 
-def _evaluated(file: Path, effort: int | None, reverse: str | None) -> dict[str, Any]:
+def evaluated_mission(file: Path, effort: int | None, reverse: str | None) -> dict[str, Any]:
     """Return the answer to a mission's file, as a worker does."""
     from energyplan.io.sites import models_of, with_presets
     from energyplan.mission import evaluate

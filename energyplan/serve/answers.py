@@ -28,7 +28,7 @@ Number = float | None
 """A number; null where there is none."""
 
 
-class Term(TypedDict):
+class Coefficient(TypedDict):
     """A term of a power model, with its coefficient."""
 
     name: str
@@ -103,7 +103,7 @@ def _record(title: str, base: Any = BaseModel, /, **keys: Any) -> Any:
 
 _PRESET: dict[str, Any] = {"preset": (list[Preset], [])}
 _BESIDE: dict[str, Any] = {**_PRESET, "notes": (list[str], [])}
-_Terms = {"terms": list[Term], "model_file": str}
+_Terms = {"terms": list[Coefficient], "model_file": str}
 _Areas = dict[str, Any]  # GeoJSON
 _ICR = _record("ICR", shape(TreadICR), std_error=dict[str, Number] | None)
 _NoPath = _record("NoPath", path=None, reason=str, certainty=str, resolution=Number, **_BESIDE)

@@ -72,7 +72,7 @@ from energyplan.serve.requests import (
     MissionRequest,
     PlanRequest,
     RangeRequest,
-    Robot,
+    RobotMeasures,
     StartRequest,
     complaint,
     problem,
@@ -426,7 +426,7 @@ def _missions(service: _Service) -> APIRouter:
 def _logs(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
-    def begun(name: str, robot: Robot) -> Start:
+    def begun(name: str, robot: RobotMeasures) -> Start:
         known = robot.model_dump(exclude_none=True, exclude={"like"})
         like = store.named(robot.like, read_vehicle) if robot.like else None
         return start_of(store.path(name), Given(**known, like=like, name="" if like else "robot"))

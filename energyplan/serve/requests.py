@@ -142,7 +142,7 @@ class MissionRequest(_Asked):
     time_limit: float = Field(LONGEST, gt=0, le=LONGEST)
 
 
-class Robot(_Asked):
+class RobotMeasures(_Asked):
     """A robot whose logs nobody mapped yet, as its owner knows it; the rest is guessed."""
 
     track: Annotated[float, Field(gt=0, le=50)] | None = None
@@ -157,7 +157,7 @@ class StartRequest(_Asked):
     """A drive log of the data folder, and what is known of its robot."""
 
     log: Name
-    robot: Robot
+    robot: RobotMeasures
 
 
 class IdentifyRequest(_Asked):
@@ -165,7 +165,7 @@ class IdentifyRequest(_Asked):
 
     logs: list[Name] = Field(min_length=1, max_length=100)
     vehicle: Name | None = None
-    robot: Robot | None = None
+    robot: RobotMeasures | None = None
 
 
 class DiagnoseRequest(IdentifyRequest):

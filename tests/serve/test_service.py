@@ -100,26 +100,6 @@ def test_a_plan_is_that_of_the_library(client: TestClient) -> None:
     assert told["energy"] == pytest.approx(expected["energy"], rel=1e-9)  # a straight line
 
 
-def test_no_path_is_an_answer(client: TestClient) -> None:
-    boxed = {**QUERY, "map": "room.yaml", "goal": [7, 2, 0], "time_limit": 0.5}
-    told = client.post("/api/plan", json=boxed)
-    assert (told.status_code, told.json()["path"]) == (200, None), told.text
-
-
-def test_a_mission_by_file_and_by_content_agree(client: TestClient, folder: Path) -> None:
-    by_file = client.post("/api/mission", json={"mission": "round.yaml"})
-    content = yaml.safe_load((folder / "round.yaml").read_text())
-    by_content = client.post("/api/mission", json={"document": content})
-    assert by_file.status_code == by_content.status_code == 200, by_content.text
-    verdicts = [
-        [(task["name"], task["verdict"]) for task in answer.json()["tasks"]]
-        for answer in (by_file, by_content)
-    ]
-    assert verdicts[0] == verdicts[1] == [("look", "reachable"), ("wash", "unreachable")]
-    assert len(by_file.json()["timeline"]["t"]) == len(by_file.json()["timeline"]["soc"])
-    assert not list(folder.glob(".mission*"))
-
-
 def test_what_is_unusual_is_said_and_what_is_impossible_is_refused(
     client: TestClient, folder: Path
 ) -> None:
@@ -150,25 +130,6 @@ def test_what_is_unusual_is_said_and_what_is_impossible_is_refused(
         assert words in refused.json()["detail"]
 
 
-def test_logs_are_identified_and_diagnosed(client: TestClient) -> None:
-    found = client.post("/api/identify", json={"logs": ["a.csv"], "vehicle": "quadriga:full"})
-    assert {term["name"] for term in found.json()["terms"]} >= {"slip_friction"}
-    asked = {"logs": ["a.csv"], "holdout": ["b.csv"], "vehicle": "quadriga:full"}
-    told = client.post("/api/diagnose", json=asked)
-    assert told.status_code == 200, told.text
-    assert told.json()["verdict"] in {"effect_found", "no_effect", "unexplained"}
-
-
-def test_a_trajectory_is_checked(client: TestClient) -> None:
-    t = [0.0, 1.0, 2.0]
-    columns = {"t": t, "x": t, "y": [0.0] * 3, "yaw": [0.0] * 3, "v": [1.0] * 3, "omega": [0.0] * 3}
-    told = client.post("/api/check", json={"model": MODEL, **columns})
-    assert told.status_code == 200, told.text
-    assert isinstance(told.json()["feasible"], bool)
-    short = client.post("/api/check", json={"model": MODEL, **columns, "x": [0.0]})
-    assert (short.status_code, "different lengths" in short.text) == (422, True)
-
-
 def test_a_range_holds_the_places_that_plans_reach(client: TestClient) -> None:
     asked = {"map": "warehouse.yaml", "model": MODEL, "start": [2, 2, 0], "energy": 4000.0}
     told = client.post("/api/range", json=asked).json()
@@ -185,18 +146,6 @@ def test_a_range_holds_the_places_that_plans_reach(client: TestClient) -> None:
     assert client.post("/api/range", json=charged).json()["area"] > told["area"]
     neither = client.post("/api/range", json={**asked, "energy": None})
     assert (neither.status_code, "either energy or pack" in neither.json()["detail"]) == (422, True)
-
-
-def test_a_mask_keeps_out_and_a_clearance_keeps_away(client: TestClient, folder: Path) -> None:
-    walls = np.zeros((300, 400), bool)
-    walls[:, 70:75] = True  # between start and goal
-    write_map(ep.OccupancyGrid(walls, 0.05), folder / "mask.yaml")
-    masked = {**QUERY, "keepout": "mask.yaml", "effort": 20_000}
-    told = client.post("/api/plan", json=masked).json()
-    assert (told["path"], told["certainty"]) == (None, "proven")
-    wide = client.post("/api/plan", json={**QUERY, "clearance": 20.0}).json()
-    assert wide["path"] is None
-    assert "clearance of 20 m" in wide["reason"]
 
 
 def test_a_map_is_a_picture_of_its_cells(client: TestClient) -> None:
@@ -681,7 +630,8 @@ def test_requests_and_answers_are_what_openapi_says(client: TestClient, folder: 
         content = said["responses"]["200"]["content"]["application/json"]["schema"]
         assert fits(answer.json(), content, known, path) == []
         assert "422" not in said["responses"]  # one form of all refusals
-    refused = client.post("/api/plan", json={})
+    refused = client.post("/api/check", json={"model": MODEL, **columns, "x": [0.0]})
+    assert (refused.status_code, "different lengths" in refused.text) == (422, True)
     refusal = said["responses"]["default"]["content"][refused.headers["content-type"]]
     assert fits(refused.json(), refusal["schema"], known) == []
 
