@@ -553,7 +553,8 @@ def evaluated_mission(file: Path, effort: int | None, reverse: str | None) -> di
     from energyplan.output import documents
 
     wanted = _read_mission(file, effort, reverse)
-    return with_presets(documents.mission(evaluate(wanted)), models_of(wanted))
+    models = [model for part in wanted.parts or (wanted,) for model in models_of(part)]
+    return with_presets(documents.mission(evaluate(wanted)), models)
 
 
 def _read_mission(file: Path, effort: int | None, reverse: str | None) -> Mission:
