@@ -8,7 +8,7 @@ def main() -> None:
     try:
         from energyplan.cli import main as run
     except KeyboardInterrupt:
-        sys.stderr.write("energyplan: interrupted; files are as they were\n")
+        sys.stderr.write("energyplan: interrupted; no file is half written\n")
         sys.exit(130)
     run()
 

@@ -201,7 +201,7 @@ def test_ctrl_c_ends_a_command_with_one_line_and_leaves_its_file(tmp_path: Path)
     )
     assert done.returncode == 130
     assert done.stdout == ""
-    assert done.stderr == "energyplan: interrupted; files are as they were\n"
+    assert done.stderr == "energyplan: interrupted; no file is half written\n"
     assert out.read_text() == "as it was\n"
 
 
@@ -225,7 +225,7 @@ def test_ctrl_c_while_the_program_still_starts_is_clean() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, check=False
     )
     assert done.returncode == 130
-    assert done.stderr == "energyplan: interrupted; files are as they were\n"
+    assert done.stderr == "energyplan: interrupted; no file is half written\n"
 
 
 # -- odd surroundings ---------------------------------------------------------------------------

@@ -53,7 +53,7 @@ def main() -> None:
     except typer.TyperException as error:
         code = _fail(misuse(error), error.exit_code)
     if code == INTERRUPTED:  # typer turns Ctrl-C into an exit with this code
-        _fail("interrupted; files are as they were", code)
+        _fail("interrupted; no file is half written", code)
     sys.exit(code)
 
 

@@ -493,10 +493,11 @@ def mission(
     from energyplan.output import documents, text
 
     if cluster is not None:
-        if report or trajectories or fail:
-            raise InvalidInputError("--report, --trajectories and --fail are of one mission alone")
-        _many(files, cluster, results, effort, reverse, strict)
-        return
+        if report or trajectories or fail or strict:
+            raise InvalidInputError(
+                "--report, --trajectories, --fail and --strict are of one mission; leave them out"
+            )
+        return _many(files, cluster, results, effort=effort, reverse=reverse)
     if len(files) > 1 or results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
     wanted = _read_mission(files[0], effort, reverse)
@@ -524,26 +525,20 @@ def mission(
     verdict(result.feasible and (after is None or after.feasible), strict)
 
 
-def _many(
-    files: list[Path], address: str, results: Path | None, effort: int | None,
-    reverse: str | None, strict: bool,
-) -> None:  # fmt: skip
+def _many(files: list[Path], address: str, results: Path | None, **settings: Any) -> None:
     """Print a JSON line for each of many missions; one that fails stops no other."""
     from energyplan.io.many import answers, cluster
 
-    work = partial(evaluated_mission, effort=effort, reverse=reverse)
-    given = {"effort": effort, "reverse": reverse}
-    failed, feasible = 0, True
+    failed = 0
     with cluster(address) as executor:
-        for line in answers(work, files, executor, results, given):
+        work = partial(evaluated_mission, **settings)
+        for line in answers(work, files, executor, results, settings):
             say(jsonlib.dumps(line, allow_nan=False))
             sys.stdout.flush()
             failed += "error" in line
-            feasible &= line.get("feasible", True)
     if failed:
         warn(f"{failed} of {len(set(files))} missions failed; their lines say why")
         raise typer.Exit(1)
-    verdict(feasible, strict)
 
 
 def evaluated_mission(file: Path, effort: int | None, reverse: str | None) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def test_interrupting_is_clean(
     out.write_text("as it was")
     result = run("identify", spiral, "--vehicle", "quadriga", "--out", out)
     assert result.code == 130
-    assert result.err == "energyplan: interrupted; files are as they were\n"
+    assert result.err == "energyplan: interrupted; no file is half written\n"
     assert out.read_text() == "as it was"
 
 
