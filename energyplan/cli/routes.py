@@ -497,7 +497,8 @@ def mission(
             raise InvalidInputError(
                 "--report, --trajectories, --fail and --strict are of one mission; leave them out"
             )
-        return _many(files, cluster, results, effort=effort, reverse=reverse)
+        _many(files, cluster, results, effort=effort, reverse=reverse)
+        return
     if len(files) > 1 or results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
     wanted = _read_mission(files[0], effort, reverse)
