@@ -143,7 +143,7 @@ class Summary(NamedTuple):
         aligned = [
             "  ".join(
                 text.rjust(width) if right else text.ljust(width)
-                for text, width, right in zip(line, widths, cells.numeric, strict=False)
+                for text, width, right in zip(line, widths, cells.numeric, strict=True)
             )
             for line in lines
         ]
