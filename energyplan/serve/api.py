@@ -60,31 +60,9 @@ from energyplan.planning import planners as known_planners
 from energyplan.power import PowerModel
 from energyplan.power.presets import MODEL_PRESETS
 from energyplan.reach import energy_map, energy_of_charge
-from energyplan.serve import answers
-from energyplan.serve.requests import (
-    MOST_EFFORT,
-    MOST_TASKS,
-    Access,
-    CheckRequest,
-    DiagnoseRequest,
-    Guard,
-    IdentifyRequest,
-    MissionRequest,
-    PlanRequest,
-    RangeRequest,
-    RobotMeasures,
-    StartRequest,
-    complaint,
-    problem,
-)
-from energyplan.serve.store import (
-    BusyError,
-    Job,
-    Pool,
-    StoppingError,
-    Store,
-    UnknownFileError,
-)
+from energyplan.serve import answers, requests
+from energyplan.serve.requests import MOST_EFFORT, MOST_TASKS, Access, Guard, complaint, problem
+from energyplan.serve.store import BusyError, Job, Pool, StoppingError, Store, UnknownFileError
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
     (UnknownFileError, 404),
@@ -297,7 +275,10 @@ def _routes(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
     def question(
-        given: PlanRequest | RangeRequest, battery: bool, goal: list[float], **more: Any
+        given: requests.PlanRequest | requests.RangeRequest,
+        battery: bool,
+        goal: list[float],
+        **more: Any,
     ) -> Asked:
         ends = as_pose(given.start, "start"), as_pose(goal, "goal")
         model = store.named(given.model, read_model)
@@ -306,7 +287,10 @@ def _routes(service: _Service) -> APIRouter:
         )
 
     def planned(
-        run: Callable[..., Any], document: Callable[[Any], Document], job: Job, given: PlanRequest
+        run: Callable[..., Any],
+        document: Callable[[Any], Document],
+        job: Job,
+        given: requests.PlanRequest,
     ) -> Document:
         query = question(
             given, given.battery, given.goal, objective=given.objective,
@@ -320,7 +304,7 @@ def _routes(service: _Service) -> APIRouter:
             found = documents.no_path(error)
         return _whole(found, query.notes, *models_of(query.problem))
 
-    def reach(job: Job, given: RangeRequest) -> Document:
+    def reach(job: Job, given: requests.RangeRequest) -> Document:
         if (given.energy is None) == (given.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
         problem, notes = question(given, given.pack is not None, given.start)
@@ -339,7 +323,7 @@ def _routes(service: _Service) -> APIRouter:
         document = {**documents.energy_map(found, areas), "areas": contours_document(areas)}
         return _whole(document, notes, *models_of(problem))
 
-    def checked(job: Job, given: CheckRequest) -> Document:
+    def checked(job: Job, given: requests.CheckRequest) -> Document:
         columns = {name: column for name, column in given if name != "model"}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
@@ -349,11 +333,11 @@ def _routes(service: _Service) -> APIRouter:
         return _whole(document, notes, model)
 
     routed = partial(planned, plan, documents.plan)
-    service.answers(router, "/plan", PlanRequest, answers.PLAN, routed)
+    service.answers(router, "/plan", requests.PlanRequest, answers.PLAN, routed)
     compared = partial(planned, compare, documents.comparison)
-    service.answers(router, "/compare", PlanRequest, answers.COMPARISON, compared)
-    service.answers(router, "/range", RangeRequest, answers.RANGE, reach)
-    service.answers(router, "/check", CheckRequest, answers.CHECK, checked)
+    service.answers(router, "/compare", requests.PlanRequest, answers.COMPARISON, compared)
+    service.answers(router, "/range", requests.RangeRequest, answers.RANGE, reach)
+    service.answers(router, "/check", requests.CheckRequest, answers.CHECK, checked)
     return router
 
 
@@ -395,7 +379,7 @@ def _missions(service: _Service) -> APIRouter:
         """Return what a mission's file holds, its numbers in SI units, and a picture of its map."""
         return await service.answer(request, lambda job: opened(job, name))
 
-    def evaluated(job: Job, given: MissionRequest) -> Document:
+    def evaluated(job: Job, given: requests.MissionRequest) -> Document:
         if given.mission is None and given.document is None:
             raise InvalidInputError("give mission, the name of a file, or document")
         file = store.folder / "mission" if given.mission is None else store.path(given.mission)
@@ -419,19 +403,19 @@ def _missions(service: _Service) -> APIRouter:
         models = [model for part in mission.parts or (mission,) for model in models_of(part)]
         return with_presets(found, models)
 
-    service.answers(router, "/mission", MissionRequest, answers.MISSION, evaluated)
+    service.answers(router, "/mission", requests.MissionRequest, answers.MISSION, evaluated)
     return router
 
 
 def _logs(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
 
-    def begun(name: str, robot: RobotMeasures) -> Start:
+    def begun(name: str, robot: requests.RobotMeasures) -> Start:
         known = robot.model_dump(exclude_none=True, exclude={"like"})
         like = store.named(robot.like, read_vehicle) if robot.like else None
         return start_of(store.path(name), Given(**known, like=like, name="" if like else "robot"))
 
-    def project_of(given: IdentifyRequest) -> Project | None:
+    def project_of(given: requests.IdentifyRequest) -> Project | None:
         """Return the project of a robot of one's own; a log that contradicts it is refused."""
         if (given.vehicle is None) == (given.robot is None):
             raise InvalidInputError("give either vehicle, the name of one, or robot, its measures")
@@ -442,7 +426,9 @@ def _logs(service: _Service) -> APIRouter:
             raise InvalidInputError("; ".join(str(one) for one in result.checks if not one.ok))
         return result.project
 
-    def read(given: IdentifyRequest, names: list[str], project: Project | None) -> list[DriveLog]:
+    def read(
+        given: requests.IdentifyRequest, names: list[str], project: Project | None
+    ) -> list[DriveLog]:
         columns = None if project is None else dict(project.columns) or None
         topics = topic_map_of(given.vehicle or "") if project is None else project.topics
         # what reads a log is part of what is kept of it
@@ -452,7 +438,7 @@ def _logs(service: _Service) -> APIRouter:
             for name in names
         ]  # fmt: skip
 
-    def identified(job: Job, given: IdentifyRequest) -> Document:
+    def identified(job: Job, given: requests.IdentifyRequest) -> Document:
         project = project_of(given)
         vehicle = project.vehicle if project else store.named(given.vehicle or "", read_vehicle)
         logs = read(given, given.logs, project)
@@ -460,7 +446,7 @@ def _logs(service: _Service) -> APIRouter:
         found = identify(logs, vehicle)
         return {**documents.identification(found), "model_file": model_text(found.model)}
 
-    def diagnosed(job: Job, given: DiagnoseRequest) -> Document:
+    def diagnosed(job: Job, given: requests.DiagnoseRequest) -> Document:
         def say(fraction: float, note: str = "") -> None:
             job.say("diagnosing", fraction=fraction, note=note)
 
@@ -470,11 +456,13 @@ def _logs(service: _Service) -> APIRouter:
         found = diagnose(logs, holdout=judging, vehicle=vehicle, progress=say)
         return {**documents.diagnosis(found), "model_file": model_text(found.model)}
 
-    def started(job: Job, given: StartRequest) -> Document:
+    def started(job: Job, given: requests.StartRequest) -> Document:
         result = begun(given.log, given.robot)
         return {**documents.start(result), "sound": result.sound}
 
-    service.answers(router, "/start", StartRequest, answers.START, started)
-    service.answers(router, "/identify", IdentifyRequest, answers.IDENTIFICATION, identified)
-    service.answers(router, "/diagnose", DiagnoseRequest, answers.DIAGNOSIS, diagnosed)
+    service.answers(router, "/start", requests.StartRequest, answers.START, started)
+    service.answers(
+        router, "/identify", requests.IdentifyRequest, answers.IDENTIFICATION, identified
+    )
+    service.answers(router, "/diagnose", requests.DiagnoseRequest, answers.DIAGNOSIS, diagnosed)
     return router
