@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import inf
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,21 +31,9 @@ from energyplan.planning.problem import KEPT, PlanningProblem
 from energyplan.planning.search import planner as lattice
 from energyplan.planning.search.narrow.ends import between_clear_ends, checked_ends
 from energyplan.planning.search.planner import compile_planning
+from energyplan.planning.settings import REJOINING
 from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.terrain import OccupancyGrid
-
-
-class Settings(NamedTuple):
-    """Constants of replanning; lengths in half slip tracks."""
-
-    # how far ahead a path is joined again
-    ahead: tuple[float, ...] = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)
-    step: float = 0.1  # distance between the places looked at [half slip tracks]
-    turn: float = 0.05  # turn between them [rad]
-    alike: float = 1e-9  # distances that are equal [m]
-
-
-SETTINGS = Settings()
 
 
 def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | None:
@@ -66,7 +53,7 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
 
 def _places(path: Path, problem: PlanningProblem) -> Path:
     """Return a path cut at the places that are looked at."""
-    return path.subdivide(SETTINGS.step * problem.cost.half_track, SETTINGS.turn)
+    return path.subdivide(REJOINING.step * problem.cost.half_track, REJOINING.turn)
 
 
 def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]:
@@ -75,10 +62,10 @@ def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]
     turned = problem.cost.half_track * wrap_angle(off[:, 2])
     away = np.hypot(np.hypot(off[:, 0], off[:, 1]), turned)
     # of a place that it passes twice the later time counts
-    nearest = int(np.flatnonzero(away <= away.min() + SETTINGS.alike)[-1])
+    nearest = int(np.flatnonzero(away <= away.min() + REJOINING.alike)[-1])
     along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
     ahead = np.searchsorted(
-        along, along[nearest] + problem.cost.half_track * np.array(SETTINGS.ahead)
+        along, along[nearest] + problem.cost.half_track * np.array(REJOINING.ahead)
     )
     # the place itself, and the one after it, which the robot may have passed the first part of
     return sorted({nearest, *np.clip([nearest + 1, *ahead], nearest, len(fine)).tolist()})
@@ -89,7 +76,7 @@ def _joined(here: Pose, fine: Path, vertex: int, problem: PlanningProblem) -> Pa
     at = Pose(*(float(v) for v in fine.vertices[vertex]))
     rest = Path(at, fine.ds[vertex:], fine.dtheta[vertex:], fine.longitudinal)
     gap = np.hypot(at.x - here.x, at.y - here.y) + abs(float(wrap_angle(at.yaw - here.yaw)))
-    if gap > SETTINGS.alike:
+    if gap > REJOINING.alike:
         try:
             rest = steering.path(here, at, problem.cost, reverse=problem.robot.reverse) + rest
         except EnergyPlanError:  # a vehicle that steering knows no way for

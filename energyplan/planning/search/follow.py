@@ -16,8 +16,9 @@ import numpy as np
 from energyplan.compilation import Floats, FloatTable, Ints, inner, njit
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import UNITS, Budget
-from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
+from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.search.narrow.grid import Followed, through_passage
+from energyplan.planning.settings import TRACKING
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.cost_to_go import (
@@ -39,19 +40,6 @@ from energyplan.planning.space.motions import (
 )
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
 from energyplan.terrain.collision import pose_free
-
-
-class Settings(NamedTuple):
-    """Constants of following a route."""
-
-    back: tuple[int, ...] = (1, 2, 3, 5, 8, 13, 21)  # how many poses back a pose is joined to
-    stride: float = 0.5  # distance between poses over the room at them [1]
-    beyond: tuple[int, ...] = (8, 20)  # poses that a short search leads further
-    # its lattices' scales, expansions
-    across: tuple[tuple[float, int], ...] = ((1.0, 600), (0.25, 1500))
-
-
-SETTINGS = Settings()
 
 
 class Tracked(NamedTuple):
@@ -77,7 +65,7 @@ def follow_route(
         budget.spend(UNITS.join * found.tried)
         parts.append(Segments(ds[: found.motions], dtheta[: found.motions]))
         at += found.last
-        for beyond in SETTINGS.beyond if at < end else ():
+        for beyond in TRACKING.beyond if at < end else ():
             ahead = min(at + beyond, end)
             crossing = _across(setting, to_go, poses[at], poses[ahead], budget)
             if crossing is not None:
@@ -97,8 +85,8 @@ def _across(
 ) -> Segments | None:
     """Return the motions that short searches find from one pose to another, if they find any."""
     part = setting._replace(start=Pose(*begin.tolist()), goal=Pose(*end.tolist()))
-    for scale, most in SETTINGS.across:
-        search = Search(part, to_go, lattice_for(setting, scale), WEIGHT)
+    for scale, most in TRACKING.across:
+        search = Search(part, to_go, lattice_for(setting, scale))
         search.run(budget, most)
         if search.found:
             return search.segments()
@@ -210,7 +198,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 place // across - other // across, place % across - other % across
             )
         room = float(places.room[place])
-        if before != heading or room < setting.reach or gone >= SETTINGS.stride * room or k == 0:
+        if before != heading or room < setting.reach or gone >= TRACKING.stride * room or k == 0:
             for part in range(1 if before == heading else 2):
                 yaw = space.yaw + (heading if part == 0 else before) * turn
                 pose = _free_in(setting, along, up, yaw, places.spacing)
@@ -275,7 +263,7 @@ def join_poses(
     for j in range(1, count):
         best[j] = inf
         before[j] = -1
-        for back in SETTINGS.back:
+        for back in TRACKING.back:
             i = j - back
             if i < 0 or tried >= limit:
                 break

@@ -16,6 +16,7 @@ import numpy as np
 from energyplan.compilation import Floats, Ints, ShortInts, inner, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import UNITS, Budget
+from energyplan.planning.settings import LATTICE
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.cost_to_go import CostToGo, node_at
 from energyplan.planning.space.motions import (
@@ -29,28 +30,10 @@ from energyplan.planning.space.queues import angle_between, pop, push, slot_of, 
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
 from energyplan.terrain.collision import in_cells, motion_free
 
-WEIGHT = 2.0
-"""Factor on the heuristic where any path will do."""
-
 RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
 """Why a slice of the search ended."""
 
 MOTIONS = 10
-
-
-class Settings(NamedTuple):
-    """Constants of the lattice search."""
-
-    tolerance: float = 0.15  # how far the first heading of the route may be off [rad]
-    headings: int = 32  # headings of the coarsest lattice
-    most_headings: int = 512  # headings of the finest lattice
-    coarse: float = 2.0  # scale of the lattice on which ways through open ground are compared
-    less: float = 1e-6  # share of the cost by which a further path has to be cheaper
-    hope: float = 1.08  # cost over the best one's that refinement may still make up for
-    slice: int = 500  # expansions between two looks at the budget
-
-
-SETTINGS = Settings()
 
 
 class Lattice(NamedTuple):
@@ -89,13 +72,13 @@ def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
     if node < 0 or to_go.distance[node] == inf:
         return inf
     # 16 neighbours overestimate distances by up to 2.8 per cent
-    far = 0.973 * float(to_go.distance[node])
+    far = LATTICE.neighbours * float(to_go.distance[node])
     turn = angle_between(yaw, setting.goal.yaw)
     if far > to_go.far:
         # on its way the robot takes the heading of the way, or drives it backwards
         ahead = float(to_go.direction[node]) + space.yaw
         through = turning_by(yaw, ahead, setting.goal.yaw)
-        turn = max(turn, through - 2.0 * SETTINGS.tolerance)
+        turn = max(turn, through - 2.0 * LATTICE.tolerance)
     round_obstacles = setting.least_metre * far + setting.least_radian * turn
     # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
     dx = setting.goal.x - pose.x
@@ -180,7 +163,7 @@ def grow(
         # the nearer the goal, the more often the exact motion to it is tried
         if (
             weight > 0
-            and counts[4] * setting.half_track * setting.least_metre >= 0.2 * tree.h[node]
+            and counts[4] * setting.half_track * setting.least_metre >= LATTICE.lead * tree.h[node]
         ):
             counts[4] = 0
             if join(setting, here, setting.goal, limit - g, to_ds, to_dtheta)[0] < inf:
@@ -226,7 +209,7 @@ def grow(
             other = int(tree.table[slot])
             if other >= 0:
                 # a gain smaller than what lies within a cell is no reason to go through it again
-                if gg >= tree.g[other] - 0.2 * lattice.cell * setting.least_metre:
+                if gg >= tree.g[other] - LATTICE.alike * lattice.cell * setting.least_metre:
                     continue
                 h = tree.h[other]
                 if weight > 0 and (tree.x[other] - xx) ** 2 + (tree.y[other] - yy) ** 2 > 1e-12:
@@ -266,16 +249,16 @@ def joined(setting: KernelProblem, pose: Pose, to: Pose) -> tuple[Segments, floa
 
 def lattice_for(setting: KernelProblem, scale: float = 1.0) -> Lattice:
     """Return a lattice that suits the map and the body; `scale` below 1 makes it finer."""
-    cell = max(setting.space.resolution, 0.2 * setting.reach) * scale
-    headings = min(round(SETTINGS.headings / scale), SETTINGS.most_headings)
-    return Lattice(cell, 2 * np.pi / headings, headings, 1.5 * cell)
+    cell = max(setting.space.resolution, LATTICE.cell * setting.reach) * scale
+    headings = min(round(LATTICE.headings / scale), LATTICE.most_headings)
+    return Lattice(cell, 2 * np.pi / headings, headings, LATTICE.step * cell)
 
 
 def coarse_lattice(setting: KernelProblem) -> Lattice:
     """Return the lattice of the search for many goals."""
     fine = lattice_for(setting)
-    turns = SETTINGS.headings * 3 // 4
-    return Lattice(1.5 * fine.cell, 2 * np.pi / turns, turns, 1.5 * fine.step)
+    scale, turns = LATTICE.far_scale, LATTICE.far_headings
+    return Lattice(scale * fine.cell, 2 * np.pi / turns, turns, scale * fine.step)
 
 
 @dataclass
@@ -285,7 +268,7 @@ class Search:
     setting: KernelProblem  # the problem
     to_go: CostToGo  # distance to go
     lattice: Lattice  # resolution
-    weight: float  # factor on the estimated cost to go
+    weight: float = LATTICE.weight  # factor on the estimated cost to go
 
     def __post_init__(self) -> None:
         nodes = 1 << 14
@@ -320,7 +303,7 @@ class Search:
         while True:
             before = int(self.tree.counts[2])
             slice_ = int(
-                min(SETTINGS.slice, max(most - before, 1), max(budget.left / UNITS.expansion, 1))
+                min(LATTICE.slice, max(most - before, 1), max(budget.left / UNITS.expansion, 1))
             )
             status = self._grow(slice_, limit)
             budget.spend(UNITS.expansion * (int(self.tree.counts[2]) - before))
@@ -352,7 +335,7 @@ class Search:
         best = None
         while self.run(budget, limit=limit) == FOUND:
             best, cost = self._to_goal()
-            limit = (1.0 - SETTINGS.less) * cost
+            limit = (1.0 - LATTICE.less) * cost
         return best
 
     def segments(self) -> Segments:

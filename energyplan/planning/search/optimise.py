@@ -22,32 +22,11 @@ from numpy.typing import NDArray
 from energyplan.compilation import Flags, Floats, FloatTable, Words, inner, njit
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import UNITS, Budget, Work, do_together, side_by_side
+from energyplan.planning.settings import REFINING
 from energyplan.planning.space.compiled import Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at, put_pose
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
 from energyplan.terrain.collision import pose_free
-
-
-class Settings(NamedTuple):
-    """Constants of the optimisation of a path."""
-
-    hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
-    smallest: float = 1e-4  # least distance by which poses are moved [m]
-    largest: float = 1.0  # largest distance by which poses are moved [m]
-    further: float = 0.4  # probability that one more pose moves with others
-    poses: int = 60  # most poses among which shortcuts are sought
-    apart: int = 150  # how many poses apart those lie at most that a shortcut joins
-    trials: int = 400  # attempts of a turn, and between two looks at the budget
-    repairs: int = 100  # attempts to make blocked motions free
-    first: float = 500  # units of work of a path's first turn, with its shortcuts
-    turn: float = 200  # units of work of each turn that follows
-    kept: int = 4  # paths that stay in the portfolio
-    leading: int = 2  # how many of them get another turn, and copies of the best refined at once
-    patience: int = 3  # how often the best is refined anew although that may be in vain
-    hope: float = 1.03  # cost over the best one above which a path is given up [1]
-
-
-SETTINGS = Settings()
 
 
 class Chain(NamedTuple):
@@ -98,7 +77,7 @@ def shortcut(
         edge[j] = chain.cost[j - 1]
         blocked = 0
         for i in range(j - 1, max(0, j - reach) - 1, -1):
-            if blocked == SETTINGS.hopeless:
+            if blocked == REFINING.hopeless:
                 break
             limit = best[j] - best[i] - 1e-9 - stop
             if limit <= 0:
@@ -130,7 +109,7 @@ def shortcut(
     for k in range(n):
         j = order[n - 1 - k]
         put_pose(chain.poses, k, pose_at(chain.poses, j))
-        chain.step[k] = 0.3
+        chain.step[k] = REFINING.first
         if k > 0:
             chain.cost[k - 1] = edge[j]
             chain.kept[k - 1] = not joined[j]
@@ -237,7 +216,7 @@ def insert_pose(
     chain.cost[k] = costs[0]
     chain.cost[k + 1] = costs[1]
     chain.kept[k + 1] = False
-    chain.step[k + 1] = 0.3
+    chain.step[k + 1] = REFINING.first
     return count + 1
 
 
@@ -269,7 +248,7 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
     most = min(len(chain.cost) - 1, count + 4)
     for _ in range(trials):
         what = random_number(state)
-        if count < 3 or (what < 0.02 and count < most):
+        if count < 3 or (what < REFINING.insert and count < most):
             k = int(random_number(state) * (count - 1))
             if not chain.kept[k]:
                 count = insert_pose(chain, setting, count, k, random_number(state), ds, dtheta)
@@ -277,7 +256,7 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
                 return count
             continue
         k = 1 + int(random_number(state) * (count - 2))
-        if what < 0.08:
+        if what < REFINING.insert + REFINING.remove:
             old = chain.cost[k - 1] + chain.cost[k]
             a = pose_at(chain.poses, k - 1)
             b = pose_at(chain.poses, k + 1)
@@ -295,17 +274,17 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
         y = chain.poses[k, 1]
         yaw = chain.poses[k, 2]
         kind = random_number(state)
-        if kind < 0.7:
+        if kind < REFINING.shift:
             x += step * (2.0 * random_number(state) - 1.0)
             y += step * (2.0 * random_number(state) - 1.0)
-        if kind > 0.3:
+        if kind > 1.0 - REFINING.turn:
             yaw += step / setting.half_track * (2.0 * random_number(state) - 1.0)
         if _try_move(chain, setting, k, Pose(x, y, yaw), ds, dtheta):
-            chain.step[k] = min(step * 1.6, SETTINGS.largest)
+            chain.step[k] = min(step * REFINING.longer, REFINING.largest)
         else:
-            chain.step[k] = max(step * 0.96, SETTINGS.smallest)
-            if chain.step[k] == SETTINGS.smallest:
-                chain.step[k] = 0.2
+            chain.step[k] = max(step * REFINING.shorter, REFINING.smallest)
+            if chain.step[k] == REFINING.smallest:
+                chain.step[k] = REFINING.anew
     return count
 
 
@@ -391,9 +370,9 @@ def unblock(
         what = int(random_number(state) * 3.0)
         first = k if what != 1 else k + 1
         last = k if what == 0 else k + 1
-        while what == 2 and first > 1 and random_number(state) < SETTINGS.further:
+        while what == 2 and first > 1 and random_number(state) < REFINING.further:
             first -= 1
-        while what == 2 and last < count - 2 and random_number(state) < SETTINGS.further:
+        while what == 2 and last < count - 2 and random_number(state) < REFINING.further:
             last += 1
         first = max(first, 1)
         last = min(last, count - 2)
@@ -453,7 +432,7 @@ class Refiner:
     """A path that becomes cheaper."""
 
     def __init__(
-        self, setting: KernelProblem, segments: Segments, seed: int = 1, poses: int = SETTINGS.poses
+        self, setting: KernelProblem, segments: Segments, seed: int = 1, poses: int = REFINING.poses
     ) -> None:
         self.setting = setting
         self._poses = poses
@@ -466,9 +445,11 @@ class Refiner:
         whole = merged(segments)
         path = Path(setting.start, whole.ds, whole.dtheta)
         extent = path.length + setting.half_track * path.turning
-        spare = max(self._poses - len(path), 20)
-        piece = max(extent / spare, 0.2)
-        fine = path.subdivide(max_ds=piece, max_dtheta=max(piece / setting.half_track, 0.3))
+        spare = max(self._poses - len(path), REFINING.spare)
+        piece = max(extent / spare, REFINING.piece)
+        fine = path.subdivide(
+            max_ds=piece, max_dtheta=max(piece / setting.half_track, REFINING.pivot)
+        )
         count = len(fine) + 1
         room = count + 16
         self.chain = Chain(
@@ -477,7 +458,7 @@ class Refiner:
             np.ones(room, bool),
             np.zeros(room),
             np.zeros(room),
-            np.full(room, 0.3),
+            np.full(room, REFINING.first),
         )
         self.count = count
         self.chain.poses[:count] = fine.vertices
@@ -502,7 +483,7 @@ class Refiner:
 
     def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
-        self._shortcut(SETTINGS.apart, 0.0, budget)
+        self._shortcut(REFINING.apart, 0.0, budget)
 
     def with_fewer_stops(self, price: float, budget: Budget) -> Segments:
         """Return the motions that are cheapest where each costs so much more [J]."""
@@ -521,8 +502,8 @@ class Refiner:
             poses=chain.poses.copy(), cost=chain.cost.copy(), kept=chain.kept.copy()
         )
         if reopen(self.chain, setting, self.count):
-            budget.spend(UNITS.join * SETTINGS.repairs)
-            unblock(self.chain, setting, self.count, SETTINGS.repairs, reach, self._state)
+            budget.spend(UNITS.join * REFINING.repairs)
+            unblock(self.chain, setting, self.count, REFINING.repairs, reach, self._state)
         blocked = np.isinf(self.chain.cost[: self.count - 1])
         if blocked.any():
             self.chain = before
@@ -545,7 +526,7 @@ class Refiner:
     def polish(
         self,
         budget: Budget,
-        patience: int = 4000,
+        patience: int = REFINING.patience,
         enough: float = 0.0,
         most: int | None = None,
     ) -> None:
@@ -553,21 +534,17 @@ class Refiner:
         mark, since, spent = self.cost, 0, 0
         while not budget.over and self.cost > enough:
             self.count = int(
-                polish(self.chain, self.setting, self.count, SETTINGS.trials, self._state)
+                polish(self.chain, self.setting, self.count, REFINING.trials, self._state)
             )
-            budget.spend(UNITS.join * SETTINGS.trials)
-            since += SETTINGS.trials
-            spent += SETTINGS.trials
+            budget.spend(UNITS.join * REFINING.trials)
+            since += REFINING.trials
+            spent += REFINING.trials
             if self.count < 3 or (most is not None and spent >= most):
                 break
-            if self.cost < mark * (1 - 1e-4):
+            if self.cost < mark * (1.0 - REFINING.gain):
                 mark, since = self.cost, 0
             elif since >= patience:
                 break
-
-
-SAME = 1e-9
-"""Part of the cost by which two paths that are entered differ, or are one: rounding."""
 
 
 class Portfolio:
@@ -589,7 +566,7 @@ class Portfolio:
     def enter(self, motions: Segments) -> None:
         """Take in motions from the start to the goal, free of collisions."""
         entrant = Refiner(self.setting, motions, self.seed)
-        if any(abs(entrant.cost - cost) <= SAME * cost for cost in self._entered):
+        if any(abs(entrant.cost - cost) <= REFINING.same * cost for cost in self._entered):
             return
         self._entered.append(entrant.cost)
         if entrant.cost < self.cost:
@@ -611,20 +588,20 @@ class Portfolio:
         def turn(entrant: Refiner, first: bool, own: Budget) -> None:
             if first:
                 entrant.shortcut(own)
-            entrant.polish(own, enough=enough, most=SETTINGS.trials)
+            entrant.polish(own, enough=enough, most=REFINING.trials)
 
         fresh, self._fresh = self._fresh, []
-        leading = self._kept[: SETTINGS.leading] if self._grown else []
+        leading = self._kept[: REFINING.leading] if self._grown else []
         self._grown = bool(fresh)
         self._kept = self._kept + fresh
         return [
-            *(Work(partial(turn, one, True), SETTINGS.first, self._settle) for one in fresh),
-            *(Work(partial(turn, one, False), SETTINGS.turn, self._settle) for one in leading),
+            *(Work(partial(turn, one, True), REFINING.opening, self._settle) for one in fresh),
+            *(Work(partial(turn, one, False), REFINING.turns, self._settle) for one in leading),
         ]
 
     def _settle(self, _: None) -> None:
         """Keep the best few."""
-        self._kept = sorted(self._kept, key=lambda entrant: entrant.cost)[: SETTINGS.kept]
+        self._kept = sorted(self._kept, key=lambda entrant: entrant.cost)[: REFINING.kept]
         for entrant in self._kept:
             self._offer(entrant)
 
@@ -637,7 +614,7 @@ class Portfolio:
         """Refine those kept until little is gained, side by side; see `run`."""
         if budget.over or self.cost <= enough:
             return
-        hopeful = [entrant for entrant in self._kept if entrant.cost <= SETTINGS.hope * self.cost]
+        hopeful = [entrant for entrant in self._kept if entrant.cost <= REFINING.hope * self.cost]
         self._finish(hopeful, budget, enough)
         self.others = [entrant.segments for entrant in self._kept]
         self._kept = []
@@ -648,11 +625,11 @@ class Portfolio:
         while gains and not budget.over and self.cost > enough:
             before = self.cost
             entrants = []
-            for _ in range(SETTINGS.leading):
+            for _ in range(REFINING.leading):
                 self.rounds += 1
                 entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
             self._finish(entrants, budget, enough)
-            gains = self.rounds <= SETTINGS.patience or self.cost <= before * (1 - 1e-5)
+            gains = self.rounds <= REFINING.rounds or self.cost <= before * (1 - 1e-5)
 
     def _finish(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
         """Refine some paths until little is gained."""

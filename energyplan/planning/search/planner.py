@@ -37,8 +37,7 @@ from energyplan.planning.contract import Candidate
 from energyplan.planning.driven import stops_count
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.search.follow import Tracked, follow_route
-from energyplan.planning.search.lattice import EXHAUSTED, WEIGHT, Search, joined, lattice_for
-from energyplan.planning.search.lattice import SETTINGS as LATTICE
+from energyplan.planning.search.lattice import EXHAUSTED, Search, joined, lattice_for
 from energyplan.planning.search.narrow.ends import Ends, surely_has_room, ways_out
 from energyplan.planning.search.narrow.infeasible import (
     Proof,
@@ -49,10 +48,10 @@ from energyplan.planning.search.narrow.infeasible import (
     none_in_time,
 )
 from energyplan.planning.search.narrow.shrunken import passage_work, path_through_passages
-from energyplan.planning.search.optimise import SAME, Portfolio, Refiner
-from energyplan.planning.search.optimise import SETTINGS as PORTFOLIO
+from energyplan.planning.search.optimise import Portfolio, Refiner
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.search.stops import least_driven, stops_of
+from energyplan.planning.settings import LATTICE, REFINING
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import (
     CostToGo,
@@ -146,7 +145,7 @@ class Paths:
             for ends in [self.ends, plain] if self.ends.moved else [self.ends]:
                 setting = ends.between(self.setting)
                 to_go = self.to_go if ends is self.ends else cost_to_go(setting)
-                search = Search(setting, to_go, lattice_for(self.setting, scale), WEIGHT)
+                search = Search(setting, to_go, lattice_for(self.setting, scale))
                 state = search.run(self.budget.part(SHARES.stage))
                 searched.append(search)
                 if search.found:
@@ -279,7 +278,7 @@ class Paths:
         short = Portfolio(setting, self.portfolio.seed)
         known = (query.motions_of(self.query, one) for one in [*self.found, self.portfolio.best])
         every = [Refiner(setting, motions) for motions in known]
-        for one in sorted(every, key=lambda one: one.cost)[: PORTFOLIO.kept]:
+        for one in sorted(every, key=lambda one: one.cost)[: REFINING.kept]:
             short.enter(one.segments)
 
         def run(own: Budget) -> None:
@@ -292,10 +291,6 @@ class Paths:
         return short.best
 
 
-FINEST = 0.0625
-"""Size of the cells of the finest lattice that is searched, in units of the coarsest one."""
-
-
 @checked()
 def plan(
     problem: PlanningProblem,
@@ -304,7 +299,7 @@ def plan(
     gap: float = 1e-3,
     seed: int = 1,
     initial: Iterable[Path] = (),
-    finest: float = FINEST,
+    finest: float = LATTICE.finest,
     bound: float | None = None,
 ) -> Candidate:
     """Plan on a lattice, and refine with exact steering."""
@@ -367,7 +362,7 @@ def plan(
         do_together(budget, least.work(query.value(path) - potential, work.kept))
         return Candidate(path, potential + least.value, first)
     bounding = [] if work.done else work.bounding.work(work.cost, work.kept)
-    if is_length(problem) or work.cost <= work.bound * (1.0 + SAME):
+    if is_length(problem) or work.cost <= work.bound * (1.0 + REFINING.same):
         do_together(budget, bounding)
     else:
         with suppress(PlanningError):
@@ -410,10 +405,10 @@ def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
             y + ahead * np.sin(yaw) + lateral * np.cos(yaw),
         ])  # fmt: skip
         away = np.hypot(*(centre[first + 2 :] - centre[first]).T)
-        for last in (np.flatnonzero(away <= SAME) + first + 2)[::-1]:
+        for last in (np.flatnonzero(away <= REFINING.same) + first + 2)[::-1]:
             turn = float(dtheta[first:last].sum())
             # turning back and forth is not what a spin does
-            if np.abs(dtheta[first:last]).sum() > abs(turn) + SAME:
+            if np.abs(dtheta[first:last]).sum() > abs(turn) + REFINING.same:
                 continue
             fewer = Path(
                 path.start,
@@ -422,7 +417,7 @@ def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
                 path.longitudinal,
             )
             free = query.grid.path_free(fewer, query.problem.robot)
-            if free and query.value(fewer) <= query.value(path) * (1.0 + SAME):
+            if free and query.value(fewer) <= query.value(path) * (1.0 + REFINING.same):
                 path, ds, dtheta = fewer, fewer.ds, fewer.dtheta
                 break
         first += 1

@@ -19,6 +19,7 @@ from energyplan.compilation import Floats, Ints, IntTable, ShortInts, Words, inn
 from energyplan.path import Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.search.follow import Tracked, chain_from, follow_route
+from energyplan.planning.settings import ROUTES
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.cost_to_go import (
@@ -54,21 +55,6 @@ FACINGS = 16
 """Sectors of headings that the search tells apart."""
 
 
-class Settings(NamedTuple):
-    """Constants of the search for routes."""
-
-    near: float = 12.0  # distance to the goal from which the cost-to-go leads on [cells]
-    weight: float = 1.1  # factor on the heuristic: a little above 1 the search is soon through
-    again: float = 1.4  # factor on the price of a step where a route found before passes
-    blocked: float = 8.0  # the same where no motions led on along one
-    most: int = 4  # routes that are sought at most
-    spare: int = 1024  # room for the states that one leads to
-    states: int = 100_000  # states that are expanded at most
-
-
-SETTINGS = Settings()
-
-
 class Route(NamedTuple):
     """A route whose turns are priced."""
 
@@ -99,12 +85,12 @@ def cheapest_routes(
     ways: list[Segments] = []
     places, reach, penalties = to_go.places, setting.reach, np.ones(1)
     blocked = [place_of(places, setting.space, one.x, one.y) for one in stuck]
-    for _ in range(SETTINGS.most):
-        most = int(min(SHARES.stage * budget.left / UNITS.state, SETTINGS.states))
+    for _ in range(ROUTES.most):
+        most = int(min(SHARES.stage * budget.left / UNITS.state, ROUTES.states))
         if most < 1:
             break
         if blocked:
-            penalties = _penalised(penalties, places, np.array(blocked), reach, SETTINGS.blocked)
+            penalties = _penalised(penalties, places, np.array(blocked), reach, ROUTES.blocked)
         found = cheapest_route(to_go, setting, penalties, most)
         budget.spend(UNITS.state * found.looked)
         if len(found.chain) == 0:
@@ -113,7 +99,7 @@ def cheapest_routes(
         if tracked.motions is not None:
             ways.append(tracked.motions)
             homes = places.home[found.chain]
-            penalties = _penalised(penalties, places, homes, reach, SETTINGS.again)
+            penalties = _penalised(penalties, places, homes, reach, ROUTES.again)
         elif ways:
             break
         else:
@@ -144,7 +130,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
     bits = _headings_of_facings()
     midway = halfway(places.columns + 2 * RIM)
     along = _steps_along()
-    room = 4 * most + 2 * SETTINGS.spare
+    room = 4 * most + 2 * ROUTES.spare
     node_of = np.empty(room, np.int32)
     facing = np.empty(room, np.int8)
     parent = np.empty(room, np.int32)
@@ -182,7 +168,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
             size = push(heap_f, heap_state, size, g[count] + h[count], count)
             count += 1
     looked = 0
-    while size > 0 and looked < most and count + SETTINGS.spare < room:
+    while size > 0 and looked < most and count + ROUTES.spare < room:
         f = heap_f[0]
         state = int(heap_state[0])
         size = pop(heap_f, heap_state, size)
@@ -199,7 +185,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
             x, y = middle_of(places, space, place)
             here = Pose(x, y, space.yaw + b * turn)
             here_turn = turning[surface_at(setting, here)]
-        if to_go.distance[node] <= SETTINGS.near * spacing:
+        if to_go.distance[node] <= ROUTES.near * spacing:
             through = (
                 g[state] + per_metre * float(to_go.distance[node])
                 + here_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
@@ -317,7 +303,7 @@ def _steps_along() -> IntTable:
     for b in range(FACINGS):
         for k in range(STEPS):
             off = angle_between(atan2(STEP_ROWS[k], STEP_COLUMNS[k]), b * turn)
-            if min(off, pi - off) <= 1.01 * turn:
+            if min(off, pi - off) <= ROUTES.aside * turn:
                 along[b, k] = 1 if off < 0.5 * pi else -1
     return along
 
@@ -347,7 +333,7 @@ def _chain_of(to_go: CostToGo, node_of: ShortInts, parent: ShortInts, best: int)
 def _level(places: Places, setting: KernelProblem, place: int) -> int:
     """Return how coarse the search is at a place: steps are of one place, two, or four."""
     spare = float(places.room[place]) - setting.reach
-    return 2 if spare >= 9.0 * places.spacing else 1 if spare >= 0.0 else 0
+    return 2 if spare >= ROUTES.roomy * places.spacing else 1 if spare >= 0.0 else 0
 
 
 @inner
@@ -373,4 +359,4 @@ def _rest(
     turn = angle_between(yaw, goal_yaw)
     if far > to_go.far:
         turn = max(turn, turning_by(yaw, float(to_go.direction[node]), goal_yaw))
-    return SETTINGS.weight * per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)
+    return ROUTES.weight * per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)

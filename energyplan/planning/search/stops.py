@@ -20,22 +20,10 @@ from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.driven import DrivenPath, drive_plan
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.settings import STOPS
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.cost_to_go import CostToGo
 from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
-
-
-class Settings(NamedTuple):
-    """Constants of the search for fewer stops."""
-
-    least: float = 1e-3  # part of the energy that stops take from which they are looked at
-    most: float = 0.03  # part of the energy from which other routes are sought
-    # prices of a stop over what one takes on the best path [1]
-    prices: tuple[float, ...] = (1.0, 3.0)
-    polish: int = 800  # attempts to refine a path along another route
-
-
-SETTINGS = Settings()
 
 
 class Stops(NamedTuple):
@@ -49,7 +37,7 @@ class Stops(NamedTuple):
     def share(self) -> float:
         """Part of what is kept for other paths that is worth it: stops cannot give more back."""
         part = self.extra / abs(self.energy) if self.energy else 0.0
-        return min(max((part - SETTINGS.least) / (SETTINGS.most - SETTINGS.least), 0.0), 1.0)
+        return min(max((part - STOPS.least) / (STOPS.most - STOPS.least), 0.0), 1.0)
 
 
 def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops:
@@ -98,11 +86,11 @@ def least_driven(
     if stops.share == 0.0:
         return best
     looked = [query.of_centre(path.ds, path.dtheta), *others]
-    if extra > SETTINGS.most * abs(least) and path.turning > 0:
+    if extra > STOPS.most * abs(least) and path.turning > 0:
         expensive = _with_expensive_turns(query.setting, extra / path.turning)
         looked[1:1] = _searched(expensive, to_go, budget)
     for motions in looked:
-        for factor in SETTINGS.prices:
+        for factor in STOPS.prices:
             if budget.over:
                 return best
             fewer = Refiner(query.setting, motions).with_fewer_stops(factor * stops.each, budget)
@@ -129,7 +117,7 @@ def _searched(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[S
     for way in cheapest_routes(setting, to_go, budget.part(SHARES.stage)):
         refiner = Refiner(setting, way)
         refiner.shortcut(budget)
-        refiner.polish(budget.part(SHARES.stage), most=SETTINGS.polish)
+        refiner.polish(budget.part(SHARES.stage), most=STOPS.polish)
         found.append(refiner.segments)
     return found
 

@@ -17,7 +17,7 @@ import numpy as np
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work
 from energyplan.planning.search.follow import follow_route
-from energyplan.planning.search.lattice import WEIGHT, Search, lattice_for
+from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS, grown
@@ -85,7 +85,7 @@ def path_through_passages(
             return None
         way = follow_route(thin, to_go, budget).motions
         if way is None:
-            search = Search(thin, to_go, lattice_for(setting), WEIGHT)
+            search = Search(thin, to_go, lattice_for(setting))
             search.run(budget, SETTINGS.expansions, cost)
             if not search.found:
                 return None

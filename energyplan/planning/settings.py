@@ -1,0 +1,111 @@
+"""How the stages of planning are set: one record a stage, in the order in which a plan is made."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Tracking(NamedTuple):
+    """Constants of turning a route into motions."""
+
+    back: tuple[int, ...] = (1, 2, 3, 5, 8, 13, 21)  # how many poses back a pose is joined to
+    stride: float = 0.5  # distance between poses over the room at them [1]
+    beyond: tuple[int, ...] = (8, 20)  # poses that a short search leads further
+    # lattices of that search: scale, expansions
+    across: tuple[tuple[float, int], ...] = ((1.0, 600), (0.25, 1500))
+
+
+class RouteSearch(NamedTuple):
+    """Constants of the search for routes among free configurations."""
+
+    near: float = 12.0  # distance to the goal from which the cost-to-go leads on [cells]
+    weight: float = 1.1  # factor on the heuristic
+    again: float = 1.4  # factor on the price of a step near an earlier route
+    blocked: float = 8.0  # the same where tracking was stuck
+    most: int = 4  # routes
+    spare: int = 1024  # room for the states that one leads to
+    states: int = 100_000  # states that are expanded at most
+    roomy: float = 9.0  # room beyond the body's reach from which steps are four cells long [cells]
+    aside: float = 1.01  # sectors that a step may lead aside of the facing [1]
+
+
+class LatticeSearch(NamedTuple):
+    """Constants of the weighted A* over a state lattice."""
+
+    tolerance: float = 0.15  # error of the first heading of the route [rad]
+    headings: int = 32  # headings of the coarsest lattice
+    most_headings: int = 512  # headings of the finest lattice
+    cell: float = 0.2  # size of a cell over the body's reach, where the map's are smaller [1]
+    step: float = 1.5  # length of a straight motion [cells]
+    far_scale: float = 1.5  # cell and step of the search for many goals, over those for one [1]
+    far_headings: int = 24  # headings of the search for many goals
+    coarse: float = 2.0  # scale of the lattice that compares routes through open ground
+    alike: float = 0.2  # gain for which a cell is not entered again [cells]
+    lead: float = 0.2  # part of the cost to go that expansions make up for until the goal is tried
+    neighbours: float = 0.973  # distance over that along 16 neighbours, at least [1]
+    less: float = 1e-6  # share of the cost by which a further path has to be cheaper
+    hope: float = 1.08  # cost over the best path's that refinement may still make up for [1]
+    slice: int = 500  # expansions between two looks at the budget
+    weight: float = 2.0  # factor on the heuristic where any path will do
+    finest: float = 0.0625  # scale of the finest lattice
+
+
+class Refining(NamedTuple):
+    """Constants of shortcuts and random refinement, and of dividing the budget among paths."""
+
+    poses: int = 60  # poses of a path, where its motions are no more
+    spare: int = 20  # poses beyond the motions of a path, at least
+    piece: float = 0.2  # length of the shortest pieces [m]
+    pivot: float = 0.3  # turn of the smallest pieces [rad]
+    apart: int = 150  # how many poses apart those lie at most that a shortcut joins
+    hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
+    insert: float = 0.02  # probability that a pose is inserted
+    remove: float = 0.06  # probability that a pose is removed
+    first: float = 0.3  # distance by which a pose is moved at first [m]
+    anew: float = 0.2  # the same after the smallest [m]
+    smallest: float = 1e-4  # least distance by which poses are moved [m]
+    largest: float = 1.0  # largest distance by which poses are moved [m]
+    longer: float = 1.6  # factor on the distance after a success
+    shorter: float = 0.96  # factor on the distance after a failure
+    shift: float = 0.7  # probability that a moved pose changes its place
+    turn: float = 0.7  # probability that a moved pose changes its heading
+    further: float = 0.4  # probability that one more pose moves with others
+    repairs: int = 100  # attempts to make blocked motions free
+    trials: int = 400  # attempts of a turn, and between two looks at the budget
+    patience: int = 4000  # attempts without a gain until a path is left
+    gain: float = 1e-4  # share of the cost that counts as one
+    opening: float = 500.0  # units of work of a path's first turn, with its shortcuts
+    turns: float = 200.0  # units of work of each turn that follows
+    kept: int = 4  # paths that stay in the portfolio
+    leading: int = 2  # how many of them get another turn, and copies of the best refined at once
+    rounds: int = 3  # how often the best is refined anew although that may be in vain
+    hope: float = 1.03  # cost over the best one above which a path is given up [1]
+    same: float = 1e-9  # share of the cost by which paths differ that count as two
+
+
+class FewerStops(NamedTuple):
+    """Constants of the search for paths with fewer stops."""
+
+    least: float = 1e-3  # part of the energy that stops take from which they are looked at
+    most: float = 0.03  # part of the energy from which other routes are searched
+    # prices of a stop over what one takes on the best path [1]
+    prices: tuple[float, ...] = (1.0, 3.0)
+    polish: int = 800  # attempts to refine a path along another route
+
+
+class Rejoining(NamedTuple):
+    """Constants of replanning; lengths in half slip tracks."""
+
+    # how far ahead a path is joined again
+    ahead: tuple[float, ...] = (0.0, 0.1, 0.3, 0.6, 1.25, 2.5, 5.0, 10.0, 20.0)
+    step: float = 0.1  # distance between the poses looked at [half slip tracks]
+    turn: float = 0.05  # turn between them [rad]
+    alike: float = 1e-9  # distances that are equal [m]
+
+
+TRACKING = Tracking()
+ROUTES = RouteSearch()
+LATTICE = LatticeSearch()
+REFINING = Refining()
+STOPS = FewerStops()
+REJOINING = Rejoining()
