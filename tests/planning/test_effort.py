@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -22,6 +23,7 @@ from worlds import cluttered, free_poses
 from energyplan.comparison import compare
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError, TimeLimitError
+from energyplan.io.maps import read_map
 from energyplan.planning import Budget, Candidate, Plan, Planner, PlanningProblem, plan
 from energyplan.planning.budget import EFFORT, PACE
 from energyplan.planning.replanning import replan
@@ -29,6 +31,7 @@ from energyplan.planning.search.planner import prepare
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
+MAPS = Path(__file__).resolve().parents[2] / "maps"
 COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 MARBLE = SurfaceMap([Surface(shapely.box(2, 2, 7, 5), PowerModel.preset("quadriga:empty:marble"))])
 ANSWER = """
@@ -122,6 +125,16 @@ def test_every_way_to_plan_has_the_same_work_where_none_is_asked_for():
     ]  # fmt: skip
     assert {found.effort_limit for found in plans} == {EFFORT}
     assert f"of {EFFORT}" in str(former)
+
+
+def test_a_search_for_the_quickest_path_ends_with_its_effort():
+    """Where the way to the goal is no cheaper than its limit, it is not found for ever."""
+    grid = read_map(MAPS / "office.yaml")
+    ends = free_poses(grid, 12, 5, COST.vehicle)
+    for start, goal in zip(ends[::2], ends[1::2], strict=True):
+        asked = PlanningProblem(grid, COST, start, goal, objective="time")
+        with suppress(TimeLimitError):
+            assert plan(asked, effort=3000).effort < 2 * 3000
 
 
 def test_a_planner_that_counts_no_work_has_the_time_that_the_work_takes():

@@ -45,6 +45,25 @@ def test_curved_prices_are_tabulated_closely_and_never_below():
         assert bound <= kernel * (1 + 1e-9)
 
 
+def test_how_two_poses_are_joined_does_not_depend_on_the_limit():
+    """Where steering is not exact, as for time, what a limit lets pass is found without it too."""
+    grid = cluttered(4)
+    query = CompiledProblem(PlanningProblem(grid, COST, *free_poses(grid, 2, 11, COST.vehicle)))
+    timed = CompiledProblem(replace(query.problem, objective="time"))
+    poses = free_poses(grid, 40, 3, COST.vehicle)
+    joined = 0
+    for a, b in zip(poses[::2], poses[1::2], strict=True):
+        a, b = (Pose(*pose) for pose in (a, b))
+        for setting in (query.setting, timed.setting):
+            ds, dtheta = np.empty((2, 16))
+            cost, count = motion_kernels.join(setting, a, b, np.inf, ds, dtheta)
+            for limit in cost * np.array([0.9, 0.999, 1.001, 1.1]) if np.isfinite(cost) else ():
+                again = motion_kernels.join(setting, a, b, limit, *np.empty((2, 16)))
+                assert again == ((cost, count) if limit > cost else (np.inf, again[1]))
+                joined += 1
+    assert joined > 40
+
+
 # -- search and refinement ------------------------------------------------------------------------
 
 

@@ -333,9 +333,9 @@ class Search:
     def cheapest(self, budget: Budget, limit: float) -> Segments | None:
         """Return the cheapest motions to the goal, if they cost less than `limit`."""
         best = None
-        while self.run(budget, limit=limit) == FOUND:
+        while not budget.over and self.run(budget, limit=limit) == FOUND:
             best, cost = self._to_goal()
-            limit = (1.0 - LATTICE.less) * cost
+            limit = min((1.0 - LATTICE.less) * cost, limit)
         return best
 
     def segments(self) -> Segments:

@@ -338,9 +338,11 @@ def join(
     """
     dx = to.x - pose.x
     dy = to.y - pose.y
-    even = setting.surface.size == 1
-    if even and steer_energy(dx, dy, pose.yaw, to.yaw, setting.steering) >= limit:
-        return inf, 0
+    least = -inf
+    if setting.surface.size == 1:
+        least = steer_energy(dx, dy, pose.yaw, to.yaw, setting.steering)
+        if least >= limit:
+            return inf, 0
     count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
     if setting.gear != 0 and backs_up(ds, count):
         if setting.least_radius > 0.0:
@@ -348,7 +350,8 @@ def join(
         else:
             count = forward_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
     cost = drive(setting, pose, ds, dtheta, count, limit)
-    if cost < inf and even:
+    # what is found depends on the limit only in whether it costs less
+    if cost <= least * (1.0 + 1e-9):
         return cost, count
     other_ds = np.empty(3)
     other_dtheta = np.empty(3)
