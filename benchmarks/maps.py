@@ -31,7 +31,7 @@ from energyplan.planning.bound import prepare_bound
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.cost_to_go import places_for
+from energyplan.planning.space.places import places_for
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 

@@ -1,4 +1,4 @@
-"""How the stages of planning are set: one record a stage, in the order in which a plan is made."""
+"""How the stages of planning are set: one record a stage."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ class Tracking(NamedTuple):
     across: tuple[tuple[float, int], ...] = ((1.0, 600), (0.25, 1500))
 
 
+TRACKING = Tracking()
+
+
 class RouteSearch(NamedTuple):
     """Constants of the search for routes among free configurations."""
 
@@ -27,6 +30,9 @@ class RouteSearch(NamedTuple):
     states: int = 100_000  # states that are expanded at most
     roomy: float = 9.0  # room beyond the body's reach from which steps are four cells long [cells]
     aside: float = 1.01  # sectors that a step may lead aside of the facing [1]
+
+
+ROUTES = RouteSearch()
 
 
 class LatticeSearch(NamedTuple):
@@ -50,6 +56,9 @@ class LatticeSearch(NamedTuple):
     finest: float = 0.0625  # scale of the finest lattice
 
 
+LATTICE = LatticeSearch()
+
+
 class Refining(NamedTuple):
     """Constants of shortcuts and random refinement, and of dividing the budget among paths."""
 
@@ -69,8 +78,6 @@ class Refining(NamedTuple):
     shorter: float = 0.96  # factor on the distance after a failure
     shift: float = 0.7  # probability that a moved pose changes its place
     turn: float = 0.7  # probability that a moved pose changes its heading
-    further: float = 0.4  # probability that one more pose moves with others
-    repairs: int = 100  # attempts to make blocked motions free
     trials: int = 400  # attempts of a turn, and between two looks at the budget
     patience: int = 4000  # attempts without a gain until a path is left
     gain: float = 1e-4  # share of the cost that counts as one
@@ -83,6 +90,9 @@ class Refining(NamedTuple):
     same: float = 1e-9  # share of the cost by which paths differ that count as two
 
 
+REFINING = Refining()
+
+
 class FewerStops(NamedTuple):
     """Constants of the search for paths with fewer stops."""
 
@@ -91,6 +101,9 @@ class FewerStops(NamedTuple):
     # prices of a stop over what one takes on the best path [1]
     prices: tuple[float, ...] = (1.0, 3.0)
     polish: int = 800  # attempts to refine a path along another route
+
+
+STOPS = FewerStops()
 
 
 class Rejoining(NamedTuple):
@@ -103,9 +116,29 @@ class Rejoining(NamedTuple):
     alike: float = 1e-9  # distances that are equal [m]
 
 
-TRACKING = Tracking()
-ROUTES = RouteSearch()
-LATTICE = LatticeSearch()
-REFINING = Refining()
-STOPS = FewerStops()
 REJOINING = Rejoining()
+
+
+class Narrow(NamedTuple):
+    """Routes through passages that the poses tested do not show."""
+
+    least: float = 800.0  # units of work below which none is searched for
+    costs_to_go: float = 6.0  # the same, in units of what the known cost-to-go took
+    gain: float = 0.98  # length over the known route's above which a route is not tracked [1]
+
+
+NARROW = Narrow()
+
+
+class ToGo(NamedTuple):
+    """The cost-to-go over the nodes of the free configurations."""
+
+    rounding: float = 1e-3  # distances that differ by less are equal [cells]
+    block: int = 8  # places along either side of a region's block
+    ahead: float = 1.2  # how far ahead at least the direction of the route is looked up [m]
+    ahead_at_most: float = 1.875  # how far ahead it may be kept from the next node [m]
+    corridor: float = 1.05  # length of the routes that the corridor holds, over the shortest's [1]
+    slack: float = 1.0  # extra length of them [body lengths]
+
+
+TO_GO = ToGo()

@@ -20,10 +20,11 @@ from energyplan.planning.search.narrow.infeasible import (
     Prover,
     chain_between,
     look_closer,
+    none_in_time,
 )
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS
-from energyplan.planning.space.cost_to_go import RIM, places_for
+from energyplan.planning.space.places import RIM, places_for
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body, poses_free
 
@@ -143,6 +144,13 @@ def test_three_verdicts_are_told_apart():
         assert "clearance" in str(hair)
     # not enough to tell
     assert isinstance(verdict(0.58, ahead=0.83, effort=50), TimeLimitError)
+
+
+def test_a_budget_that_ends_before_any_search_names_the_start():
+    hall = OccupancyGrid(np.zeros((60, 60), bool), 0.05)
+    query = CompiledProblem(PlanningProblem(hall, robot(0.6, 0.4), (1.5, 1.25, 0), (1.5, 2.25, 0)))
+    error = none_in_time(query, Budget(effort=1), "nothing was searched", [])
+    assert "(1.50, 1.25), 1.00 m from it" in str(error)
 
 
 def test_looking_closer_agrees_with_poses_at_random():

@@ -14,10 +14,10 @@ from energyplan.errors import PlanningError
 from energyplan.path import Pose
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.search.follow import chain_along, follow_route, poses_along
-from energyplan.planning.space import cost_to_go as guide
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS
-from energyplan.planning.space.cost_to_go import RIM, cost_to_go, places_for, reached, regions_for
+from energyplan.planning.space.cost_to_go import cost_over, cost_to_go, reached, regions_for
+from energyplan.planning.space.places import RIM, places_for
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
@@ -137,7 +137,7 @@ def test_a_plan_of_little_effort_is_found_where_free_configurations_are_joined(
     for problem in problems(kind, made, 0, resolution, 4):
         query = CompiledProblem(problem)
         kernel = query.setting
-        to_go = guide._guide(kernel, enlarged=False)
+        to_go = cost_over(kernel, enlarged=False)
         if not reached(to_go, kernel):
             try:  # poses between those that were tested may join them
                 plan(problem, effort=2_500, gap=10.0)

@@ -9,8 +9,6 @@ from by_day import by_day
 from energyplan.cost import EnergyCost
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.search.narrow.shrunken import shrinkage, shrunken
-from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
@@ -67,20 +65,3 @@ def test_what_is_too_narrow_is_not_driven_through(size):
     problem = wall(size, 0.02, 0.3, spare=-0.08)
     found = plan(problem, effort=5_000)
     assert to_the_left(0.3, found.path.vertices) > 4.0 * max(size)
-
-
-def test_a_slimmer_body_passes_wherever_the_whole_one_may():
-    setting = CompiledProblem(wall(SIZES["long"], 0.05, 0.3, 0.02)).setting
-    body, thin = setting.body, shrunken(setting, shrinkage(setting)).body
-    rng = np.random.default_rng(0)
-    turn, shift = np.pi / 64, np.sqrt(0.5) * 0.05
-    for _ in range(100):
-        yaw = rng.uniform(-turn, turn)
-        offset = shift * rng.uniform(0, 1) * np.array([np.cos(a := rng.uniform(0, 7)), np.sin(a)])
-        corner = np.array(
-            [rng.choice([thin.x_min, thin.x_max]), rng.choice([thin.y_min, thin.y_max])]
-        )
-        moved = (
-            np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]) @ corner + offset
-        )
-        assert body.x_min <= moved[0] <= body.x_max and body.y_min <= moved[1] <= body.y_max

@@ -11,7 +11,7 @@ import shapely
 from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, SurfaceMap, plan
 from energyplan.errors import MapError
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.cost_to_go import places_for
+from energyplan.planning.space.places import places_for
 from energyplan.terrain import Terrain
 from energyplan.terrain.updates import Window, tables_of
 

@@ -23,7 +23,6 @@ from energyplan.planning.bound.surfaces import certain_regions, least_excess
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, workers
 from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.space.configurations import grown
-from energyplan.planning.space.cost_to_go import inscribed
 from energyplan.planning.space.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
 
@@ -60,7 +59,7 @@ def lower_bound(
     """Return a lower bound on the cost of every path from start to goal."""
     setting = query.setting
     free = float(free_energy(setting, setting.start))
-    radius = inscribed(setting) - MARGIN * query.grid.resolution
+    radius = _inscribed(query)
     limit = SETTINGS.beyond * cost
     if free >= limit or radius <= 0:
         return Bound(free, True)
@@ -77,7 +76,7 @@ def lower_bound(
 def prepare_bound(query: CompiledProblem) -> None:
     """Make what the bound needs of a map and keeps with it: surfaces by cell, and outlines."""
     setting, grid = query.setting, query.grid
-    radius = inscribed(setting) - MARGIN * grid.resolution
+    radius = _inscribed(query)
     if radius <= 0:
         return
     surfaces = query.problem.surfaces
@@ -90,6 +89,13 @@ def prepare_bound(query: CompiledProblem) -> None:
     last = _finest(coarsest, ends, SETTINGS.detours[1] * apart)
     with ThreadPoolExecutor(workers()) as pool:
         list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
+
+
+def _inscribed(query: CompiledProblem) -> float:
+    """Radius of the largest disc in the footprint about the centre of the tread ICRs [m]."""
+    body = query.setting.body
+    within = min(-body.x_min, body.x_max, -body.y_min, body.y_max)
+    return max(within, 0.0) - MARGIN * query.grid.resolution
 
 
 def _without_obstacles(kernel: KernelProblem) -> float:

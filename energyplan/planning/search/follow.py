@@ -21,15 +21,7 @@ from energyplan.planning.search.narrow.grid import Followed, through_passage
 from energyplan.planning.settings import TRACKING
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS
-from energyplan.planning.space.cost_to_go import (
-    RIM,
-    CostToGo,
-    Places,
-    heading_of,
-    middle_of,
-    node_at,
-    to_and_fro,
-)
+from energyplan.planning.space.cost_to_go import CostToGo, node_at
 from energyplan.planning.space.motions import (
     KernelProblem,
     join,
@@ -38,8 +30,9 @@ from energyplan.planning.space.motions import (
     surface_at,
     turn_prices,
 )
+from energyplan.planning.space.places import RIM, Places, heading_of, middle_of, to_and_fro
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy
-from energyplan.terrain.collision import pose_free
+from energyplan.terrain.collision import pose_free, poses_free
 
 
 class Tracked(NamedTuple):
@@ -65,8 +58,11 @@ def follow_route(
         budget.spend(UNITS.join * found.tried)
         parts.append(Segments(ds[: found.motions], dtheta[: found.motions]))
         at += found.last
+        free = poses_free(setting.space, setting.body, poses[at + 1 :])
         for beyond in TRACKING.beyond if at < end else ():
+            # the next free pose from there on, the goal if none is
             ahead = min(at + beyond, end)
+            ahead += int(np.argmax(np.append(free[ahead - at - 1 : -1], True)))
             crossing = _across(setting, to_go, poses[at], poses[ahead], budget)
             if crossing is not None:
                 parts.append(crossing)

@@ -2,8 +2,7 @@
 
 `Refiner` works on one path: dynamic programming over its poses finds the shortcuts, then poses are
 moved, removed and inserted at random. The path is free of collisions and no dearer after each
-step, so it can stop at any time. A path with blocked motions is made free first, where that can be
-done by moving poses aside at random.
+step, so it can stop at any time.
 
 `Portfolio` divides the budget among several paths. How cheap a path becomes shows only when it is
 refined, and a path that starts cheaper often ends more expensive. So all of them are refined a
@@ -17,7 +16,6 @@ from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from energyplan.compilation import Flags, Floats, FloatTable, Words, inner, njit
 from energyplan.path import Path, Pose
@@ -26,7 +24,6 @@ from energyplan.planning.settings import REFINING
 from energyplan.planning.space.compiled import Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at, put_pose
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end, steer_energy
-from energyplan.terrain.collision import pose_free
 
 
 class Chain(NamedTuple):
@@ -323,119 +320,11 @@ def unfold(
     return n
 
 
-@njit
-def reopen(chain: Chain, setting: KernelProblem, count: int) -> int:
-    """Join the poses of a chain anew, at an infinite cost where no motion is free."""
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    blocked = 0
-    for k in range(count - 1):
-        blocked += not _rejoin(chain, setting, k, ds, dtheta)
-    return blocked
-
-
-@inner
-def _rejoin(chain: Chain, setting: KernelProblem, k: int, ds: Floats, dtheta: Floats) -> bool:
-    """Join pose `k` to the next one, and tell whether that is free."""
-    a = pose_at(chain.poses, k)
-    b = pose_at(chain.poses, k + 1)
-    cost, _ = join(setting, a, b, inf, ds, dtheta)
-    chain.cost[k] = cost
-    chain.kept[k] = False
-    return cost < inf
-
-
-@njit
-def unblock(
-    chain: Chain, setting: KernelProblem, count: int, trials: int, reach: float, state: Words
-) -> int:
-    """Move poses at random until all motions between them are free; return how many are not."""
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    blocked = np.empty(count, np.int64)
-    poses = chain.poses.copy()
-    cost = chain.cost.copy()
-    left = -1
-    for _ in range(trials):
-        if left < 0:
-            left = 0
-            for i in range(count - 1):
-                if chain.cost[i] == inf:
-                    blocked[left] = i
-                    left += 1
-        if left == 0:
-            break
-        k = int(blocked[int(random_number(state) * left)])
-        # one of its two poses, or both at once and maybe some of those before and after
-        what = int(random_number(state) * 3.0)
-        first = k if what != 1 else k + 1
-        last = k if what == 0 else k + 1
-        while what == 2 and first > 1 and random_number(state) < REFINING.further:
-            first -= 1
-        while what == 2 and last < count - 2 and random_number(state) < REFINING.further:
-            last += 1
-        first = max(first, 1)
-        last = min(last, count - 2)
-        if last < first:
-            continue
-        step = reach * 10.0 ** (-2.0 * random_number(state))
-        dx = step * (2.0 * random_number(state) - 1.0)
-        dy = step * (2.0 * random_number(state) - 1.0)
-        turn = step / setting.reach * (2.0 * random_number(state) - 1.0)
-        x = 0.5 * (poses[first, 0] + poses[last, 0])
-        y = 0.5 * (poses[first, 1] + poses[last, 1])
-        for i in range(first, last + 1):
-            chain.poses[i, 0] += dx - turn * (poses[i, 1] - y)
-            chain.poses[i, 1] += dy + turn * (poses[i, 0] - x)
-            chain.poses[i, 2] += turn
-        before = 0
-        for i in range(first - 1, last + 1):
-            before += cost[i] == inf
-        after = 0
-        for i in range(first, last + 1):
-            here = pose_at(chain.poses, i)
-            if not pose_free(setting.space, setting.body, here.x, here.y, here.yaw):
-                after = before
-        for i in range(first - 1, last + 1):
-            if after == before:
-                break
-            after += not _rejoin(chain, setting, i, ds, dtheta)
-        source_poses = chain.poses if after < before else poses
-        source_cost = chain.cost if after < before else cost
-        into_poses = poses if after < before else chain.poses
-        into_cost = cost if after < before else chain.cost
-        for i in range(first, last + 1):
-            for c in range(3):
-                into_poses[i, c] = source_poses[i, c]
-        for i in range(first - 1, last + 1):
-            into_cost[i] = source_cost[i]
-        if after < before:
-            left = -1
-    still = 0
-    for i in range(count - 1):
-        still += chain.cost[i] == inf
-    return still
-
-
-@njit
-def halve(chain: Chain, setting: KernelProblem, count: int, marked: Flags) -> int:
-    """Put one more pose onto the middle of each motion that is marked; return their number."""
-    ds = np.empty(MAX_SEGMENTS)
-    dtheta = np.empty(MAX_SEGMENTS)
-    for k in range(count - 2, -1, -1):
-        if marked[k] and count < len(chain.cost) - 1:
-            count = insert_pose(chain, setting, count, k, 0.5, ds, dtheta)
-    return count
-
-
 class Refiner:
     """A path that becomes cheaper."""
 
-    def __init__(
-        self, setting: KernelProblem, segments: Segments, seed: int = 1, poses: int = REFINING.poses
-    ) -> None:
+    def __init__(self, setting: KernelProblem, segments: Segments, seed: int = 1) -> None:
         self.setting = setting
-        self._poses = poses
         self._state = np.array([0x9E3779B97F4A7C15 ^ (seed * 0x2545F4914F6CDD1D % 2**63)], "u8")
         self._load(segments)
 
@@ -445,11 +334,10 @@ class Refiner:
         whole = merged(segments)
         path = Path(setting.start, whole.ds, whole.dtheta)
         extent = path.length + setting.half_track * path.turning
-        spare = max(self._poses - len(path), REFINING.spare)
+        spare = max(REFINING.poses - len(path), REFINING.spare)
         piece = max(extent / spare, REFINING.piece)
-        fine = path.subdivide(
-            max_ds=piece, max_dtheta=max(piece / setting.half_track, REFINING.pivot)
-        )
+        turn = max(piece / setting.half_track, REFINING.pivot)
+        fine = path.subdivide(max_ds=piece, max_dtheta=turn)
         count = len(fine) + 1
         room = count + 16
         self.chain = Chain(
@@ -494,26 +382,6 @@ class Refiner:
         left = shortcut(self.chain, self.setting, self.count, apart, stop)
         self.count = int(left.poses)
         budget.spend(UNITS.steer * left.steered + UNITS.join * left.tested)
-
-    def move_to(self, setting: KernelProblem, reach: float, budget: Budget) -> NDArray[np.bool_]:
-        """Make the path free for another body; leave it as it is where that fails."""
-        chain = self.chain
-        before = chain._replace(
-            poses=chain.poses.copy(), cost=chain.cost.copy(), kept=chain.kept.copy()
-        )
-        if reopen(self.chain, setting, self.count):
-            budget.spend(UNITS.join * REFINING.repairs)
-            unblock(self.chain, setting, self.count, REFINING.repairs, reach, self._state)
-        blocked = np.isinf(self.chain.cost[: self.count - 1])
-        if blocked.any():
-            self.chain = before
-        else:
-            self.setting = setting
-        return blocked
-
-    def halve(self, motions: NDArray[np.bool_]) -> None:
-        """Put one more pose onto each of some motions, as far as there is room for more."""
-        self.count = int(halve(self.chain, self.setting, self.count, motions))
 
     def again(self, budget: Budget) -> None:
         """Cut the path to pieces once more, and seek shortcuts between them."""

@@ -47,20 +47,15 @@ from energyplan.planning.search.narrow.infeasible import (
     none_found,
     none_in_time,
 )
-from energyplan.planning.search.narrow.shrunken import passage_work, path_through_passages
+from energyplan.planning.search.narrow.passages import passage_work, paths_through_passages
 from energyplan.planning.search.optimise import Portfolio, Refiner
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.search.stops import least_driven, stops_of
 from energyplan.planning.settings import LATTICE, REFINING
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
-from energyplan.planning.space.cost_to_go import (
-    CostToGo,
-    cost_to_go,
-    places_for,
-    reached,
-    regions_for,
-)
+from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached, regions_for
 from energyplan.planning.space.motions import KernelProblem
+from energyplan.planning.space.places import places_for
 from energyplan.terrain.collision import motion_free
 
 
@@ -129,7 +124,7 @@ class Paths:
         if self._enter_way() or direct:
             return
         routes = cheapest_routes(setting, self.to_go, self.budget.part(SHARES.stage), self._stuck)
-        if self._enter_all(routes) or self._enter_passages():
+        if self._enter_all(routes) or (tested and self._enter_passages()):
             return
         # between ends without room there may be a way where no pose beside them is free
         if proof is not None and (self.ends.moved or self.query.ends_have_margin):
@@ -187,11 +182,10 @@ class Paths:
         return self._enter(tracked.motions)
 
     def _enter_passages(self) -> bool:
-        """Enter a way through narrow passages, if one is found; tell whether there is."""
+        """Enter paths through narrow passages; tell whether there are any."""
         setting = self.ends.between(self.setting)
-        self.budget.beside(lambda: regions_for(setting, enlarged=True))
-        way = path_through_passages(setting, None, np.inf, self.budget.part(SHARES.aside))
-        self._through_passages = self._enter(way)
+        found = paths_through_passages(setting, None, self.budget.part(SHARES.aside))
+        self._through_passages = self._enter_all(found)
         return self._through_passages
 
     def _prove(self, setting: KernelProblem) -> Proof:
@@ -230,7 +224,7 @@ class Paths:
             return
         works = self.bounding.work(self.cost, self.kept)
         if not self._through_passages:
-            works += passage_work(setting, self.to_go, self.cost, searching, self._enter)
+            works += passage_work(setting, self.to_go, searching, self._enter_all)
         self._together(searching, works)
         self.portfolio.run(searching, self.enough)
 

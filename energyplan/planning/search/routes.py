@@ -22,24 +22,23 @@ from energyplan.planning.search.follow import Tracked, chain_from, follow_route
 from energyplan.planning.settings import ROUTES
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS
-from energyplan.planning.space.cost_to_go import (
-    RIM,
-    STEPS,
-    CostToGo,
-    Places,
-    halfway,
-    headings_aside,
-    middle_of,
-    node_at,
-    place_of,
-    to_and_fro,
-)
+from energyplan.planning.space.cost_to_go import CostToGo, node_at
 from energyplan.planning.space.motions import (
     KernelProblem,
     motion_cost,
     price,
     surface_at,
     turn_prices,
+)
+from energyplan.planning.space.places import (
+    RIM,
+    STEPS,
+    Places,
+    halfway,
+    headings_aside,
+    middle_of,
+    place_of,
+    to_and_fro,
 )
 from energyplan.planning.space.queues import (
     STEP_COLUMNS,

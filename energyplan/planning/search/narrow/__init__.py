@@ -1,1 +1,1 @@
-"""Narrow passages: searched on a grid, with a shrunken footprint, out of ends; or proven closed."""
+"""Narrow passages: found where no pose tested is free, searched on a grid, or proven closed."""

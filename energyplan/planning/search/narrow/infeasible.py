@@ -18,18 +18,16 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.space.compiled import MARGIN, CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS, grown, shrunk
-from energyplan.planning.space.cost_to_go import (
+from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached
+from energyplan.planning.space.motions import KernelProblem
+from energyplan.planning.space.places import (
     NEIGHBOURS,
     RIM,
-    CostToGo,
     Places,
-    cost_to_go,
     heading_of,
     place_of,
     places_for,
-    reached,
 )
-from energyplan.planning.space.motions import KernelProblem
 from energyplan.planning.space.queues import STEP_COLUMNS, STEP_ROWS
 from energyplan.terrain.collision import Body, Space, pose_free
 
@@ -401,8 +399,8 @@ def none_in_time(
     query: CompiledProblem, budget: Budget, done: str, near: list[tuple[float, float]]
 ) -> TimeLimitError:
     """Return the error that says that none was found before a budget was over."""
-    goal = query.problem.goal
-    left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in near)
+    start, goal = query.problem.start, query.problem.goal
+    left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in [start[:2], *near])
     return TimeLimitError(
         f"no path was found in {budget.name}: {done}; the place nearest to the goal that was "
         f"reached is ({x:.2f}, {y:.2f}), {left:.2f} m from it; give more {budget.remedy}"
