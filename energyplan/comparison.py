@@ -11,10 +11,11 @@ import numpy as np
 
 from energyplan import html
 from energyplan.kinds import checked
+from energyplan.path import Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
-from energyplan.planning.budget import Budget
-from energyplan.planning.contract import priced_plan
-from energyplan.planning.driven import STEADY, Spent, spending
+from energyplan.planning.bound import Bounding
+from energyplan.planning.budget import SHARES, Budget, do_together, plan_budget
+from energyplan.planning.plans import STEADY, Candidate, Spent, priced_plan, spending
 from energyplan.planning.space.compiled import compiled
 
 
@@ -102,12 +103,12 @@ def compare(
     effort: int | None = None,
     **options: Any,
 ) -> Comparison:
-    """Plan the route of least energy and the shortest one.
+    """Plan the route of least energy, with the shortest one beside it.
 
-    Both are those of `energyplan.plan`. A plan of least energy by the lattice planner never takes
-    more than the shortest one of the same effort; where one that the clock stopped or one by
-    another planner does, the shortest one stands for it. The energies of driving both are
-    compared, with their stops; where the motors cannot drive one of them, those at steady speeds.
+    The lattice planner finds both in one plan, so that the least energy never exceeds the shortest
+    route's. Another planner is compared with the lattice planner's shortest route, which stands for
+    its own where that takes more. The energies of driving both are compared, with their stops;
+    where the motors cannot drive one of them, those at steady speeds.
 
     Parameters
     ----------
@@ -117,9 +118,10 @@ def compare(
         Name of the planner of the route of least energy. The shortest route is always planned by
         the lattice planner.
     time_limit : float
-        Time after which the planning of each of the two stops [s].
+        Time after which planning stops [s].
     effort : int, optional
-        Units of work for each of the two; see `energyplan.plan`.
+        Units of work, as of `energyplan.plan`. The lower bound of the shortest route's length, or
+        that route where the plan does not know it, gets as many once more at most.
     **options : object
         Further options of the planner.
 
@@ -146,14 +148,18 @@ def compare(
     >>> bool(told.energy_optimal.energy < told.shortest.energy), round(told.saving, 2)
     (True, 0.07)
     """
-    shortest = plan(replace(problem, objective="length"), "lattice", time_limit, effort=effort)
-    cheapest = replace(problem, objective="energy")
-    best = plan(cheapest, planner, time_limit, effort=effort, **options)
+    best = plan(replace(problem, objective="energy"), planner, time_limit, effort=effort, **options)
+    if best.shortest is not None and best.problem is not None:
+        budget = plan_budget(time_limit, effort)
+        shortest = _shortest(best, best.shortest, best.problem.shortest, budget)
+    else:
+        shortest = plan(problem.shortest, "lattice", time_limit, effort=effort)
     least, most = spending(best, shortest)
-    if least.energy > most.energy:
+    if least.energy > most.energy and best.problem is not None:
+        query = compiled(best.problem.without_clearance)
         priced = priced_plan(
-            compiled(cheapest), shortest.path, best.lower_bound, best.planner, Budget(),
-            notes=best.notes,
+            query, Candidate(shortest.path), best.lower_bound, best.planner, Budget(),
+            problem=best.problem, notes=best.notes,
         )  # fmt: skip
         kept = ("planning_time", "first_time", "effort", "effort_limit")
         best = replace(priced, **{name: getattr(best, name) for name in kept})
@@ -169,3 +175,13 @@ def compare(
         },
         driven=least.driven,
     )
+
+
+def _shortest(best: Plan, path: Path, problem: PlanningProblem, budget: Budget) -> Plan:
+    """Return the plan of the shortest route that another plan knows, with a lower bound."""
+    query = compiled(problem)
+    potential, bounding = query.potential(problem.goal), Bounding(query)
+    work = bounding.work(query.value(path) - potential, SHARES.aside * budget.left)
+    do_together(budget, work)
+    bound = potential + bounding.value
+    return priced_plan(query, Candidate(path), bound, best.planner, budget, notes=best.notes)

@@ -501,9 +501,8 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
         asked = replace(problem, start=ends[0], goal=ends[1])
         try:
             asked.check_poses()
-            query = compiled(asked)
-            known = query.drivable([_motion(ends[0], length, 0.0, longitudinal)])
-            bound = query.least_in_free_space
+            known = [_motion(ends[0], length, 0.0, longitudinal)]
+            bound = compiled(asked).least_in_free_space
             path = lattice.plan(asked, Budget(effort=effort), initial=known, bound=bound).path
         except (
             NoPathError, TimeLimitError, StartInCollisionError, GoalInCollisionError,

@@ -17,7 +17,7 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.kinds import check_fields, numbers
-from energyplan.path import FloatArray, Path, Pose, as_pose
+from energyplan.path import FloatArray, Path, Pose, as_pose, wrap_angle
 from energyplan.terrain import (
     CostMap,
     HeightMap,
@@ -38,6 +38,9 @@ TURNING = ("any", "forward")
 
 ROUNDING = 1e-6
 """Part of a radius by which an arc may be tighter: rounding."""
+
+ARRIVED = 1e-6
+"""How far from start and goal a path may begin and end [m], [rad]: rounding."""
 
 AHEAD = 1e-9
 """Length of driving backwards that is rounding [m]."""
@@ -255,6 +258,43 @@ class PlanningProblem:
         whole = grid.first_collision(path, self._with(share * self.clearance_at_ends))
         return whole if not len(clear) or grid.path_free(middle, self.robot) else segment
 
+    def allows(self, path: Path) -> bool:
+        """Tell whether a part of a path keeps the clearance, but for what its ends lack."""
+        part = replace(self, start=path.start, goal=path.end)
+        return len(path) == 0 or part.first_collision(path) is None
+
+    def fault(self, path: object, share: float = 0.0) -> str | None:
+        """Return what is wrong with a path as an answer to the problem, or None.
+
+        For `share` see `first_collision`.
+        """
+        if not isinstance(path, Path):
+            return f"a {type(path).__name__} in place of a Path"
+        reference = self.cost.icr.longitudinal
+        if path.longitudinal != reference:
+            return (
+                f"a path of the reference point at x = {path.longitudinal:g} m; that of the "
+                f"vehicle lies at {reference:g} m"
+            )
+        elsewhere = missed("starts", path.start, self.start) or missed("ends", path.end, self.goal)
+        if elsewhere:
+            return f"a path that {elsewhere}"
+        if (segment := self.tightest(path)) is not None:
+            return (
+                f"a path whose segment {segment} turns on an arc of less than "
+                f"{self.least_radius:.3g} m"
+            )
+        if (segment := self.reversing(path)) is not None:
+            return f"a path whose segment {segment} drives backwards, which the vehicle may not"
+        if (segment := self.first_collision(path, share)) is None:
+            return None
+        at = path.vertices[min(segment, len(path.vertices) - 1)]
+        return (
+            f"a path that is not free of collisions: its segment {segment}, from ({at[0]:.3f}, "
+            f"{at[1]:.3f}, {np.degrees(at[2]):.1f} deg), touches an obstacle or leaves the map, "
+            f"which covers {self.terrain.obstacles.describe_extent()}"
+        )
+
     @property
     def softened(self) -> bool:
         """Whether a costmap counts."""
@@ -301,6 +341,19 @@ class PlanningProblem:
                 where = _nearest_free(grid, self.robot, pose)
                 within = f", grown by the clearance of {self.clearance:g} m," * (self.clearance > 0)
                 raise error(f"the footprint{within} at the {place} touches an obstacle; {where}")
+
+
+def missed(verb: str, found: Pose, wanted: Pose) -> str | None:
+    """Say that a path starts or ends elsewhere than it should; None where it does not."""
+    off = np.array(
+        [found.x - wanted.x, found.y - wanted.y, float(wrap_angle(found.yaw - wanted.yaw))]
+    )
+    if np.abs(off).max() <= ARRIVED:
+        return None
+    here, there = (
+        f"({one.x:.3f}, {one.y:.3f}, {np.degrees(one.yaw):.1f} deg)" for one in (found, wanted)
+    )
+    return f"{verb} at {here} in place of {there}"
 
 
 def _nearest_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:

@@ -18,18 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan import steering
-from energyplan.errors import (
-    EnergyPlanError,
-    InvalidInputError,
-)
+from energyplan.errors import EnergyPlanError, InvalidInputError, InvalidPathError
 from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget, plan_budget
-from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
-from energyplan.planning.driven import Plan
-from energyplan.planning.problem import KEPT, PlanningProblem
+from energyplan.planning.ends import between_clear_ends, checked_ends
+from energyplan.planning.plans import Candidate, Plan, priced_plan
+from energyplan.planning.problem import KEPT, PlanningProblem, missed
 from energyplan.planning.search import planner as lattice
-from energyplan.planning.search.narrow.ends import between_clear_ends, checked_ends
 from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.settings import REJOINING
 from energyplan.planning.space.compiled import Segments, compiled, merged
@@ -40,14 +36,12 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     """Return what is left of a path for a robot on it or beside it."""
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)
-    asked = replace(problem, start=here, goal=path.end)
-    query = compiled(asked if asked.ends_clear else asked.without_clearance)
+    from_here = replace(problem, start=here, goal=path.end)
     joined = [_joined(here, fine, k, problem) for k in _places_ahead(fine, here, problem)]
-    known = query.drivable([rest for rest in joined if rest is not None])
-    for share in KEPT:
-        free = [rest for rest in known if asked.first_collision(rest, share) is None]
+    for share in KEPT if not from_here.ends_clear else (1.0,):
+        free = [rest for rest in joined if rest and from_here.fault(rest, share) is None]
         if free:
-            return min(free, key=query.value)
+            return min(free, key=compiled(from_here.without_clearance).value)
     return None
 
 
@@ -90,13 +84,14 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
     fine = _places(former.path, problem)
     k = _places_ahead(fine, here, problem)[0]
     at = Pose(*(float(v) for v in fine.vertices[k]))
-    driven = Path(fine.start, fine.ds[:k], fine.dtheta[:k], fine.longitudinal)
+    part = Path(fine.start, fine.ds[:k], fine.dtheta[:k], fine.longitudinal)
     try:
-        came = driven + steering.path(at, here, problem.cost, reverse=problem.robot.reverse)
+        came = part + steering.path(at, here, problem.cost, reverse=problem.robot.reverse)
     except EnergyPlanError:
         return -np.inf
-    query = compiled(replace(problem, goal=here).without_clearance)
-    return former.lower_bound - query.value(came) if query.drivable([came]) else -np.inf
+    driven = replace(problem, goal=here).without_clearance
+    free = driven.fault(came) is None
+    return former.lower_bound - compiled(driven).value(came) if free else -np.inf
 
 
 @checked()
@@ -157,47 +152,40 @@ def replan(
     True
     """
     before = former if isinstance(former, Path) else former.path
-    _check_answers(before, problem)
+    if elsewhere := missed("ends", before.end, problem.goal):
+        raise InvalidInputError(
+            f"the former plan is a path that {elsewhere}; give the problem that it answers, or "
+            "plan again"
+        )
     # the plan begins beside a start that touched an obstacle
     problem = replace(problem, start=before.start)
     plan_budget(time_limit, effort)  # says at once what is wrong with them
-    here = as_pose(start, "start")
-    now = replace(problem, start=here, map=problem.map if map is None else map)
-    now, bare, notes = checked_ends(now)
-    here = now.start
-    compile_planning(bare, tight=True)
+    now = replace(problem, start=as_pose(start, "start"), map=problem.map if map is None else map)
+    ends = checked_ends(now)
+    now = ends.problem
+    compile_planning(ends.bare, tight=True)
     budget = plan_budget(time_limit, effort)
-    query = compiled(bare)
+    query = compiled(ends.bare)
     bound = query.least_in_free_space
-    path, planner, first = remainder(before, here, now), "lattice", None
+    rest, planner = remainder(before, now.start, now), "lattice"
     added = _only_added(problem, now)
     if added and isinstance(former, Plan):
-        planner, bound = former.planner, max(bound, _bound_left(former, problem, here))
-    if path is None or not added:
-        known = [] if path is None else [path]
+        planner, bound = former.planner, max(bound, _bound_left(former, problem, now.start))
+    if rest is not None and added:
+        found = Candidate(rest)
+    else:
+        known = [] if rest is None else [rest]
 
-        def solve(asked: PlanningProblem, own: Budget) -> Candidate:
-            """Return a path without a lower bound among the obstacles."""
-            least = compiled(asked).least_in_free_space
-            return lattice.plan(asked, own, initial=known, bound=least)
+        def solve(inner: PlanningProblem, own: Budget) -> Candidate:
+            least = compiled(inner).least_in_free_space  # without a bound among obstacles
+            return lattice.plan(inner, own, initial=known, bound=least)
 
-        found = between_clear_ends(now, budget, solve)
+        found = between_clear_ends(now, budget).solved(now, budget, solve)
         path = min([found.path, *known], key=query.value)
-        planner, first = "lattice", found.first_time
-        check_path(now, path, planner)
-    return priced_plan(
-        query, path, bound, planner, budget, first_time=first, asked=now, notes=notes
-    )  # fmt: skip
-
-
-def _check_answers(former: Path, problem: PlanningProblem) -> None:
-    end, goal = former.end, problem.goal
-    off = np.array([end.x - goal.x, end.y - goal.y, float(wrap_angle(end.yaw - goal.yaw))])
-    if not np.abs(off).max() <= ARRIVED:
-        raise InvalidInputError(
-            f"the former plan leads to ({end.x:.2f}, {end.y:.2f}), the problem to ({goal.x:.2f}, "
-            f"{goal.y:.2f}); give the problem that it answers, or plan again"
-        )
+        found, planner = replace(found, path=path), "lattice"
+        if fault := now.fault(path):
+            raise InvalidPathError(f"the planner returned {fault}; please report this map")
+    return priced_plan(query, found, bound, planner, budget, problem=now, notes=ends.notes)
 
 
 def _only_added(before: PlanningProblem, now: PlanningProblem) -> bool:

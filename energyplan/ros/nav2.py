@@ -32,8 +32,8 @@ from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.planning.budget import EFFORT
+from energyplan.planning.ends import checked_ends
 from energyplan.planning.replanning import replan
-from energyplan.planning.search.narrow.ends import checked_ends
 from energyplan.planning.search.planner import compile_planning
 from energyplan.power import PowerModel
 from energyplan.ros.messages import (

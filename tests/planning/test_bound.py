@@ -30,7 +30,7 @@ from energyplan.planning.bound.line import (
 )
 from energyplan.planning.bound.outline import DETAILS, no_links, outline_for, sight
 from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
-from energyplan.planning.contract import ROUNDING
+from energyplan.planning.plans import ROUNDING
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import term

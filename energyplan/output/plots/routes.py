@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from energyplan.mission.report import clock
 from energyplan.output.plots import style
 from energyplan.path import Path
-from energyplan.planning.driven import spending
+from energyplan.planning.plans import spending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

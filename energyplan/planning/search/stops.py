@@ -27,11 +27,17 @@ from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
 
 
 class Stops(NamedTuple):
-    """What stops take of a path that is driven."""
+    """A path, and what its stops take when it is driven."""
 
-    energy: float  # energy of the drive [J]
-    extra: float  # what that is above driving steadily [J]
-    each: float  # that for each stop [J]
+    path: Path
+    driven: DrivenPath | None = None  # None where the motors cannot drive it
+    extra: float = 0.0  # energy above driving steadily [J]
+    each: float = 0.0  # that for each stop [J]
+
+    @property
+    def energy(self) -> float:
+        """Energy of the drive [J]; infinite where there is none."""
+        return np.inf if self.driven is None else self.driven.energy
 
     @property
     def share(self) -> float:
@@ -44,10 +50,10 @@ def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops:
     """Return what stops take of a path."""
     drive = _driven(query, path, budget)
     if drive is None:
-        return Stops(np.inf, 0.0, 0.0)
+        return Stops(path)
     still = (drive.trajectory.v == 0.0) & (drive.trajectory.omega == 0.0)
     extra = drive.energy - query.problem.terrain.price(path, query.problem.cost).energy
-    return Stops(drive.energy, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
+    return Stops(path, drive, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
 
 
 def _driven(query: CompiledProblem, path: Path, budget: Budget) -> DrivenPath | None:
@@ -60,34 +66,33 @@ def _driven(query: CompiledProblem, path: Path, budget: Budget) -> DrivenPath | 
 
 def least_driven(
     query: CompiledProblem,
-    path: Path,
     stops: Stops,
     others: Iterable[Segments],
     to_go: CostToGo,
     budget: Budget,
     rivals: Sequence[Path] = (),
-) -> Path:
+) -> Stops:
     """Return the path that takes least energy when it is driven; no rival takes less."""
-    best, least, extra = path, stops.energy, stops.extra
+    best, path = stops, stops.path
     known = {_key(path)}
 
     def weigh(candidate: Path) -> None:
         """Drive a path, and keep it where that takes less."""
-        nonlocal best, least
+        nonlocal best
         if _key(candidate) in known:
             return
         known.add(_key(candidate))
         found = _driven(query, candidate, budget)
-        if found is not None and found.energy < least:
-            best, least = candidate, found.energy
+        if found is not None and found.energy < best.energy:
+            best = Stops(candidate, found)
 
     for rival in rivals:
         weigh(rival)
     if stops.share == 0.0:
         return best
     looked = [query.of_centre(path.ds, path.dtheta), *others]
-    if extra > STOPS.most * abs(least) and path.turning > 0:
-        expensive = _with_expensive_turns(query.setting, extra / path.turning)
+    if stops.extra > STOPS.most * abs(best.energy) and path.turning > 0:
+        expensive = _with_expensive_turns(query.setting, stops.extra / path.turning)
         looked[1:1] = _searched(expensive, to_go, budget)
     for motions in looked:
         for factor in STOPS.prices:

@@ -6,7 +6,6 @@ that counts, of the path's reference point; `CompiledProblem` translates.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -35,6 +34,9 @@ MARGIN = 0.04
 Optimal paths touch obstacles. The margin keeps them free under another rounding, or cut into other
 pieces, and exceeds what the collision kernels' tolerance can make of that.
 """
+
+MARGINS = (MARGIN, 0.1 * MARGIN, 0.01 * MARGIN)
+"""Margins that are tried where start or goal is nearer to an obstacle [cells]."""
 
 LEVELS = 32
 """Levels that the costs of a costmap are rounded to while searching, at most."""
@@ -212,17 +214,22 @@ class CompiledProblem:
     @property
     def grown(self) -> Body:
         """That footprint with the margin of planning."""
-        more = max(self.wanted - self.problem.clearance, 0.0)
-        return grown(self.body, MARGIN * self.grid.resolution + more)
+        return self._grown(MARGIN)
 
-    def roomy(self, pose: Pose) -> bool:
-        """Tell whether a pose is free with the margin of planning."""
-        return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
+    def _grown(self, margin: float) -> Body:
+        more = max(self.wanted - self.problem.clearance, 0.0)
+        return grown(self.body, margin * self.grid.resolution + more)
+
+    def roomy(self, pose: Pose, margin: float = MARGIN) -> bool:
+        """Tell whether a pose is free with the margin of planning, or another one [cells]."""
+        return bool(pose_free(self.grid.space, self._grown(margin), *self.centre(pose)))
 
     @cached_property
-    def ends_have_margin(self) -> bool:
-        """Whether start and goal are free with the margin of planning."""
-        return all(self.roomy(pose) for pose in (self.problem.start, self.problem.goal))
+    def margin(self) -> float:
+        """Margin with which start and goal are free, so that paths can be [cells]; zero if none."""
+        ends = self.problem.start, self.problem.goal
+        free = (m for m in MARGINS if all(self.roomy(pose, m) for pose in ends))
+        return next(free, 0.0)
 
     @cached_property
     def _levels(self) -> int:
@@ -264,7 +271,7 @@ class CompiledProblem:
     def setting(self) -> KernelProblem:
         """The problem as the kernels see it."""
         problem = self.problem
-        body = self.grown if self.ends_have_margin else self.body
+        body = self._grown(self.margin) if self.margin else self.body
         static = self.steering
         return KernelProblem(
             space=self.grid.space,
@@ -330,20 +337,6 @@ class CompiledProblem:
         raise PlanningError(
             f"the planned path is not free near {where.round(3).tolist()}; please report this map"
         )
-
-    def drivable(self, paths: Iterable[Path]) -> list[Path]:
-        """Return those of some paths that can be driven from start to goal."""
-        problem = self.problem
-        wanted = np.array([problem.start, problem.goal])
-        kept = []
-        for path in paths:
-            miss = np.array([path.start, path.end]) - wanted
-            miss[:, 2] = np.remainder(miss[:, 2] + np.pi, 2 * np.pi) - np.pi
-            fits = np.abs(miss).max() <= 1e-6 and path.longitudinal == problem.cost.icr.longitudinal
-            fits = fits and problem.tightest(path) is None and problem.reversing(path) is None
-            if fits and self.grid.path_free(path, problem.robot):
-                kept.append(path)
-        return kept
 
     # -- result ---------------------------------------------------------------------------------
 

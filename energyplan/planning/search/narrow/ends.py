@@ -6,17 +6,10 @@ searches begin and end where it does. It is a way as any other: refinement makes
 
 Best paths touch obstacles, and one that was planned without a margin may be free or not by
 rounding. If it is not, planning is done anew between the two poses that have room.
-
-Nav2 replans from where the robot is, and localisation is a few millimetres off. A start or a goal
-whose footprint is free is never refused for the clearance: it is left, or reached, with what
-clearance there is, by the shortest ways found to where the whole clearance is kept, and everything
-between is planned with all of it. A start that the footprint touches is moved to the nearest free
-pose, no farther than `energyplan.planning.problem.MOVED`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import floor, log2, pi
@@ -25,11 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
-from energyplan.errors import NoPathError, PlanningError
+from energyplan.errors import PlanningError
 from energyplan.path import Path, Pose
-from energyplan.planning.budget import SHARES, UNITS, Budget, side_by_side
-from energyplan.planning.contract import Candidate
-from energyplan.planning.problem import KEPT, PlanningProblem, free_beside
+from energyplan.planning.budget import UNITS, Budget, side_by_side
+from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.motions import (
@@ -249,17 +241,22 @@ class Ends:
         return len(self.out.ds) + len(self.back.ds) > 0
 
     @cached_property
-    def problem(self) -> PlanningProblem:
-        """The problem between the two poses."""
+    def paths(self) -> tuple[Path, Path]:
+        """The path out of the start, and the one into the goal."""
         problem = self.query.problem
         out, back = (self.query.reference(*part) for part in (self.out, self.back))
         longitudinal = problem.cost.icr.longitudinal
         away = Path(problem.goal, -back.ds[::-1], -back.dtheta[::-1], longitudinal)
-        return replace(
-            problem,
-            start=Path(problem.start, out.ds, out.dtheta, longitudinal).end,
-            goal=away.end,
+        return (
+            Path(problem.start, out.ds, out.dtheta, longitudinal),
+            Path(away.end, back.ds, back.dtheta, longitudinal),
         )
+
+    @cached_property
+    def problem(self) -> PlanningProblem:
+        """The problem between the two poses."""
+        out, back = self.paths
+        return replace(self.query.problem, start=out.end, goal=back.start)
 
     def between(self, setting: KernelProblem) -> KernelProblem:
         """Return the kernels' problem between the two poses, with the margin where it fits."""
@@ -276,10 +273,10 @@ class Ends:
 
     def around(self, inner: Path) -> Path:
         """Return the path from the problem's start to its goal by way of one in between."""
-        out, back = (self.query.reference(*part) for part in (self.out, self.back))
+        out, back = self.paths
         return replace(
             inner,
-            start=self.query.problem.start,
+            start=out.start,
             ds=np.concatenate([out.ds, inner.ds, back.ds]),
             dtheta=np.concatenate([out.dtheta, inner.dtheta, back.dtheta]),
         )
@@ -360,60 +357,3 @@ def ways_out(query: CompiledProblem, budget: Budget, turn: float = SETTINGS.turn
     outs, backs = (found.get(goal) or [NOTHING] for goal in (False, True))
     several = max(len(outs), len(backs))
     return [Ends(query, outs[k % len(outs)], backs[k % len(backs)]) for k in range(several)]
-
-
-class CheckedEnds(NamedTuple):
-    """A problem whose start was moved if it had to be, and what there is to say of its ends."""
-
-    problem: PlanningProblem
-    bare: PlanningProblem  # the same, without the clearance if an end lacks it
-    notes: tuple[str, ...]
-
-
-def checked_ends(problem: PlanningProblem) -> CheckedEnds:
-    """Move a start that just touches an obstacle; check that both footprints are free."""
-    moved = free_beside(problem.terrain.obstacles, problem.without_clearance.robot, problem.start)
-    notes = [] if moved is None else [moved.note]
-    if moved is not None:
-        problem = replace(problem, start=moved.pose)
-    if problem.ends_clear:
-        return CheckedEnds(problem, problem, tuple(notes))
-    bare = problem.without_clearance
-    bare.check_poses()
-    if problem.clearance:
-        notes.append(
-            f"start or goal has {problem.clearance_at_ends:.3f} m of the clearance of "
-            f"{problem.clearance:g} m: it is left or reached with that, and the clearance is kept "
-            "elsewhere"
-        )
-    return CheckedEnds(problem, bare, tuple(notes))
-
-
-def between_clear_ends(
-    problem: PlanningProblem,
-    budget: Budget,
-    solve: Callable[[PlanningProblem, Budget], Candidate],
-) -> Candidate:
-    """Plan between poses that have the clearance, and join start and goal that lack it to them."""
-    if problem.ends_clear:
-        return solve(problem, budget)
-    error = NoPathError(
-        f"no way was found from start and goal to where the clearance of {problem.clearance:g} m "
-        "is kept; lower the clearance"
-    )
-    for share in KEPT:
-        kept = replace(problem, clearance=share * problem.clearance_at_ends)
-        query = CompiledProblem(kept, wanted=problem.clearance)
-        for ends in ways_out(query, budget.part(SHARES.aside), turn=0.0):
-            inner = replace(ends.problem, clearance=problem.clearance)
-            if not inner.ends_clear:
-                continue
-            try:
-                found = solve(inner, budget.part(1.0 - SHARES.aside))
-            except NoPathError as reason:  # another way out may lead to elsewhere
-                error = NoPathError(str(reason), resolution=reason.resolution)
-                continue
-            for path in (ends.refined(found.path, budget), ends.around(found.path)):
-                if problem.first_collision(path) is None:
-                    return replace(found, path=path, lower_bound=None)
-    raise error

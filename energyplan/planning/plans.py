@@ -1,0 +1,626 @@
+"""From a problem to a plan: what planners are, what they return, and what becomes of it.
+
+A planner is a function ``(problem, budget, **options) -> Candidate``, declared as a `Planner` with
+what it can do. Those of the library are in `PLANNERS`; other packages add theirs through the
+entry-point group ``energyplan.planning``, whose objects are such declarations. `plan` alone checks
+the path that a planner returns, prices it with the power models, and makes the `Plan`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from importlib import import_module
+from importlib.metadata import entry_points
+from inspect import signature
+from math import inf
+from pathlib import Path as File
+from traceback import extract_tb
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from energyplan import html
+from energyplan.errors import (
+    CancelledError,
+    EnergyPlanError,
+    InfeasibleMotionError,
+    InvalidInputError,
+    InvalidPathError,
+    LowerBoundError,
+    MissingDependencyError,
+    PlannerError,
+    PlanningError,
+    UnknownNameError,
+    UnsupportedPlannerError,
+)
+from energyplan.kinds import check_fields, checked
+from energyplan.path import FloatArray, Path
+from energyplan.planning.budget import SHARES, Budget, plan_budget
+from energyplan.planning.driven import DrivenPath, drive_plan
+from energyplan.planning.problem import OBJECTIVES, PlanningProblem
+from energyplan.planning.space.compiled import CompiledProblem, compiled
+
+ROUNDING = 1e-9
+"""By what fraction a lower bound may lie above the cost of a path: rounding."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What a planner returns: a path, with a lower bound if it has one.
+
+    Parameters
+    ----------
+    path : Path
+        The path, from the problem's start to its goal.
+    lower_bound : float, optional
+        What no path costs less than, in the unit of the objective; the library computes one where
+        it is left out.
+    first_time : float, optional
+        `Budget.elapsed` when a first path was known [s]; the end where left out.
+    shortest : Path, optional
+        The shortest path found on the way; for the least energy it costs no less than `path`.
+    driven : DrivenPath, optional
+        What driving the path takes, from the planners of the library; it is computed for others.
+    """
+
+    path: Path
+    lower_bound: float | None = None
+    first_time: float | None = None
+    shortest: Path | None = None
+    driven: DrivenPath | None = None
+
+
+@dataclass(frozen=True)
+class Planner:
+    """A planner, and what it can do.
+
+    Parameters
+    ----------
+    run : callable or str
+        A function ``(problem, budget, **options) -> Candidate``; as ``"module:function"`` it is
+        imported when it is used.
+    surfaces : bool
+        Whether it can be used where there are surfaces with power models of their own.
+    heights : bool
+        Whether it can be used where the ground slopes.
+    objectives : tuple of str
+        What it can make least, alone or weighed: of ``"energy"``, ``"length"``, ``"time"``.
+    effort : bool
+        Whether it spends the budget by what it does, so that it can be limited by effort. One that
+        cannot reads the clock.
+    costmap : bool
+        Whether it can be used where a costmap counts beside the objective.
+    turning : bool
+        Whether it keeps a least radius of arcs.
+    forwards : bool
+        Whether it can be used where the vehicle may not drive backwards.
+    bound : bool
+        Whether it returns a lower bound. For one that does not, a tenth of the budget is kept for
+        computing one.
+
+    Raises
+    ------
+    InvalidInputError
+        If the objectives are none of these.
+    """
+
+    run: Callable[..., Candidate] | str
+    surfaces: bool = False
+    heights: bool = False
+    objectives: tuple[str, ...] = ("energy",)
+    effort: bool = False
+    bound: bool = False
+    costmap: bool = False
+    turning: bool = False
+    forwards: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self, InvalidInputError)
+        if isinstance(self.run, str) and ":" not in self.run:
+            raise InvalidInputError(
+                f"run is {self.run!r}; give a function, or 'module:function'. A planner of the "
+                "library is asked for by its name alone, without Planner"
+            )
+        object.__setattr__(self, "objectives", tuple(self.objectives))
+        if not self.objectives or not set(self.objectives) <= set(OBJECTIVES):
+            raise InvalidInputError(
+                f"objectives are {self.objectives!r}; give one or more of {', '.join(OBJECTIVES)}"
+            )
+
+    @property
+    def name(self) -> str:
+        """Name of the function that plans."""
+        return getattr(self.function, "__name__", type(self.function).__name__)
+
+    @property
+    def function(self) -> Callable[..., Candidate]:
+        """The function that plans."""
+        if not isinstance(self.run, str):
+            return self.run
+        module, _, name = self.run.partition(":")
+        try:
+            found: Callable[..., Candidate] = getattr(import_module(module), name)
+        except ModuleNotFoundError as error:
+            if error.name is None or error.name.startswith("energyplan"):
+                raise
+            raise MissingDependencyError(
+                f"the planner {name!r} needs the package {error.name}; install it with pip install "
+                f"{error.name.partition('.')[0]}, or use 'lattice'"
+            ) from None
+        return found
+
+    def lacks(self, problem: PlanningProblem, counted: bool) -> list[str]:
+        """Return what a problem asks for and this planner cannot do, in words.
+
+        Parameters
+        ----------
+        problem : PlanningProblem
+            The problem.
+        counted : bool
+            Whether the budget is one of effort.
+        """
+        wanted = [name for name, weight in problem.weights.items() if weight > 0]
+        missing = {
+            "surfaces": problem.terrain.ground.surfaces and not self.surfaces,
+            "heights": problem.heights is not None and not self.heights,
+            "a costmap": problem.softened and not self.costmap,
+            "a least turning radius": problem.least_radius > 0 and not self.turning,
+            "a vehicle that does not reverse": not (problem.robot.reverse or self.forwards),
+            **{f"the objective {name}": name not in self.objectives for name in wanted},
+            "effort instead of a time limit": counted and not self.effort,
+        }
+        return [name for name, lacking in missing.items() if lacking]
+
+
+STEADY = "energy at steady speeds [J]"
+
+
+class Spent(NamedTuple):
+    """What a plan takes, as driven or at steady speeds."""
+
+    energy: float  # [J]
+    by_term: Mapping[str, float]  # the same by term of the power models [J]
+    duration: float  # [s]
+    driven: bool  # whether with its stops
+
+    @property
+    def label(self) -> str:
+        """What the energy is, with its unit."""
+        return "energy as driven, with its stops [J]" if self.driven else STEADY
+
+
+def spending(*plans: Plan) -> list[Spent]:
+    """Return what plans take: as driven where all of them can be, else at steady speeds."""
+    if any(plan.why_not_driven for plan in plans):
+        return [Spent(one.energy, one.breakdown, one.duration, driven=False) for one in plans]
+    drives = [plan.driven for plan in plans]
+    return [Spent(one.energy, one.breakdown, one.duration, driven=True) for one in drives]
+
+
+@dataclass(frozen=True)
+class Plan(html.Readable):
+    """A path with its cost, and how far from optimal it can be at most.
+
+    Attributes
+    ----------
+    path : Path
+        The path; free of collisions from the start to the goal.
+    energy : float
+        Its energy, priced by the model itself after planning [J]. Downhill it can be negative.
+    lower_bound : float
+        What no path can cost less than, in the unit of the objective (for energy [J]).
+    gap : float
+        Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
+        On slopes, both less the `potential`. As computed: rounding may leave it a hair below zero;
+        infinite where the bound is zero and the cost is not.
+    cost : float
+        The objective's value: `energy` itself where energy is the objective, and what a costmap
+        adds.
+    length, turning : float
+        Distance travelled [m] and total turning [rad].
+    duration : float
+        Time at the speed the cost assumes, without starts and stops [s]; `driven` knows them.
+    planning_time : float
+        Time that planning took [s].
+    first_time : float
+        Time until the first plan was known [s].
+    planner : str
+        Name of the planner.
+    breakdown : mapping of str to float
+        Energy by term of the power model [J].
+    potential : float
+        What the difference in height between start and goal makes of the cost and its lower
+        bound, whichever way is taken; zero on level ground.
+    effort : int
+        Units of work that were spent.
+    effort_limit : int, optional
+        Units of work that could be spent; None of a planner that does not count them.
+    stopped : bool
+        Whether the clock stopped the planning before: then the plan depends on the load.
+    soft_cost : float
+        What the costmap adds to the cost, in the unit of the objective; no part of the energy.
+    notes : tuple of str
+        What was done about a start that touches an obstacle, or an end that lacks the clearance;
+        and that the clock stopped the planning, if it did.
+    problem : PlanningProblem, optional
+        What it answers, which `driven` needs; a plan read from a pickle has been driven instead.
+    shortest : Path, optional
+        The shortest path that the planner found on the way, where it is known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import energyplan as ep
+    >>> hall = ep.OccupancyGrid(np.zeros((40, 60), bool), resolution=0.1)
+    >>> model = ep.PowerModel.preset("quadriga:empty:marble")
+    >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
+    >>> plan = ep.plan(problem, effort=1000)
+    >>> round(plan.energy), plan.lower_bound <= plan.energy, round(plan.length, 2)
+    (540, True, 3.0)
+    """
+
+    path: Path
+    energy: float
+    lower_bound: float
+    gap: float
+    cost: float
+    length: float
+    turning: float
+    duration: float
+    planning_time: float
+    first_time: float
+    planner: str
+    breakdown: Mapping[str, float] = field(default_factory=dict)
+    potential: float = 0.0
+    effort: int = 0
+    effort_limit: int | None = None
+    stopped: bool = False
+    soft_cost: float = 0.0
+    notes: tuple[str, ...] = ()
+    problem: PlanningProblem | None = field(default=None, repr=False, compare=False)
+    shortest: Path | None = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, object]:
+        # the problem holds the map; the drive itself is small
+        with suppress(EnergyPlanError):
+            _ = self.driven
+        return {**vars(self), "problem": None}
+
+    @cached_property
+    def driven(self) -> DrivenPath:
+        """The path timed within the limits, and what driving it takes; made when first asked for.
+
+        Raises
+        ------
+        InfeasibleMotionError
+            If the motors cannot drive the path at any speed.
+        InvalidInputError
+            If nothing limits the speed, or whoever made the plan did not say what it answers.
+        """
+        if self.problem is None:
+            raise InvalidInputError(
+                "this plan was made without the problem that it answers; use drive_plan of "
+                "energyplan.planning.driven"
+            )
+        return drive_plan(self.problem, self.path)
+
+    @cached_property
+    def why_not_driven(self) -> str:
+        """Why the path cannot be driven; empty where it can."""
+        try:
+            _ = self.driven
+        except (InfeasibleMotionError, InvalidInputError) as error:
+            return str(error)
+        return ""
+
+    @property
+    def energy_driven(self) -> float:
+        """What driving the path takes, from standstill to standstill [J]; see `driven`."""
+        return self.driven.energy
+
+    @property
+    def speed(self) -> float:
+        """Tread speed that straight driving was priced at [m/s]; see `driven`."""
+        return self.driven.speed
+
+    def _summaries(self) -> list[html.Summary]:
+        (spent,) = spending(self)
+        back = self.path.reverse_length
+        rows: list[tuple[str, object]] = [
+            (spent.label, spent.energy),
+            *(
+                (f"of it {html.words(name)} [J]", html.number(part, whole=spent.energy))
+                for name, part in spent.by_term.items()
+            ),
+            ("duration [s]", spent.duration),
+            *([("speed [m/s]", self.driven.speed)] if spent.driven else []),
+            ("length [m]", self.length),
+            *([("of it in reverse [m]", back)] if back > 0.01 else []),
+            ("turning [deg]", float(np.degrees(self.turning))),
+            *([(STEADY, self.energy)] if spent.driven else []),
+            *self._costs(),
+            ("at most above the least possible [%]", html.number(100 * self.gap, whole=100)),
+        ]
+        title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
+        if self.effort_limit is not None:
+            title += f" of {self.effort_limit}"
+        return [html.Summary(title, ("", ""), rows, self.notes)]
+
+    def _costs(self) -> list[tuple[str, float]]:
+        """Return rows of the cost, where it is not the energy alone, and of its lower bound."""
+        objective = self.problem.objective if self.problem else "energy"
+        name = objective if isinstance(objective, str) else "weighted sum"
+        unit = {"length": "m", "time": "s"}.get(name, "J")
+        rows = [] if self.cost == self.energy else [
+            (f"cost: {name}{' and a little energy' * (name == 'length')} [{unit}]", self.cost)
+        ]  # fmt: skip
+        if self.soft_cost:
+            rows.append((f"of it the costmap [{unit}]", self.soft_cost))
+        of = "the cost" if rows else "energy at steady speeds"
+        rows.append((f"lower bound of {of} [{unit}]", self.lower_bound))
+        if self.potential:
+            rows.append((f"of it for the height [{unit}]", self.potential))
+        return rows
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses along the path, 0.1 m and 0.1 rad apart at most, shape (n, 3)."""
+        return self.path.poses(0.1, 0.1)
+
+
+_OMPL = "energyplan.planning.ompl"
+
+PLANNERS = {
+    "lattice": Planner(
+        "energyplan.planning.search.planner:plan",
+        surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
+        costmap=True, turning=True, forwards=True,
+    ),
+    **{
+        name: Planner(
+            f"{_OMPL}:{name}", surfaces=True, heights=True, objectives=OBJECTIVES, effort=True,
+            turning=True,
+        )
+        for name in ("rrtstar", "informed_rrtstar", "bitstar", "fmt")
+    },
+}  # fmt: skip
+"""The library's own planners; they are imported when they are used."""
+
+
+def planners() -> tuple[str, ...]:
+    """Return the names of all planners: the library's own, then those of other packages."""
+    plugins = {entry.name for entry in entry_points(group="energyplan.planning")}
+    return (*PLANNERS, *sorted(plugins - set(PLANNERS)))
+
+
+def find(name: str) -> Planner:
+    """Return a planner with what it can do."""
+    if name in PLANNERS:
+        return PLANNERS[name]
+    for entry in entry_points(group="energyplan.planning"):
+        if entry.name == name:
+            with _blaming(name):
+                plugin = entry.load()
+            if not isinstance(plugin, Planner):
+                raise PlanningError(
+                    f"the entry point {name!r} of energyplan.planning is a "
+                    f"{type(plugin).__name__}; make it an energyplan.Planner"
+                )
+            return plugin
+    raise UnknownNameError("planner", name, planners())
+
+
+@contextmanager
+def _blaming(name: str) -> Iterator[None]:
+    """Tell what goes wrong in a planner in one line, with the place in the planner's own code.
+
+    What a planner says on purpose is passed on: that there is no path, and what it raises itself of
+    the library's errors.
+    """
+    try:
+        yield
+    except (PlanningError, CancelledError):
+        raise
+    except Exception as error:
+        frames = [
+            frame
+            for frame in extract_tb(error.__traceback__)
+            if frame.filename != __file__ and "importlib" not in frame.filename
+        ]
+        home = File(frames[0].filename).parent if frames else None
+        if home and File(__file__).parents[1] in (home, *home.parents):
+            raise  # a planner of the library
+        own = [frame for frame in frames if home in File(frame.filename).parents]
+        if own and isinstance(error, EnergyPlanError) and own[-1] is frames[-1]:
+            raise
+        place = f"{own[-1].filename}, line {own[-1].lineno}: " if own else ""
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        raise PlannerError(f"{place}the planner {name!r} failed with {what}; correct it") from error
+
+
+def _check_call(
+    name: str, planner: Planner, problem: PlanningProblem, counted: bool, options: dict[str, Any]
+) -> None:
+    """Check that a planner can be used with a problem, and that it has the options."""
+    if lacking := planner.lacks(problem, counted):
+        able = [k for k, other in PLANNERS.items() if not other.lacks(problem, counted)]
+        raise UnsupportedPlannerError(
+            f"the planner {name!r} cannot be used with {' and '.join(lacking)}; use one of "
+            f"{', '.join(able)}"
+        )
+    try:
+        known = signature(planner.function)
+    except (TypeError, ValueError):  # a function that does not say what it takes
+        return
+    try:
+        known.bind(None, None, **options)
+    except TypeError as error:
+        raise InvalidInputError(
+            f"the planner {name!r} cannot be called with a problem, a budget and the options "
+            f"{sorted(options)}: {error}; it takes {', '.join(known.parameters)}"
+        ) from None
+
+
+@checked()
+def plan(
+    problem: PlanningProblem,
+    planner: str | Planner = "lattice",
+    time_limit: float = inf,
+    *,
+    effort: int | None = None,
+    **options: Any,
+) -> Plan:
+    """Plan a path.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        From where to where, among which obstacles, at what cost.
+    planner : str or Planner
+        Name of the planner, see `planners`; or a planner of one's own.
+    time_limit : float
+        Time after which planning stops even if effort is left [s]; the plan's notes say so then.
+        What is made once for a map is no part of it: its first plan takes longer.
+    effort : int, optional
+        Units of work to plan with, 30 000 where left out: the same plan comes of it on any
+        machine and under any load. 50 000 take about a second; see `Budget`. Planning ends
+        earlier if the planner knows that nothing is left to gain.
+    **options : object
+        Further options of the planner.
+
+    Returns
+    -------
+    Plan
+        The best path found, with its energy and a lower bound.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such planner.
+    UnsupportedPlannerError
+        If the planner cannot do what the problem asks for; the message says which can.
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If start or goal cannot be.
+    NoPathError
+        If there is no path, or none was found at the resolution of the search; its ``certainty``
+        says which.
+    TimeLimitError
+        If time or effort was over before a first plan.
+    InvalidPathError
+        If a planner returned what is no answer to the problem.
+    PlannerError
+        If something went wrong in the code of another package's planner, with its cause.
+    LowerBoundError
+        If a lower bound lies above the cost of the path, which is a fault of whoever made it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from energyplan.cost import EnergyCost
+    >>> from energyplan.terrain import OccupancyGrid
+    >>> from energyplan.power import PowerModel
+    >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
+    >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    >>> found = plan(PlanningProblem(hall, cost, start=(1, 5, 0), goal=(9, 5, 0)), effort=50_000)
+    >>> round(found.energy), abs(found.gap) < 1e-6
+    (1808, True)
+    """
+    from energyplan.planning.bound import lower_bound
+    from energyplan.planning.ends import between_clear_ends, checked_ends
+    from energyplan.planning.search.planner import compile_planning, prepare
+
+    declared = find(planner) if isinstance(planner, str) else planner
+    name = planner if isinstance(planner, str) else planner.name
+    plan_budget(time_limit, effort)  # says at once what is wrong with them
+    _check_call(name, declared, problem, effort is not None, options)
+    ends = checked_ends(problem)
+    problem = ends.problem
+    compile_planning(ends.bare, load=effort is None)
+    prepare(ends.bare, guided=declared.bound)
+    budget = plan_budget(time_limit, effort, declared.effort)
+    given = budget if declared.bound else budget.part(1.0 - SHARES.aside)
+    between = between_clear_ends(problem, given)
+
+    def solve(inner: PlanningProblem, own: Budget) -> Candidate:
+        if inner is not problem:
+            own.beside(lambda: prepare(inner, guided=declared.bound))
+        with _blaming(name):
+            found = declared.function(inner, own, **options)
+        if not isinstance(found, Candidate):
+            raise PlanningError(
+                f"the planner {name!r} returned a {type(found).__name__}; correct it to return an "
+                "energyplan.Candidate"
+            )
+        for path in [found.path] if found.shortest is None else [found.path, found.shortest]:
+            if fault := inner.fault(path):
+                raise InvalidPathError(
+                    f"the planner {name!r} returned {fault}; correct the planner"
+                )
+        check_fields(found, PlanningError, f"the planner {name!r} returned a candidate whose ")
+        # nobody believes it of others
+        return found if declared in PLANNERS.values() else replace(found, driven=None)
+
+    found = between.solved(problem, given, solve)
+    query = compiled(ends.bare)
+    bound = found.lower_bound
+    if bound is None:
+        value, _ = lower_bound(query, query.value(found.path))
+        bound = query.potential(problem.goal) + value
+    return priced_plan(query, found, bound, name, budget, problem=problem, notes=ends.notes)
+
+
+def priced_plan(
+    query: CompiledProblem,
+    found: Candidate,
+    bound: float,
+    planner: str,
+    budget: Budget,
+    *,
+    problem: PlanningProblem | None = None,
+    notes: tuple[str, ...] = (),
+) -> Plan:
+    """Return the plan of a path that was checked, all but what the budget says computed from it.
+
+    `problem` is the one to answer where the query lacks its clearance, for ends that have less.
+    """
+    path, of = found.path, query.problem
+    price = of.terrain.price(path, of.cost)
+    soft = query.soft_cost(path)
+    cost = query.objective.value(price.energy, path.length, price.duration) + soft
+    potential = query.potential(of.goal)
+    scale = max(abs(cost), abs(potential), abs(cost - potential))
+    if not bound <= cost + ROUNDING * scale:
+        raise LowerBoundError(
+            f"the lower bound {bound!r} of the planner {planner!r} lies above the cost {cost!r} of "
+            f"a path from {tuple(of.start)} to {tuple(of.goal)}, so it is no bound; "
+            "please report the map and the model to whoever made the planner"
+        )
+    excess, least, elapsed = cost - potential, bound - potential, budget.elapsed
+    plan = Plan(
+        path=path,
+        energy=price.energy,
+        lower_bound=bound,
+        gap=excess / least - 1.0 if least > 0 else (np.inf if excess > 0 else 0.0),
+        cost=cost,
+        length=path.length,
+        turning=path.turning,
+        duration=price.duration,
+        planning_time=elapsed,
+        first_time=elapsed if found.first_time is None else found.first_time,
+        planner=planner,
+        problem=problem or of,
+        breakdown=price.by_term,
+        potential=potential,
+        effort=round(budget.spent),
+        effort_limit=budget.effort,
+        stopped=bool(budget.notes),
+        soft_cost=soft,
+        notes=(*notes, *budget.notes),
+        shortest=found.shortest,
+    )
+    if found.driven is not None:
+        vars(plan)["driven"] = found.driven
+    return plan

@@ -1,0 +1,169 @@
+"""The first path: the straight motion, routes that are tracked, narrow passages, lattices, in turn.
+
+What none of these finds is proven to be closed, or refused with how near the search got.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from energyplan.compilation import compile_kernels
+from energyplan.planning.bound import Bounding
+from energyplan.planning.budget import SHARES, UNITS, Budget
+from energyplan.planning.search.follow import Tracked, follow_route
+from energyplan.planning.search.lattice import EXHAUSTED, Search, joined, lattice_for
+from energyplan.planning.search.narrow.ends import Ends, ways_out
+from energyplan.planning.search.narrow.infeasible import (
+    Proof,
+    Prover,
+    check_configurations,
+    check_proof,
+    none_found,
+    none_in_time,
+)
+from energyplan.planning.search.narrow.passages import paths_through_passages
+from energyplan.planning.search.optimise import Portfolio
+from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.space.compiled import CompiledProblem, Segments
+from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached
+from energyplan.planning.space.motions import KernelProblem
+from energyplan.planning.space.places import places_for
+
+
+@dataclass
+class Paths:
+    """The paths known, and what is known for finding and judging them."""
+
+    query: CompiledProblem
+    gap: float  # part of the bound that a path may cost more
+    portfolio: Portfolio
+    bounding: Bounding  # lower bound of the cost of every path
+    ends: Ends  # where searches begin and end
+    to_go: CostToGo  # cost-to-go between these
+    entered: list[Segments] = field(default_factory=list)
+    stuck: list[Tracked] = field(default_factory=list)  # routes that could not be tracked
+    through_passages: bool = False  # whether narrow passages were searched
+
+    @property
+    def setting(self) -> KernelProblem:
+        """The problem between the ends of searches, as the kernels see it."""
+        return self.ends.between(self.query.setting)
+
+    @property
+    def cost(self) -> float:
+        """Cost of the best path so far."""
+        return self.portfolio.cost
+
+    @property
+    def enough(self) -> float:
+        """Cost at which the gap is closed."""
+        return self.bounding.value * (1.0 + self.gap)
+
+    def enter(self, motions: Segments) -> None:
+        """Enter motions from the start to the goal, free of collisions."""
+        self.entered.append(motions)
+        self.portfolio.enter(motions)
+
+    def enter_between(self, several: Iterable[Segments]) -> bool:
+        """Enter motions between the ends of searches; tell whether there are any."""
+        found = list(several)
+        for motions in found:
+            self.enter(self.ends.whole(motions))
+        return bool(found)
+
+
+def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) -> Paths:
+    """Return no paths yet; where an end has no room to turn, searches begin or end beside it."""
+    tried = [*ways_out(query, budget.part(SHARES.aside)), Ends(query)]
+    for ends in tried:
+        setting = ends.between(query.setting)
+        to_go = cost_to_go(setting)
+        budget.spend(to_go.work / UNITS.nodes)
+        if not ends.moved or reached(to_go, setting):
+            break
+    return Paths(query, gap, Portfolio(query.setting, seed), Bounding(query), ends, to_go)
+
+
+def find_first(paths: Paths, budget: Budget, finest: float) -> None:
+    """Find a first path, by one way after the other, or raise why there is none."""
+    if np.isfinite(paths.cost):
+        return
+    query, setting, to_go = paths.query, paths.setting, paths.to_go
+    if not paths.ends.moved:
+        check_configurations(query, to_go)
+    # where the poses tested do not join start and goal, a search among them is in vain
+    tested = to_go.places is places_for(setting)
+    proof = None if tested else _proof(query, setting, budget)
+    # the exact motion from end to end is straighter than any route
+    motions, cost = joined(setting, setting.start, setting.goal)
+    direct = paths.enter_between([motions] if cost < np.inf else [])
+    if _track_shortest(paths, budget) or direct:
+        return
+    routes = cheapest_routes(setting, to_go, budget.part(SHARES.stage), paths.stuck)
+    if paths.enter_between(routes):
+        return
+    if tested:
+        found = paths_through_passages(setting, None, budget.part(SHARES.aside))
+        paths.through_passages = paths.enter_between(found)
+        if found:
+            return
+    # between ends without room there may be a way where no pose beside them is free
+    if proof is not None and (paths.ends.moved or query.margin > 0.0):
+        check_proof(query, setting, proof)
+    _search_lattices(paths, budget, finest, tested)
+
+
+def _track_shortest(paths: Paths, budget: Budget) -> bool:
+    """Enter the path along the shortest route, if it can be tracked; tell whether it can."""
+    tracked = follow_route(paths.setting, paths.to_go, budget)
+    if tracked.motions is None:
+        paths.stuck.append(tracked)
+        return False
+    return paths.enter_between([tracked.motions])
+
+
+def _proof(query: CompiledProblem, setting: KernelProblem, budget: Budget) -> Proof:
+    """Look closer at what the poses tested leave open."""
+    budget.beside(lambda: compile_kernels(Proof.__module__))
+    found = Prover(setting, budget.part(SHARES.stage)).found()
+    if found.proven:
+        check_proof(query, setting, found)
+    return found
+
+
+def _search_lattices(paths: Paths, budget: Budget, finest: float, tested: bool) -> None:
+    """Search lattices for a first path, each twice as fine as the one before."""
+    query = paths.query
+    # where no path between poses with room is found, one between the ends themselves may be
+    tried = {paths.ends: paths.to_go}
+    if paths.ends.moved:
+        tried[Ends(query)] = cost_to_go(query.setting)
+    searched: list[Search] = []
+    scale, complete = 1.0, True
+    while scale >= finest and not budget.over:
+        for ends, to_go in tried.items():
+            lattice = lattice_for(query.setting, scale)
+            search = Search(ends.between(query.setting), to_go, lattice)
+            state = search.run(budget.part(SHARES.stage))
+            searched.append(search)
+            if search.found:
+                paths.ends, paths.to_go = ends, to_go
+                paths.enter_between([search.segments()])
+                return
+            complete = complete and state == EXHAUSTED
+        scale *= 0.5
+    if complete and scale < finest:
+        raise none_found(query, searched[-1].lattice.cell, searched[-1].nearest)
+    if searched:
+        cells = sum(int(one.tree.counts[2]) for one in searched)
+        size = searched[-1].lattice.cell
+        done = f"{cells} places were searched in cells down to {size:.3g} m"
+    elif tested:
+        done = "free poses join start and goal, but motions along them do not yet"
+    else:
+        done = "the free poses that were tested do not join start and goal"
+    near = [*((one.x, one.y) for one in paths.stuck), *(one.nearest for one in searched)]
+    raise none_in_time(query, budget, done, near)
