@@ -65,22 +65,23 @@ class Between(NamedTuple):
         """Solve it, and return what that gives from start to goal."""
         if self.ways is None:
             return solve(self.problem, budget)
-        found = solve(self.problem, budget.part(1.0 - SHARES.aside))
+        found = solve(self.problem, budget.part(SHARES.stage))
         path = self.ways.refined(found.path, budget)
         if problem.fault(path):
             path = self.ways.around(found.path)
-        # what was found beside it begins and ends elsewhere
+        # what else was found beside the path begins and ends elsewhere
         return Candidate(path, first_time=found.first_time)
 
 
 def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
     """Return what to plan between: start and goal, or poses beside them with more room."""
-    if problem.ends_clear and compiled(problem).margin:
+    if problem.ends_clear and compiled(problem).ends_have_margin:
         return Between(problem)
     found: list[Between] = []
     for share in (1.0,) if problem.ends_clear else KEPT:
         kept = replace(problem, clearance=share * problem.clearance_at_ends)
-        query = CompiledProblem(kept, wanted=problem.clearance)
+        wanted = 0.0 if problem.ends_clear else problem.clearance
+        query = CompiledProblem(kept, wanted)
         for ways in ways_out(query, budget.part(SHARES.aside), turn=0.0):
             inner = replace(ways.problem, clearance=problem.clearance)
             if not (ways.moved and inner.ends_clear and all(map(problem.allows, ways.paths))):

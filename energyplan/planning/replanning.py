@@ -37,9 +37,10 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)
     from_here = replace(problem, start=here, goal=path.end)
-    joined = [_joined(here, fine, k, problem) for k in _places_ahead(fine, here, problem)]
+    several = [_joined(here, fine, k, problem) for k in _places_ahead(fine, here, problem)]
+    joined = [rest for rest in several if rest is not None]
     for share in KEPT if not from_here.ends_clear else (1.0,):
-        free = [rest for rest in joined if rest and from_here.fault(rest, share) is None]
+        free = [rest for rest in joined if from_here.fault(rest, share) is None]
         if free:
             return min(free, key=compiled(from_here.without_clearance).value)
     return None

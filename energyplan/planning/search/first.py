@@ -111,7 +111,7 @@ def find_first(paths: Paths, budget: Budget, finest: float) -> None:
         if found:
             return
     # between ends without room there may be a way where no pose beside them is free
-    if proof is not None and (paths.ends.moved or query.margin > 0.0):
+    if proof is not None and (paths.ends.moved or query.ends_have_margin):
         check_proof(query, setting, proof)
     _search_lattices(paths, budget, finest, tested)
 

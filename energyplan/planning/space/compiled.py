@@ -35,9 +35,6 @@ Optimal paths touch obstacles. The margin keeps them free under another rounding
 pieces, and exceeds what the collision kernels' tolerance can make of that.
 """
 
-MARGINS = (MARGIN, 0.1 * MARGIN, 0.01 * MARGIN)
-"""Margins that are tried where start or goal is nearer to an obstacle [cells]."""
-
 LEVELS = 32
 """Levels that the costs of a costmap are rounded to while searching, at most."""
 
@@ -214,22 +211,17 @@ class CompiledProblem:
     @property
     def grown(self) -> Body:
         """That footprint with the margin of planning."""
-        return self._grown(MARGIN)
-
-    def _grown(self, margin: float) -> Body:
         more = max(self.wanted - self.problem.clearance, 0.0)
-        return grown(self.body, margin * self.grid.resolution + more)
+        return grown(self.body, MARGIN * self.grid.resolution + more)
 
-    def roomy(self, pose: Pose, margin: float = MARGIN) -> bool:
-        """Tell whether a pose is free with the margin of planning, or another one [cells]."""
-        return bool(pose_free(self.grid.space, self._grown(margin), *self.centre(pose)))
+    def roomy(self, pose: Pose) -> bool:
+        """Tell whether a pose is free with the margin of planning."""
+        return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
 
     @cached_property
-    def margin(self) -> float:
-        """Margin with which start and goal are free, so that paths can be [cells]; zero if none."""
-        ends = self.problem.start, self.problem.goal
-        free = (m for m in MARGINS if all(self.roomy(pose, m) for pose in ends))
-        return next(free, 0.0)
+    def ends_have_margin(self) -> bool:
+        """Whether start and goal are free with the margin of planning."""
+        return all(self.roomy(pose) for pose in (self.problem.start, self.problem.goal))
 
     @cached_property
     def _levels(self) -> int:
@@ -271,7 +263,7 @@ class CompiledProblem:
     def setting(self) -> KernelProblem:
         """The problem as the kernels see it."""
         problem = self.problem
-        body = self._grown(self.margin) if self.margin else self.body
+        body = self.grown if self.ends_have_margin else self.body
         static = self.steering
         return KernelProblem(
             space=self.grid.space,

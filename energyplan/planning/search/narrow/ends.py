@@ -10,6 +10,7 @@ rounding. If it is not, planning is done anew between the two poses that have ro
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import floor, log2, pi
@@ -282,18 +283,18 @@ class Ends:
         )
 
     def refined(self, inner: Path, budget: Budget) -> Path:
-        """Return `around(inner)`, refined with the margin where it fits."""
+        """Return `around(inner)`, refined; with the margin where it is not free without."""
         query = self.query
         whole = self.around(inner)
-        # what is not free with the margin stays as it is
         motions = query.of_centre(whole.ds, whole.dtheta)
-        refiner = Refiner(query.setting._replace(body=query.grown), motions)
-        refiner.shortcut(budget)
-        refiner.polish(budget)
-        try:
-            return min(whole, query.path(refiner.segments), key=query.value)
-        except PlanningError:
-            return whole
+        for body in (query.body, query.grown) if query.wanted == 0.0 else (query.grown,):
+            # what is not free with the margin stays as it is
+            refiner = Refiner(query.setting._replace(body=body), motions)
+            refiner.shortcut(budget)
+            refiner.polish(budget)
+            with suppress(PlanningError):
+                return min(whole, query.path(refiner.segments), key=query.value)
+        return whole
 
     def whole(self, inner: Segments) -> Segments:
         """Return the motions from the problem's start to its goal by way of those in between."""
