@@ -142,3 +142,92 @@ class ToGo(NamedTuple):
 
 
 TO_GO = ToGo()
+
+
+class Bidirectional(NamedTuple):
+    """Constants of the search through a passage from both of its ends."""
+
+    cell: float = 0.125  # its cells over those of the route [1]
+    spare: tuple[float, ...] = (0.5, 0.0)  # how much larger the body is in it [cells]
+    wide: float = 3.0  # how much larger it is where it has room [cells]
+    most: int = 20_000  # poses tested at most, and motions along them
+    aside: float = 4.0  # factor on the length of a step to the side [1]
+    tight: float = 3.0  # factor on the length of a step where the body has no room [1]
+    longest: int = 64  # poses that a motion along them leads further at most
+    halvings: int = 8  # how often the motion between two poses is halved until it is free
+
+
+PASSAGE = Bidirectional()
+
+
+class Proving(NamedTuple):
+    """Constants of the proof that there is no path."""
+
+    safe: float = 1e-5  # shrinkage of a body whose collision is certain, above rounding [cells]
+    finest: float = 2.5e-3  # distance between poses at which halving boxes ends [m]
+    part: float = 0.1  # the same at least [cells]
+    places: int = 1  # places about an unknown step whose boxes are halved as well
+    headings: int = 2  # headings about it
+
+
+PROOF = Proving()
+
+
+class Configurations(NamedTuple):
+    """Constants of the free configurations."""
+
+    fineness: float = 0.16  # distance between places over the body's smaller side [1]
+    coarsest: float = 0.3  # the same at most [1]
+    places: int = 1_000_000  # places beyond which they lie further apart
+    bands: int = 64  # bands of rows into which the work is cut
+
+
+FREE = Configurations()
+
+
+class SlopePrices(NamedTuple):
+    """Constants of prices on slopes."""
+
+    finer: int = 4  # slopes between two of the table at which height is priced as well
+    remembered: int = 16  # tables that are kept for a cost
+    slopes: int = 9  # slopes at which prices are scanned
+    zooms: int = 20  # rounds in which the cheapest slope is enclosed
+    cuts: int = 3  # slopes tried in each
+
+
+SLOPES = SlopePrices()
+
+
+class Outlines(NamedTuple):
+    """Constants of the outlines of obstacles."""
+
+    bucket: int = 8  # side of the squares by which edges are looked up [cells]
+    directions: int = 512  # directions by which it is noted how far one sees
+    tiny: float = 1e-9  # distance by which a line may miss a corner and still touch it [m]
+    apart: float = 1e-8  # least difference of a level and a clearance
+
+
+OUTLINES = Outlines()
+
+
+class Gates(NamedTuple):
+    """Constants of the gates at the ends of a line of the bound."""
+
+    step: float = 0.02  # distance between the places tried on a gate [m]
+    long: float = 3.0  # length from which a gate forbids no heading [m]
+    endless: float = 10.0  # length from which a gate has no end [m]
+
+
+GATES = Gates()
+
+
+class BoundSearch(NamedTuple):
+    """Constants of the lower bound."""
+
+    corners: int = 2500  # corners near short paths above which a coarser outline is used
+    # lengths over the straight line's for which outlines are prepared
+    detours: tuple[float, float] = (1.1, 2.0)
+    beyond: float = 1.001  # cost over the best path's up to which it is searched for [1]
+
+
+BOUND = BoundSearch()

@@ -34,10 +34,10 @@ from energyplan.compilation import (
 TOLERANCE = 0.02
 """Motion of the body's fastest point below which a piece of a motion is not halved [cells]."""
 
-_TOUCH = 1e-6
+TOUCH = 1e-6
 """Cells nearer than this count as touched [cells]; far above rounding, far below a cell."""
 
-_ALIGNED = 3e-8
+ALIGNED = 3e-8
 """Sines and cosines below this count as zero, so that no rounding error is blown up."""
 
 _STRAIGHT = 1e-6
@@ -109,10 +109,10 @@ def _rectangle_free(
     (c, s).
     """
     rows, columns = space.clearance.shape
-    if abs(s) < _ALIGNED:
+    if abs(s) < ALIGNED:
         s = 0.0
         c = 1.0
-    elif abs(c) < _ALIGNED:
+    elif abs(c) < ALIGNED:
         c = 0.0
         s = 1.0
     reach_x = abs(c) * half_x + abs(s) * half_y
@@ -127,15 +127,15 @@ def _rectangle_free(
     row = min(int(y), rows - 1)
     off_centre = hypot(x - column - 0.5, y - row - 0.5)
     near = float(space.clearance[row, column])
-    if near - off_centre > hypot(half_x, half_y) + _TOUCH + 1e-6 * near:
+    if near - off_centre > hypot(half_x, half_y) + TOUCH + 1e-6 * near:
         return True
     if near + off_centre < min(half_x, half_y):
         return False
 
     # the corner that is furthest right; the one furthest left is opposite
     corner_y = s * half_x * np.sign(c) - c * half_y * np.sign(s)
-    bottom = max(floor(y - reach_y - _TOUCH), 0)
-    top = min(floor(y + reach_y + _TOUCH), rows - 1)
+    bottom = max(floor(y - reach_y - TOUCH), 0)
+    top = min(floor(y + reach_y + TOUCH), rows - 1)
     for row in range(bottom, top + 1):
         # the part of this row that the rectangle reaches, relative to the centre
         low = max(row - y, -reach_y)
@@ -151,8 +151,8 @@ def _rectangle_free(
             (-half_x - s * at * np.sign(c)) / abs(c) if c != 0.0 else -inf,
             (-half_y + c * at * np.sign(s)) / abs(s) if s != 0.0 else -inf,
         )
-        first = min(max(floor(x + left - _TOUCH), 0), columns)
-        last = x + right + _TOUCH
+        first = min(max(floor(x + left - TOUCH), 0), columns)
+        last = x + right + TOUCH
         if space.next_blocked[row, first] <= min(last, columns - 1.0):
             return False
     return True

@@ -520,7 +520,7 @@ def hall_of_pillars(rows=25, columns=90):
 
 def test_the_bound_never_gives_up(monkeypatch):
     """However many corners there are, the way of the disc is counted."""
-    monkeypatch.setattr(bound, "SETTINGS", bound.SETTINGS._replace(corners=100))
+    monkeypatch.setattr(bound, "BOUND", bound.BOUND._replace(corners=100))
     grid = hall_of_pillars()
     start, goal = (2.0, 1.0, 0.0), (43.0, 1.0, 0.0)
     query = CompiledProblem(PlanningProblem(grid, COST, start, goal))

@@ -16,12 +16,12 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
 from energyplan.planning.search.narrow import infeasible
 from energyplan.planning.search.narrow.infeasible import (
-    SETTINGS,
     Prover,
     chain_between,
     look_closer,
     none_in_time,
 )
+from energyplan.planning.settings import PROOF
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.places import RIM, places_for
@@ -91,7 +91,7 @@ def test_a_door_that_the_robot_passes_is_never_closed(seed, tested):
         problem = drawn(seed, spare)
         found = looked(problem, tested)
         assert not found.proven
-        assert spare < 2.0 * max(SETTINGS.finest, SETTINGS.part * problem.map.resolution) or (
+        assert spare < 2.0 * max(PROOF.finest, PROOF.part * problem.map.resolution) or (
             found.resolution == np.inf and len(found.reached) == 0
         )
     assert not looked(drawn(seed, 1e-4), tested).proven
@@ -139,7 +139,7 @@ def test_three_verdicts_are_told_apart():
     hair = verdict(0.6, width=0.5999, effort=20_000)
     assert isinstance(hair, TimeLimitError) or hair.certainty == "at_resolution"
     if isinstance(hair, NoPathError):
-        assert 0 < hair.resolution <= 2 * SETTINGS.finest
+        assert 0 < hair.resolution <= 2 * PROOF.finest
         assert "mm apart" in str(hair)
         assert "clearance" in str(hair)
     # not enough to tell

@@ -8,7 +8,7 @@ import pytest
 from energyplan.cost import EnergyCost
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
-from energyplan.planning.search.narrow.grid import bidirectional_search, follow
+from energyplan.planning.search.narrow.bidirectional import bidirectional_search, follow
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.motions import KernelProblem, drive
 from energyplan.terrain import OccupancyGrid

@@ -21,6 +21,7 @@ from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, workers
+from energyplan.planning.settings import BOUND
 from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.motions import KernelProblem, free_energy
@@ -32,18 +33,6 @@ EFFORT = 5e7
 
 Spent = dict[Sights, NDArray[np.bool_]]
 """The corners of outlines whose lines were counted as effort."""
-
-
-class Settings(NamedTuple):
-    """Constants of the lower bound."""
-
-    corners: int = 2500  # corners near the way above which a coarser outline is taken
-    # lengths over the straight line's with outlines ready
-    detours: tuple[float, float] = (1.1, 2.0)
-    beyond: float = 1.001  # cost over the best path's up to which it is sought
-
-
-SETTINGS = Settings()
 
 
 class Bound(NamedTuple):
@@ -60,7 +49,7 @@ def lower_bound(
     setting = query.setting
     free = float(free_energy(setting, setting.start))
     radius = _inscribed(query)
-    limit = SETTINGS.beyond * cost
+    limit = BOUND.beyond * cost
     if free >= limit or radius <= 0:
         return Bound(free, True)
     excess = least_excess(query, radius, limit)
@@ -85,8 +74,8 @@ def prepare_bound(query: CompiledProblem) -> None:
     ends = Ends(*setting.start[:2], *setting.goal[:2])
     apart = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
     coarsest = sights(grid, radius, DETAILS[-1]).outline
-    finest = _finest(coarsest, ends, SETTINGS.detours[0] * apart)
-    last = _finest(coarsest, ends, SETTINGS.detours[1] * apart)
+    finest = _finest(coarsest, ends, BOUND.detours[0] * apart)
+    last = _finest(coarsest, ends, BOUND.detours[1] * apart)
     with ThreadPoolExecutor(workers()) as pool:
         list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
 
@@ -167,7 +156,7 @@ def _finest(coarsest: Outline, ends: Ends, longest: float) -> int:
     near = int(np.count_nonzero(way < longest))
     for k, detail in enumerate(DETAILS[:-1]):
         # from the coarsest to this one corners grow in number as the tolerance falls, or slower
-        if (DETAILS[-1].slack / detail.slack) ** 0.6 * near <= SETTINGS.corners:
+        if (DETAILS[-1].slack / detail.slack) ** 0.6 * near <= BOUND.corners:
             return k
     return len(DETAILS) - 1
 

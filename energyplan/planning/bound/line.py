@@ -14,20 +14,10 @@ import numpy as np
 from energyplan.compilation import Flags, Floats, FloatTable, inner
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound.outline import Outline
+from energyplan.planning.settings import GATES
 from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.queues import turning_by
 from energyplan.terrain.collision import Body, Space, in_cells, pose_free
-
-
-class Settings(NamedTuple):
-    """Constants of the bound along one line."""
-
-    step: float = 0.02  # distance between the places tried on a gate [m]
-    long: float = 3.0  # length from which a gate forbids no heading [m]
-    endless: float = 10.0  # length from which a gate has no end [m]
-
-
-SETTINGS = Settings()
 
 
 @inner
@@ -64,24 +54,24 @@ def gate(
             break
         off = hypot(here.column - column - 0.5, here.row - row - 0.5) * res
         near = float(space.clearance[row, column]) * res
-        if length > SETTINGS.endless:
+        if length > GATES.endless:
             return inf, False
         if near + off < outline.inside - 1e-9:
             break
         roomy = roomy or near - off > reach
-        length += SETTINGS.step
-    if roomy or length > SETTINGS.long:
+        length += GATES.step
+    if roomy or length > GATES.long:
         return length, False
     # a body that is smaller by what a place and a heading stand for
-    less = 0.5 * SETTINGS.step + 0.5 * spacing * reach
+    less = 0.5 * GATES.step + 0.5 * spacing * reach
     small = grown(body, -less)
     open_between = np.empty(n, np.bool_)
     for j in range(n):
         open_between[j] = False
     left = n
-    for k in range(int(length / SETTINGS.step) + 2):
-        px = x + k * SETTINGS.step * ux
-        py = y + k * SETTINGS.step * uy
+    for k in range(int(length / GATES.step) + 2):
+        px = x + k * GATES.step * ux
+        py = y + k * GATES.step * uy
         for j in range(n if left > 0 else 0):
             if not open_between[j] and pose_free(
                 space, small, px, py, goal_yaw + (j + 0.5) * spacing

@@ -13,22 +13,11 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
 from energyplan.path import FloatArray
+from energyplan.planning.settings import OUTLINES
 from energyplan.planning.space.queues import longer_ints, pop, push, with_room
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import tables_of
-
-
-class Settings(NamedTuple):
-    """Constants of the outlines."""
-
-    bucket: int = 8  # side of the squares by which edges are looked up [cells]
-    directions: int = 512  # directions by which it is noted how far one sees
-    tiny: float = 1e-9  # distance by which a line may miss a corner and still touch it [m]
-    apart: float = 1e-8  # least difference of a level and a clearance
-
-
-SETTINGS = Settings()
 
 
 class Outline(NamedTuple):
@@ -68,16 +57,16 @@ def no_links(corners: int) -> Links:
 @inner
 def _square(place: float, cells: int) -> int:
     """Row or column of the square at a place [cells], the nearest one outside the map."""
-    return min(max(floor(place / SETTINGS.bucket), 0), (cells - 1) // SETTINGS.bucket)
+    return min(max(floor(place / OUTLINES.bucket), 0), (cells - 1) // OUTLINES.bucket)
 
 
 def squares_of_edges(grid: OccupancyGrid, edges: FloatArray) -> tuple[ShortInts, ShortInts]:
     """List the edges by the squares that they may touch, a cell's width included; see `Outline`."""
     ends = grid.to_cells(edges.reshape(-1, 2)).reshape(-1, 2, 2)
-    squares = (np.array(grid.shape[::-1]) - 1) // SETTINGS.bucket
+    squares = (np.array(grid.shape[::-1]) - 1) // OUTLINES.bucket
     low, high = ends.min(axis=1) - 1.0, ends.max(axis=1) + 1.0
     low, high = (
-        np.clip(np.floor(at / SETTINGS.bucket).astype(int), 0, squares) for at in (low, high)
+        np.clip(np.floor(at / OUTLINES.bucket).astype(int), 0, squares) for at in (low, high)
     )
     columns, rows = (high - low + 1).T
     count = rows * columns
@@ -136,7 +125,7 @@ def gaps(space: Space, radius: float, inside: float) -> FloatTable:
                     c = space.next_blocked[r, c + 1]
             if pr < 0:
                 continue
-            best = 2.0 * radius / res - SETTINGS.tiny
+            best = 2.0 * radius / res - OUTLINES.tiny
             qr = -1
             qc = -1
             for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
@@ -173,9 +162,9 @@ def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     y = outline.point[k, 1]
     one = ux * (outline.before[k, 1] - y) - uy * (outline.before[k, 0] - x)
     two = ux * (outline.after[k, 1] - y) - uy * (outline.after[k, 0] - x)
-    if one >= -SETTINGS.tiny and two >= -SETTINGS.tiny:
+    if one >= -OUTLINES.tiny and two >= -OUTLINES.tiny:
         return 1
-    if one <= SETTINGS.tiny and two <= SETTINGS.tiny:
+    if one <= OUTLINES.tiny and two <= OUTLINES.tiny:
         return -1
     return 0
 
@@ -191,11 +180,11 @@ def _crosses(
     qy = outline.edges[k, 3]
     p_side = ux * (py - ay) - uy * (px - ax)
     q_side = ux * (qy - ay) - uy * (qx - ax)
-    if not (p_side * q_side < 0.0 and min(abs(p_side), abs(q_side)) > SETTINGS.tiny):
+    if not (p_side * q_side < 0.0 and min(abs(p_side), abs(q_side)) > OUTLINES.tiny):
         return False
     a_side = (qx - px) * (ay - py) - (qy - py) * (ax - px)
     b_side = (qx - px) * (by - py) - (qy - py) * (bx - px)
-    return bool(a_side * b_side < 0.0 and min(abs(a_side), abs(b_side)) > SETTINGS.tiny)
+    return bool(a_side * b_side < 0.0 and min(abs(a_side), abs(b_side)) > OUTLINES.tiny)
 
 
 class Sight(NamedTuple):
@@ -215,7 +204,7 @@ def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: f
     Clearance decides most places; where it does not, the edges nearby are tested.
     """
     rows, columns = space.clearance.shape
-    across = (columns - 1) // SETTINGS.bucket + 1
+    across = (columns - 1) // OUTLINES.bucket + 1
     length = hypot(bx - ax, by - ay)
     res = space.resolution
     steps = 1
@@ -295,8 +284,8 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
     n = len(outline.point)
     x = outline.point[k, 0]
     y = outline.point[k, 1]
-    depth = np.empty(SETTINGS.directions)
-    for j in range(SETTINGS.directions):
+    depth = np.empty(OUTLINES.directions)
+    for j in range(OUTLINES.directions):
         depth[j] = inf
     heap_f = np.empty(256)
     heap_node = np.empty(256, np.int32)
@@ -321,7 +310,7 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
         dx = outline.point[v, 0] - x
         dy = outline.point[v, 1] - y
         if (
-            depth[floor(atan2(dy, dx) * SETTINGS.directions / (2.0 * pi)) % SETTINGS.directions]
+            depth[floor(atan2(dy, dx) * OUTLINES.directions / (2.0 * pi)) % OUTLINES.directions]
             < length
         ):
             continue
@@ -430,8 +419,8 @@ def _level(grid: OccupancyGrid, radius: float) -> float:
     at most, since clearance changes by no more than the distance, and the level is lower by that.
     """
     level = radius / grid.resolution - sqrt(0.5)
-    while level > 0.0 and abs(float(np.float32(level)) - level) < SETTINGS.apart * level:
-        level -= 2.0 * SETTINGS.apart * level
+    while level > 0.0 and abs(float(np.float32(level)) - level) < OUTLINES.apart * level:
+        level -= 2.0 * OUTLINES.apart * level
     return level
 
 

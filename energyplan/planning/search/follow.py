@@ -17,7 +17,7 @@ from energyplan.compilation import Floats, FloatTable, Ints, inner, njit
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.search.lattice import Search, lattice_for
-from energyplan.planning.search.narrow.grid import Followed, through_passage
+from energyplan.planning.search.narrow.bidirectional import Followed, through_passage
 from energyplan.planning.settings import TRACKING
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS

@@ -299,17 +299,24 @@ EXACT = ("energyplan.steering.polygon",)
 SURFACES = ("energyplan.planning.bound.surfaces", "energyplan.terrain.surfaces")
 TIGHT = ("energyplan.planning.search.narrow.ends",)
 CLOSED = ("energyplan.planning.search.narrow.infeasible",)
+NARROW = ("energyplan.planning.search.narrow.bidirectional",)
 """Where the kernels are that are needed for costs that are not static, for surfaces, for ends
-without room, and for ends that nothing seems to join."""
+without room, for ends that nothing seems to join, and for routes that cannot be tracked. The last
+two are compiled when they are called; the very last ahead of that if a clock is about to start."""
 
 
 def kernels(
-    cost: EnergyCost | None = None, *, surfaces: bool = False, tight: bool = False
+    cost: EnergyCost | None = None,
+    *,
+    surfaces: bool = False,
+    tight: bool = False,
+    narrow: bool = True,
 ) -> tuple[str, ...]:
     """Return the modules whose kernels planning may call."""
     import_module("energyplan.planning.driven")
     static = cost is None or isinstance(cost.steering_parameters, StaticSteering)
-    left_out = CLOSED + (() if surfaces else SURFACES) + (() if tight else TIGHT)
+    needed = ((surfaces, SURFACES), (tight, TIGHT), (narrow, NARROW), (False, CLOSED))
+    left_out = {module for wanted, modules in needed if not wanted for module in modules}
     found = {name.rpartition(".")[0] for name in KERNELS if name.startswith(PLANNING)}
     return (*sorted(found.difference(left_out)), *(() if static else EXACT))
 
@@ -318,11 +325,11 @@ def compile_planning(
     problem: PlanningProblem, *, tight: bool | None = None, load: bool = True
 ) -> None:
     """Compile the kernels of planning, and load them, so that no time limit pays for it."""
-    surfaces = problem.surfaces is not None
-    compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=bool(tight)), load=load)
+    wanted = partial(kernels, problem.cost, surfaces=problem.surfaces is not None, narrow=load)
+    compile_kernels(*wanted(tight=bool(tight)), load=load)
     ends = problem.start, problem.goal
     if tight is None and not all(surely_has_room(compiled(problem), end) for end in ends):
-        compile_kernels(*kernels(problem.cost, surfaces=surfaces, tight=True), load=load)
+        compile_kernels(*wanted(tight=True), load=load)
 
 
 def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:

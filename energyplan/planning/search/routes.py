@@ -324,7 +324,8 @@ def _chain_of(to_go: CostToGo, node_of: ShortInts, parent: ShortInts, best: int)
             first -= 1
             chain[first] = node_of[state]
         state = int(parent[state])
-    chain[total:] = rest
+    for k in range(len(rest)):  # Numba takes seconds to compile an assignment to a slice
+        chain[total + k] = rest[k]
     return chain[first:].copy()
 
 

@@ -30,22 +30,9 @@ from energyplan.compilation import (
     njit,
 )
 from energyplan.planning.budget import workers
-from energyplan.terrain.collision import Body, Space
+from energyplan.planning.settings import FREE
+from energyplan.terrain.collision import ALIGNED, TOUCH, Body, Space
 from energyplan.terrain.updates import Window
-
-
-class Settings(NamedTuple):
-    """Constants of the free configurations."""
-
-    fineness: float = 0.16  # distance between places over the body's smaller side [1]
-    coarsest: float = 0.3  # that distance at most
-    places: int = 1_000_000  # places beyond which they lie further apart
-    touch: float = 1e-6  # what counts as touched, as in the collision test [cells]
-    aligned: float = 3e-8  # sines and cosines below this are zero, as in the collision test
-    bands: int = 64  # bands of rows into which the work is cut
-
-
-SETTINGS = Settings()
 
 
 @njit
@@ -288,9 +275,9 @@ def runs_of(
 ) -> Runs:
     """Return the cells that a body touches at a pose within cell (0, 0)."""
     c, s = cos(heading), sin(heading)
-    if abs(s) < SETTINGS.aligned:
+    if abs(s) < ALIGNED:
         c, s = (1.0 if c > 0 else -1.0), 0.0
-    elif abs(c) < SETTINGS.aligned:
+    elif abs(c) < ALIGNED:
         c, s = 0.0, (1.0 if s > 0 else -1.0)
     half_x = 0.5 * (body.x_max - body.x_min) / resolution
     half_y = 0.5 * (body.y_max - body.y_min) / resolution
@@ -337,15 +324,15 @@ def runs_of(
 def _grouping(space: Space, body: Body) -> tuple[int, int]:
     """Return how many cells make a place, and how many places a cell, along either axis."""
     side = min(body.x_max - body.x_min, body.y_max - body.y_min)
-    wanted = SETTINGS.fineness * side / space.resolution
+    wanted = FREE.fineness * side / space.resolution
     cells = space.clearance.size
     if wanted < 0.75:
-        parts = min(int(1.0 / wanted + 0.5), int((SETTINGS.places / cells) ** 0.5))
+        parts = min(int(1.0 / wanted + 0.5), int((FREE.places / cells) ** 0.5))
         if parts > 1:
             return 1, parts
     group = max(int(wanted + 0.5), 1)
-    coarsest = SETTINGS.coarsest * side / space.resolution
-    while cells > SETTINGS.places * group * group and group + 1 <= coarsest:
+    coarsest = FREE.coarsest * side / space.resolution
+    while cells > FREE.places * group * group and group + 1 <= coarsest:
         group += 1
     return group, 1
 
@@ -418,17 +405,17 @@ def _masks(
     pad = ceil((reach + 2.0) / 64) + 1
     levels = max(ceil(2 * reach + 3).bit_length(), 1)
     runs_of_map = run_levels(rows_of_bits(blocked, pad), levels)
-    bands = np.linspace(0, -(-rows // group), min(SETTINGS.bands, rows) + 1).astype(int) * group
+    bands = np.linspace(0, -(-rows // group), min(FREE.bands, rows) + 1).astype(int) * group
     count = workers() if threads is None else threads
     with ThreadPoolExecutor(count) as pool:
         for part in range(parts * parts):
             shift_row, shift_column = divmod(part, parts)
             tables = []
             for h in range(headings):
-                fitting, touch = body, SETTINGS.touch
+                fitting, touch = body, TOUCH
                 if enlarged:
                     fitting = shrunk(body, resolution / parts, h * turn, 0.5 * turn)
-                    touch = -SETTINGS.touch
+                    touch = -TOUCH
                 x, y = (shift_column + 0.5) / parts, (shift_row + 0.5) / parts
                 tables.append(runs_of(fitting, resolution, h * turn, x, y, touch))
             first = np.concatenate([t.first for t in tables])

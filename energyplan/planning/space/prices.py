@@ -19,6 +19,7 @@ from energyplan.cost.bounds import Infimum, per_metre
 from energyplan.errors import InvalidInputError, MapError, ModelError
 from energyplan.path import FloatArray
 from energyplan.planning.problem import objective_weights
+from energyplan.planning.settings import SLOPES
 from energyplan.power.effects import reads_slope
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.terrain.grid import from_raster
@@ -33,19 +34,6 @@ FLAT = 1e-9
 """Slopes below this are none."""
 
 
-class Settings(NamedTuple):
-    """Constants of the prices."""
-
-    finer: int = 4  # slopes between two of the table at which the price of height is sought as well
-    remembered: int = 16  # tables that are kept for a cost
-    slopes: int = 9  # slopes at which prices are scanned
-    zooms: int = 20  # rounds in which the cheapest slope is enclosed
-    cuts: int = 3  # slopes tried in each
-
-
-SETTINGS = Settings()
-
-
 _remembered: WeakKeyDictionary[Any, dict[Hashable, tuple[Callable[[], Any], Any]]]
 _remembered = WeakKeyDictionary()
 
@@ -55,7 +43,7 @@ def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Made]) -
     kept = _remembered.setdefault(owner, {})
     known = kept.get((id(part), key))
     if known is None or known[0]() is not part:
-        if len(kept) >= SETTINGS.remembered:
+        if len(kept) >= SLOPES.remembered:
             kept.clear()
         known = ref(part) if part is not None else _nothing, make()
         kept[id(part), key] = known
@@ -153,12 +141,12 @@ def priced(
 def _priced(
     objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
 ) -> Priced:
-    steep = np.linspace(-steepest, steepest, (BINS - 1) * SETTINGS.finer + 1)[:, None]
+    steep = np.linspace(-steepest, steepest, (BINS - 1) * SLOPES.finer + 1)[:, None]
     fine = np.array([objective.motion(ds, dtheta, k, steep) for k in range(len(objective.costs))])
     rise = np.broadcast_to(steep * ds, fine.shape)
     height_price = potential(fine, np.broadcast_to(travel, fine.shape), rise)
     fine = fine - height_price * rise
-    kept = np.ascontiguousarray(fine[:, :: SETTINGS.finer])
+    kept = np.ascontiguousarray(fine[:, :: SLOPES.finer])
     return Priced(kept.reshape(-1, len(ds)), height_price)
 
 
@@ -313,13 +301,13 @@ class LeastPrices:
             price = self.objective.floor(ds, turn, ground, steep)
             return np.asarray(price - self.height_price * steep * ds)
 
-        steep = np.linspace(-self.steepest, self.steepest, SETTINGS.slopes)[:, None]
+        steep = np.linspace(-self.steepest, self.steepest, SLOPES.slopes)[:, None]
         values = sloping(steep)
         best = values.min(axis=0)
         k = values.argmin(axis=0)
-        low, high = steep[np.maximum(k - 1, 0), 0], steep[np.minimum(k + 1, SETTINGS.slopes - 1), 0]
-        cuts = np.arange(1, SETTINGS.cuts + 1)[:, None] / (SETTINGS.cuts + 1)
-        for _ in range(SETTINGS.zooms):
+        low, high = steep[np.maximum(k - 1, 0), 0], steep[np.minimum(k + 1, SLOPES.slopes - 1), 0]
+        cuts = np.arange(1, SLOPES.cuts + 1)[:, None] / (SLOPES.cuts + 1)
+        for _ in range(SLOPES.zooms):
             tried = low + (high - low) * cuts
             values = sloping(tried)
             best = np.minimum(best, values.min(axis=0))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from energyplan.compilation import Ints, Words, inner, njit
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import UNITS, Budget
+from energyplan.planning.settings import PROOF
 from energyplan.planning.space.compiled import MARGIN, CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS, grown, shrunk
 from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached
@@ -30,19 +31,6 @@ from energyplan.planning.space.places import (
 )
 from energyplan.planning.space.queues import STEP_COLUMNS, STEP_ROWS
 from energyplan.terrain.collision import Body, Space, pose_free
-
-
-class Settings(NamedTuple):
-    """Constants of the proof that there is no way."""
-
-    safe: float = 1e-5  # shrinkage of a body that is in the way for certain, above rounding [cells]
-    finest: float = 2.5e-3  # distance between poses down to which it is looked closer [m]
-    part: float = 0.1  # that distance at least [cells]
-    places: int = 1  # places about an unknown step that are looked at as well
-    headings: int = 2  # headings about it
-
-
-SETTINGS = Settings()
 
 
 class Queue(NamedTuple):
@@ -199,7 +187,7 @@ def look_closer(
     across = places.columns + 2 * RIM
     may = np.zeros(len(which), np.uint64)
     free = np.zeros(len(which), np.uint64)
-    less = SETTINGS.safe * space.resolution
+    less = PROOF.safe * space.resolution
     turn = 2.0 * pi / HEADINGS
     depth = np.empty(8 * halvings + 8, np.int64)
     box = np.empty((8 * halvings + 8, 3))
@@ -263,7 +251,7 @@ class Prover:
         space = kernel.space
         self.places = places_for(kernel, enlarged=True)
         self.across = self.places.columns + 2 * RIM
-        finest = max(SETTINGS.finest, SETTINGS.part * space.resolution)
+        finest = max(PROOF.finest, PROOF.part * space.resolution)
         self.halvings = max(ceil(log2(self.places.spacing / finest)), 0)
         self.resolution = self.places.spacing * 0.5**self.halvings
         self.tested = places_for(kernel).masks & self.places.masks
@@ -316,8 +304,8 @@ class Prover:
                 continue
             bits = _turned(headings[k] | headings[k + 1])
             for middle in (one, two):
-                for row in range(-SETTINGS.places, SETTINGS.places + 1):
-                    for column in range(-SETTINGS.places, SETTINGS.places + 1):
+                for row in range(-PROOF.places, PROOF.places + 1):
+                    for column in range(-PROOF.places, PROOF.places + 1):
                         at = middle + row * self.across + column
                         left = bits & int(self.places.masks[at]) & ~int(self.known[at])
                         if left:
@@ -340,7 +328,7 @@ class Prover:
 def _turned(bits: int) -> int:
     """Return these headings and those next to them."""
     every = (1 << HEADINGS) - 1
-    for _ in range(SETTINGS.headings):
+    for _ in range(PROOF.headings):
         bits |= (bits << 1 | bits >> (HEADINGS - 1) | bits >> 1 | bits << (HEADINGS - 1)) & every
     return bits
 

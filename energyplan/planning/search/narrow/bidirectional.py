@@ -15,6 +15,7 @@ import numpy as np
 from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import UNITS, Budget
+from energyplan.planning.settings import PASSAGE
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS, grown
 from energyplan.planning.space.motions import KernelProblem, join, pose_at, put_pose
@@ -37,36 +38,20 @@ STEP_H = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, -1])
 """Steps to them."""
 
 
-class Settings(NamedTuple):
-    """Constants of the grid search."""
-
-    cell: float = 0.125  # its cells over those of the route [1]
-    spare: tuple[float, ...] = (0.5, 0.0)  # how much larger the body is in it [cells]
-    wide: float = 3.0  # how much larger it is where it has room [cells]
-    most: int = 20_000  # poses tested at most, and motions along them
-    aside: float = 4.0  # factor on the length of a step to the side [1]
-    tight: float = 3.0  # factor on the length of a step where the body has no room [1]
-    longest: int = 64  # poses that a motion along them leads further at most
-    halvings: int = 8  # how often the way between two poses is halved until it is free
-
-
-SETTINGS = Settings()
-
-
 def through_passage(
     setting: KernelProblem, begin: Pose, end: Pose, spacing: float, budget: Budget
 ) -> Segments | None:
     """Return motions along free poses that lie close together, if there are such."""
-    cell = SETTINGS.cell * spacing
-    for part in SETTINGS.spare:
-        most = int(min(SETTINGS.most, budget.left / UNITS.pose))
-        spare, wide = (grown(setting.body, much * cell) for much in (part, SETTINGS.wide))
+    cell = PASSAGE.cell * spacing
+    for part in PASSAGE.spare:
+        most = int(min(PASSAGE.most, budget.left / UNITS.pose))
+        spare, wide = (grown(setting.body, much * cell) for much in (part, PASSAGE.wide))
         tested = setting._replace(body=spare)
         found = bidirectional_search(tested, wide, begin, end, cell, 2 * HEADINGS, most)
         budget.spend(UNITS.pose * found.tests)
         if len(found.poses):
-            ds, dtheta = np.empty((2, SETTINGS.most))
-            limit = int(min(budget.left / UNITS.follow, SETTINGS.most))
+            ds, dtheta = np.empty((2, PASSAGE.most))
+            limit = int(min(budget.left / UNITS.follow, PASSAGE.most))
             led = follow(setting, found.poses, limit, ds, dtheta)
             budget.spend(UNITS.follow * led.tried)
             if led.last == len(found.poses) - 1:
@@ -179,14 +164,14 @@ def bidirectional_search(
             if STEP_H[k] == 0:
                 ahead = abs(forward)
                 aside = abs(along * STEP_J[k] - across * STEP_I[k])
-                step = cell * (ahead + SETTINGS.aside * aside)
+                step = cell * (ahead + PASSAGE.aside * aside)
             if narrow[other]:
-                step *= SETTINGS.tight
+                step *= PASSAGE.tight
             if g[node] + step < g[other]:
                 g[other] = g[node] + step
                 parent[other] = node
                 goal = end if who == 0 else begin
-                left = 2.0 * SETTINGS.aside * hypot(goal.x - x, goal.y - y)
+                left = 2.0 * PASSAGE.aside * hypot(goal.x - x, goal.y - y)
                 left += 2.0 * setting.reach * angle_between(goal.yaw, yaw)
                 sizes[who] = push(heap_f[who], heap_node[who], sizes[who], g[other] + left, other)
 
@@ -249,13 +234,13 @@ def follow(
     written = 0
     tried = 0
     here = pose_at(poses, 0)
-    far = SETTINGS.longest
+    far = PASSAGE.longest
     while at < last and tried < limit and written + MAX_SEGMENTS <= len(ds):
         # so many poses further, or that part of the way to the next one
-        far = min(4 * far, SETTINGS.longest)
+        far = min(4 * far, PASSAGE.longest)
         part = 1.0
         moved = False
-        while not moved and part > 0.5**SETTINGS.halvings and tried < limit:
+        while not moved and part > 0.5**PASSAGE.halvings and tried < limit:
             to = min(at + far, last)
             turn = pi - (pi - (poses[to, 2] - here.yaw)) % (2.0 * pi)
             there = Pose(
