@@ -24,6 +24,7 @@ from energyplan.compilation import (
 )
 from energyplan.planning.bound.line import (
     HEADINGS,
+    Beyond,
     Rates,
     Section,
     along_line,
@@ -34,12 +35,7 @@ from energyplan.planning.bound.line import (
     to_end,
 )
 from energyplan.planning.bound.outline import Links, Outline, linked, side, sight
-from energyplan.planning.space.queues import (
-    angle_between,
-    pop,
-    push,
-    with_room,
-)
+from energyplan.planning.space.queues import angle_between, pop, push, with_room
 from energyplan.terrain.collision import Body, Space
 
 
@@ -163,24 +159,54 @@ def ways_to_goal(
     return Ways(to_goal, from_start, at_goal, min(least, frontier), direct, steps, final, links)
 
 
+class Line(NamedTuple):
+    """A line between two corners, or from the start, or to the goal."""
+
+    tail: int  # corner at which it begins; `n` for the start
+    head: int  # corner at which it ends; ``n + 1`` for the goal
+    x: float  # x of its tail [m]
+    y: float  # y of its tail [m]
+    dx: float  # x of its extent [m]
+    dy: float  # y of its extent [m]
+    length: float  # [m]
+    behind: int  # side of the obstacle at its tail: 1 left, -1 right, 0 at the start
+    about: int  # side of the obstacle at its head, 0 at the goal
+
+
+@inner
+def _line(outline: Outline, ends: Ends, tail: int, head: int) -> Line:
+    """Return the line between two corners."""
+    n = len(outline.point)
+    x = ends.start_x
+    y = ends.start_y
+    if tail < n:
+        x = outline.point[tail, 0]
+        y = outline.point[tail, 1]
+    dx = (outline.point[head, 0] if head < n else ends.goal_x) - x
+    dy = (outline.point[head, 1] if head < n else ends.goal_y) - y
+    behind = side(outline, tail, dx, dy) if tail < n else 0
+    about = side(outline, head, dx, dy) if head < n else 0
+    return Line(tail, head, x, y, dx, dy, hypot(dx, dy), behind, about)
+
+
 FRESH, FREE, BARRED = 0, 1, 2
 """What is known of the gates of a line: nothing, that all headings pass, that some do not."""
 
 
-class Lines(NamedTuple):
-    """Lines between corners in use, one a row."""
+class Searched(NamedTuple):
+    """Lines that the search has reached, one a row."""
 
     before: FloatTable  # (lines, HEADINGS): least cost by heading before each
-    tail: ShortInts  # (lines,): corner at which each begins; `n` for the start
-    head: ShortInts  # (lines,): corner at which each ends; ``n + 1`` for the goal
-    waiting: Flags  # (lines,): whether each is to be looked at
+    tail: ShortInts  # (lines,): see `Line`
+    head: ShortInts  # (lines,): see `Line`
+    waiting: Flags  # (lines,): whether each waits to be expanded
     gates: ShortIntTable  # (2, lines): what is known of the first and the second gate of each
     width: FloatTable  # (lines, 2): how far out these are crossed at most [m]
-    closed: FlagTable  # headings that these do not let through, those of one line after the other
+    closed: FlagTable  # (2 * lines, HEADINGS): headings that do not pass, both gates of each line
 
 
 @inner
-def _no_lines(rows: int) -> Lines:
+def _no_lines(rows: int) -> Searched:
     before = np.empty((rows, HEADINGS))
     gates = np.empty((2, rows), np.int32)
     width = np.empty((rows, 2))
@@ -191,14 +217,14 @@ def _no_lines(rows: int) -> Lines:
         waiting[k] = False
         for j in range(HEADINGS):
             before[k, j] = inf
-    return Lines(
+    return Searched(
         before, np.empty(rows, np.int32), np.empty(rows, np.int32), waiting, gates, width,
         np.empty((2 * rows, HEADINGS), np.bool_),
     )  # fmt: skip
 
 
 @inner
-def _more_lines(lines: Lines) -> Lines:
+def _more_lines(lines: Searched) -> Searched:
     rows = len(lines.tail)
     more = _no_lines(2 * rows)
     for k in range(rows):
@@ -213,30 +239,6 @@ def _more_lines(lines: Lines) -> Lines:
             more.closed[2 * k, j] = lines.closed[2 * k, j]
             more.closed[2 * k + 1, j] = lines.closed[2 * k + 1, j]
     return more
-
-
-@inner
-def _measure_gates(
-    space: Space, body: Body, outline: Outline, goal_yaw: float, lines: Lines, line: int,
-    ux: float, uy: float, x: float, y: float, behind: int, about: int,
-) -> None:  # fmt: skip
-    """Measure the gates at both ends of a line from (ux, uy), where no start or goal is there."""
-    ix = x - ux
-    iy = y - uy
-    length = hypot(ix, iy)
-    for which in range(2):
-        lines.gates[which, line] = FREE
-        on = behind if which == 0 else about
-        if on == 0:
-            continue
-        width, barred = gate(
-            space, body, outline, goal_yaw,
-            ux if which == 0 else x, uy if which == 0 else y,
-            on * iy / length, -on * ix / length, lines.closed[2 * line + which],
-        )  # fmt: skip
-        lines.width[line, which] = width
-        if barred:
-            lines.gates[which, line] = BARRED
 
 
 @inner
@@ -259,13 +261,63 @@ def _unused(count: int, used: ShortInts) -> ShortInts:
     return out
 
 
+@inner
+def _past_line(
+    space: Space, body: Body, outline: Outline, ways: Ways, rates: Rates, lines: Searched,
+    row: int, line: Line, to_goal: Floats, limit: float, steer: bool, tables: Beyond,
+) -> tuple[Floats, float]:  # fmt: skip
+    """Return the cost by heading past a line and its gates, and the steps that it took."""
+    n = len(outline.point)
+    turn = rates.radian * 2.0 * pi / HEADINGS
+    steps = 15000.0
+    if lines.gates[0, row] == FRESH:
+        steps += 30000.0
+        for which in range(2):
+            lines.gates[which, row] = FREE
+            on = line.behind if which == 0 else line.about
+            if on == 0:
+                continue
+            lines.width[row, which], barred = gate(
+                space, body, outline, rates.goal, line.x + which * line.dx,
+                line.y + which * line.dy, on * line.dy / line.length, -on * line.dx / line.length,
+                lines.closed[2 * row + which],
+            )  # fmt: skip
+            if barred:
+                lines.gates[which, row] = BARRED
+    cost = np.empty(HEADINGS)
+    for j in range(HEADINGS):
+        cost[j] = lines.before[row, j]
+    if lines.gates[0, row] == BARRED:
+        pass_gate(cost, lines.closed[2 * row], turn)
+    past = along_line(
+        cost, atan2(line.dy, line.dx), line.length, rates,
+        line.about != -1 and line.behind != 1, line.about != 1 and line.behind != -1,
+    )  # fmt: skip
+    if steer and (line.tail == n or line.head == n + 1):
+        on = line.about if line.tail == n else -line.behind
+        section = Section(
+            line.dx, line.dy, on * line.dy / line.length, -on * line.dx / line.length,
+            lines.width[row, 1 if line.tail == n else 0],
+        )  # fmt: skip
+        if line.tail == n:
+            most = limit - rates.metre * ways.to_goal[line.head]
+            steps += from_start(past, section, to_goal, most, rates, tables)
+        else:
+            reached = to_end(cost, section, to_goal, limit, rates, tables)
+            steps += reached.steps
+            past[0] = max(past[0], reached.cost)
+    if lines.gates[1, row] == BARRED:
+        pass_gate(past, lines.closed[2 * row + 1], turn)
+    return past, steps
+
+
 class Least(NamedTuple):
     """What the search over corners found."""
 
     value: float  # the bound
     final: bool  # whether the search came to its end
     links: Links  # what is known of the corners now
-    steps: float  # steps taken
+    steps: float  # steps that it took
 
 
 @njit
@@ -283,13 +335,12 @@ def least_over_corners(
 ) -> Least:
     """Return a lower bound on the cost of going from start to goal, at most `limit`.
 
-    A* over lines between corners, each with its costs by heading. A taut way turns at a corner
-    only around the obstacle there. What is left to go is estimated by the shortest way.
+    A* over lines between corners, each with its costs by heading. A taut path turns at a corner
+    only around the obstacle there. The rest of the cost is estimated by the shortest path.
     """
     n = len(outline.point)
     start = n
     goal = n + 1
-    turn = rates.radian * 2.0 * pi / HEADINGS
     tables = no_tables()
     to_goal = np.empty(HEADINGS)
     cost = np.empty(HEADINGS)
@@ -302,143 +353,83 @@ def least_over_corners(
     links = ways.links
     lines = _no_lines(256)
     none = np.empty(0, np.int32)
-    of_link = _unused(len(links.seen), none)
-    of_start = _unused(n, none)
-    of_goal = _unused(n, none)
+    of_link = _unused(len(links.seen), none)  # row of the line along each link
+    of_goal = _unused(n, none)  # row of the line from each corner to the goal
     heap_f = np.empty(1 << 12)
-    heap_node = np.empty(1 << 12, np.int32)
+    heap_row = np.empty(1 << 12, np.int32)
     count = 0
     size = 0
     steps = 0.0
-    at = start
-    about = 0
-    ix = 0.0
-    iy = 0.0
+    last = Line(start, start, ends.start_x, ends.start_y, 0.0, 0.0, 0.0, 0, 0)
     while True:
+        # lower the costs before the lines that go on from the end of the last one
+        at = last.head
         lowest = inf
         for j in range(HEADINGS):
             lowest = min(lowest, cost[j] + to_goal[j])
         many = 0
         begin = 0
-        if lowest < limit:
-            if at == start:
-                many = n
-            else:
-                links = linked(space, outline, links, at)
-                if not paid[at]:
-                    paid[at] = True
-                    steps += links.steps[at]
-                if len(of_link) < len(links.seen):
-                    of_link = _unused(len(links.seen), of_link)
-                begin = int(links.first[at])
-                many = links.number[at] + 1
-        # at the goal there is nothing to look at
-        x = ends.start_x if at == start else outline.point[min(at, n - 1), 0]
-        y = ends.start_y if at == start else outline.point[min(at, n - 1), 1]
+        if at == goal:
+            limit = min(limit, cost[0])
+        elif lowest < limit and at == start:
+            many = n
+        elif lowest < limit:
+            links = linked(space, outline, links, at)
+            if not paid[at]:
+                paid[at] = True
+                steps += links.steps[at]
+            if len(of_link) < len(links.seen):
+                of_link = _unused(len(links.seen), of_link)
+            begin = int(links.first[at])
+            many = links.number[at] + 1
         steps += 10.0 * many
         for i in range(many):
-            # the last one is the goal, except from the start, where it is known already
-            v = i if at == start else goal if i == many - 1 else int(links.seen[begin + i])
-            if v == goal:
-                if ways.at_goal[at] == inf:
-                    continue
-                dx = ends.goal_x - x
-                dy = ends.goal_y - y
-                rest = ways.at_goal[at]
-            else:
-                if at == start and ways.from_start[v] == inf:
-                    continue
-                dx = outline.point[v, 0] - x
-                dy = outline.point[v, 1] - y
-                rest = hypot(dx, dy) + ways.to_goal[v]
-            length = hypot(dx, dy)
-            if lowest + rates.metre * rest >= limit:
-                continue
-            if at != start and (
-                (ix * dy - iy * dx) * about < -1e-9 * length or side(outline, at, dx, dy) != about
+            # from a corner the last line leads to the goal; from the start that is known already
+            to = i if at == start else goal if i == many - 1 else int(links.seen[begin + i])
+            if (at == start and ways.from_start[to] == inf) or (
+                to == goal and ways.at_goal[at] == inf
             ):
                 continue
-            line = int(
-                of_start[v] if at == start else of_goal[at] if v == goal else of_link[begin + i]
-            )
-            if line < 0:
+            line = _line(outline, ends, at, to)
+            rest = rates.metre * (line.length + (0.0 if to == goal else ways.to_goal[to]))
+            if lowest + rest >= limit:
+                continue
+            bend = (last.dx * line.dy - last.dy * line.dx) * last.about
+            if at != start and (bend < -1e-9 * line.length or line.behind != last.about):
+                continue
+            row = int(-1 if at == start else of_goal[at] if to == goal else of_link[begin + i])
+            if row < 0:
                 if count == len(lines.tail):
                     lines = _more_lines(lines)
-                line = count
+                row = count
                 count += 1
-                if at == start:
-                    of_start[v] = line
-                elif v == goal:
-                    of_goal[at] = line
-                else:
-                    of_link[begin + i] = line
-                lines.tail[line] = at
-                lines.head[line] = v
+                if to == goal:
+                    of_goal[at] = row
+                elif at != start:
+                    of_link[begin + i] = row
+                lines.tail[row] = at
+                lines.head[row] = to
             steps += 300.0
-            f = _lower(lines.before[line], cost, to_goal) + rates.metre * rest
+            f = _lower(lines.before[row], cost, to_goal) + rest
             if f < limit:
-                heap_f, heap_node = with_room(heap_f, heap_node, size)
-                lines.waiting[line] = True
-                size = push(heap_f, heap_node, size, f, line)
-        line = -1
+                heap_f, heap_row = with_room(heap_f, heap_row, size)
+                lines.waiting[row] = True
+                size = push(heap_f, heap_row, size, f, row)
+        # expand the most promising line that waits
+        row = -1
         f = limit
-        while size > 0 and line < 0:
+        while size > 0 and row < 0:
             f = heap_f[0]
-            if lines.waiting[heap_node[0]]:
-                line = int(heap_node[0])
-            size = pop(heap_f, heap_node, size)
-        if line < 0 or f >= limit:
+            if lines.waiting[heap_row[0]]:
+                row = int(heap_row[0])
+            size = pop(heap_f, heap_row, size)
+        if row < 0 or f >= limit:
             return Least(limit, True, links, steps)
         if steps > effort:
             return Least(f, False, links, steps)
-        lines.waiting[line] = False
-        u = int(lines.tail[line])
-        at = int(lines.head[line])
-        ux = ends.start_x if u == start else outline.point[u, 0]
-        uy = ends.start_y if u == start else outline.point[u, 1]
-        x = ends.goal_x if at == goal else outline.point[at, 0]
-        y = ends.goal_y if at == goal else outline.point[at, 1]
-        ix = x - ux
-        iy = y - uy
-        length = hypot(ix, iy)
-        behind = 0 if u == start else side(outline, u, ix, iy)
-        about = 0 if at == goal else side(outline, at, ix, iy)
-        for j in range(HEADINGS):
-            cost[j] = lines.before[line, j]
-        steps += 15000.0
-        if lines.gates[0, line] == FRESH:
-            steps += 30000.0
-            _measure_gates(
-                space, body, outline, rates.goal, lines, line, ux, uy, x, y, behind, about
-            )
-        if lines.gates[0, line] == BARRED:
-            pass_gate(cost, lines.closed[2 * line], turn)
-        past = along_line(
-            cost,
-            atan2(iy, ix),
-            length,
-            rates,
-            about != -1 and behind != 1,
-            about != 1 and behind != -1,
+        lines.waiting[row] = False
+        last = _line(outline, ends, int(lines.tail[row]), int(lines.head[row]))
+        cost, more = _past_line(
+            space, body, outline, ways, rates, lines, row, last, to_goal, limit, steer, tables
         )
-        if steer and u == start:
-            section = Section(
-                ix, iy, about * iy / length, -about * ix / length, lines.width[line, 1]
-            )
-            rest = rates.metre * ways.to_goal[at]
-            steps += from_start(past, section, to_goal, limit - rest, rates, tables)
-        elif steer and at == goal:
-            section = Section(
-                ix, iy, -behind * iy / length, behind * ix / length, lines.width[line, 0]
-            )
-            reached = to_end(cost, section, to_goal, limit, rates, tables)
-            steps += reached.steps
-            past[0] = max(past[0], reached.cost)
-        cost = past
-        if at == goal:
-            limit = min(limit, cost[0])
-            for j in range(HEADINGS):
-                cost[j] = inf
-            continue
-        if lines.gates[1, line] == BARRED:
-            pass_gate(cost, lines.closed[2 * line + 1], turn)
+        steps += more
