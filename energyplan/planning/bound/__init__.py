@@ -1,9 +1,9 @@
 """What no path can cost less than.
 
-Two bounds hold for every path, and the greater one counts (docs/theory, section 5): the least cost
+Two bounds hold for every path, and the greater one is used (docs/theory, section 5): the least cost
 without obstacles, which steering knows exactly, and the least cost of a disc inside the footprint
-that pays for metres and radians apart. The second is sought over the corners of the obstacles; why
-it is a bound is derived in docs/planner.md.
+that pays for metres and radians separately. A search over the corners of the obstacles finds the
+second; docs/planner.md derives why it is a bound.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from energyplan.planning.space.motions import KernelProblem, free_energy
 from energyplan.terrain import OccupancyGrid
 
 EFFORT = 5e7
-"""Steps of the searches over corners after which what is known by then is taken: below 0.1 s."""
+"""Steps of the searches over corners after which the bound known is returned: below 0.1 s."""
 
 
 Spent = dict[Sights, NDArray[np.bool_]]
-"""The corners of outlines whose lines were counted as effort."""
+"""The corners of outlines whose lines are paid for with effort already."""
 
 
 class Bound(NamedTuple):
@@ -53,11 +53,11 @@ def lower_bound(
     if free >= limit or radius <= 0:
         return Bound(free, True)
     excess = least_excess(query, radius, limit)
-    # what dear surfaces add comes on top of the rates alone
-    apart = setting if excess == 0.0 else _apart(setting)
+    # what expensive surfaces add comes on top of the rates alone
+    separate = setting if excess == 0.0 else _separate(setting)
     direct = free if excess == 0.0 else _without_obstacles(setting)
     among, final = _among_obstacles(
-        query.grid, apart, radius, direct, limit - excess, effort, {} if spent is None else spent
+        query.grid, separate, radius, direct, limit - excess, effort, {} if spent is None else spent
     )
     return Bound(max(free, among + excess), final)
 
@@ -72,10 +72,10 @@ def prepare_bound(query: CompiledProblem) -> None:
     if surfaces is not None:
         certain_regions(query, surfaces)
     ends = Ends(*setting.start[:2], *setting.goal[:2])
-    apart = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
+    straight = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
     coarsest = sights(grid, radius, DETAILS[-1]).outline
-    finest = _finest(coarsest, ends, BOUND.detours[0] * apart)
-    last = _finest(coarsest, ends, BOUND.detours[1] * apart)
+    finest = _finest(coarsest, ends, BOUND.detours[0] * straight)
+    last = _finest(coarsest, ends, BOUND.detours[1] * straight)
     with ThreadPoolExecutor(workers()) as pool:
         list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
 
@@ -88,15 +88,15 @@ def _inscribed(query: CompiledProblem) -> float:
 
 
 def _without_obstacles(kernel: KernelProblem) -> float:
-    """Return the least cost between the two poses where metres and radians are paid apart."""
+    """Return the least cost between the two poses where metres and radians are paid separately."""
     metre, radian = kernel.least_metre, kernel.least_radian
     if radian <= metre * SHORT_TRACK:
         return metre * hypot(kernel.goal.x - kernel.start.x, kernel.goal.y - kernel.start.y)
-    return float(free_energy(_apart(kernel), kernel.start))
+    return float(free_energy(_separate(kernel), kernel.start))
 
 
-def _apart(kernel: KernelProblem) -> KernelProblem:
-    """Return the problem with metres and radians paid apart in steering too."""
+def _separate(kernel: KernelProblem) -> KernelProblem:
+    """Return the problem with metres and radians paid separately in steering too."""
     metre, radian = kernel.least_metre, kernel.least_radian
     steering = kernel.steering._replace(half_track=SHORT_TRACK, per_metre=metre, per_radian=radian)
     return kernel._replace(steering=steering)
@@ -176,7 +176,7 @@ class Bounding:
         return self._bound.value
 
     def know(self, value: float) -> None:
-        """Take a lower bound that somebody else found; none is sought then."""
+        """Use a lower bound that was found elsewhere; none is searched for then."""
         self._bound = Bound(value, True)
 
     def work(self, cost: float, units: float) -> list[Work]:

@@ -104,7 +104,7 @@ def ways_to_goal(
     from_start = np.empty(n)
     at_goal = np.empty(n)
     to_goal = np.empty(n)
-    settled = np.empty(n, np.bool_)
+    expanded = np.empty(n, np.bool_)
     steps = _seen_from(space, outline, ux, uy, ends.goal_x, ends.goal_y, limit, from_start)
     steps += _seen_from(space, outline, ends.goal_x, ends.goal_y, ux, uy, limit, at_goal)
     direct = sight(space, outline, ux, uy, ends.goal_x, ends.goal_y).free
@@ -112,7 +112,7 @@ def ways_to_goal(
     heap_node = np.empty(1 << 12, np.int32)
     size = 0
     for v in range(n):
-        settled[v] = False
+        expanded[v] = False
         to_goal[v] = at_goal[v]
         f = at_goal[v] + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
         if f < limit:
@@ -125,13 +125,13 @@ def ways_to_goal(
         f = heap_f[0]
         at = int(heap_node[0])
         size = pop(heap_f, heap_node, size)
-        if settled[at]:
+        if expanded[at]:
             continue
         if steps > effort:
             frontier = f
             final = False
             break
-        settled[at] = True
+        expanded[at] = True
         here = to_goal[at]
         least = min(least, here + from_start[at])
         links = linked(space, outline, links, at)
@@ -144,7 +144,7 @@ def ways_to_goal(
             dx = outline.point[v, 0] - outline.point[at, 0]
             dy = outline.point[v, 1] - outline.point[at, 1]
             there = here + hypot(dx, dy)
-            if settled[v] or there >= to_goal[v]:
+            if expanded[v] or there >= to_goal[v]:
                 continue
             to_goal[v] = there
             f = there + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
@@ -152,7 +152,7 @@ def ways_to_goal(
                 heap_f, heap_node = with_room(heap_f, heap_node, size)
                 size = push(heap_f, heap_node, size, f, v)
     for v in range(n):
-        if not settled[v]:
+        if not expanded[v]:
             away = hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
             straight = hypot(outline.point[v, 0] - ends.goal_x, outline.point[v, 1] - ends.goal_y)
             to_goal[v] = max(straight, frontier - away)

@@ -1,7 +1,7 @@
 """Kernels for one line of the lower bound: what a way along it costs, and what can cross its ends.
 
 The robot is a disc that drives along its heading, forwards or backwards, and pays for metres and
-radians apart (docs/planner.md).
+radians separately (docs/planner.md).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def gate(
     for j in range(n):
         closed[j] = False
     length = 0.0
-    roomy = False
+    open_space = False
     while True:
         here = in_cells(space, x + length * ux, y + length * uy)
         column = floor(here.column)
@@ -58,9 +58,9 @@ def gate(
             return inf, False
         if near + off < outline.inside - 1e-9:
             break
-        roomy = roomy or near - off > reach
+        open_space = open_space or near - off > reach
         length += GATES.step
-    if roomy or length > GATES.long:
+    if open_space or length > GATES.long:
         return length, False
     # a body that is smaller by what a place and a heading stand for
     less = 0.5 * GATES.step + 0.5 * spacing * reach
@@ -96,7 +96,7 @@ class Rates(NamedTuple):
     """Costs of the relaxed problem."""
 
     metre: float  # cost per metre driven
-    radian: float  # cost per radian turned
+    radian: float  # cost per radian of turning
     start: float  # heading at the start [rad]
     goal: float  # heading at the goal [rad]
     direct: float  # least cost from start to goal without obstacles
@@ -149,7 +149,7 @@ def along_line(
     strict = strict_left or strict_right
     sine = np.empty(n)
     cosine = np.empty(n)
-    beside = np.empty(n, np.bool_)
+    oblique = np.empty(n, np.bool_)
     for j in range(n):
         aside = (rates.goal + j * spacing - direction) % pi
         left = aside <= 0.5 * pi
@@ -157,7 +157,7 @@ def along_line(
         lag = max((aside if left else pi - aside) - spacing, 0.0)
         sine[j] = sin(lag)
         cosine[j] = max(cos(lag), 1e-6)
-        beside[j] = not (strict_left if left else strict_right)
+        oblique[j] = not (strict_left if left else strict_right)
     out = np.empty(n)
     past = np.empty(n)
     for j in range(n):
@@ -166,7 +166,7 @@ def along_line(
         wide = cos(0.5 * SWEEPS[k]) / sin(0.5 * SWEEPS[k])
         for j in range(n):
             longer = 1.0 / cosine[j]
-            if not beside[j]:
+            if not oblique[j]:
                 longer = max(longer, sine[j] * wide + cosine[j])
             past[j] = cost[j] + straight * longer
         spread(past, rates.radian * spacing)
@@ -328,10 +328,10 @@ def to_gate(
                 break
             for j in range(many + 1):
                 less = max(j - 1, 0)
-                turned = radian * (total + 2.0 * (short + less) * BEYOND)
-                if turned >= best:
+                turning = radian * (total + 2.0 * (short + less) * BEYOND)
+                if turning >= best:
                     break
-                value = turned
+                value = turning
                 for m in range(NORMALS):
                     # the force that was the best one before comes first
                     k = (last + m) % NORMALS
@@ -342,7 +342,7 @@ def to_gate(
                     if left_over <= 0.0:
                         continue
                     most = max(inside[k], tables.low[k, i], tables.high[k, j])
-                    there = turned + metre * left_over / max(most, 1e-9)
+                    there = turning + metre * left_over / max(most, 1e-9)
                     if there > value:
                         value = there
                         if value >= best:
@@ -354,7 +354,7 @@ def to_gate(
 
 @inner
 def _slack(rates: Rates) -> float:
-    """Return what a heading between two nodes can take less than the nearer one."""
+    """Upper bound of the discretisation error between two heading samples."""
     return (rates.radian + rates.steering.per_radian) * pi / HEADINGS
 
 

@@ -362,7 +362,7 @@ class Sights:
 
 
 def sights(grid: OccupancyGrid, radius: float, detail: Detail) -> Sights:
-    """Return the outline of a map for a disc, with what is known of its corners; made once."""
+    """Return the outline of a map for a disc, and the links known; kept with the map."""
     key = ("outline", radius, detail)
     return tables_of(grid.space).get(key, lambda: Sights(outline_for(grid, radius, detail)))
 
@@ -419,8 +419,8 @@ def _level(grid: OccupancyGrid, radius: float) -> float:
     at most, since clearance changes by no more than the distance, and the level is lower by that.
     """
     level = radius / grid.resolution - sqrt(0.5)
-    while level > 0.0 and abs(float(np.float32(level)) - level) < OUTLINES.apart * level:
-        level -= 2.0 * OUTLINES.apart * level
+    while level > 0.0 and abs(float(np.float32(level)) - level) < OUTLINES.difference * level:
+        level -= 2.0 * OUTLINES.difference * level
     return level
 
 

@@ -1,8 +1,8 @@
-"""What dear surfaces add to a lower bound that prices every metre as on the cheapest one.
+"""What expensive surfaces add to a lower bound that prices each metre as on the cheapest one.
 
-Every cost is the sum of two parts: that of a ground that is everywhere as cheap as the cheapest
-surface, and the excess, which is paid by the metre where the ground is dearer. The least of the
-sum is no less than the sum of the leasts; the second of them is found here.
+Every cost is the sum of two parts: that on the cheapest surface everywhere, and the excess, which
+is paid by the metre where the ground is more expensive. The least sum is no less than the sum of
+the least parts; the second of them is found here.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROUNDING = 1e-3
 
 
 def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
-    """Return a lower bound on what dear surfaces add to the cost of every path."""
+    """Return a lower bound on what expensive surfaces add to the cost of every path."""
     surfaces = query.problem.surfaces
     if surfaces is None:
         return 0.0
@@ -106,7 +106,7 @@ def least_steps(
 
     Follow a way, and mark a place each time that it has gone as far as a cell is wide, along either
     axis, from the last one. From one to the next it stays within the cell of the first and the
-    eight around it, and the next lies in one of these. So the marks make a walk over the cells,
+    eight around it, and the next lies in one of these. So the marks make a chain over the cells,
     diagonals included, and the way pays at least the width of a cell times the least price in
     this neighbourhood, which is what `step` holds.
     """

@@ -47,7 +47,7 @@ def shrunk(body: Body, square: float, heading: float, turn: float) -> Body:
     # the square as seen along either axis of the body, at any of the headings
     off = 0.5 * square * (abs(cos(heading)) + abs(sin(heading)))
     off += 0.5 * square * hypot(1, 1) * 2.0 * sin(0.5 * turn)
-    # a point of the rectangle turned either way must stay within the body
+    # a point of the rectangle, rotated either way, must stay within the body
     along = max(-body.x_min, body.x_max, 0.0) * (1.0 - cos(turn))
     across = max(-body.y_min, body.y_max, 0.0) * (1.0 - cos(turn))
     aside_x = sin(turn) * max(-body.y_min, body.y_max, 0.0) + along + off
@@ -434,7 +434,7 @@ def _masks(
                 run_first=first,
                 run_last=first + length - (1 << level),
                 limits=np.array([[t.low, t.high, t.left, t.right] for t in tables]),
-                # what the enlarged cells may be is not told by a disc in the body
+                # a disc in the body does not bound what the enlarged cells may be
                 inner=-1.0 if enlarged else inscribed - 0.75,
                 outer=reach + 0.75,
                 step=parts,

@@ -151,7 +151,7 @@ def cost_over(kernel: KernelProblem, enlarged: bool, known: float = 0.0) -> Cost
         places, goals, regions.of_node, near, ground, distance, direction, after
     )
     if not near.all():
-        fill_beside(regions, near, back, distance)
+        fill_outside(regions, near, back, distance)
     return to_go._replace(work=work)
 
 
@@ -482,7 +482,7 @@ def fill_regions(
 
 
 @njit
-def fill_beside(regions: Regions, near: Flags, back: Singles, distance: Singles) -> None:
+def fill_outside(regions: Regions, near: Flags, back: Singles, distance: Singles) -> None:
     """Write the distances of the nodes outside the corridor, from those between regions.
 
     Distances among nodes exceed those between regions. The largest excess in the corridor is added,

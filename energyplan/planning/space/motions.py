@@ -7,7 +7,7 @@ A price is a positively homogeneous function of (ds, dtheta). It is held as its 
 `DIRECTIONS` rays of the plane ``(ds, C dtheta)`` and is linear between them. The kinks of the
 static model, at straight motion, spin and pivot, lie on rays, so its price is exact.
 
-On slopes there is such a row for each of `Hills.bins` slopes, less the energy that height is worth,
+On slopes there is such a row for each of `Hills.bins` slopes, less the potential energy,
 so that no price is negative; between two slopes the price is linear.
 """
 
@@ -76,8 +76,8 @@ class KernelProblem(NamedTuple):
     gear: int  # 0 drives both ways, 1 forwards only; -1 that searched from the end
     lateral: float  # y of the centre of the tread ICRs in the body frame [m]
     reach: float  # distance of the body's furthest corner [m]
-    least_metre: float  # what each metre of a motion costs at least, beside `least_radian`
-    least_radian: float  # what each radian of it costs at least
+    least_metre: float  # least cost of a metre, plus `least_radian` for each radian
+    least_radian: float  # least cost of a radian
     start: Pose  # pose of the centre of the tread ICRs at the start
     goal: Pose  # pose of the centre of the tread ICRs at the goal
 
@@ -85,12 +85,12 @@ class KernelProblem(NamedTuple):
 @inner
 def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: float) -> float:
     """Price of a motion on one class of surface."""
-    turned = half_track * dtheta
-    size = hypot(ds, turned)
+    across = half_track * dtheta
+    size = hypot(ds, across)
     if size == 0.0:
         return 0.0
     spread = 2.0 * pi / DIRECTIONS
-    place = (atan2(turned, ds) % (2.0 * pi)) / spread
+    place = (atan2(across, ds) % (2.0 * pi)) / spread
     k = min(int(place), DIRECTIONS - 1)
     into = (place - k) * spread
     return float(
@@ -104,8 +104,8 @@ def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: f
 def turn_prices(setting: KernelProblem) -> Floats:
     """Price of a radian of turning on each class of surface, on the level.
 
-    Half of it is turned on the spot, half by pivots, whose way ahead is not lost; where arcs have a
-    least radius both are turned on these, to and fro or ahead.
+    Half of it are spins, half pivots, whose progress ahead is not lost; where arcs have a
+    least radius both are driven on these, to and fro or ahead.
     """
     bins = setting.hills.bins
     half = setting.half_track
@@ -155,16 +155,16 @@ def height_at(hills: Hills, x: float, y: float) -> float:
 
 @inner
 def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
-    """Price of a motion on slopes, less what the rise of its reference point is worth."""
+    """Price of a motion on slopes, less the potential energy that its reference point gains."""
     hills = setting.hills
-    turned = setting.half_track * dtheta
-    size = hypot(ds, turned)
+    across = setting.half_track * dtheta
+    size = hypot(ds, across)
     if size == 0.0:
         return 0.0
     pieces = max(ceil(max(abs(ds) / hills.piece, abs(dtheta) / TURN)), 1)
-    # place among the rays, the same for every piece
+    # place among the rays, the same for every part
     spread = 2.0 * pi / DIRECTIONS
-    place = (atan2(turned, ds) % (2.0 * pi)) / spread
+    place = (atan2(across, ds) % (2.0 * pi)) / spread
     ray = min(int(place), DIRECTIONS - 1)
     into = (place - ray) * spread
     before = size / pieces * sin(spread - into) / sin(spread)
@@ -219,20 +219,20 @@ def motion_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) ->
         return sloping_cost(setting, pose, ds, dtheta)
     furthest = max(abs(ds), abs(ds + setting.lateral * dtheta))
     pieces = max(ceil(2.0 * furthest / setting.space.resolution), 1)
-    piece_ds = ds / pieces
-    piece_turn = dtheta / pieces
-    chord = piece_ds * chord_factor(piece_turn)
+    part_ds = ds / pieces
+    part_turn = dtheta / pieces
+    chord = part_ds * chord_factor(part_turn)
     x, y, yaw = pose
     total = 0.0
     last = -1
     unit = 0.0
     for k in range(pieces):
-        mid = yaw + (k + 0.5) * piece_turn
+        mid = yaw + (k + 0.5) * part_turn
         mx = x + 0.5 * chord * cos(mid)
         my = y + 0.5 * chord * sin(mid)
         kind = surface_at(setting, Pose(mx, my, mid))
         if kind != last:
-            unit = price(setting.prices, kind, setting.half_track, piece_ds, piece_turn)
+            unit = price(setting.prices, kind, setting.half_track, part_ds, part_turn)
             last = kind
         total += unit
         x += chord * cos(mid)

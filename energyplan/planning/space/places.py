@@ -62,9 +62,9 @@ class Places(NamedTuple):
 
 
 def places_for(kernel: KernelProblem, enlarged: bool = False) -> Places:
-    """Return the free configurations of a problem as nodes, made once for a map and a body."""
+    """Return the free configurations of a problem as nodes, kept with a map and a body."""
     space, body = kernel.space, kernel.body
-    # without the margin of planning, which made the footprint larger
+    # without the margin of planning, which enlarged the footprint
     fitting = grown(body, -MARGIN * space.resolution) if enlarged else body
 
     def make() -> Places:

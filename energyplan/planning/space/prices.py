@@ -24,7 +24,7 @@ from energyplan.power.effects import reads_slope
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.terrain.grid import from_raster
 
-Made = TypeVar("Made")
+Value = TypeVar("Value")
 
 BINS = 65
 """Slopes in the price tables of the kernels; odd, so that level ground is one of them."""
@@ -38,8 +38,8 @@ _remembered: WeakKeyDictionary[Any, dict[Hashable, tuple[Callable[[], Any], Any]
 _remembered = WeakKeyDictionary()
 
 
-def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Made]) -> Made:
-    """Return what is made once for an owner, one part that it is used with, and a key."""
+def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Value]) -> Value:
+    """Return what is computed once for an owner, one part that it is used with, and a key."""
     kept = _remembered.setdefault(owner, {})
     known = kept.get((id(part), key))
     if known is None or known[0]() is not part:
@@ -47,7 +47,7 @@ def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Made]) -
             kept.clear()
         known = ref(part) if part is not None else _nothing, make()
         kept[id(part), key] = known
-    return cast("Made", known[1])
+    return cast("Value", known[1])
 
 
 def _nothing() -> None:
@@ -123,7 +123,7 @@ def check_models(costs: tuple[EnergyCost, ...], surfaces: SurfaceMap | None) -> 
 
 
 class Priced(NamedTuple):
-    """Prices less what the rise is worth; the rows are classes of surface and slopes."""
+    """Prices less the potential energy; the rows are classes of surface and slopes."""
 
     kept: FloatArray  # (classes * BINS, rays): what the kernels interpolate
     height_price: float  # the price of height that was taken off
@@ -194,7 +194,7 @@ class Prices:
     """Prices of motions of `Path`'s reference point."""
 
     cost: EnergyCost  # cost of motions
-    surfaces: SurfaceMap | None = None  # grounds with power models of their own
+    surfaces: SurfaceMap | None = None  # regions with power models of their own
     objective: str | Mapping[str, float] = "energy"  # what to make least, as in `PlanningProblem`
 
     @cached_property
@@ -231,7 +231,7 @@ class Prices:
             slope, along = np.arctan(steep), along * np.hypot(1.0, steep)
         total = energy * cost.segment_energy(along, dtheta, slope, exact=exact)
         total = total + length * np.abs(ds)
-        if time:  # without need a vehicle without a speed limit is not asked for its time
+        if time:  # else a vehicle needs no speed limit
             total = total + time * cost.segment_duration(along, dtheta, exact=exact)
         return np.asarray(total)
 
@@ -284,14 +284,14 @@ class LeastPrices:
     _kept: _Kept
 
     def price(
-        self, x: FloatArray, y: FloatArray, grounds: Iterable[int] | None = None
+        self, x: FloatArray, y: FloatArray, regions: Iterable[int] | None = None
     ) -> FloatArray:
         """Return the price on each ground, at its cheapest slope."""
         turn = y / self.objective.cost.half_track
-        grounds = range(len(self.objective.costs)) if grounds is None else grounds
+        regions = range(len(self.objective.costs)) if regions is None else regions
         ahead = np.maximum(np.abs(x), self.radius * np.abs(turn))
         ds = np.where(x < 0.0, -ahead, ahead) + self.lateral * turn
-        return np.array([self._cheapest(k, ds, turn) for k in grounds])
+        return np.array([self._cheapest(k, ds, turn) for k in regions])
 
     def _cheapest(self, ground: int, ds: FloatArray, turn: FloatArray) -> FloatArray:
         if not self.steepest > 0:
@@ -347,8 +347,8 @@ class LeastPrices:
         for ground in set(range(len(self.objective.costs))) - set(known):
 
             def price(x: FloatArray, y: FloatArray, ground: int = ground) -> FloatArray:
-                turned = least.radian / half_track * np.abs(y)
-                return np.asarray(self.price(x, y, (ground,))[0] - turned)
+                turning = least.radian / half_track * np.abs(y)
+                return np.asarray(self.price(x, y, (ground,))[0] - turning)
 
             infimum = Infimum(price, self._infimum.even, self._special)
             metre = infimum.lowered(infimum.least(per_metre(lambda x, y: np.abs(x))))

@@ -52,10 +52,10 @@ def through_passage(
         if len(found.poses):
             ds, dtheta = np.empty((2, PASSAGE.most))
             limit = int(min(budget.left / UNITS.follow, PASSAGE.most))
-            led = follow(setting, found.poses, limit, ds, dtheta)
-            budget.spend(UNITS.follow * led.tried)
-            if led.last == len(found.poses) - 1:
-                return Segments(ds[: led.motions], dtheta[: led.motions])
+            followed = follow(setting, found.poses, limit, ds, dtheta)
+            budget.spend(UNITS.follow * followed.tried)
+            if followed.last == len(found.poses) - 1:
+                return Segments(ds[: followed.motions], dtheta[: followed.motions])
     return None
 
 

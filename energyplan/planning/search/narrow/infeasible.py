@@ -73,7 +73,7 @@ def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int) -
 
 
 @inner
-def _beside(bits: np.uint64) -> np.uint64:
+def _neighbours(bits: np.uint64) -> np.uint64:
     """Return the headings next to some."""
     ahead = (bits << np.uint64(1)) | (bits >> np.uint64(63))
     return ahead | (bits >> np.uint64(1)) | (bits << np.uint64(63))
@@ -84,7 +84,7 @@ def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
     """Return all headings of a mask that are joined with some of them."""
     bits &= mask
     while True:
-        wider = (bits | _beside(bits)) & mask
+        wider = (bits | _neighbours(bits)) & mask
         if wider == bits:
             return bits
         bits = wider
@@ -140,7 +140,7 @@ def chain_between(
                     events += 1
                 fresh = found.bits[at] & mask
             else:
-                fresh = _beside(found.bits[at]) & mask
+                fresh = _neighbours(found.bits[at]) & mask
             fresh &= ~(reached[there] | waiting[there])
             if fresh != 0:
                 later = _added(later, laters, there, fresh, at)
@@ -244,7 +244,7 @@ class Proof(NamedTuple):
 
 
 class Prover:
-    """The free configurations of a problem, and what looking closer made of them."""
+    """The free configurations of a problem, and what halving boxes showed of them."""
 
     def __init__(self, kernel: KernelProblem, budget: Budget) -> None:
         self.kernel, self.budget = kernel, budget
@@ -302,7 +302,7 @@ class Prover:
             open_ones = int(self.tested[one]) & int(self.tested[two])
             if open_ones & headings[k] & headings[k + 1]:
                 continue
-            bits = _turned(headings[k] | headings[k + 1])
+            bits = _widened(headings[k] | headings[k + 1])
             for middle in (one, two):
                 for row in range(-PROOF.places, PROOF.places + 1):
                     for column in range(-PROOF.places, PROOF.places + 1):
@@ -325,7 +325,7 @@ class Prover:
         return True
 
 
-def _turned(bits: int) -> int:
+def _widened(bits: int) -> int:
     """Return these headings and those next to them."""
     every = (1 << HEADINGS) - 1
     for _ in range(PROOF.headings):
