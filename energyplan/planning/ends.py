@@ -9,12 +9,13 @@ with the margin of planning: a path that touches obstacles may be free or not by
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 from energyplan.errors import NoPathError
+from energyplan.path import Path
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.plans import Candidate
 from energyplan.planning.problem import KEPT, PlanningProblem, free_beside
@@ -61,16 +62,18 @@ class Between(NamedTuple):
         problem: PlanningProblem,
         budget: Budget,
         solve: Callable[[PlanningProblem, Budget], Candidate],
+        known: Sequence[Path],
     ) -> Candidate:
-        """Solve it, and return what that gives from start to goal."""
+        """Solve it, and return what that gives from start to goal; no known path costs less."""
         if self.ways is None:
             return solve(self.problem, budget)
         found = solve(self.problem, budget.part(SHARES.stage))
         path = self.ways.refined(found.path, budget)
         if problem.fault(path):
             path = self.ways.around(found.path)
+        free = [one for one in known if problem.fault(one) is None]
         # what else was found beside the path begins and ends elsewhere
-        return Candidate(path, first_time=found.first_time)
+        return Candidate(min([path, *free], key=self.ways.query.value), first_time=found.first_time)
 
 
 def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:

@@ -563,7 +563,9 @@ def plan(
         # nobody believes it of others
         return found if declared in PLANNERS.values() else replace(found, driven=None)
 
-    found = between.solved(problem, given, solve)
+    if known := list(options.get("initial", ())):
+        options["initial"] = known  # what can be read but once
+    found = between.solved(problem, given, solve, known)
     query = compiled(ends.bare)
     bound = found.lower_bound
     if bound is None:

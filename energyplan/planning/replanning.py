@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan import steering
-from energyplan.errors import EnergyPlanError, InvalidInputError, InvalidPathError
+from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget, plan_budget
@@ -181,11 +181,8 @@ def replan(
             least = compiled(inner).least_in_free_space  # without a bound among obstacles
             return lattice.plan(inner, own, initial=known, bound=least)
 
-        found = between_clear_ends(now, budget).solved(now, budget, solve)
-        path = min([found.path, *known], key=query.value)
-        found, planner = replace(found, path=path), "lattice"
-        if fault := now.fault(path):
-            raise InvalidPathError(f"the planner returned {fault}; please report this map")
+        found = between_clear_ends(now, budget).solved(now, budget, solve, known)
+        planner = "lattice"
     return priced_plan(query, found, bound, planner, budget, problem=now, notes=ends.notes)
 
 
