@@ -1,5 +1,8 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import shapely
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import UnknownNameError
@@ -7,7 +10,7 @@ from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import ompl as adapter
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid
+from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 
 base = pytest.importorskip("ompl.base")
 
@@ -20,6 +23,7 @@ def hall_with_pillar():
     return OccupancyGrid(occupied, 0.1)
 
 
+GROUND = SurfaceMap([Surface(shapely.box(20, 20, 21, 21), COST.model)])  # beside the map
 PROBLEM = PlanningProblem(hall_with_pillar(), COST, (2, 4, 0), (8, 4, 1.0))
 
 
@@ -38,8 +42,9 @@ def test_geometric_planners_return_free_paths_priced_by_the_model(name):
     assert best.lower_bound <= best.energy <= found.energy * (1 + 1e-9)
 
 
-def test_objective_is_directed_additive_and_its_heuristic_admissible():
-    query = CompiledProblem(PROBLEM)
+@pytest.mark.parametrize("surfaces", [None, GROUND])
+def test_objective_is_directed_additive_and_its_heuristic_admissible(surfaces):
+    query = CompiledProblem(replace(PROBLEM, surfaces=surfaces))
     space = adapter.pose_space(query)
     information = base.SpaceInformation(space)
     objective = adapter.EnergyObjective(information, query)
@@ -50,8 +55,9 @@ def test_objective_is_directed_additive_and_its_heuristic_admissible():
             adapter.pose_state(space, *rng.uniform(1, 9, 2), rng.uniform(-3, 3)) for _ in range(3)
         )
         ab, bc, ac = (objective.motionCost(*pair).value() for pair in ((a, b), (b, c), (a, c)))
-        assert objective.motionCostHeuristic(a, b).value() <= ab * (1 + 1e-12)
-        assert ac <= (ab + bc) * (1 + 1e-9)  # exact steering keeps the triangle inequality
+        # not even by rounding: BIT* crashes in a cost below its heuristic
+        assert objective.motionCostHeuristic(a, b).value() <= ab
+        assert surfaces or ac <= (ab + bc) * (1 + 1e-9)  # exact steering keeps the triangle inequality
 
 
 def test_validator_agrees_with_the_map():
