@@ -57,7 +57,8 @@ def test_objective_is_directed_additive_and_its_heuristic_admissible(surfaces):
         ab, bc, ac = (objective.motionCost(*pair).value() for pair in ((a, b), (b, c), (a, c)))
         # not even by rounding: BIT* crashes in a cost below its heuristic
         assert objective.motionCostHeuristic(a, b).value() <= ab
-        assert surfaces or ac <= (ab + bc) * (1 + 1e-9)  # exact steering keeps the triangle inequality
+        # exact steering keeps the triangle inequality
+        assert surfaces or ac <= (ab + bc) * (1 + 1e-9)
 
 
 def test_validator_agrees_with_the_map():
