@@ -16,9 +16,10 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.mission import Mission, Task, evaluate
-from energyplan.planning import PlanningProblem, plan
+from energyplan.planning import Planner, PlanningProblem, plan
 from energyplan.planning.problem import MOVED
 from energyplan.planning.replanning import replan
+from energyplan.planning.search import planner as lattice
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
@@ -100,6 +101,25 @@ def test_ends_that_lack_the_clearance_are_left_and_reached_with_what_there_is(
     # the bound is that of any clearance
     roomier = plan(replace(problem, clearance=0.0), effort=10_000)
     assert found.lower_bound <= roomier.cost * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("start", [(2.02, 2, 0), (0.5, 2, 0), (2.0895, 2, 0)])
+def test_a_planner_is_called_once_between_poses_that_have_clearance_and_margin(start):
+    """Also where only the margin lacks: the third start is half a millimetre off the pillar."""
+    given = []
+
+    def planner(problem, budget):
+        given.append(problem)
+        return lattice.plan(problem, budget)
+
+    clearance = 0.0 if start[0] > 2.05 else 0.15
+    problem = PlanningProblem(hall(1.4), COST, start, (7, 2, 0), clearance=clearance)
+    found = plan(problem, Planner(planner, effort=True, bound=True), effort=5_000)
+    (inner,) = given
+    assert problem.fault(found.path) is None
+    assert inner.start != problem.start and inner.goal == problem.goal
+    wide = COST.vehicle.footprint + (clearance + 0.001) * np.array([[-1, -1], [1, 1]])
+    assert problem.map.footprint_free(inner.start, replace(COST.vehicle, footprint=wide))
 
 
 def test_a_start_that_just_touches_is_moved_and_told():

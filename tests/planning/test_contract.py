@@ -22,7 +22,8 @@ from energyplan.errors import (
     PlanningError,
     UnsupportedPlannerError,
 )
-from energyplan.planning import planners
+from energyplan.planning import Budget, planners
+from energyplan.planning.driven import drive_plan
 from energyplan.power.effects import with_weight
 from energyplan.terrain import HeightMap, Surface, SurfaceMap
 from energyplan.vehicle import TreadICR
@@ -86,8 +87,20 @@ def test_what_is_no_answer_is_refused_by_name(make, words):
     def wrong(problem, budget):
         return ep.Candidate(make(problem))
 
-    with pytest.raises(InvalidPathError, match=f"the planner 'wrong' returned .*{words}"):
+    with pytest.raises(InvalidPathError, match=f"the planner 'wrong' returned .*{words}") as told:
         ep.plan(PROBLEM, ep.Planner(wrong))
+    assert PROBLEM.fault(make(PROBLEM)) in str(told.value)
+    assert PROBLEM.fault(straight(PROBLEM, Budget()).path) is None
+
+
+def test_what_a_plugin_says_of_driving_is_computed_anew():
+    def boasting(problem, budget):
+        found = straight(problem, budget)
+        drive = drive_plan(problem, found.path)
+        return replace(found, driven=replace(drive, energy=1.0))
+
+    found = ep.plan(PROBLEM, ep.Planner(boasting))
+    assert found.energy_driven == drive_plan(PROBLEM, found.path).energy > 1.0
 
 
 def test_a_path_through_an_obstacle_is_refused_with_its_place():

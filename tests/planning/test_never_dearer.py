@@ -97,12 +97,16 @@ def test_what_stops_take_makes_no_plan_dearer_either():
 
 
 def test_a_comparison_tells_of_the_plans_that_are_made_without_it():
-    grid = strewn(3)
-    problem = PlanningProblem(grid, COST, *pairs(grid, 1, 3)[0])
+    grid = strewn(4)
+    problem = PlanningProblem(grid, COST, *pairs(grid, 1, 4)[0])
     told = compare(problem, effort=1500)
     found, shortest = both(problem, 1500)
     assert told.energy_optimal.energy == found.energy
-    assert told.shortest.length == shortest.length
+    assert told.shortest.length == shortest.length == found.shortest.length
+    # one plan, and a bound
+    assert told.energy_optimal.effort == found.effort
+    assert told.shortest.effort < 0.3 * 1500
+    assert 0 < told.shortest.lower_bound <= told.shortest.cost
 
 
 @pytest.mark.nightly

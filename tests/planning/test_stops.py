@@ -50,9 +50,12 @@ def problem(model, speed):
 def test_a_path_with_fewer_stops_is_taken_where_driving_it_takes_less(hotel, monkeypatch):
     asked = problem(rolling(hotel), 1.2)
     made = plan(asked, effort=40_000)
+    assert "driven" in vars(made)
     monkeypatch.setattr(planner, "stops_count", lambda problem: False)
     steady = plan(asked, effort=40_000)
     assert made.energy > steady.energy
+    # the drive by which it was chosen is that of the plan
+    assert made.energy_driven == drive_plan(asked, made.path).energy
     assert made.energy_driven < 0.9 * drive_plan(asked, steady.path).energy
     assert made.lower_bound <= steady.energy
     assert made.lower_bound <= made.energy_driven
