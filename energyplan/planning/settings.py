@@ -28,7 +28,7 @@ class RouteSearch(NamedTuple):
     most: int = 4  # routes
     spare: int = 1024  # room for the states that one leads to
     states: int = 100_000  # states that are expanded at most
-    roomy: float = 9.0  # room beyond the body's reach from which steps are four cells long [cells]
+    wide: float = 9.0  # room beyond the body's reach from which steps are four cells long [cells]
     aside: float = 1.01  # sectors that a step may lead aside of the facing [1]
 
 
@@ -231,3 +231,21 @@ class BoundSearch(NamedTuple):
 
 
 BOUND = BoundSearch()
+
+
+class Escaping(NamedTuple):
+    """Constants of the search out of tight ends."""
+
+    parts: tuple[float, ...] = (1.0, 0.5, 0.2)  # parts of the longest free motion that are tried
+    halvings: int = 16  # how often a motion is halved until it is free
+    closer: int = 3  # how often the interval between free and not free is halved then
+    spare: float = 0.999  # part of a free motion that is driven, so that no rounding makes it touch
+    doubling: float = 4.0  # path length that doubling the room makes up for [reaches]
+    fineness: float = 0.25  # cells in which poses are one, over what the corners can move [1]
+    turn: float = 0.2  # turn on the spot, both ways together, that makes room [rad]
+    ways: int = 6  # paths out of an end, of which the best is used
+    effort: float = 3000.0  # units of work for each end at most
+    nodes: int = 1 << 13  # poses that the search keeps
+
+
+ESCAPE = Escaping()

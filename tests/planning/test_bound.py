@@ -17,7 +17,7 @@ from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
 from energyplan.planning.bound import EFFORT, corners, line, lower_bound
-from energyplan.planning.bound.corners import Ends, ways_to_goal
+from energyplan.planning.bound.corners import DiscEnds, ways_to_goal
 from energyplan.planning.bound.line import (
     HEADINGS,
     MOST,
@@ -390,7 +390,7 @@ def shortest(grid, radius, start, goal):
 
 def ways(grid, radius, start, goal, limit=1e3, effort=np.inf, detail=DETAILS[0]):
     drawn = outline(grid, radius, detail)
-    ends = Ends(*start, *goal)
+    ends = DiscEnds(*start, *goal)
     paid = np.zeros(len(drawn.point), bool)
     return ways_to_goal(grid.space, drawn, no_links(len(drawn.point)), paid, ends, limit, effort)
 

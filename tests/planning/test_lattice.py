@@ -135,7 +135,7 @@ def test_ends_that_almost_touch_are_left_with_room(spare):
     for yaw in (0.0, np.pi):
         problem = PlanningProblem(grid, COST, (2.0, y, 0.0), (8.0, y, yaw))
         query = CompiledProblem(problem)
-        assert not query.roomy(problem.start)
+        assert not query.has_margin(problem.start)
         found = plan(problem, effort=10_000)
         assert grid.path_free(found.path, problem.robot)
         assert found.lower_bound <= found.energy

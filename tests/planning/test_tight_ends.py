@@ -14,7 +14,8 @@ from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import Budget, PlanningProblem, plan
 from energyplan.planning.budget import UNLIMITED
-from energyplan.planning.search.narrow.ends import SETTINGS, spin_room, tight, ways_out
+from energyplan.planning.search.narrow.ends import spin_room, tight, ways_out
+from energyplan.planning.settings import ESCAPE
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
@@ -129,7 +130,7 @@ def test_room_to_turn_beside_a_wall_is_what_geometry_says(gap):
     cost = EnergyCost.from_coefficients(150.0, 60.0, 0.4)
     pose = (2.5, 1.0 + 0.3 + gap, 0.0)
     query = CompiledProblem(PlanningProblem(grid, cost, pose, pose, vehicle=robot))
-    turn = SETTINGS.turn
+    turn = ESCAPE.turn
     room = spin_room(grid.space, query.body, query.centre(query.problem.start))
     angle = np.linspace(0, turn, 100_001)
     reach = 0.3 * np.cos(angle) + 0.45 * np.sin(angle)

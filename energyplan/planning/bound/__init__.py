@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.planning.bound.corners import Ends, least_over_corners, ways_to_goal
+from energyplan.planning.bound.corners import DiscEnds, least_over_corners, ways_to_goal
 from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess
@@ -71,7 +71,7 @@ def prepare_bound(query: CompiledProblem) -> None:
     surfaces = query.problem.surfaces
     if surfaces is not None:
         certain_regions(query, surfaces)
-    ends = Ends(*setting.start[:2], *setting.goal[:2])
+    ends = DiscEnds(*setting.start[:2], *setting.goal[:2])
     straight = hypot(ends.goal_x - ends.start_x, ends.goal_y - ends.start_y)
     coarsest = sights(grid, radius, DETAILS[-1]).outline
     finest = _finest(coarsest, ends, BOUND.detours[0] * straight)
@@ -111,7 +111,7 @@ def _among_obstacles(
     effort: float,
     spent: Spent,
 ) -> Bound:
-    ends = Ends(*kernel.start[:2], *kernel.goal[:2])
+    ends = DiscEnds(*kernel.start[:2], *kernel.goal[:2])
     turn = abs(remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi))
     # ways of that length cost more than the path that is known
     longest = (cost - kernel.least_radian * turn) / kernel.least_metre
@@ -149,7 +149,7 @@ def _among_obstacles(
     return Bound(value, final)
 
 
-def _finest(coarsest: Outline, ends: Ends, longest: float) -> int:
+def _finest(coarsest: Outline, ends: DiscEnds, longest: float) -> int:
     """Return which detail is the finest that has few corners near ways of that length."""
     x, y = coarsest.point.T
     way = np.hypot(x - ends.start_x, y - ends.start_y) + np.hypot(x - ends.goal_x, y - ends.goal_y)

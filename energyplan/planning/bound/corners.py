@@ -39,7 +39,7 @@ from energyplan.planning.space.queues import angle_between, pop, push, with_room
 from energyplan.terrain.collision import Body, Space
 
 
-class Ends(NamedTuple):
+class DiscEnds(NamedTuple):
     """Start and goal of the disc's centre [m]."""
 
     start_x: float
@@ -89,7 +89,7 @@ def ways_to_goal(
     outline: Outline,
     links: Links,
     paid: Flags,
-    ends: Ends,
+    ends: DiscEnds,
     limit: float,
     effort: float,
 ) -> Ways:
@@ -174,7 +174,7 @@ class Line(NamedTuple):
 
 
 @inner
-def _line(outline: Outline, ends: Ends, tail: int, head: int) -> Line:
+def _line(outline: Outline, ends: DiscEnds, tail: int, head: int) -> Line:
     """Return the line between two corners."""
     n = len(outline.point)
     x = ends.start_x
@@ -326,7 +326,7 @@ def least_over_corners(
     body: Body,
     outline: Outline,
     paid: Flags,
-    ends: Ends,
+    ends: DiscEnds,
     ways: Ways,
     rates: Rates,
     limit: float,

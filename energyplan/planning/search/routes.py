@@ -333,7 +333,7 @@ def _chain_of(to_go: CostToGo, node_of: ShortInts, parent: ShortInts, best: int)
 def _level(places: Places, setting: KernelProblem, place: int) -> int:
     """Return how coarse the search is at a place: steps are of one place, two, or four."""
     spare = float(places.room[place]) - setting.reach
-    return 2 if spare >= ROUTES.roomy * places.spacing else 1 if spare >= 0.0 else 0
+    return 2 if spare >= ROUTES.wide * places.spacing else 1 if spare >= 0.0 else 0
 
 
 @inner

@@ -1,4 +1,4 @@
-"""A planning problem made ready for the kernels, and their answers made into paths.
+"""A planning problem translated for the kernels, and their motions translated into paths.
 
 The kernels work in the frame of the point midway between the tread ICRs, or, where length is all
 that counts, of the path's reference point; `CompiledProblem` translates.
@@ -70,7 +70,7 @@ class CompiledProblem:
 
     @cached_property
     def leading(self) -> CompiledProblem:
-        """The problem to which a first plan is sought: for the shortest that of least energy."""
+        """The problem of the first plan: that of least energy, even for the shortest path."""
         if not is_length(self.problem):
             return self
         energy = CompiledProblem(replace(self.problem, objective="energy"))
@@ -145,7 +145,7 @@ class CompiledProblem:
         return np.ascontiguousarray((by_class + soft[:, None]).reshape(-1, DIRECTIONS + 1))
 
     def height_potential(self, pose: Pose) -> float:
-        """Return what the height at a pose is worth; only differences mean something."""
+        """Return the potential of the height at a pose; only differences mean something."""
         if self.terrain.heights is None:
             return 0.0
         point = point_ahead(pose, self.problem.cost.icr.longitudinal)
@@ -164,7 +164,7 @@ class CompiledProblem:
 
     @property
     def least(self) -> Minorant:
-        """What motions cost at least, metres and radians apart, less what the rise is worth."""
+        """Least cost of motions, metres and radians separately, less the potential of the rise."""
         return self.least_prices.minorant(0.0)
 
     @cached_property
@@ -174,7 +174,7 @@ class CompiledProblem:
         eighth, quarter = DIRECTIONS // 8, DIRECTIONS // 4
         level = self.prices[self.hills.bins // 2]
         pivot, spin, straight = level[eighth] * np.sqrt(2), level[quarter], level[0]
-        # where a pivot costs clearly more than a spin, turning and driving are paid apart
+        # where a pivot costs clearly more than a spin, turning and driving are paid separately
         track = half if pivot - spin < 0.5 * straight else SHORT_TRACK
         track = self.problem.least_radius or track
         found = self.least_prices.minorant(track)
@@ -214,14 +214,14 @@ class CompiledProblem:
         more = max(self.wanted - self.problem.clearance, 0.0)
         return grown(self.body, MARGIN * self.grid.resolution + more)
 
-    def roomy(self, pose: Pose) -> bool:
+    def has_margin(self, pose: Pose) -> bool:
         """Tell whether a pose is free with the margin of planning."""
         return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
 
     @cached_property
     def ends_have_margin(self) -> bool:
         """Whether start and goal are free with the margin of planning."""
-        return all(self.roomy(pose) for pose in (self.problem.start, self.problem.goal))
+        return all(self.has_margin(pose) for pose in (self.problem.start, self.problem.goal))
 
     @cached_property
     def _levels(self) -> int:
@@ -240,8 +240,8 @@ class CompiledProblem:
     def _classes(self) -> NDArray[np.uint8]:
         """Class of surface and level of the costmap of each cell; a single one if all are alike.
 
-        A cell that surfaces share is of the dearest, so that no search gains by what is not there:
-        it would turn in a corner of the cheaper one that only the raster knows.
+        A cell that several surfaces overlap gets the most expensive one; otherwise the search would
+        exploit cheap corners that exist only in the raster.
         """
         mean = self._priced.kept.reshape(len(self.costs), -1).mean(axis=1)
         surface = self.terrain.dearest(mean)
@@ -333,7 +333,7 @@ class CompiledProblem:
     # -- result ---------------------------------------------------------------------------------
 
     def value(self, path: Path) -> float:
-        """Return the objective's value of a path, asked of the models themselves."""
+        """Return the objective's value of a path, by the models themselves."""
         cost, duration = self.problem.cost, 0.0
         pieces = self.terrain.pieces(path, cost)
         energy = float(sum(piece.cost.energy(piece.path, piece.slope) for piece in pieces))
@@ -343,7 +343,7 @@ class CompiledProblem:
 
 
 def compiled(problem: PlanningProblem) -> CompiledProblem:
-    """Return what the kernels know of a problem: checked and made once, and kept with it."""
+    """Return what the kernels know of a problem: checked once, and kept with it."""
     found = vars(problem).get("_compiled")
     if not isinstance(found, CompiledProblem):
         found = CompiledProblem(problem)

@@ -22,7 +22,7 @@ from energyplan.planning.space.places import (
     NEIGHBOURS,
     RIM,
     STEPS,
-    Ground,
+    MetrePrices,
     Places,
     ground_of,
     halfway,
@@ -161,7 +161,7 @@ def fill_cost_to_go(
     goals: ShortInts,
     region: ShortInts,
     near: Flags,
-    ground: Ground,
+    ground: MetrePrices,
     distance: Singles,
     direction: Singles,
     parent: ShortInts,
@@ -427,7 +427,7 @@ def fill_regions(
     margin: float,
     slack: float,
     leaving: bool,
-    ground: Ground,
+    ground: MetrePrices,
     distance: Singles,
 ) -> int:
     """Write the distance of every region from `start`, or to it; return the work.

@@ -221,7 +221,7 @@ def halfway(across: int) -> IntTable:
     return out
 
 
-class Ground(NamedTuple):
+class MetrePrices(NamedTuple):
     """What a metre costs over the least price of one, by class of surface and slope."""
 
     surface: Bytes  # (places,): class of surface; a single one where all are alike
@@ -230,7 +230,7 @@ class Ground(NamedTuple):
     steepest: float  # steepest slope, as rise over run
 
 
-def ground_of(places: Places, kernel: KernelProblem) -> Ground:
+def ground_of(places: Places, kernel: KernelProblem) -> MetrePrices:
     """Return what a metre costs at each place, driven the cheaper way round."""
     hills, surface = kernel.hills, kernel.surface.ravel()
     straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
@@ -244,7 +244,7 @@ def ground_of(places: Places, kernel: KernelProblem) -> Ground:
         column = ((column - RIM + 0.5) * scale).astype(int).clip(0, columns - 1)
         surface = kernel.surface[row, column]
     height = heights_of_places(places, hills, kernel.space) if hills.bins > 1 else np.zeros(1)
-    return Ground(surface, cheapest / kernel.least_metre, height, hills.steepest)
+    return MetrePrices(surface, cheapest / kernel.least_metre, height, hills.steepest)
 
 
 @njit
@@ -258,7 +258,7 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
 
 
 @inner
-def ratio_between(ground: Ground, place: int, to: int, length: float) -> float:
+def ratio_between(ground: MetrePrices, place: int, to: int, length: float) -> float:
     """Return what a metre from one place to another costs over the least price of one."""
     slopes = ground.ratio.shape[1]
     at = 0

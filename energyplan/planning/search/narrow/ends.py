@@ -1,11 +1,11 @@
-"""Ends so tight that a lattice does not join them: a way leads out of each to where there is room.
+"""Ends so tight that a lattice does not join them: a path leads out of each to where there is room.
 
 Most searches end a hand's breadth from a goal that they cannot turn into, and one that starts there
-does not get away. The way out is found first, by motions as short as the room there is, and the
-searches begin and end where it does. It is a way as any other: refinement makes of it what is best.
+does not get away. So the path out is found first, by motions as short as the room demands, and the
+searches begin and end where it does. Refinement improves it as any other.
 
 Best paths touch obstacles, and one that was planned without a margin may be free or not by
-rounding. If it is not, planning is done anew between the two poses that have room.
+rounding. If it is not, a path is planned between the two poses that have room.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from energyplan.path import Path, Pose
 from energyplan.planning.budget import UNITS, Budget, side_by_side
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.search.optimise import Refiner
+from energyplan.planning.settings import ESCAPE
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.motions import (
     KernelProblem,
@@ -40,24 +41,6 @@ KINDS = 8
 """Straight forwards and backwards, spins both ways, pivots about either tread both ways."""
 
 
-class Settings(NamedTuple):
-    """Constants of the search out of tight ends."""
-
-    parts: tuple[float, ...] = (1.0, 0.5, 0.2)  # parts of the longest free motion that are tried
-    halvings: int = 16  # how often a motion is halved until it is free
-    closer: int = 3  # how often what lies between free and not is halved then
-    spare: float = 0.999  # what is kept of a free motion, so that no rounding makes it touch
-    doubling: float = 4.0  # length of way that twice the room makes up for [reaches]
-    fineness: float = 0.25  # cells in which poses are one, over what the corners can move [1]
-    turn: float = 0.2  # turn on the spot, both ways together, that makes room [rad]
-    ways: int = 6  # ways out of an end, of which the best is taken
-    effort: float = 3000.0  # units of work for each kind of way out at most
-    nodes: int = 1 << 13  # poses that the search remembers
-
-
-SETTINGS = Settings()
-
-
 class Escape(NamedTuple):
     """What the search found, as a tree of poses."""
 
@@ -65,7 +48,7 @@ class Escape(NamedTuple):
     parent: ShortInts  # node it was reached from, -1 at the end itself
     ds: Floats  # motion between the two, as it will be driven
     dtheta: Floats
-    roomy: ShortInts  # nodes with room, in the order in which they were found
+    open: ShortInts  # nodes with room, in the order in which they were found
     tests: int  # motions that were tested
 
 
@@ -92,7 +75,7 @@ def _free_part(
 ) -> float:
     """Return the part of a motion that is free, 1 at most and zero if it is tiny."""
     part = 1.0
-    for _ in range(SETTINGS.halvings):
+    for _ in range(ESCAPE.halvings):
         if _free(space, body, pose, part * ds, part * dtheta, inwards, counts):
             break
         part *= 0.5
@@ -105,13 +88,13 @@ def _free_part(
         if _free(space, body, pose, (part + step) * ds, (part + step) * dtheta, inwards, counts):
             part += step
         step *= 0.5
-    return SETTINGS.spare * part
+    return ESCAPE.spare * part
 
 
 @inner
 def _spin_room(space: Space, body: Body, pose: Pose, counts: Ints) -> float:
     """Return what the body can turn on the spot, both ways together."""
-    turn = SETTINGS.turn
+    turn = ESCAPE.turn
     if not pose_free(space, body, pose.x, pose.y, pose.yaw):
         return 0.0
     left = _free_part(space, body, pose, 0.0, turn, False, 2, counts)
@@ -127,7 +110,7 @@ def spin_room(space: Space, body: Body, pose: Pose) -> float:
 @inner
 def _octaves(room: float) -> float:
     """Return how often the room is halved against that of a place with room."""
-    turn = SETTINGS.turn
+    turn = ESCAPE.turn
     return log2(max(min(room, turn), 1e-6 * turn) / turn)
 
 
@@ -135,7 +118,7 @@ def _octaves(room: float) -> float:
 def _key(pose: Pose, room: float, reach: float) -> int:
     """Return one number for poses that count as one; the cells are as fine as the room is small."""
     octave = floor(_octaves(room))
-    size = SETTINGS.fineness * SETTINGS.turn * reach * 2.0**octave
+    size = ESCAPE.fineness * ESCAPE.turn * reach * 2.0**octave
     column = floor(pose.x / size) & 0xFFFFF
     row = floor(pose.y / size) & 0xFFFFF
     heading = floor(pose.yaw * reach / size) & 0x3FFFF
@@ -148,9 +131,9 @@ def escape(
     reach: float, inwards: bool, needed: float, tests: int,
 ) -> Escape:  # fmt: skip
     """Search until enough poses with room are known, or so many motions were tested."""
-    nodes = SETTINGS.nodes
+    nodes = ESCAPE.nodes
     poses = np.empty((nodes, 3))
-    g = np.empty(nodes)  # way from the end, with turns counted at half the slip track [m]
+    g = np.empty(nodes)  # length from the end, plus half the slip track for each radian [m]
     parent = np.empty(nodes, np.int32)
     motion_ds = np.empty(nodes)
     motion_turn = np.empty(nodes)
@@ -158,7 +141,7 @@ def escape(
     table = np.full(4 * nodes, -1, np.int32)
     heap_f = np.empty(nodes)
     heap_node = np.empty(nodes, np.int32)
-    roomy = np.empty(nodes, np.int32)
+    with_room = np.empty(nodes, np.int32)
     tested = np.zeros(1, np.int64)
     found = 0
     count = 1
@@ -170,8 +153,8 @@ def escape(
     table[slot_of(table, key, key[0])] = 0
     size = push(heap_f, heap_node, 0, -_octaves(room), 0)
     far = 4.0 * reach
-    while size > 0 and tested[0] < tests and found < SETTINGS.ways:
-        if count + KINDS * len(SETTINGS.parts) > nodes:
+    while size > 0 and tested[0] < tests and found < ESCAPE.ways:
+        if count + KINDS * len(ESCAPE.parts) > nodes:
             break
         node = int(heap_node[0])
         size = pop(heap_f, heap_node, size)
@@ -190,12 +173,10 @@ def escape(
                 continue
             if most_ds == 0.0 and not spins:
                 continue
-            free = _free_part(
-                space, body, pose, most_ds, most_turn, inwards, SETTINGS.closer, tested
-            )
+            free = _free_part(space, body, pose, most_ds, most_turn, inwards, ESCAPE.closer, tested)
             if free == 0.0:
                 continue
-            for share in SETTINGS.parts:
+            for share in ESCAPE.parts:
                 ds = free * share * most_ds
                 dtheta = free * share * most_turn
                 there = arc_end(pose, -ds, -dtheta) if inwards else arc_end(pose, ds, dtheta)
@@ -215,14 +196,14 @@ def escape(
                 motion_turn[count] = dtheta
                 key[count] = here
                 if room >= needed and pose_free(space, grown, there.x, there.y, there.yaw):
-                    roomy[found] = count
+                    with_room[found] = count
                     found += 1
                 else:
-                    # a short way and more room come first
-                    f = g[count] / (SETTINGS.doubling * reach) - _octaves(room)
+                    # short paths and more room come first
+                    f = g[count] / (ESCAPE.doubling * reach) - _octaves(room)
                     size = push(heap_f, heap_node, size, f, count)
                 count += 1
-    return Escape(poses, parent, motion_ds, motion_turn, roomy[:found].copy(), tested[0])
+    return Escape(poses, parent, motion_ds, motion_turn, with_room[:found].copy(), tested[0])
 
 
 NOTHING = Segments(np.empty(0), np.empty(0))
@@ -267,7 +248,7 @@ class Ends:
         ends = self.problem.start, self.problem.goal
         start, goal = (query.centre(end) for end in ends)
         return setting._replace(
-            body=query.grown if all(query.roomy(end) for end in ends) else setting.body,
+            body=query.grown if all(query.has_margin(end) for end in ends) else setting.body,
             start=start,
             goal=goal,
         )
@@ -304,19 +285,19 @@ class Ends:
         )
 
 
-def tight(query: CompiledProblem, end: Pose, turn: float = SETTINGS.turn) -> bool:
+def tight(query: CompiledProblem, end: Pose, turn: float = ESCAPE.turn) -> bool:
     """Tell whether a start or a goal lacks the margin, or room for a turn [rad]."""
     if surely_has_room(query, end):
         return False
     room = spin_room(query.grid.space, query.body, query.centre(end))
-    return not query.roomy(end) or room < turn
+    return not query.has_margin(end) or room < turn
 
 
 def surely_has_room(query: CompiledProblem, end: Pose) -> bool:
     """Tell whether an end has the margin, and room for the whole turn one way."""
     space, body, pose = query.grid.space, query.body, query.centre(end)
-    return query.roomy(end) and any(
-        motion_free(space, body, *pose, 0.0, way, 0.0) for way in (SETTINGS.turn, -SETTINGS.turn)
+    return query.has_margin(end) and any(
+        motion_free(space, body, *pose, 0.0, way, 0.0) for way in (ESCAPE.turn, -ESCAPE.turn)
     )
 
 
@@ -333,7 +314,7 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     )  # fmt: skip
     budget.spend(UNITS.motion * tree.tests)
     ways: list[tuple[float, Segments]] = []
-    for node in tree.roomy.tolist():
+    for node in tree.open.tolist():
         room = Pose(*tree.poses[node].tolist())
         chain = []
         while tree.parent[node] >= 0:
@@ -349,12 +330,12 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     return [way for _, way in sorted(ways, key=lambda way: way[0])]
 
 
-def ways_out(query: CompiledProblem, budget: Budget, turn: float = SETTINGS.turn) -> list[Ends]:
+def ways_out(query: CompiledProblem, budget: Budget, turn: float = ESCAPE.turn) -> list[Ends]:
     """Return ends with room, the most promising first."""
     ends = query.problem.start, query.problem.goal
     sides = [goal for goal in (False, True) if tight(query, ends[goal], turn)]
     tasks = [partial(_out_of, query, goal, turn) for goal in sides]
-    found = dict(zip(sides, side_by_side(budget, tasks, SETTINGS.effort), strict=True))
+    found = dict(zip(sides, side_by_side(budget, tasks, ESCAPE.effort), strict=True))
     outs, backs = (found.get(goal) or [NOTHING] for goal in (False, True))
     several = max(len(outs), len(backs))
     return [Ends(query, outs[k % len(outs)], backs[k % len(backs)]) for k in range(several)]
