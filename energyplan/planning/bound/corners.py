@@ -159,7 +159,7 @@ def ways_to_goal(
     return Ways(to_goal, from_start, at_goal, min(least, frontier), direct, steps, final, links)
 
 
-class Line(NamedTuple):
+class TautLine(NamedTuple):
     """A line between two corners, or from the start, or to the goal."""
 
     tail: int  # corner at which it begins; `n` for the start
@@ -174,7 +174,7 @@ class Line(NamedTuple):
 
 
 @inner
-def _line(outline: Outline, ends: DiscEnds, tail: int, head: int) -> Line:
+def _line(outline: Outline, ends: DiscEnds, tail: int, head: int) -> TautLine:
     """Return the line between two corners."""
     n = len(outline.point)
     x = ends.start_x
@@ -186,7 +186,7 @@ def _line(outline: Outline, ends: DiscEnds, tail: int, head: int) -> Line:
     dy = (outline.point[head, 1] if head < n else ends.goal_y) - y
     behind = side(outline, tail, dx, dy) if tail < n else 0
     about = side(outline, head, dx, dy) if head < n else 0
-    return Line(tail, head, x, y, dx, dy, hypot(dx, dy), behind, about)
+    return TautLine(tail, head, x, y, dx, dy, hypot(dx, dy), behind, about)
 
 
 FRESH, FREE, BARRED = 0, 1, 2
@@ -197,8 +197,8 @@ class Searched(NamedTuple):
     """Lines that the search has reached, one a row."""
 
     before: FloatTable  # (lines, HEADINGS): least cost by heading before each
-    tail: ShortInts  # (lines,): see `Line`
-    head: ShortInts  # (lines,): see `Line`
+    tail: ShortInts  # (lines,): corner at which each begins
+    head: ShortInts  # (lines,): corner at which each ends
     waiting: Flags  # (lines,): whether each waits to be expanded
     gates: ShortIntTable  # (2, lines): what is known of the first and the second gate of each
     width: FloatTable  # (lines, 2): how far out these are crossed at most [m]
@@ -264,7 +264,7 @@ def _unused(count: int, used: ShortInts) -> ShortInts:
 @inner
 def _past_line(
     space: Space, body: Body, outline: Outline, ways: Ways, rates: Rates, lines: Searched,
-    row: int, line: Line, to_goal: Floats, limit: float, steer: bool, tables: Beyond,
+    row: int, line: TautLine, to_goal: Floats, limit: float, steer: bool, tables: Beyond,
 ) -> tuple[Floats, float]:  # fmt: skip
     """Return the cost by heading past a line and its gates, and the steps that it took."""
     n = len(outline.point)
@@ -360,7 +360,7 @@ def least_over_corners(
     count = 0
     size = 0
     steps = 0.0
-    last = Line(start, start, ends.start_x, ends.start_y, 0.0, 0.0, 0.0, 0, 0)
+    last = TautLine(start, start, ends.start_x, ends.start_y, 0.0, 0.0, 0.0, 0, 0)
     while True:
         # lower the costs before the lines that go on from the end of the last one
         at = last.head

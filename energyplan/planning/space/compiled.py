@@ -122,7 +122,7 @@ class CompiledProblem:
         return self.terrain.obstacles
 
     @cached_property
-    def _priced(self) -> _prices.Priced:
+    def _priced(self) -> _prices.SlopeTable:
         """Prices of the rays for all classes of surface and all slopes."""
         half = self.problem.cost.half_track
         ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
@@ -130,7 +130,7 @@ class CompiledProblem:
             travel = np.abs(self.rays[:, 0])
             return _prices.priced(self.objective, ds, dtheta, travel, self.steepest)
         prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
-        return _prices.Priced(np.array(prices), 0.0)
+        return _prices.SlopeTable(np.array(prices), 0.0)
 
     @cached_property
     def prices(self) -> FloatArray:

@@ -122,7 +122,7 @@ def check_models(costs: tuple[EnergyCost, ...], surfaces: SurfaceMap | None) -> 
             )
 
 
-class Priced(NamedTuple):
+class SlopeTable(NamedTuple):
     """Prices less the potential energy; the rows are classes of surface and slopes."""
 
     kept: FloatArray  # (classes * BINS, rays): what the kernels interpolate
@@ -131,7 +131,7 @@ class Priced(NamedTuple):
 
 def priced(
     objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
-) -> Priced:
+) -> SlopeTable:
     """Return the prices of motions on slopes up to the steepest."""
     key = "priced", steepest, tuple(sorted(objective_weights(objective.objective).items()))
     make = partial(_priced, objective, ds, dtheta, travel, steepest)
@@ -140,14 +140,14 @@ def priced(
 
 def _priced(
     objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
-) -> Priced:
+) -> SlopeTable:
     steep = np.linspace(-steepest, steepest, (BINS - 1) * SLOPES.finer + 1)[:, None]
     fine = np.array([objective.motion(ds, dtheta, k, steep) for k in range(len(objective.costs))])
     rise = np.broadcast_to(steep * ds, fine.shape)
     height_price = potential(fine, np.broadcast_to(travel, fine.shape), rise)
     fine = fine - height_price * rise
     kept = np.ascontiguousarray(fine[:, :: SLOPES.finer])
-    return Priced(kept.reshape(-1, len(ds)), height_price)
+    return SlopeTable(kept.reshape(-1, len(ds)), height_price)
 
 
 def potential(prices: FloatArray, travel: FloatArray, rise: FloatArray) -> float:

@@ -1,8 +1,8 @@
 """Infeasibility proofs: whether there is a way at all, and what is certain if none was found.
 
 Where the poses that were tested do not join start and goal, what they leave open is looked at
-closer, along one way after the other that may lead through. So it is proven that no way exists, or
-that none leads over poses that lie close together, or there may be one.
+closer, along one chain of places after the other. So it is proven that no path exists, or that none
+leads over poses that lie close together, or there may be one.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Queue(NamedTuple):
     parent: Ints  # (n,): where each was reached from
 
 
-class Chain(NamedTuple):
-    """A way from place to place, none where there is none, and what was reached."""
+class PlaceChain(NamedTuple):
+    """A chain of places, empty where there is none, and what was reached."""
 
     place: Ints  # (n,): its places, from the start to the goal
     headings: Words  # (n,): headings with which each may be reached
@@ -93,8 +93,8 @@ def _spread(bits: np.uint64, mask: np.uint64) -> np.uint64:
 @njit
 def chain_between(
     passable: Words, tested: Words, across: int, start: int, begin: int, goal: int, end: int
-) -> Chain:
-    """Return a way from place to place between two of them, through tested headings mostly."""
+) -> PlaceChain:
+    """Return a chain of places between two of them, mostly through tested headings."""
     reached = np.zeros(len(passable), np.uint64)
     waiting = np.zeros(len(passable), np.uint64)
     # what was reached, in that order, and what waits until all tested headings were
@@ -106,7 +106,7 @@ def chain_between(
         if head == events:
             # a step further, where nothing was tested
             if later_head == laters:
-                return Chain(np.empty(0, np.int64), np.empty(0, np.uint64), reached, work)
+                return PlaceChain(np.empty(0, np.int64), np.empty(0, np.uint64), reached, work)
             there = later.place[later_head]
             waiting[there] &= ~later.bits[later_head]
             fresh = later.bits[later_head] & passable[there] & ~reached[there]
@@ -121,7 +121,7 @@ def chain_between(
         head += 1
         here = found.place[at]
         if here == goal and found.bits[at] & (np.uint64(1) << np.uint64(end)) != 0:
-            return _way_to(found, at, reached, work)
+            return _chain_to(found, at, reached, work)
         # this place's other headings, then its neighbours
         for k in range(-1, NEIGHBOURS):
             work += 1
@@ -149,8 +149,8 @@ def chain_between(
 
 
 @inner
-def _way_to(found: Queue, last: int, reached: Words, work: int) -> Chain:
-    """Return the way to what was reached last."""
+def _chain_to(found: Queue, last: int, reached: Words, work: int) -> PlaceChain:
+    """Return the chain to what was reached last."""
     count = 0
     k = last
     while k >= 0:
@@ -163,7 +163,7 @@ def _way_to(found: Queue, last: int, reached: Words, work: int) -> Chain:
         place[n] = found.place[k]
         headings[n] = found.bits[k]
         k = found.parent[k]
-    return Chain(place, headings, reached, work)
+    return PlaceChain(place, headings, reached, work)
 
 
 class Looked(NamedTuple):
@@ -236,9 +236,9 @@ def look_closer(
 
 
 class Proof(NamedTuple):
-    """What is known of ways from start to goal."""
+    """What is known of paths from start to goal."""
 
-    proven: bool  # whether there certainly is none
+    proven: bool  # whether there is certainly none
     resolution: float  # distance between poses over which none leads [m]
     reached: NDArray[np.int64]  # places that the start leads to
 
@@ -277,14 +277,14 @@ class Prover:
                 break
         return Proof(False, np.inf, np.empty(0, np.int64))
 
-    def _chain(self, words: Words) -> Chain:
+    def _chain(self, words: Words) -> PlaceChain:
         (start, begin), (goal, end) = self.ends
         found = chain_between(words, self.tested, self.across, start, begin, goal, end)
         self.budget.spend(found.work / UNITS.nodes)
         return found
 
     def _closed(self, words: Words) -> Words | None:
-        """Look closer along ways until all of one is known; return what is reached if none is."""
+        """Halve boxes along chains until one is known as a whole; return what is reached if none is."""
         while not self.budget.over:
             chain = self._chain(words)
             if len(chain.place) == 0:
@@ -293,8 +293,8 @@ class Prover:
                 break
         return None
 
-    def _look(self, chain: Chain) -> bool:
-        """Look closer about the steps of a way that are not known; tell whether there were any."""
+    def _look(self, chain: PlaceChain) -> bool:
+        """Halve boxes about the unknown steps of a chain; tell whether there were any."""
         wanted: dict[int, int] = {}
         place, headings = chain.place.tolist(), chain.headings.tolist()
         for k in range(len(place) - 1):
@@ -326,7 +326,7 @@ class Prover:
 
 
 def _widened(bits: int) -> int:
-    """Return these headings and those next to them."""
+    """Return some headings and those next to them."""
     every = (1 << HEADINGS) - 1
     for _ in range(PROOF.headings):
         bits |= (bits << 1 | bits >> (HEADINGS - 1) | bits >> 1 | bits << (HEADINGS - 1)) & every
