@@ -10,9 +10,9 @@ from energyplan.path import Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.search.narrow.bidirectional import bidirectional_search, follow
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.planning.space.motions import KernelProblem, drive
+from energyplan.planning.space.configurations import grown
+from energyplan.planning.space.motions import drive
 from energyplan.terrain import OccupancyGrid
-from energyplan.terrain.collision import Body
 from energyplan.vehicle import Vehicle
 
 CELL, HEADINGS, TESTS = 0.0125, 128, 20_000
@@ -44,22 +44,11 @@ def test_a_robot_wider_than_long_goes_through_a_gap_sideways(width, thick, resol
     assert np.all(np.abs(np.sin(inside[:, 2])) > 0.8)
 
 
-def straight_gap(width: float = 0.72) -> tuple[KernelProblem, Pose, Pose]:
-    """Return a problem with such a gap, and two poses along the wall on either side."""
-    problem = gap(width, 0.1, 0.02)
-    return CompiledProblem(problem).setting, Pose(3.2, 3.0, 1.5), Pose(5.0, 3.0, 1.6)
-
-
-def larger(body: Body, by: float) -> Body:
-    """Return a body that is larger on every side [m]."""
-    return Body(body.x_min - by, body.y_min - by, body.x_max + by, body.y_max + by)
-
-
 def test_motions_follow_poses_through_a_gap():
-    setting, begin, end = straight_gap()
-    found = bidirectional_search(
-        setting, larger(setting.body, 0.03), begin, end, CELL, HEADINGS, TESTS
-    )
+    setting = CompiledProblem(gap(0.72, 0.1, 0.02)).setting
+    begin, end = Pose(3.2, 3.0, 1.5), Pose(5.0, 3.0, 1.6)  # along the wall, on either side
+    wide = grown(setting.body, 0.03)
+    found = bidirectional_search(setting, wide, begin, end, CELL, HEADINGS, TESTS)
     assert len(found.poses) and found.tests < TESTS
     assert np.allclose(found.poses[[0, -1]], [begin, end])
     ds, dtheta = np.empty((2, 10_000))

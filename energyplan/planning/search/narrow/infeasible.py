@@ -1,4 +1,4 @@
-"""Infeasibility proofs: whether there is a way at all, and what is certain if none was found.
+"""Infeasibility proofs: whether there is a path at all, and what is certain if none was found.
 
 Where the poses that were tested do not join start and goal, what they leave open is looked at
 closer, along one chain of places after the other. So it is proven that no path exists, or that none
@@ -284,7 +284,7 @@ class Prover:
         return found
 
     def _closed(self, words: Words) -> Words | None:
-        """Halve boxes along chains until one is known as a whole; return what is reached if none is."""
+        """Halve boxes until a whole chain is known; return what is reached if there is none."""
         while not self.budget.over:
             chain = self._chain(words)
             if len(chain.place) == 0:
