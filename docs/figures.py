@@ -24,9 +24,9 @@ from energyplan.output import plots
 from energyplan.output.plots import image
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
 from energyplan.planning import Budget
-from energyplan.planning.search.follow import poses_along
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_route, cheapest_routes
+from energyplan.planning.search.tracking import poses_along
 from energyplan.planning.space.compiled import compiled
 from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.power import HOTEL, effects

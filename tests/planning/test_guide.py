@@ -13,7 +13,7 @@ from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.path import Pose
 from energyplan.planning import Budget, PlanningProblem, plan
-from energyplan.planning.search.follow import chain_along, follow_route, poses_along
+from energyplan.planning.search.tracking import chain_along, poses_along, track_route
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.cost_to_go import cost_over, cost_to_go, reached, regions_for
@@ -145,7 +145,7 @@ def test_a_plan_of_little_effort_is_found_where_free_configurations_are_joined(
                 assert error.certainty == "proven" or "effort" in str(error)
             continue
         joined += 1
-        way = follow_route(kernel, to_go, Budget()).motions
+        way = track_route(kernel, to_go, Budget()).motions
         if way is not None:
             ways += 1
             query.path(way)  # which must be free

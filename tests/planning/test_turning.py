@@ -15,9 +15,9 @@ from energyplan.errors import (
 from energyplan.path import Path
 from energyplan.planning import Candidate, Planner, PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.search.follow import follow_route
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.search.tracking import track_route
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.power import PowerModel
@@ -55,7 +55,7 @@ def test_where_turning_is_dear_the_way_with_few_turns_is_found():
     problem = slalom(15.0)
     setting = CompiledProblem(problem).setting
     to_go = cost_to_go(setting)
-    short = follow_route(setting, to_go, Budget()).motions
+    short = track_route(setting, to_go, Budget()).motions
     found = cheapest_routes(setting, to_go, Budget(effort=6000))
     best = min(refined(problem, way) for way in found)
     assert best < 0.9 * refined(problem, short)

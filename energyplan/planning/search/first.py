@@ -13,7 +13,6 @@ import numpy as np
 from energyplan.compilation import compile_kernels
 from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import SHARES, UNITS, Budget
-from energyplan.planning.search.follow import Tracked, follow_route
 from energyplan.planning.search.lattice import EXHAUSTED, Search, joined, lattice_for
 from energyplan.planning.search.narrow.ends import Ends, ways_out
 from energyplan.planning.search.narrow.infeasible import (
@@ -27,6 +26,7 @@ from energyplan.planning.search.narrow.infeasible import (
 from energyplan.planning.search.narrow.passages import paths_through_passages
 from energyplan.planning.search.optimise import Portfolio
 from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.search.tracking import Tracked, track_route
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached
 from energyplan.planning.space.motions import KernelProblem
@@ -118,7 +118,7 @@ def find_first(paths: Paths, budget: Budget, finest: float) -> None:
 
 def _track_shortest(paths: Paths, budget: Budget) -> bool:
     """Enter the path along the shortest route, if it can be tracked; tell whether it can."""
-    tracked = follow_route(paths.setting, paths.to_go, budget)
+    tracked = track_route(paths.setting, paths.to_go, budget)
     if tracked.motions is None:
         paths.stuck.append(tracked)
         return False

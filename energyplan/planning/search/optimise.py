@@ -49,7 +49,7 @@ class Shortened(NamedTuple):
 def shortcut(
     chain: Chain, setting: KernelProblem, count: int, reach: int, stop: float
 ) -> Shortened:
-    """Keep those poses only by which the chain is cheapest.
+    """Shortcutting: the chain keeps the poses of its cheapest sequence of joins.
 
     Dynamic programming over all pairs of poses at most `reach` apart in the chain; `cost` of the
     motions given must be filled in. Every motion costs `stop` more, except one given that goes on

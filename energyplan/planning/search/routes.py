@@ -1,9 +1,8 @@
-"""The way to go whose turns are counted, among the free configurations.
+"""A* over cells, heading intervals and 16 facings: up to four routes, cheapest by length and turning.
 
-The distance to go leads along the shortest way, however much that turns; and where turning is dear
-a longer way round may be much the cheaper one. So a search among the same nodes, that also knows
-which way the robot faces, finds the way that is cheapest by its length and its turns. Where there
-is room it takes long steps.
+The cost-to-go leads along the shortest route, however much that turns; where turning is expensive a
+longer one may cost much less. Each route penalises the cells of those before. Where there is room
+steps are long.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from energyplan.compilation import Floats, Ints, IntTable, ShortInts, Words, inner, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
-from energyplan.planning.search.follow import Tracked, chain_from, follow_route
+from energyplan.planning.search.tracking import Tracked, chain_from, track_route
 from energyplan.planning.settings import ROUTES
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS
@@ -94,7 +93,7 @@ def cheapest_routes(
         budget.spend(UNITS.state * found.looked)
         if len(found.chain) == 0:
             break
-        tracked = follow_route(setting, to_go, budget, found.chain)
+        tracked = track_route(setting, to_go, budget, found.chain)
         if tracked.motions is not None:
             ways.append(tracked.motions)
             homes = places.home[found.chain]

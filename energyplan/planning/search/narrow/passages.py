@@ -14,8 +14,8 @@ from functools import partial
 import numpy as np
 
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work
-from energyplan.planning.search.follow import follow_route
 from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.search.tracking import track_route
 from energyplan.planning.settings import NARROW
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.cost_to_go import (
@@ -50,7 +50,7 @@ def paths_through_passages(
     budget.spend(to_go.work / UNITS.nodes)
     if budget.over or not cost_at_start(to_go, setting) < limit:
         return []
-    tracked = follow_route(setting, to_go, budget)
+    tracked = track_route(setting, to_go, budget)
     if tracked.motions is not None:
         return [tracked.motions]
     return cheapest_routes(setting, to_go, budget, [tracked])

@@ -1,9 +1,8 @@
-"""The way that a guide knows, driven: its places become poses, and exact steering joins these.
+"""Route tracking: a route over cells and heading intervals becomes collision-free motions.
 
-A guide leads from place to place, at each with the headings that are free there. What it costs to
-turn decides which of them are taken. Where the body has little room every place is a pose, where it
-has much a few are; of those within reach of each other the cheapest free motions are taken. So
-gaps are passed that a lattice meets by chance only.
+Dynamic programming chooses the headings along the route by what turning costs, then the exact joins
+between poses of the route. Where the body has little room every cell gives a pose, where it has
+much a few do. So gaps are passed that a lattice meets by chance only.
 """
 
 from __future__ import annotations
@@ -36,17 +35,17 @@ from energyplan.terrain.collision import pose_free, poses_free
 
 
 class Tracked(NamedTuple):
-    """How far motions along the way to go lead."""
+    """How far motions along a route lead."""
 
     motions: Segments | None  # the motions, free of collisions
     x: float  # x of the place that they lead to [m]
     y: float  # y of that place [m]
 
 
-def follow_route(
+def track_route(
     setting: KernelProblem, to_go: CostToGo, budget: Budget, chain: Ints | None = None
 ) -> Tracked:
-    """Find motions along the way to go."""
+    """Find motions along a route, the shortest one unless its nodes are given."""
     chain = chain_along(to_go, setting) if chain is None else chain
     poses = poses_along(to_go.places, setting, chain)
     parts: list[Segments] = []
