@@ -1,4 +1,4 @@
-"""A* over cells, heading intervals and 16 facings: up to four routes, cheapest by length and turning.
+"""A* over cells, heading intervals and facings: up to four routes, cheapest by length and turning.
 
 The cost-to-go leads along the shortest route, however much that turns; where turning is expensive a
 longer one may cost much less. Each route penalises the cells of those before. Where there is room
