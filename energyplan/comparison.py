@@ -120,8 +120,8 @@ def compare(
     time_limit : float
         Time after which planning stops [s].
     effort : int, optional
-        Units of work, as of `energyplan.plan`. The lower bound of the shortest route's length, or
-        that route where the plan does not know it, gets as many once more at most.
+        Units of work, as of `energyplan.plan`. A quarter of each on top is for the lower bound of
+        the shortest route; or the whole for that route, where the plan does not know it.
     **options : object
         Further options of the planner.
 
