@@ -13,7 +13,7 @@ from energyplan.errors import InvalidInputError
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.plans import priced_plan
+from energyplan.planning.plans import Candidate, priced_plan
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.motions import motion_cost
 from energyplan.planning.space.prices import TIE_BREAK, Prices
@@ -36,7 +36,7 @@ def test_motions_add_up_to_the_cost_of_the_plan(cost, objective):
     path = Path(Pose(5, 5, 0), *rng.normal(0, 0.3, (2, 12)), cost.icr.longitudinal)
     room = OccupancyGrid(np.zeros((100, 100), bool), 0.1)
     query = CompiledProblem(PlanningProblem(room, cost, path.start, path.end, objective=objective))
-    found = priced_plan(query, path, 0.0, "none", Budget())
+    found = priced_plan(query, Candidate(path), 0.0, "none", Budget())
     prices = Prices(cost, objective=objective)
     assert prices.motion(path.ds, path.dtheta).sum() == pytest.approx(found.cost, rel=1e-6)
     assert query.value(path) == pytest.approx(found.cost, rel=1e-12)
