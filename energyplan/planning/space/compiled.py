@@ -353,9 +353,18 @@ def compiled(problem: PlanningProblem) -> CompiledProblem:
 
 def merged(segments: Segments) -> Segments:
     """Join neighbouring motions of one curvature and direction, and drop those that are nothing."""
-    size = np.abs(segments.ds) + np.abs(segments.dtheta)
-    ds, turn, size = (part[size > 1e-12] for part in (*segments, size))
-    parallel = np.abs(ds[1:] * turn[:-1] - turn[1:] * ds[:-1]) <= 1e-12 * size[1:]
-    alike = parallel & (ds[1:] * ds[:-1] + turn[1:] * turn[:-1] > 0)
-    first = np.flatnonzero(np.append(True, ~alike)[: len(ds)])
-    return Segments(np.add.reduceat(ds, first), np.add.reduceat(turn, first))
+    out_ds: list[float] = []
+    out_turn: list[float] = []
+    for ds, turn in zip(segments.ds.tolist(), segments.dtheta.tolist(), strict=True):
+        if abs(ds) < 1e-12 and abs(turn) < 1e-12:
+            continue
+        if out_ds:
+            last_ds, last_turn = out_ds[-1], out_turn[-1]
+            parallel = abs(ds * last_turn - turn * last_ds) <= 1e-12 * (abs(ds) + abs(turn))
+            if parallel and ds * last_ds + turn * last_turn > 0:
+                out_ds[-1] = last_ds + ds
+                out_turn[-1] = last_turn + turn
+                continue
+        out_ds.append(ds)
+        out_turn.append(turn)
+    return Segments(np.array(out_ds), np.array(out_turn))
