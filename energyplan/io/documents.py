@@ -20,8 +20,8 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
-from energyplan.kinds import NO_NUMBER, Doubts, in_words, warn
 from energyplan.path import Pose
+from energyplan.records import NO_NUMBER, Doubts, ImpossibleError, in_words, warn
 from energyplan.records import Checked as Checked
 
 MAX_JSON = 2**26
@@ -193,7 +193,10 @@ class Document:
                 which = min(extra, key=lambda k: len(places[k]), default=which)
             first, place = every[which], places[which]
             message = str(first["msg"]).removeprefix("Value error, ")
-            own = getattr(first.get("ctx", {}).get("error"), "place", ())
+            why = first.get("ctx", {}).get("error")
+            own, item = getattr(why, "place", ()), first["input"]
+            if isinstance(why, ImpossibleError):
+                item = why.value
             if first["type"] in _EXTRA:
                 keys = _keys(schema, place)
                 near = get_close_matches(str(place[-1]), keys, 1)
@@ -214,8 +217,8 @@ class Document:
                     f"the list has {first['ctx']['actual_length']} items; give at least "
                     + str(first["ctx"]["min_length"])
                 )
-            elif not own and not isinstance(first["input"], dict | list):
-                message = f"{message}, not {str(first['input'])[:60]!r}"
+            elif isinstance(why, ImpossibleError) or not (own or isinstance(item, dict | list)):
+                message = f"{message}, not {str(item)[:60]!r}"
             raise self.fail((*loc, *place, *own), message + self.another_kind(schema)) from None
 
     def _keys_of(self, problem: ErrorDetails, here: Any) -> Loc:
