@@ -25,6 +25,7 @@ from typing import (
     Annotated,
     Any,
     Literal,
+    NamedTuple,
     TypeVar,
     Union,
     dataclass_transform,
@@ -40,7 +41,6 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    PlainValidator,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -48,7 +48,7 @@ from pydantic import (
     WrapValidator,
     field_validator,
 )
-from pydantic_core import core_schema
+from pydantic_core import ErrorDetails, core_schema
 
 from energyplan.errors import InvalidInputError, UnusualValueWarning
 
@@ -259,44 +259,71 @@ class _Kind:
     def _adapter(self) -> TypeAdapter[Any]:
         return TypeAdapter(self.hint)
 
-    def check(self, value: object, name: str, error: type[Exception]) -> None:
+    def check(self, value: object, name: str, error: type[Exception], whose: str = "") -> None:
         """Refuse a value of another kind, or one that is not possible, with its place."""
         try:
             self._adapter.validator.validate_python(value)
         except ValidationError as problem:
-            every = problem.errors(include_url=False)
             # of a choice of kinds the one that stands there: what is wrong lies deepest in it
-            first = max(every, key=lambda one: (len(_indices(one)), _impossible(one) is not None))
-            place, item, own = _indices(first), first["input"], _impossible(first)
-            message = first["msg"].removeprefix("Value error, ") if place else f"give {self.words}"
-            if own is not None:
-                place, item, message = (*place, *own.place), own.value, str(own)
-            where = name + "".join(f"[{k}]" for k in place)
-            refused = error(f"{where} is {described(item)}; {message}")
-            if isinstance(refused, InvalidInputError):
-                refused.place = (name, *place)
-            raise refused from None
+            places = [
+                (len(at := [k for k in one["loc"] if isinstance(k, int)]), "ctx" in one, one, at)
+                for one in problem.errors(include_url=False)
+            ]
+            depth, _, first, at = max(places, key=lambda found: found[:2])
+            words = "" if depth else f"give {self.words}"
+            raise _refusal(first, (name, *at), error, whose, words) from None
 
 
-def _indices(one: Any) -> tuple[int, ...]:
-    return tuple(part for part in one["loc"] if isinstance(part, int))
+def _refusal(
+    found: ErrorDetails, place: tuple[Any, ...], error: type[Exception], whose: str, words: str = ""
+) -> Exception:
+    """Return the error for what pydantic found at a place."""
+    message, item = words or found["msg"].removeprefix("Value error, "), found["input"]
+    own = found.get("ctx", {}).get("error")
+    if isinstance(own, ImpossibleError):
+        message, item, place = str(own), own.value, (*place, *own.place)
+    where = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in place)[1:]
+    said = "" if found["type"] == "missing" else f" is {described(item)}"
+    mark = ";" if message.startswith("give") else ":"
+    refused = error(f"{whose}{where}{said}{mark} {message}")
+    if isinstance(refused, InvalidInputError):
+        refused.place = place
+    return refused
 
 
-def _impossible(one: Any) -> ImpossibleError | None:
-    own = one.get("ctx", {}).get("error")
-    return own if isinstance(own, ImpossibleError) else None
+class _Fits(NamedTuple):
+    """Has pydantic take what fits."""
+
+    words: str
+    fits: Callable[[Any], bool]
+    read: Callable[[Any], Any] = lambda value: value
+
+    def take(self, value: Any, info: ValidationInfo) -> Any:
+        """Return the value; the text of a file may be a number, such as 010."""
+        if self.fits is _number and info.context is not None:
+            value = amount("number", value)
+        if not self.fits(value):
+            raise ValueError(f"give {self.words}")
+        return self.read(value)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+        return core_schema.with_info_plain_validator_function(self.take)
 
 
 def _of_kind(words: str, fits: Callable[[Any], bool]) -> _Kind:
     """Return the kind of the values that fit."""
+    return _Kind(words, Annotated[Any, _Fits(words, fits)])
 
-    def check(value: Any) -> Any:
-        if not fits(value):
-            raise ValueError(f"give {words}")
-        scalar = isinstance(value, np.generic | np.ndarray) and not value.ndim
-        return value.item() if scalar else value
 
-    return _Kind(words, Annotated[Any, PlainValidator(check)])
+def _item(value: Any) -> Any:
+    """Return a number of NumPy as Python's, so that it is shown and saved as one."""
+    return value.item() if isinstance(value, np.generic | np.ndarray) and not value.ndim else value
+
+
+def _array(value: Any) -> NDArray[np.float64]:
+    array = np.array(value, float)
+    array.setflags(write=False)
+    return array
 
 
 def _number(value: Any) -> bool:
@@ -311,11 +338,24 @@ def _whole(value: Any) -> bool:
     return _number(value) and (isinstance(value, Integral) or float(value).is_integer())
 
 
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
 def _numeric(value: Any) -> bool:
     with suppress(InvalidInputError):
         numbers(value, "value")
         return True
     return False
+
+
+def _column(value: Any) -> bool:
+    return (
+        _numeric(value)
+        and np.ndim(value) == 1
+        and len(value) > 0
+        and bool(np.isfinite(_array(value)).all())
+    )
 
 
 def _several(value: object) -> bool:
@@ -328,7 +368,7 @@ _PLAIN: dict[Any, _Kind] = {
     float: _of_kind("a number, in SI units", _number),
     int: _of_kind("a whole number", _whole),
     bool: _of_kind("True or False", lambda value: isinstance(value, bool | np.bool_)),
-    str: _of_kind("a text", lambda value: isinstance(value, str)),
+    str: _of_kind("a text", _text),
     type(None): _of_kind("", lambda value: value is None),
     NDArray[np.float64]: _NUMBERS,
 }
@@ -380,7 +420,7 @@ def _kind(hint: Any) -> _Kind | None:
         return _of_kind("a mapping", lambda value: isinstance(value, Mapping))
     if outer is Callable:
         return _of_kind("a function", callable)
-    return _of_class(hint) if isinstance(hint, type) and hint is not _ANYTHING else None
+    return _of_class(hint) if isinstance(hint, type) else None
 
 
 def _either(parts: tuple[Any, ...]) -> _Kind | None:
@@ -396,29 +436,14 @@ def _either(parts: tuple[Any, ...]) -> _Kind | None:
     return _Kind(words, Union[tuple(kind.hint for kind in kinds)])  # noqa: UP007
 
 
-class _Unknown(type):
-    """Makes the class that stands for what only type checkers know, with all that is in it."""
-
-    def __getattr__(cls, name: str) -> _Unknown:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return cls
-
-    def __getitem__(cls, item: object) -> _Unknown:
-        return cls
-
-
-_ANYTHING = _Unknown("Anything", (), {})
-
-
 class _Names(dict[str, Any]):
-    """The names of a module, then Python's own, then those of the library."""
+    """The names of a module, then those of the library."""
 
     def __missing__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise KeyError(name)
-        known = getattr(builtins, name, None)
-        return known or getattr(importlib.import_module("energyplan"), name, _ANYTHING)
+        if not name.startswith("_") and not hasattr(builtins, name):
+            with suppress(AttributeError):
+                return getattr(importlib.import_module("energyplan"), name)
+        raise KeyError(name)
 
 
 @cache
@@ -428,7 +453,8 @@ def _hints(owner: Callable[..., Any]) -> dict[str, Any]:
     for part in reversed(owner.__mro__[:-1]) if isinstance(owner, type) else [owner]:
         names = _Names(vars(importlib.import_module(part.__module__)))
         for name, text in inspect.get_annotations(part).items():
-            found[name] = eval(text, {}, names) if isinstance(text, str) else text
+            with suppress(NameError):  # what only type checkers know
+                found[name] = eval(text, {}, names) if isinstance(text, str) else text
     return found
 
 
@@ -462,15 +488,12 @@ def instance(
 
 
 def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
-    """Check kinds and sizes of a dataclass's fields against their annotations, where it is built.
-
-    A number of NumPy becomes Python's, so that it is shown and saved as one.
-    """
+    """Check a dataclass's fields against their annotations, where it is built."""
     for name, kind in _kinds(type(record)).items():
         value = getattr(record, name)
-        kind.check(value, f"{whose}{name}", error)
-        if isinstance(value, np.generic | np.ndarray) and not value.ndim:
-            object.__setattr__(record, name, value.item())
+        kind.check(value, name, error, whose)
+        if (plain := _item(value)) is not value:
+            object.__setattr__(record, name, plain)
 
 
 def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], Function]:
@@ -674,54 +697,17 @@ ABOVE, FROM = Field(gt=0), Field(ge=0)
 FINITE = Field(ge=0, allow_inf_nan=False)
 
 
-def instance_of(*wanted: type) -> PlainValidator:
+def instance_of(*wanted: type) -> _Fits:
     """Take an instance of one of some classes, or nothing where that is allowed."""
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, wanted):
-            raise ValueError(f"give {wanted_words(wanted[0])}")
-        return value
-
-    return PlainValidator(check)
+    return _Fits(wanted_words(wanted[0]), lambda value: isinstance(value, wanted))
 
 
-def _of(kind: Any) -> PlainValidator:
-    """Take what a function takes where its annotation is this one."""
-    return get_args(_PLAIN[kind].hint)[1]  # type: ignore[no-any-return]
-
-
-def _array(value: Any) -> NDArray[np.float64]:
-    if not _numeric(value):
-        raise ValueError(f"give {_NUMBERS.words}")
-    array = np.array(value, float)
-    array.setflags(write=False)
-    return array
-
-
-_WRITTEN = BeforeValidator(
-    lambda value, info: value if info.context is None else amount("number", value)
-)
-Scalar = Annotated[float, _of(float), _WRITTEN]
-Text = Annotated[str, _of(str)]
-Array = Annotated[NDArray[np.float64], PlainValidator(_array)]
-
-
-def _column(value: Any) -> NDArray[np.float64]:
-    try:
-        array = np.array(value, float)
-    except NO_NUMBER:
-        array = np.zeros(0)
-    if array.ndim != 1 or not len(array) or not np.all(np.isfinite(array)):
-        raise ValueError("give a list of finite numbers")
-    array.setflags(write=False)
-    return array
-
-
-Numbers = Annotated[NDArray[np.float64], PlainValidator(_column)]
+Scalar = Annotated[float, _Fits("a number, in SI units", _number, _item)]
+Text = Annotated[str, _Fits("a text", _text)]
+Array = Annotated[NDArray[np.float64], _Fits("numbers", _numeric, _array)]
+Numbers = Annotated[NDArray[np.float64], _Fits("a list of finite numbers", _column, _array)]
 
 # -- one type for a file, a request and Python -----------------------------------------------------
-
-Record = TypeVar("Record")
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
@@ -731,7 +717,7 @@ def record(
     """Make a class a frozen dataclass that is checked alike from a file, a request and Python."""
 
     def decorate(cls: type[Record]) -> type[Record]:
-        words = f"{cls.__name__.lower()}: " if whose is None else whose
+        name = f"{cls.__name__.lower()}: " if whose is None else whose
         config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
         made: Any = pydantic.dataclasses.dataclass(frozen=True, eq=eq, config=config)(cls)
         build = made.__init__
@@ -744,20 +730,11 @@ def record(
                 first = problem.errors(include_url=False)[0]
                 if isinstance(own := first.get("ctx", {}).get("error"), error):
                     raise own from None
-                place, item = list(first["loc"]), first["input"]
+                place = list(first["loc"])
                 if place and isinstance(place[0], int):  # of a value without its name
                     place[0] = fields(made)[place[0]].name
-                message = first["msg"].removeprefix("Value error, ")
-                if first["type"] == "tuple_type":
-                    message = "give a list"
-                where = in_words(place)
-                if isinstance(own, ImpossibleError):
-                    item, where = own.value, where + "".join(f"[{k}]" for k in own.place)
-                    place += own.place
-                if first["type"] != "missing":
-                    where += f" is {described(item)}"
-                mark = ";" if message.startswith("give") else ":"
-                raise error(f"{words}{where}{mark} {message}", place) from None
+                words = "give a list" if first["type"] == "tuple_type" else ""
+                raise _refusal(first, tuple(place), error, name, words) from None
 
         made.__init__ = checked
         return made  # type: ignore[no-any-return]
