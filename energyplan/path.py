@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import InvalidInputError, PathError
-from energyplan.kinds import checked, described, numbers
-from energyplan.records import ByValue
+from energyplan.records import NO_NUMBER, ByValue, amount, checked, described, numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 
 _MOST_PIECES = 1e8  # of a path that is divided
+_FULL_TURN = 6.3  # with rounding [rad]
 _TURNED = 10.0  # yaw beyond which whole and half numbers are taken for degrees
 
 
@@ -63,6 +64,23 @@ def as_pose(
     if not isinstance(value, Pose):  # the end of a path may have turned any number of times
         refuse_degrees(row[2:], f"the yaw of {name}", error)
     return Pose(*(float(v) for v in row))
+
+
+def parse_pose(given: str | Sequence[object]) -> Pose:
+    """Return the pose that ``X,Y,YAW``, or a list of texts, stands for."""
+    try:
+        x, y, yaw = given.split(",") if isinstance(given, str) else given
+        pose = Pose(float(x), float(y), float(amount("angle", yaw)))  # type: ignore[arg-type]
+    except NO_NUMBER:
+        raise InvalidInputError(
+            f"pose {given!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
+        ) from None
+    if abs(pose.yaw) > _FULL_TURN:
+        raise InvalidInputError(
+            f"the yaw of pose {given!r} is more than a full turn in radians; for degrees write "
+            f"{str(yaw).strip().removesuffix('deg')}deg, up to 360"
+        )
+    return as_pose(pose, f"pose {given!r}")
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:

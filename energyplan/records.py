@@ -281,7 +281,8 @@ def _refusal(
     message, item = words or found["msg"].removeprefix("Value error, "), found["input"]
     own = found.get("ctx", {}).get("error")
     if isinstance(own, ImpossibleError):
-        message, item, place = str(own), own.value, (*place, *own.place)
+        message, place = str(own), (*place, *own.place)
+        item = own.value if own.place else item
     where = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in place)[1:]
     said = "" if found["type"] == "missing" else f" is {described(item)}"
     mark = ";" if message.startswith("give") else ":"
@@ -408,7 +409,7 @@ def _kind(hint: Any) -> _Kind | None:
     outer, parts = get_origin(hint), get_args(hint)
     if outer is Annotated:
         kind = _kind(hint.__origin__) or _Kind("", Any)
-        return _Kind(kind.words, Annotated[(kind.hint, *hint.__metadata__)])  # type: ignore[arg-type]
+        return _Kind(kind.words, Annotated[(kind.hint, *hint.__metadata__)])
     if outer in (Union, UnionType):
         return _either(parts)
     if outer is Literal:
@@ -489,7 +490,7 @@ def instance(
 
 def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
     """Check a dataclass's fields against their annotations, where it is built."""
-    for name, kind in _kinds(type(record)).items():
+    for name, kind in _kinds(type(record)).items():  # type: ignore[arg-type]
         value = getattr(record, name)
         kind.check(value, name, error, whose)
         if (plain := _item(value)) is not value:

@@ -11,7 +11,6 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import reduce
-from math import isfinite, radians
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, TypeVar, get_args
 
@@ -20,7 +19,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
-from energyplan.path import Pose
+from energyplan.path import parse_pose as parse_pose
 from energyplan.records import NO_NUMBER, Doubts, ImpossibleError, in_words, warn
 from energyplan.records import Checked as Checked
 
@@ -195,7 +194,7 @@ class Document:
             message = str(first["msg"]).removeprefix("Value error, ")
             why = first.get("ctx", {}).get("error")
             own, item = getattr(why, "place", ()), first["input"]
-            if isinstance(why, ImpossibleError):
+            if isinstance(why, ImpossibleError) and own:
                 item = why.value
             if first["type"] in _EXTRA:
                 keys = _keys(schema, place)
@@ -340,26 +339,3 @@ class _Builder:
             self._lines[(*loc, key)] = line
             found[key] = self.build(item, (*loc, key))
         return found
-
-
-def parse_pose(text: str) -> Pose:
-    """Return the pose that ``X,Y,YAW`` stands for."""
-    parts = text.split(",")
-    try:
-        if len(parts) != 3:
-            raise ValueError(text)
-        yaw = parts[2].strip()
-        turn = radians(float(yaw[:-3])) if yaw.endswith("deg") else float(yaw)
-        pose = Pose(float(parts[0]), float(parts[1]), turn)
-        if not all(isfinite(value) for value in pose):
-            raise ValueError(text)
-    except ValueError:
-        raise InvalidInputError(
-            f"pose {text!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
-        ) from None
-    if abs(pose.yaw) > 6.3:
-        raise InvalidInputError(
-            f"the yaw of pose {text!r} is more than a full turn in radians; for degrees write "
-            f"{parts[2].strip().removesuffix('deg')}deg, up to 360"
-        )
-    return pose

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import parse_speed
@@ -21,15 +21,15 @@ from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.documents import Checked, beside, load
 from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
-from energyplan.io.maps import read_costmap, read_heights, read_keepout, read_map, read_speed_mask
-from energyplan.kinds import checked
+from energyplan.io.heights import read_heights
+from energyplan.io.maps import read_costmap, read_keepout, read_map, read_speed_mask
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope, with_weight
 from energyplan.power.presets import MODEL_PRESETS
-from energyplan.records import amount_of
-from energyplan.terrain import Site, knows_ground, with_limits, with_weights
+from energyplan.records import Length, checked, warn
+from energyplan.terrain import CLEARANCE, Site, knows_ground, with_limits, with_weights
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class SiteFile(Checked, BaseModel):
     keepout: str | None = None  # a second map: the robot stays out of its occupied cells
     costmap: str | None = None  # a map of soft costs
     speed_mask: str | None = None  # a mask of Nav2's speed filter: see `read_speed_mask`
-    clearance: Annotated[float, amount_of("length"), Field(ge=0, allow_inf_nan=False)] = 0.0  # [m]
+    clearance: Annotated[Length, CLEARANCE] = 0.0  # [m]
 
 
 PARTS: dict[str, Callable[[Path], Any]] = {
@@ -106,6 +106,12 @@ def _with_parts(site: Site, named: SiteFile, read: Read) -> Site:
     }
     if limits := parts.pop("speed_mask", ()):
         parts["surfaces"] = with_limits(parts.get("surfaces", site.surfaces), limits)
+    if mask := parts.pop("keepout", None):
+        parts["keepout"] = mask.closed
+        if mask.weights is not None and parts.get("costmap", site.costmap) is not None:
+            warn("the weights of the keep-out mask are ignored beside the costmap")
+        elif mask.weights is not None:
+            parts["costmap"] = mask.weights
     return replace(site, **parts, clearance=named.clearance or site.clearance)
 
 

@@ -20,7 +20,7 @@ from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError
 from energyplan.kinds import NO_NUMBER, Within, checked, described, doubts_of, in_words
-from energyplan.path import Pose, as_pose
+from energyplan.path import Pose, as_pose, parse_pose
 from energyplan.planning.problem import free_beside, nearest_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
@@ -123,18 +123,10 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
             known = ", ".join(sorted(places)) or "none"
             raise ValueError(f"there is no place {value!r}; the places are {known}")
         value = places[value]
-    if isinstance(value, str):
-        value = value.split(",")
-    if isinstance(value, list) and any(isinstance(part, str) for part in value):
-        try:
-            if len(value) != 3:
-                raise ValueError(f"{len(value)} numbers")
-            value = float(value[0]), float(value[1]), float(amount("angle", value[2]))
-        except NO_NUMBER as problem:
-            why = f" ({problem})" if isinstance(problem, ValueError) else ""
-            raise ValueError(
-                f"{value} is no pose{why}; give x, y [m] and yaw [rad] or as 90deg"
-            ) from None
+    if isinstance(value, str) or (
+        isinstance(value, list) and any(isinstance(part, str) for part in value)
+    ):
+        return parse_pose(value)
     return as_pose(value, "the pose")
 
 

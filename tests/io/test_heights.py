@@ -8,7 +8,7 @@ from PIL import Image, TiffImagePlugin
 from small_bags import writer
 
 from energyplan.errors import MapError
-from energyplan.io.maps import read_heights
+from energyplan.io.heights import read_heights
 
 DEFINITIONS = {
     "grid_map_msgs/msg/GridMapInfo": """

@@ -20,15 +20,17 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
-from energyplan.errors import ConfigError, InvalidInputError, MapError
+from energyplan.errors import ConfigError, InvalidInputError, MapError, UnusualValueWarning
 from energyplan.io.documents import read_json
 from energyplan.io.geojson import read_surfaces, write_surfaces
+from energyplan.io.heights import read_heights
 from energyplan.io.logs import read_log
-from energyplan.io.maps import at_most, read_heights, read_map, write_map
+from energyplan.io.maps import at_most, read_map, write_map
 from energyplan.io.sites import read_site
 from energyplan.mission import Mission, Task
 from energyplan.path import Pose
@@ -595,6 +597,23 @@ def test_a_site_stands_for_its_parts(tmp_path):
     soft = replace(open_hall, costmap=CostMap(np.zeros((40, 60)), 0.1))
     mission = Mission(cost.model, soft, battery, (2, 2, 0), tasks, confidence=0.5)
     assert (mission.clearance, "costmap" in mission.notes[0]) == (0.3, True)
+
+
+def test_grey_weights_of_a_keep_out_mask_are_soft_costs(tmp_path):
+    grey = np.array([[0, 0, 255, 255], [127, 127, 127, 255]], np.uint8)  # closed, half closed, free
+    file = write(tmp_path, grey, occupied_thresh=1.0, free_thresh=0.0)
+    (tmp_path / "map.yaml").write_text(file.read_text())
+    file.write_text(file.read_text() + "\nmode: scale\n")
+    (tmp_path / "site.yaml").write_text("map: map.yaml\nkeepout: m.yaml\n")
+    site = read_site(tmp_path / "site.yaml")
+    assert_array_equal(site.keepout.occupied, [[0, 0, 0, 0], [1, 1, 0, 0]])
+    assert_allclose(site.costmap.costs, [[0.5, 0.5, 0.5, 0.0], [1.0, 1.0, 0.0, 0.0]], atol=0.005)
+    (tmp_path / "site.yaml").write_text("map: map.yaml\nkeepout: m.yaml\ncostmap: m.yaml\n")
+    with pytest.warns(UnusualValueWarning, match="weights of the keep-out mask are ignored"):
+        read_site(tmp_path / "site.yaml")
+    (tmp_path / "site.yaml").write_text("map: map.yaml\nclearance: 21\n")
+    with pytest.raises(MapError, match="line 2, clearance: give 0 to 20 m, not '21"):
+        read_site(tmp_path / "site.yaml")
 
 
 @pytest.mark.parametrize(

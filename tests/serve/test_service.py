@@ -108,7 +108,7 @@ def test_what_is_unusual_is_said_and_what_is_impossible_is_refused(
     assert any(one.startswith("mission, tasks.0.power: 100000 is unusual") for one in warnings)
     assert any("no charge at 'dock'" in one and "indoors, above 0 degC" in one for one in warnings)
     for change, words in (
-        ({"start": [None, 2.0, "90deg"]}, "start: [None, 2.0, '90deg'] is no pose"),
+        ({"start": [None, 2.0, "90deg"]}, "start: pose [None, 2.0, '90deg'] is not X,Y,YAW"),
         ({"battery": {"preset": "quadriga", "temperature": 300}}, "(not kelvin), not '300'"),
         ({"tasks": [{**document["tasks"][0], "power": 1e9}]}, "tasks.0.power: give 0 to 1e+06 W"),
     ):
