@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from energyplan.errors import InvalidInputError, ModelError, UnknownNameError
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
-from energyplan.records import ReadOnly
+from energyplan.records import ReadOnly, Scalar, Within, record
 from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import GRAVITY, Vehicle
 
@@ -48,53 +49,37 @@ class Border:
         return np.asarray(points @ normal > self.offset)
 
 
-@dataclass(frozen=True)
+Amount = Annotated[Scalar, Within((0, 1e6), (0, 1e6))]
+Positive = Annotated[Scalar, Within((1e-6, 1e6), (1e-6, 1e6))]
+Time = Annotated[Scalar, Within((1e-6, 1e6), (1e-6, 1e6), "s", endless=True)]
+Signed = Annotated[Scalar, Within((-1e6, 1e6), (-1e6, 1e6))]
+Share = Annotated[Scalar, Within((0, 1), (0, 1))]
+
+
+@record(InvalidInputError, whose="")
 class Robot:
     """A skid-steer robot as the engine knows it: wheels, Coulomb friction, two motors."""
 
     vehicle: Vehicle  # contacts, loads, footprint (for the inertia), motor limits
-    friction: float  # coulomb friction coefficient of every contact [1]
-    traction: tuple[float, float]  # traction resistance of the left and of the right side [N]
-    rolling_share: float = 0.5  # share of the traction resistance that grows with the load [1]
-    viscous: float = 0.0  # force per tread speed of each side [N s/m]
-    drag: float = 0.0  # force per square of the body's speed [N s^2/m^2]
-    towing: float = 0.0  # constant force along the body's x axis that a motor must overcome [N]
-    tilt: tuple[float, float] = (0.0, 0.0)  # gradient of the ground towards world x and y [1]
-    warm_up: float = 0.0  # further traction resistance of each side when cold [N]
-    warm_up_time: float = 60.0  # time constant in which that vanishes [s]
-    slip_speed: float = 0.0  # growth of the friction coefficient with a contact's slip speed [s/m]
+    friction: Positive  # coulomb friction coefficient of every contact [1]
+    traction: tuple[Amount, Amount]  # traction resistance of the left and of the right side [N]
+    rolling_share: Share = 0.5  # share of the traction resistance that grows with the load [1]
+    viscous: Amount = 0.0  # force per tread speed of each side [N s/m]
+    drag: Amount = 0.0  # force per square of the body's speed [N s^2/m^2]
+    towing: Signed = 0.0  # constant force along the body's x axis that a motor must overcome [N]
+    tilt: tuple[Signed, Signed] = (0.0, 0.0)  # gradient of the ground towards world x and y [1]
+    warm_up: Amount = 0.0  # further traction resistance of each side when cold [N]
+    warm_up_time: Positive = 60.0  # time constant in which that vanishes [s]
+    slip_speed: Signed = 0.0  # growth of the friction coefficient with the slip speed [s/m]
     border: Border | None = None  # where the ground changes
-    drive_loss: float = 0.0  # power drawn beyond the shaft power, ``1/eta - 1`` of it [1]
-    regeneration_loss: float = 0.0  # share of returned shaft power that is lost, ``1 - eta_r`` [1]
-    copper: float = 0.0  # power lost per square of a side's force [W/N^2]
-    hotel: float = 0.0  # constant draw [W]
-    sharing: float = 0.1  # [s]
-    height: float | None = None  # height of the centre of mass [m]
+    drive_loss: Amount = 0.0  # power drawn beyond the shaft power, ``1/eta - 1`` of it [1]
+    regeneration_loss: Share = 0.0  # share of returned shaft power that is lost, ``1 - eta_r`` [1]
+    copper: Amount = 0.0  # power lost per square of a side's force [W/N^2]
+    hotel: Amount = 0.0  # constant draw [W]
+    sharing: Time = 0.1  # in which sides that go straight come to share the load [s]
+    height: Positive | None = None  # height of the centre of mass [m]
 
     def __post_init__(self) -> None:
-        for name in ("friction", "height", "warm_up_time"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise InvalidInputError(f"{name} is {value}; give a positive number")
-        if not self.sharing > 0:
-            raise InvalidInputError(f"sharing is {self.sharing}; give a positive time")
-        ranges = {
-            "rolling_share": 1.0, "viscous": np.inf, "drag": np.inf, "warm_up": np.inf,
-            "drive_loss": np.inf, "regeneration_loss": 1.0, "copper": np.inf, "hotel": np.inf,
-        }  # fmt: skip
-        for name, most in ranges.items():
-            value = getattr(self, name)
-            if not (np.isfinite(value) and 0 <= value <= most):
-                raise InvalidInputError(f"{name} is {value}; give a number from 0 to {most:g}")
-        for name in ("traction", "tilt"):
-            pair = np.asarray(getattr(self, name), float)
-            if pair.shape != (2,) or not np.all(np.isfinite(pair)):
-                raise InvalidInputError(f"{name} is {getattr(self, name)}; give two numbers")
-            object.__setattr__(self, name, tuple(float(v) for v in pair))
-        if min(self.traction) < 0:
-            raise InvalidInputError(f"traction is {self.traction}; a side cannot have less than 0")
-        if not np.all(np.isfinite([self.towing, self.slip_speed])):
-            raise InvalidInputError("towing and slip_speed must be finite numbers")
         if np.hypot(*self.tilt) > 1.0:
             raise InvalidInputError(f"tilt is {self.tilt}; beyond 45 degrees no robot stands")
         points = self.vehicle.contacts[self.vehicle.loads > 0]

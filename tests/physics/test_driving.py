@@ -155,13 +155,13 @@ def test_hotel_load_is_in_the_log_and_in_the_energy(driven: Driven) -> None:
 def test_bad_sensors_are_named(driven: Driven) -> None:
     with pytest.raises(InvalidInputError, match="rate is 0"):
         Sensors(rate=0.0)
-    with pytest.raises(UnknownNameError, match="battery"):
+    with pytest.raises(InvalidInputError, match="battery"):
         Sensors(measured="engine")  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="channel"):
         Sensors(without=("z",)).log(driven.run)
     with pytest.raises(InvalidInputError, match="too short"):
         Sensors(rate=0.01).log(driven.run)
-    wrong = {"rate=fast": "rate: .*number", "rate=0": "rate is 0", "measured=": "'battery'",
+    wrong = {"rate=fast": "rate is fast; .*number", "rate=0": "rate is 0", "measured=": "'battery'",
              "colour=red": "power_noise"}  # fmt: skip
     for text, message in wrong.items():
         with pytest.raises((InvalidInputError, UnknownNameError), match=message):
