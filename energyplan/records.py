@@ -136,7 +136,7 @@ class ImpossibleError(ValueError):
 
 @dataclass(frozen=True)
 class Within:
-    """What a number may be, and what it usually is; stands beside a field, in its annotation.
+    """What a number may be, and what it usually is; part of a field's annotation.
 
     What is not possible is refused, what is possible but not usual is accepted with a warning.
     """
@@ -201,7 +201,7 @@ def bounds(owner: Callable[..., Any]) -> dict[str, Within]:
 
 
 def _parts_of(hint: Any) -> Iterator[Any]:
-    """Yield an annotation, and all that it is made of."""
+    """Yield an annotation and its parts."""
     yield hint
     for part in get_args(hint):
         yield from _parts_of(part)

@@ -317,7 +317,7 @@ class Vehicle(ByValue, html.Readable):
 
     @property
     def driving_speed(self) -> float:
-        """Tread speed at which it is driven where nothing else is asked for [m/s]."""
+        """Tread speed at which it is driven by default [m/s]."""
         return min(self.usual_speed, self.motor.speed)
 
     def up_to(self, speed: float) -> Vehicle:

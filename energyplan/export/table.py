@@ -54,10 +54,10 @@ def tabulate(
     """Return the table of a cost, as fine as it must be."""
     if not tolerance > 0:
         raise InvalidInputError(f"tolerance is {tolerance}; give a positive number")
-    asked = [cost.tread_speed] if speeds is None else sorted(set(map(float, speeds)))
-    if not asked or any(v is not None and not (np.isfinite(v) and v > 0) for v in asked):
-        raise InvalidInputError(f"speeds are {asked}; give one or more positive numbers [m/s]")
-    costs = [replace(cost, speed=v or CHEAPEST) for v in asked]
+    wanted = [cost.tread_speed] if speeds is None else sorted(set(map(float, speeds)))
+    if not wanted or any(v is not None and not (np.isfinite(v) and v > 0) for v in wanted):
+        raise InvalidInputError(f"speeds are {wanted}; give one or more positive numbers [m/s]")
+    costs = [replace(cost, speed=v or CHEAPEST) for v in wanted]
     half = cost.half_track
 
     def energies(angle: FloatArray) -> FloatArray:
@@ -81,8 +81,8 @@ def tabulate(
         where = np.flatnonzero(split) + 1
         angle = np.insert(angle, where, between)
         energy = np.insert(energy, where, energies(between), axis=0)
-    told = np.array([0.0 if v is None else v for v in asked])
-    return CostTable(angle, told, energy, half, float(error.max()))
+    listed = np.array([0.0 if v is None else v for v in wanted])
+    return CostTable(angle, listed, energy, half, float(error.max()))
 
 
 def write_cost_table(table: CostTable, path: str | Path) -> None:

@@ -279,8 +279,8 @@ def model_text(model: PowerModel) -> str:
     if model.covariance is not None:
         data["covariance"] = model.covariance.tolist()
     if model.residual is not None:
-        told = vars(model.residual).items()
-        data["residual"] = {k: float(v) for k, v in told if v is not None}
+        values = vars(model.residual).items()
+        data["residual"] = {k: float(v) for k, v in values if v is not None}
     return _text(data)
 
 
@@ -291,9 +291,9 @@ def _is_file(source: str | Path) -> bool:
 
 def _expect(document: Document, kind: str) -> None:
     """Refuse a file of another kind."""
-    told = document.data.get("kind", kind)
-    if told != kind:
-        raise document.fail(("kind",), f"this file holds a {told!r}, where a {kind} is needed")
+    stated = document.data.get("kind", kind)
+    if stated != kind:
+        raise document.fail(("kind",), f"this file holds a {stated!r}, where a {kind} is needed")
 
 
 def _placed(

@@ -199,19 +199,20 @@ class _Image(Checked, BaseModel):
 
 def _from_image(file: Path) -> _Raster:
     """Read a 16 bit PNG by the YAML that names it."""
-    told = load(file, MapError).check(_Image)
-    values, _ = _decoded(beside(file, "image", told.image), "PNG")
+    header = load(file, MapError).check(_Image)
+    values, _ = _decoded(beside(file, "image", header.image), "PNG")
     if values.dtype == np.uint8:
-        step = (told.max_height - told.min_height) / 255
+        step = (header.max_height - header.min_height) / 255
         raise MapError(
             f"{file}: image: 8 bits a pixel make steps of {step:.2g} m, which are no slopes; "
             "export 16 bits"
         )
     heights = (
-        told.min_height + (told.max_height - told.min_height) * values.astype(np.float64) / 65535
+        header.min_height
+        + (header.max_height - header.min_height) * values.astype(np.float64) / 65535
     )
-    x, y = from_raster((0.5, 0.5), told.origin, told.resolution).tolist()
-    return _Raster(heights, told.resolution, Pose(x, y, told.origin.yaw))
+    x, y = from_raster((0.5, 0.5), header.origin, header.resolution).tolist()
+    return _Raster(heights, header.resolution, Pose(x, y, header.origin.yaw))
 
 
 def _decoded(file: Path, form: str) -> tuple[NDArray[np.generic], Mapping[int, Any]]:
@@ -253,13 +254,13 @@ def _from_geotiff(file: Path) -> _Raster:
     if max(abs(down_x - along_y), abs(down_y + along_x)) > 1e-6 * size:
         raise MapError(f"{file}: cells of {along_x:g} by {-down_y:g}; resample to square ones")
     heights[heights == no_data] = np.nan
-    told = dict(_ITEM.findall(str(tags.get(_GDAL_METADATA, ""))))
-    unit = told.get("unittype", "").strip().lower()
+    scaling = dict(_ITEM.findall(str(tags.get(_GDAL_METADATA, ""))))
+    unit = scaling.get("unittype", "").strip().lower()
     try:
-        heights = heights * float(told.get("scale", 1.0)) + float(told.get("offset", 0.0))
+        heights = heights * float(scaling.get("scale", 1.0)) + float(scaling.get("offset", 0.0))
         heights *= _HEIGHTS[unit]
     except (KeyError, ValueError):
-        raise MapError(f"{file}: heights of {told}; convert them to metres") from None
+        raise MapError(f"{file}: heights of {scaling}; convert them to metres") from None
     offset = 0.0 if known.get(_RASTER) == _POINT else 0.5
     last = heights.shape[0] - 1 + offset
     lowest = Pose(

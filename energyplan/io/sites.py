@@ -188,14 +188,14 @@ def of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> 
     )
 
 
-def models_of(asked: PlanningProblem | Mission) -> tuple[PowerModel, ...]:
+def models_of(question: PlanningProblem | Mission) -> tuple[PowerModel, ...]:
     """Return the models that a question is answered by, the robot's own first."""
-    own = asked.cost.model if isinstance(asked, PlanningProblem) else asked.model
-    heavy = {} if isinstance(asked, PlanningProblem) else asked.payload_models
+    own = question.cost.model if isinstance(question, PlanningProblem) else question.model
+    heavy = {} if isinstance(question, PlanningProblem) else question.payload_models
     return (
         own,
         *(model for known in heavy.values() for model in known.values()),
-        *(surface.model for surface in (asked.surfaces.surfaces if asked.surfaces else ())),
+        *(surface.model for surface in (question.surfaces.surfaces if question.surfaces else ())),
     )
 
 

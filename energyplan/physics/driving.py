@@ -160,7 +160,7 @@ class Tracker:
         turns = wrap_angle(np.diff(trajectory.yaw))
         yaw = trajectory.yaw[0] + np.concatenate([[0.0], np.cumsum(turns)])
         columns = (trajectory.x, trajectory.y, yaw, trajectory.v, trajectory.omega)
-        self._rows = np.column_stack(columns).tolist()  # one is asked for at a time
+        self._rows = np.column_stack(columns).tolist()  # read one at a time
 
     def reference(self, t: float) -> tuple[float, ...]:
         """Return x, y, yaw, v, omega of the reference at a time since the start [s]."""
@@ -213,7 +213,7 @@ class Tracker:
 class Driven(html.Readable):
     """A trajectory as it was driven."""
 
-    trajectory: Trajectory  # what was asked
+    trajectory: Trajectory  # the reference
     run: Run  # what happened
     predicted: dict[str, float]  # what the power model predicts, by term [J]
     measured: dict[str, float]  # what the battery delivered, by the term that stands for it [J]
@@ -271,8 +271,8 @@ def energy_predicted(
     """Return the energy of a trajectory by term, as a power model predicts it [J]."""
     here = ground or Ground()
     law, surfaces, heights = laid_out(model, trajectory.poses[:, :2], here.surfaces, here.heights)
-    grounds = () if surfaces is None else surfaces.surfaces
-    others = tuple(surface.model.battery_side() for surface in grounds)
+    regions = () if surfaces is None else surfaces.surfaces
+    others = tuple(surface.model.battery_side() for surface in regions)
     driven_on = ModelledGround(law.battery_side(), surfaces, heights, others)
     return Drive(trajectory, driven_on).breakdown()
 
@@ -292,10 +292,10 @@ def drive(
     predicted = energy_predicted(trajectory, model, ground)
     run = Engine(robot, ground, start).drive(tracker, longest=2 * trajectory.duration + 60.0)
     wanted = np.array([tracker.reference(float(t))[:3] for t in run.t])
-    apart = np.hypot(run.x - wanted[:, 0], run.y - wanted[:, 1])
-    turned = np.abs(wrap_angle(run.yaw - wanted[:, 2]))
+    offset = np.hypot(run.x - wanted[:, 0], run.y - wanted[:, 1])
+    misaligned = np.abs(wrap_angle(run.yaw - wanted[:, 2]))
     return Driven(
         trajectory, run, predicted, run.energy,
-        bool(apart[-1] <= gains.position and turned[-1] <= gains.angle),
-        float(apart.max()), float(turned.max()), float(apart[-1]),
+        bool(offset[-1] <= gains.position and misaligned[-1] <= gains.angle),
+        float(offset.max()), float(misaligned.max()), float(offset[-1]),
     )  # fmt: skip

@@ -196,14 +196,14 @@ def effect(
 
     def wrap(function: Callable[..., Any]) -> Effect:
         grid = details.get("grid", {})
-        made = Term(
+        built = Term(
             name, symbol, unit, kind, function,
             params={key: values[len(values) // 2] for key, values in grid.items()},
             channels=tuple(details.get("channels", ())),
             bounds=details.get("plausible", (-np.inf, np.inf)),
             meaning=details.get("meaning", ""),
         )  # fmt: skip
-        return Effect.of(made, **details)
+        return Effect.of(built, **details)
 
     return wrap
 
@@ -229,9 +229,9 @@ def _entry(
 ) -> Term:  # fmt: skip
     """Return the term of a function, and enter the effect whose size is its coefficient."""
     name = function.__name__
-    made = Term(name, symbol, unit, kind, function, params or {}, needs, bounds, meaning)
-    _ENTRIES.append(Effect.of(made, **details))
-    return made
+    built = Term(name, symbol, unit, kind, function, params or {}, needs, bounds, meaning)
+    _ENTRIES.append(Effect.of(built, **details))
+    return built
 
 
 _ENTRIES.append(Effect.of(
@@ -637,15 +637,15 @@ def _every(finder: Callable[..., Iterable[EntryPoint]], path: tuple[str, ...]) -
     found = {entry.name: entry for entry in _ENTRIES}
     taken = {term.name for entry in _ENTRIES for term in entry.terms} | {t.name for t in _ALWAYS}
     for point in finder(group="energyplan.power.effects"):
-        made = point.load()
-        if isinstance(made, Term):
-            made = Effect.of(made)
-        if not isinstance(made, Effect):
+        built = point.load()
+        if isinstance(built, Term):
+            built = Effect.of(built)
+        if not isinstance(built, Effect):
             raise ModelError(f"entry point {point.name!r} of energyplan.power.effects is no Effect")
-        names = {made.name, *(term.name for term in made.terms)}
+        names = {built.name, *(term.name for term in built.terms)}
         if names & (taken | set(found)):
             raise ModelError(f"entry point {point.name!r} redefines {sorted(names)}; rename it")
-        found[made.name] = made
+        found[built.name] = built
     return found
 
 

@@ -26,10 +26,10 @@ from energyplan.physics.loop import (
     Learned,
     Round,
     Steered,
-    asked_energy,
     believed,
     learn,
     overhead,
+    predicted_energy,
     ratio,
     timed,
 )
@@ -108,7 +108,7 @@ def test_who_knows_the_effect_takes_another_way(made: Callable[[float], forks.Fo
     for model in (MODEL, true):
         asked = believed(problem, model, speed)
         planned = ep.plan(asked, effort=30_000)
-        taken.append(asked_energy(timed(planned, asked, speed), right))
+        taken.append(predicted_energy(timed(planned, asked, speed), right))
     # without the drag both ways round the block take the same: chance may find the right one
     assert taken[1] < (taken[0] if made is forks.dragging else 0.98 * taken[0])
 
