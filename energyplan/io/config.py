@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
@@ -268,7 +268,7 @@ def model_text(model: PowerModel) -> str:
         error = model.std_error(item.name)
         entry |= {} if error is None else {"std_error": error}
         entry |= {"symbol": item.symbol, "unit": item.unit}
-        entry |= {"params": {k: _plain(v) for k, v in item.params.items()}} if item.params else {}
+        entry |= {"params": _plain(item.params)} if item.params else {}
         terms.append(entry)
     data: dict[str, Any] = {
         "kind": "model",
@@ -313,7 +313,8 @@ def _vehicle(document: Document, *loc: str) -> Vehicle:
     spec, sizes = document.check(_Parts, loc), {*_SIZES} & {*given}
     clash, need, values = set[str](), set[str](), dict[str, Any]()
     if spec.preset is not None:
-        values = _vehicle_fields(_placed(document, (*loc, "preset"), Vehicle.preset, spec.preset))
+        ready = _placed(document, (*loc, "preset"), Vehicle.preset, spec.preset)
+        values = {part.name: getattr(ready, part.name) for part in fields(ready)}
         clash = sizes
     elif sizes:
         clash, need = {"contacts", "footprint", "loads"} & {*given}, {"name", "mass", *_SIZES}
@@ -385,12 +386,10 @@ def _square(document: Document, rows: list[list[float]]) -> FloatArray:
     return np.array(rows)
 
 
-def _vehicle_fields(vehicle: Vehicle) -> dict[str, Any]:
-    return {field.name: getattr(vehicle, field.name) for field in fields(vehicle)}
-
-
 def _plain(value: Any) -> Any:
     """Return a value as YAML knows it; no limit is ``.inf``."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
         return [_plain(item) for item in value]
     return value if isinstance(value, str | bool) else float(value)
@@ -398,10 +397,7 @@ def _plain(value: Any) -> Any:
 
 def plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
     """Return a vehicle as a YAML file holds it."""
-    found = _vehicle_fields(vehicle)
-    for key in ("icr", "motor"):
-        found[key] = {k: float(v) for k, v in vars(found[key]).items()}
-    return {k: v if isinstance(v, dict) else _plain(v) for k, v in found.items()}
+    return dict(_plain(asdict(vehicle)))
 
 
 def _dump(data: dict[str, Any], path: str | Path) -> Path:

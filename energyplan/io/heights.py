@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.errors import DriveLogError, MapError
 from energyplan.io.bags import is_bag, opened_bag
-from energyplan.io.documents import Checked, beside, load, read_bytes
-from energyplan.io.maps import MAX_FILE, Origin, fit, opened_image
+from energyplan.io.documents import beside, load, read_bytes
+from energyplan.io.maps import MAX_FILE, Placed, fit, opened_image
 from energyplan.path import Pose
 from energyplan.records import NO_NUMBER, checked
 from energyplan.terrain.grid import from_raster
@@ -185,14 +184,9 @@ def _cells_of(
     return np.array(parsed)
 
 
-class _Image(Checked, BaseModel):
+class _Image(Placed):
     """What the YAML of an image of heights says."""
 
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
-
-    image: str = Field(min_length=1)
-    resolution: float = Field(gt=0)
-    origin: Origin
     min_height: float
     max_height: float
 

@@ -49,8 +49,6 @@ LUMA = (0.212656, 0.715158, 0.072186)
 MOVINGAI_FREE = b".GS"
 """Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
 
-Origin = Annotated[Pose, AfterValidator(lambda at: as_pose([*at], "the origin"))]
-
 _BROKEN = (
     OSError, SyntaxError, ValueError, EOFError, OverflowError, TypeError, KeyError, IndexError,
     struct.error, MemoryError, Image.DecompressionBombError,
@@ -80,14 +78,19 @@ def _lower(value: Any) -> Any:
     return value.lower() if isinstance(value, str) else value
 
 
-class _MapHeader(Checked, BaseModel):
-    """What a map_server YAML says."""
+class Placed(Checked, BaseModel):
+    """An image, and where it lies."""
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
     image: str = Field(min_length=1)
     resolution: float = Field(gt=0)
-    origin: Origin
+    origin: Annotated[Pose, AfterValidator(lambda at: as_pose([*at], "the origin"))]
+
+
+class _MapHeader(Placed):
+    """What a map_server YAML says."""
+
     negate: int | bool = False
     occupied_thresh: float = Field(ge=0, le=1)
     free_thresh: float = Field(ge=0, le=1)

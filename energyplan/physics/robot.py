@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,12 +23,6 @@ _OF_ITSELF = (
 )  # fmt: skip
 """Terms whose cause the engine has in any case."""
 
-_FIELDS = {
-    "viscous_loss": "viscous", "air_drag": "drag", "towing_force": "towing",
-    "slip_speed_friction": "slip_speed", "drive_efficiency": "drive_loss",
-    "regeneration_efficiency": "regeneration_loss", "copper_loss": "copper",
-    "hotel_load": "hotel", "warm_up": "warm_up",
-}  # fmt: skip
 _ON_SIDES = {"dragging_wheel_left": (1.0, 0.0)}
 _TILTS = ("tilt_x", "tilt_y")
 """What a term of a power model is in the engine."""
@@ -109,16 +103,18 @@ class Robot:
         resistance = model.coefficient("traction_resistance")
         traction, tilt = (resistance, resistance), [0.0, 0.0]
         values: dict[str, float] = {}
+        named = {"warm_up": "warm_up"}
+        named |= {name: k.apply for name, k in _EFFECTS.items() if isinstance(k.apply, str)}
         for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
-            if term.name in _FIELDS:
-                values[_FIELDS[term.name]] = value
+            if term.name in named:
+                values[named[term.name]] = value
             elif term.name in _ON_SIDES:
                 left, right = _ON_SIDES[term.name]
                 traction = (traction[0] + left * value, traction[1] + right * value)
             elif term.name in _TILTS:
                 tilt[_TILTS.index(term.name)] = value / model.vehicle.mass
             elif term.name not in _OF_ITSELF:
-                known = sorted({*_FIELDS, *_ON_SIDES, *_TILTS, *_OF_ITSELF})
+                known = sorted({*named, *_ON_SIDES, *_TILTS, *_OF_ITSELF})
                 raise ModelError(
                     f"the term {term.name!r} of model {model.name!r} has no counterpart in the "
                     f"engine; it knows {', '.join(known)}"
@@ -179,16 +175,6 @@ FULL_EFFORT = 0.5
 
 _Apply = Callable[[Robot, float, Mapping[str, float]], Robot]
 _Draw = Callable[[Robot, np.random.Generator], float]
-
-
-def _grows(name: str) -> _Apply:
-    """Return the change that adds the size to one value."""
-
-    def apply(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
-        changes: dict[str, float] = {name: getattr(robot, name) + size}
-        return replace(robot, **changes)  # type: ignore[arg-type]
-
-    return apply
 
 
 def _drags(left: float, right: float) -> _Apply:
@@ -252,7 +238,7 @@ def _borders(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
 class Kind:
     """A kind of effect."""
 
-    apply: _Apply  # ``apply(robot, size, details) -> Robot``
+    apply: _Apply | str  # ``apply(robot, size, details) -> Robot``, or the value that grows by it
     unit: str  # unit of the size
     meaning: str  # one line
     draw: _Draw  # ``draw(robot, rng) -> float``, a size worth finding
@@ -279,11 +265,11 @@ def _one(robot: Robot) -> float:
 
 _EFFECTS: dict[str, Kind] = {
     "viscous_loss": Kind(
-        _grows("viscous"), "N s/m", "resistance of each side that rises with its speed",
+        "viscous", "N s/m", "resistance of each side that rises with its speed",
         _times(0.25, 0.8, lambda r: _resistance(r) / FULL_EFFORT),
     ),
     "air_drag": Kind(
-        _grows("drag"), "N s^2/m^2", "resistance that rises with the square of the speed",
+        "drag", "N s^2/m^2", "resistance that rises with the square of the speed",
         _times(0.25, 0.8, lambda r: 2 * _resistance(r) / FULL_EFFORT**2),
     ),
     "tilted_plane": Kind(
@@ -303,7 +289,7 @@ _EFFECTS: dict[str, Kind] = {
         _times(0.1, 0.3, lambda r: float(np.abs(r.vehicle.contacts).min())), ("direction",),
     ),
     "towing_force": Kind(
-        _grows("towing"), "N", "a constant force along the body, against forward motion",
+        "towing", "N", "a constant force along the body, against forward motion",
         _times(0.3, 0.8, lambda r: 2 * _resistance(r), sign=True),
     ),
     "payload": Kind(
@@ -315,7 +301,7 @@ _EFFECTS: dict[str, Kind] = {
         _times(0.15, 0.4, lambda r: r.friction, sign=True), ("direction", "offset"),
     ),
     "slip_speed_friction": Kind(
-        _grows("slip_speed"), "s/m", "friction that grows with the slip speed",
+        "slip_speed", "s/m", "friction that grows with the slip speed",
         _times(0.3, 0.8, lambda r: r.friction),
     ),
     "warm_up": Kind(
@@ -323,19 +309,19 @@ _EFFECTS: dict[str, Kind] = {
         _times(0.4, 1.0, _resistance), ("time_constant",),
     ),
     "hotel_load": Kind(
-        _grows("hotel"), "W", "constant draw",
+        "hotel", "W", "constant draw",
         _times(0.2, 0.8, lambda r: 2 * _resistance(r) * FULL_EFFORT),
     ),
     "drive_efficiency": Kind(
-        _grows("drive_loss"), "1", "1/eta - 1: power lost while drawing",
+        "drive_loss", "1", "1/eta - 1: power lost while drawing",
         _times(0.1, 0.35, _one),
     ),
     "regeneration_efficiency": Kind(
-        _grows("regeneration_loss"), "1", "1 - eta_r: power lost while returning",
+        "regeneration_loss", "1", "1 - eta_r: power lost while returning",
         _times(0.3, 1.0, _one),
     ),
     "copper_loss": Kind(
-        _grows("copper"), "W/N^2", "heat in the windings",
+        "copper", "W/N^2", "heat in the windings",
         _times(0.1, 0.35, lambda r: FULL_EFFORT / _resistance(r)),
     ),
 }  # fmt: skip
@@ -366,7 +352,11 @@ class Effect(ReadOnly):
 
     def on(self, robot: Robot) -> Robot:
         """Return a robot with this effect switched on."""
-        return _EFFECTS[self.name].apply(robot, self.size, self.details)
+        apply = _EFFECTS[self.name].apply
+        if isinstance(apply, str):
+            changes: dict[str, Any] = {apply: getattr(robot, apply) + self.size}
+            return replace(robot, **changes)
+        return apply(robot, self.size, self.details)
 
     @classmethod
     def parse(cls, text: str) -> Effect:
