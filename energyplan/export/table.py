@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
@@ -31,21 +30,6 @@ class CostTable:
     energy: FloatArray  # (n, m): energy per size of a motion [J/m]
     half_track: float  # the C of sizes and directions [m]
     error: float  # largest relative error between two neighbouring directions, as measured
-
-    def segment_energy(self, ds: ArrayLike, dtheta: ArrayLike, speed: ArrayLike) -> FloatArray:
-        """Return energies read off the table, as a planner would."""
-        x, y, v = np.broadcast_arrays(
-            np.asarray(ds, float), self.half_track * np.asarray(dtheta, float), speed
-        )
-        angle = np.arctan2(y, x)
-        k = np.clip(np.searchsorted(self.angle, angle) - 1, 0, len(self.angle) - 2)
-        share = (angle - self.angle[k]) / (self.angle[k + 1] - self.angle[k])
-        column = np.interp(v, self.speed, np.arange(len(self.speed)))
-        j = np.minimum(column.astype(int), max(len(self.speed) - 2, 0))
-        beside = np.minimum(j + 1, len(self.speed) - 1)
-        low = (1 - share) * self.energy[k, j] + share * self.energy[k + 1, j]
-        high = (1 - share) * self.energy[k, beside] + share * self.energy[k + 1, beside]
-        return np.asarray(np.hypot(x, y) * (low + (column - j) * (high - low)))
 
 
 def tabulate(

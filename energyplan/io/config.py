@@ -311,6 +311,7 @@ def _vehicle(document: Document, *loc: str) -> Vehicle:
     whole = document.data[loc[0]] if loc else document.data
     given = {key: value for key, value in whole.items() if value is not None or key in _LIMITS}
     spec, sizes = document.check(_Parts, loc), {*_SIZES} & {*given}
+    rows = document.check(Rows, (*loc, "contacts")) if "contacts" in given else []
     clash, need, values = set[str](), set[str](), dict[str, Any]()
     if spec.preset is not None:
         ready = _placed(document, (*loc, "preset"), Vehicle.preset, spec.preset)
@@ -320,7 +321,7 @@ def _vehicle(document: Document, *loc: str) -> Vehicle:
         clash, need = {"contacts", "footprint", "loads"} & {*given}, {"name", "mass", *_SIZES}
     else:
         need = {"name", "contacts", "footprint", "mass" if "mass" in given else "loads"}
-        need |= {"icr"} if len(given.get("contacts", ())) != 4 else set()
+        need |= {"icr"} if len(rows) != 4 else set()
     if lacking := sorted(need - {*given}):
         raise document.fail(
             (*loc, lacking[0]),
@@ -333,10 +334,12 @@ def _vehicle(document: Document, *loc: str) -> Vehicle:
         raise document.fail((*loc, min(clash)), "the key contradicts the others; leave it out")
     if sizes:
         values["contacts"], values["footprint"] = layout(*(getattr(spec, key) for key in _SIZES))
-    elif "contacts" in given:
-        values["contacts"] = document.check(Rows, (*loc, "contacts"))
+    elif rows:
+        values["contacts"] = rows
     contacts = np.asarray(values["contacts"])
-    values.setdefault("icr", TreadICR.symmetric(predict_icr(*np.ptp(contacts, axis=0))))
+    if "icr" not in values and "icr" not in given:
+        reach = predict_icr(*np.ptp(contacts, axis=0))
+        values["icr"] = _placed(document, loc, TreadICR.symmetric, reach)
     values.setdefault("loads", np.ones(len(contacts)))
     own = {key: _endless(key, value) for key, value in given.items()}
     if isinstance(own.get("motor"), dict):

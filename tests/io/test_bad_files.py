@@ -118,6 +118,10 @@ mass: 120.0\n => | loads: the key is missing
 0.3, 0.35], [ => | icr: the key is missing
 0.3, 0.35 => 0.3 | line 2, contacts.0: .* at least 2
 +loads: [1, 2, 3, 4]\n | loads: the key contradicts
+[[0.3, 0.35], [-0.3, 0.35], [0.3, -0.35], [-0.3, -0.35]] => 3 | line 2, contacts: .* list, not '3'
+0.35 => 0.35e999 | line 2, contacts.0.1: .* finite
++motor: 3\n | line 5, motor: .* dictionary
++icr: {left: 0.4, right: fast}\n | line 5, icr.right: give a number, not 'fast'
 """,
     "model": r"""
 slip_friction => slippery | line 4, terms.0: unknown power term
