@@ -71,6 +71,8 @@ def parse_pose(given: str | Sequence[object]) -> Pose:
     try:
         x, y, yaw = given.split(",") if isinstance(given, str) else given
         pose = Pose(float(x), float(y), float(amount("angle", yaw)))  # type: ignore[arg-type]
+        if not np.all(np.isfinite(pose)):
+            raise ValueError
     except NO_NUMBER:
         raise InvalidInputError(
             f"pose {given!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
@@ -80,7 +82,7 @@ def parse_pose(given: str | Sequence[object]) -> Pose:
             f"the yaw of pose {given!r} is more than a full turn in radians; for degrees write "
             f"{str(yaw).strip().removesuffix('deg')}deg, up to 360"
         )
-    return as_pose(pose, f"pose {given!r}")
+    return pose
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:

@@ -326,7 +326,8 @@ def _vehicle(document: Document, *loc: str) -> Vehicle:
         raise document.fail(
             (*loc, lacking[0]),
             "the key is missing; a vehicle is a preset with changes, or contacts, loads (or mass "
-            "and cog) and footprint, or mass, wheelbase, track, length and width",
+            "and cog) and footprint, or mass, wheelbase, track, length and width"
+            + document.another_kind(Vehicle),
         )
     if "loads" in given and {"mass", "cog"} & {*given}:
         clash |= {"loads"}

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -47,6 +47,7 @@ __all__ = [
     "reads_slope", "term", "with_weight",
 ]  # fmt: skip
 
+Regressor = TypeVar("Regressor", bound=Callable[..., Any])
 Acts = Literal["motion", "change", "place", "kinematics", "hold", "log"]
 
 
@@ -219,19 +220,26 @@ _TURNS = "drive arcs of several radii, from a spin to nearly straight, at one co
 _ANY = (-np.inf, np.inf)
 _POSITIVE = (0.0, np.inf)
 
+_TERMS: dict[str, Term] = {}
 _ENTRIES: list[Effect] = []
 
 
 def _entry(
-    function: Callable[..., Any], symbol: str, unit: str, kind: Kind = "force", *,
-    params: Mapping[str, float] | None = None, needs: tuple[str, ...] = (),
-    bounds: tuple[float, float] = _POSITIVE, meaning: str = "", **details: Any,
-) -> Term:  # fmt: skip
-    """Return the term of a function, and enter the effect whose size is its coefficient."""
-    name = function.__name__
-    built = Term(name, symbol, unit, kind, function, params or {}, needs, bounds, meaning)
-    _ENTRIES.append(Effect.of(built, **details))
-    return built
+    symbol: str, unit: str, kind: Kind = "force", *, params: Mapping[str, float] | None = None,
+    needs: tuple[str, ...] = (), bounds: tuple[float, float] = _POSITIVE, meaning: str = "",
+    **details: Any,
+) -> Callable[[Regressor], Regressor]:  # fmt: skip
+    """Enter a function as a term, and with details as the effect whose size is its coefficient."""
+
+    def enter(function: Regressor) -> Regressor:
+        name = function.__name__
+        of = Term(name, symbol, unit, kind, function, params or {}, needs, bounds, meaning)
+        _TERMS[name] = of
+        if details:
+            _ENTRIES.append(Effect.of(of, **details))
+        return function
+
+    return enter
 
 
 _ENTRIES.append(Effect.of(
@@ -240,16 +248,14 @@ _ENTRIES.append(Effect.of(
 ))  # fmt: skip
 
 
+@_entry(
+    "m", "kg", needs=("slope",), meaning="weight on a slope", plausible=(1.0, 1e5),
+    manoeuvre=_BOTH_WAYS, planner="with the map's slope", of_mass=(0.5, 2.0),
+)  # fmt: skip
 def grade(motion: Motion, vehicle: Vehicle) -> Sides:
     """Weight along the heading per unit of mass: ``g sin(slope)`` (docs/theory, section 7)."""
     slope = motion.channel("slope", "the term 'grade'")
     return tread_forces(motion, longitudinal=GRAVITY * np.sin(slope))
-
-
-GRADE = _entry(
-    grade, "m", "kg", needs=("slope",), meaning="weight on a slope", plausible=(1.0, 1e5),
-    manoeuvre=_BOTH_WAYS, planner="with the map's slope", of_mass=(0.5, 2.0),
-)  # fmt: skip
 
 
 def _heading(motion: Motion, offset: float) -> FloatArray:
@@ -259,11 +265,13 @@ def _heading(motion: Motion, offset: float) -> FloatArray:
     return np.cos(motion.channels["yaw"] - offset)
 
 
+@_entry("m sin(a_x)", "kg", bounds=_ANY, meaning="ground climbing to yaw 0")
 def tilt_x(motion: Motion, vehicle: Vehicle) -> Sides:
     """Weight along the heading on a plane that climbs towards yaw 0, where no slope is known."""
     return tread_forces(motion, longitudinal=GRAVITY * _heading(motion, 0.0))
 
 
+@_entry("m sin(a_y)", "kg", bounds=_ANY, meaning="ground climbing to yaw 90")
 def tilt_y(motion: Motion, vehicle: Vehicle) -> Sides:
     """Weight along the heading on a plane that climbs towards yaw 90 degrees."""
     return tread_forces(motion, longitudinal=GRAVITY * _heading(motion, np.pi / 2))
@@ -274,15 +282,18 @@ def _tilt(model: PowerModel) -> float:
     return float(np.arcsin(min(weight / model.vehicle.mass, 1.0)))
 
 
-TILT_X = Term("tilt_x", "m sin(a_x)", "kg", "force", tilt_x, meaning="ground climbing to yaw 0")
-TILT_Y = Term("tilt_y", "m sin(a_y)", "kg", "force", tilt_y, meaning="ground climbing to yaw 90")
 _ENTRIES.append(Effect(
-    "tilted_plane", (TILT_X, TILT_Y), "angle", "rad",
+    "tilted_plane", (_TERMS["tilt_x"], _TERMS["tilt_y"]), "angle", "rad",
     "ground that is one tilted plane, seen from the heading", _BOTH_WAYS,
     "as the map's slope, with the term grade", (0.0, 0.6), ("yaw",), size=_tilt,
 ))  # fmt: skip
 
 
+@_entry(
+    "m", "kg", plausible=(1.0, 1e5), channels=("accel_x",), manoeuvre=_RAMPS,
+    meaning="weight and inertia together, as an accelerometer feels them",
+    planner="with the map's slope", of_mass=(0.5, 2.0), usual=True,
+)  # fmt: skip
 def specific_force(motion: Motion, vehicle: Vehicle) -> Sides:
     """Force per unit of mass that an accelerometer feels: ``dv/dt + g sin(slope)``.
 
@@ -295,86 +306,68 @@ def specific_force(motion: Motion, vehicle: Vehicle) -> Sides:
     return tread_forces(motion, longitudinal=accel + GRAVITY * np.sin(slope))
 
 
-SPECIFIC_FORCE = _entry(
-    specific_force, "m", "kg", plausible=(1.0, 1e5), channels=("accel_x",), manoeuvre=_RAMPS,
-    meaning="weight and inertia together, as an accelerometer feels them",
-    planner="with the map's slope", of_mass=(0.5, 2.0), usual=True,
+@_entry(
+    "m", "kg", needs=("accel",), meaning="speeding up and slowing down",
+    plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=(), usual=True, common=True,
+    of_mass=(0.5, 2.0),
 )  # fmt: skip
-
-
 def linear_inertia(motion: Motion, vehicle: Vehicle) -> Sides:
     """Force per unit of mass that changes the forward speed: ``dv/dt``."""
     return tread_forces(motion, longitudinal=motion.channel("accel", "the term 'linear_inertia'"))
 
 
-LINEAR_INERTIA = _entry(
-    linear_inertia, "m", "kg", needs=("accel",), meaning="speeding up and slowing down",
-    plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=(), usual=True, common=True,
-    of_mass=(0.5, 2.0),
+@_entry(
+    "I_z", "kg m^2", needs=("yaw_accel",), meaning="turning faster and slower",
+    plausible=(0.01, 1e5), manoeuvre=_SPIN, channels=(), usual=True,
 )  # fmt: skip
-
-
 def angular_inertia(motion: Motion, vehicle: Vehicle) -> Sides:
     """Moment per unit of inertia that changes the yaw rate: ``dw/dt``."""
     return tread_forces(motion, moment=motion.channel("yaw_accel", "the term 'angular_inertia'"))
 
 
-ANGULAR_INERTIA = _entry(
-    angular_inertia, "I_z", "kg m^2", needs=("yaw_accel",), meaning="turning faster and slower",
-    plausible=(0.01, 1e5), manoeuvre=_SPIN, channels=(), usual=True,
+@_entry(
+    "B_v", "N s/m", meaning="resistance that rises with speed",
+    plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS, common=True,
 )  # fmt: skip
-
-
 def viscous_loss(motion: Motion, vehicle: Vehicle) -> Sides:
     """Force proportional to tread speed: grease, belts, soft ground."""
     return Sides(motion.v_left, motion.v_right)
 
 
-VISCOUS_LOSS = _entry(
-    viscous_loss, "B_v", "N s/m", meaning="resistance that rises with speed",
-    plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS, common=True,
+@_entry(
+    "k_d", "N s^2/m^2", meaning="resistance that rises with the square of the speed",
+    plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS,
 )  # fmt: skip
-
-
 def air_drag(motion: Motion, vehicle: Vehicle) -> Sides:
     """Force proportional to the square of the body's speed."""
     return tread_forces(motion, longitudinal=motion.v * np.abs(motion.v))
 
 
-AIR_DRAG = _entry(
-    air_drag, "k_d", "N s^2/m^2", meaning="resistance that rises with the square of the speed",
-    plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS,
+@_entry(
+    "R/k^2", "W/N^2", "loss", meaning="heat in the motor windings",
+    plausible=(0.0, 1.0), manoeuvre=_SPIN + "; hold the robot on a slope",
 )  # fmt: skip
-
-
 def copper_loss(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
     """Power lost in the windings: current follows force, so its square does."""
     return Sides(np.square(forces.left), np.square(forces.right))
 
-
-COPPER_LOSS = _entry(
-    copper_loss, "R/k^2", "W/N^2", "loss", meaning="heat in the motor windings",
-    plausible=(0.0, 1.0), manoeuvre=_SPIN + "; hold the robot on a slope",
-)  # fmt: skip
 
 # What the drive loses forwards shows in the size of all forces alone: forces and mass are those
 # over its efficiency, and this is what is lost both ways.
 _ENTRIES.append(Effect.of(REGENERATION_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS))
 
 
+@_entry(
+    "K_0", "N", params={"time_constant": 60.0}, plausible=(0.0, 1e4),
+    meaning="resistance of a cold drive that fades", planner="with the time, else warm",
+    manoeuvre="repeat the same route at the end of the drive as at its start",
+    grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)},
+)  # fmt: skip
 def warm_up(motion: Motion, vehicle: Vehicle, time_constant: float) -> Sides:
     """Traction resistance of a cold drive: ``exp(-t / time_constant)``; warm where t is unknown."""
     t = motion.channels.get("t")
     cold = np.zeros(motion.shape) if t is None else np.exp(-t / time_constant)
     return Sides(cold * np.sign(motion.v_left), cold * np.sign(motion.v_right))
-
-
-WARM_UP = _entry(
-    warm_up, "K_0", "N", params={"time_constant": 60.0}, plausible=(0.0, 1e4),
-    meaning="resistance of a cold drive that fades", planner="with the time, else warm",
-    manoeuvre="repeat the same route at the end of the drive as at its start",
-    grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)},
-)  # fmt: skip
 
 
 def _after(motion: Motion, time: float) -> FloatArray:
@@ -385,12 +378,16 @@ def _after(motion: Motion, time: float) -> FloatArray:
     return np.ones(motion.shape) if t is None else np.asarray(t >= time, float)
 
 
+@_entry("dmu", "1", bounds=_ANY, params={"time": 0.0}, meaning="slip friction after the change")
 def slip_change(motion: Motion, vehicle: Vehicle, time: float) -> Sides:
     """Slip friction that is there only after a change; changed where time is unknown."""
     after = _after(motion, time)
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * after)
 
 
+@_entry(
+    "dK", "N", bounds=_ANY, params={"time": 0.0}, meaning="traction resistance after the change",
+)  # fmt: skip
 def traction_change(motion: Motion, vehicle: Vehicle, time: float) -> Sides:
     """Traction resistance that is there only after a change; changed where time is unknown."""
     after = _after(motion, time)
@@ -403,20 +400,15 @@ def _payload(model: PowerModel) -> float:
     return change / friction if friction else float(np.copysign(np.inf, change))
 
 
-SLIP_CHANGE = Term(
-    "slip_change", "dmu", "1", "force", slip_change, {"time": 0.0},
-    meaning="slip friction after the change",
-)  # fmt: skip
-TRACTION_CHANGE = Term(
-    "traction_change", "dK", "N", "force", traction_change, {"time": 0.0},
-    meaning="traction resistance after the change",
-)  # fmt: skip
 _ENTRIES.append(Effect(
-    "payload_change", (SLIP_CHANGE, TRACTION_CHANGE), "dm", "kg",
+    "payload_change", (_TERMS["slip_change"], _TERMS["traction_change"]), "dm", "kg",
     "payload taken up or set down at some time, or another surface from then on",
     "weigh the robot, or climb the same ramp, before and after", "as the state after it",
     (-1e5, 1e5), size=_payload, acts="change", of_mass=(-0.5, 1.0),
 ))  # fmt: skip
+
+
+_LINE = {"direction": 0.0, "offset": 0.0}
 
 
 def _beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> FloatArray:
@@ -433,12 +425,19 @@ def _beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -
     return np.asarray(share / float(vehicle.loads.sum()))
 
 
+@_entry(
+    "dmu", "1", bounds=_ANY, params=_LINE, needs=("x", "y"), meaning="slip friction beyond a line",
+)  # fmt: skip
 def slip_beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> Sides:
     """Slip friction that is there only beyond a line on the ground."""
     there = _beyond(motion, vehicle, direction, offset)
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * there)
 
 
+@_entry(
+    "dK", "N", bounds=_ANY, params=_LINE, needs=("x", "y"),
+    meaning="traction resistance beyond a line",
+)  # fmt: skip
 def traction_beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> Sides:
     """Traction resistance that is there only beyond a line on the ground."""
     there = _beyond(motion, vehicle, direction, offset)
@@ -449,18 +448,9 @@ def _slip_beyond(model: PowerModel) -> float:
     return model.coefficient("slip_beyond")
 
 
-_LINE = {"direction": 0.0, "offset": 0.0}
-SLIP_BEYOND = Term(
-    "slip_beyond", "dmu", "1", "force", slip_beyond, _LINE, ("x", "y"),
-    meaning="slip friction beyond a line",
-)  # fmt: skip
-TRACTION_BEYOND = Term(
-    "traction_beyond", "dK", "N", "force", traction_beyond, _LINE, ("x", "y"),
-    meaning="traction resistance beyond a line",
-)  # fmt: skip
 _ENTRIES += (
     Effect(
-        "surface_border", (SLIP_BEYOND, TRACTION_BEYOND), "dmu", "1",
+        "surface_border", (_TERMS["slip_beyond"], _TERMS["traction_beyond"]), "dmu", "1",
         "another surface beyond a line on the ground", "cross the line several times",
         "with surface regions on the map", (-2.0, 2.0), ("x", "y"), size=_slip_beyond,
         acts="place",
@@ -473,41 +463,40 @@ _ENTRIES += (
 )  # fmt: skip
 
 
+@_entry(
+    "K_d", "N", bounds=_ANY, plausible=(-1e4, 1e4),
+    meaning="a wheel or bearing that drags on the left; on the right where it is negative",
+    manoeuvre="lift that side, spin its wheels",
+)  # fmt: skip
 def dragging_wheel_left(motion: Motion, vehicle: Vehicle) -> Sides:
     """Traction resistance that the left side has more than the right one."""
     return Sides(np.sign(motion.v_left), np.zeros(motion.shape))
 
 
-DRAGGING_LEFT = _entry(
-    dragging_wheel_left, "K_d", "N", bounds=_ANY, plausible=(-1e4, 1e4),
-    meaning="a wheel or bearing that drags on the left; on the right where it is negative",
-    manoeuvre="lift that side, spin its wheels",
+@_entry(
+    "dmu", "1", bounds=(-2.0, 2.0), plausible=(-1.0, 1.0), manoeuvre=_SPIN,
+    meaning="turning left costs more than turning right",
 )  # fmt: skip
-
-
 def turn_asymmetry(motion: Motion, vehicle: Vehicle) -> Sides:
     """Slip friction that a left turn has more and a right turn less: a constant moment."""
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) ** 2)
 
 
-TURN_ASYMMETRY = _entry(
-    turn_asymmetry, "dmu", "1", bounds=(-2.0, 2.0), plausible=(-1.0, 1.0), manoeuvre=_SPIN,
-    meaning="turning left costs more than turning right",
+@_entry(
+    "k_mu", "s/m", bounds=_ANY, plausible=(-2.0, 2.0), manoeuvre=_SPIN,
+    meaning="slip friction that depends on slip speed",
 )  # fmt: skip
-
-
 def slip_speed_friction(motion: Motion, vehicle: Vehicle) -> Sides:
     """Slip friction that grows with the slip speed, taken as yaw rate times mean slip radius."""
     radius = vehicle.slip_moment / float(vehicle.loads.sum())
     return tread_forces(motion, moment=vehicle.slip_moment * radius * motion.omega)
 
 
-SLIP_SPEED = _entry(
-    slip_speed_friction, "k_mu", "s/m", bounds=_ANY, plausible=(-2.0, 2.0), manoeuvre=_SPIN,
-    meaning="slip friction that depends on slip speed",
+@_entry(
+    "mu_s", "1", params={"slip_speed": 0.1}, bounds=(-2.0, 2.0),
+    plausible=(0.0, 2.0), manoeuvre=_SPIN, common=True, grid={"slip_speed": (0.03, 0.08, 0.2)},
+    meaning="slip friction that is larger at small slip speeds",
 )  # fmt: skip
-
-
 def stribeck_friction(motion: Motion, vehicle: Vehicle, slip_speed: float) -> Sides:
     """Slip friction that is there at small slip speeds only and fades as they grow.
 
@@ -518,13 +507,12 @@ def stribeck_friction(motion: Motion, vehicle: Vehicle, slip_speed: float) -> Si
     return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * fade)
 
 
-STRIBECK = _entry(
-    stribeck_friction, "mu_s", "1", params={"slip_speed": 0.1}, bounds=(-2.0, 2.0),
-    plausible=(0.0, 2.0), manoeuvre=_SPIN, common=True, grid={"slip_speed": (0.03, 0.08, 0.2)},
-    meaning="slip friction that is larger at small slip speeds",
+@_entry(
+    "mu_m", "1", params={"radius": 1.0}, bounds=(-2.0, 2.0),
+    plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True, common=True,
+    grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)},
+    meaning="slip friction that is smaller in wide turns than in a spin",
 )  # fmt: skip
-
-
 def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float) -> Sides:
     """Slip friction that is missing in wide turns: ``-mu S sign(w) |v| / (|v| + radius |w|)``."""
     speed, rate = np.abs(motion.v), radius * np.abs(motion.omega)
@@ -533,14 +521,11 @@ def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float) -> Si
     return tread_forces(motion, moment=-vehicle.slip_moment * np.sign(motion.omega) * missing)
 
 
-MOBILISATION = _entry(
-    friction_mobilisation, "mu_m", "1", params={"radius": 1.0}, bounds=(-2.0, 2.0),
-    plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True, common=True,
-    grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)},
-    meaning="slip friction that is smaller in wide turns than in a spin",
+@_entry(
+    "P_f", "W", "loss", plausible=(0.0, 1e4), acts="hold",
+    meaning="heat of sides that push against each other on straights, in drives that lose energy",
+    manoeuvre="drive a straight line with the steering control off",
 )  # fmt: skip
-
-
 def wheel_fight(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
     """Heat of sides that push against each other on a straight, where contacts hold a moment."""
     turning = np.abs(motion.omega) * motion.icr.half_track > 1e-6 * np.abs(motion.v)
@@ -548,34 +533,24 @@ def wheel_fight(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
     return Sides(0.5 * straight, 0.5 * straight)
 
 
-WHEEL_FIGHT = _entry(
-    wheel_fight, "P_f", "W", "loss", plausible=(0.0, 1e4), acts="hold",
-    meaning="heat of sides that push against each other on straights, in drives that lose energy",
-    manoeuvre="drive a straight line with the steering control off",
+@_entry(
+    "F_d", "N", plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed",
+    meaning="something towed that resists whichever way the body moves",
 )  # fmt: skip
-
-
 def towed_drag(motion: Motion, vehicle: Vehicle) -> Sides:
     """Force of something towed, a trailer or a sledge: against the body's own motion."""
     return tread_forces(motion, longitudinal=np.sign(motion.v))
 
 
-TOWED_DRAG = _entry(
-    towed_drag, "F_d", "N", plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed",
-    meaning="something towed that resists whichever way the body moves",
+@_entry(
+    "F_t", "N", bounds=_ANY, plausible=(-1e4, 1e4),
+    manoeuvre="drive one line forwards and backwards",
+    meaning="a force that pulls one way, forwards or backwards",
 )  # fmt: skip
-
-
 def towing_force(motion: Motion, vehicle: Vehicle) -> Sides:
     """Constant force along the body, whichever way it drives: a hose, a cable, a head wind."""
     return tread_forces(motion, longitudinal=np.ones(motion.shape))
 
-
-TOWING_FORCE = _entry(
-    towing_force, "F_t", "N", bounds=_ANY, plausible=(-1e4, 1e4),
-    manoeuvre="drive one line forwards and backwards",
-    meaning="a force that pulls one way, forwards or backwards",
-)  # fmt: skip
 
 _ENTRIES.append(Effect(
     "time_offset", (), "delay", "s", "power logged later than speed",
@@ -584,27 +559,34 @@ _ENTRIES.append(Effect(
 ))  # fmt: skip
 
 
+@_entry(
+    "s", "1", "loss", bounds=(0.0, 2.0), plausible=(0.7, 1.5), planner="no",
+    manoeuvre=_TURNS, acts="log", meaning="a current sensor without the sign of the current",
+)  # fmt: skip
 def unsigned_power(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
     """Twice the returned power, which a sensor without a sign adds to the sum."""
     return regeneration_loss(motion, vehicle, forces) * 2.0
 
 
-UNSIGNED_POWER = _entry(
-    unsigned_power, "s", "1", "loss", bounds=(0.0, 2.0), plausible=(0.7, 1.5), planner="no",
-    manoeuvre=_TURNS, acts="log", meaning="a current sensor without the sign of the current",
+@_entry(
+    "g", "1", "loss", bounds=(-1.0, 1.0), plausible=(-0.5, 0.5), planner="no",
+    acts="log", manoeuvre="swap the two sensors",
+    meaning="gains of the left and the right power sensor differ",
 )  # fmt: skip
-
-
 def side_gain(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
     """Power that the left side's sensor shows too high and the right side's too low."""
     return Sides(forces.left * motion.v_left, -forces.right * motion.v_right)
 
 
-SIDE_GAIN = _entry(
-    side_gain, "g", "1", "loss", bounds=(-1.0, 1.0), plausible=(-0.5, 0.5), planner="no",
-    acts="log", manoeuvre="swap the two sensors",
-    meaning="gains of the left and the right power sensor differ",
-)  # fmt: skip
+(
+    AIR_DRAG, ANGULAR_INERTIA, COPPER_LOSS, GRADE, LINEAR_INERTIA, SLIP_BEYOND, SLIP_CHANGE,
+    SPECIFIC_FORCE, STRIBECK, TILT_X, TILT_Y, TRACTION_BEYOND, TRACTION_CHANGE, VISCOUS_LOSS,
+    WARM_UP, WHEEL_FIGHT,
+) = (_TERMS[name] for name in (
+    "air_drag", "angular_inertia", "copper_loss", "grade", "linear_inertia", "slip_beyond",
+    "slip_change", "specific_force", "stribeck_friction", "tilt_x", "tilt_y", "traction_beyond",
+    "traction_change", "viscous_loss", "warm_up", "wheel_fight",
+))  # fmt: skip
 
 _ALWAYS = (SLIP, TRACTION, DRIVE_LOSS)
 """Terms of files that are no effects: the paper's, and what a drive's known efficiency takes."""

@@ -268,10 +268,10 @@ def test_a_run_continues_where_the_last_one_ended():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"capacity": -1.0}, r"capacity is -1.0: give 0.001 to 3.6e\+08 C"),
+        ({"capacity": -1.0}, r"capacity is -1.0; give 0.001 to 3.6e\+08 C"),
         ({"capacity": np.nan}, "capacity"),
         ({"resistance": -0.1}, "resistance"),
-        ({"peukert": 0.9}, "peukert is 0.9: give 1 to 2"),
+        ({"peukert": 0.9}, "peukert is 0.9; give 1 to 2"),
         ({"health": 0.0}, "health"),
         ({"cutoff_soc": 1.0}, "cutoff_soc"),
         ({"cutoff_voltage": 11.0}, "below the open-circuit voltage"),
@@ -280,7 +280,7 @@ def test_a_run_continues_where_the_last_one_ended():
         ({"derating_factor": np.array([1.0, 2.0])}, "derating"),
         ({"rated_current": 0.0}, "rated_current"),
         ({"max_discharge_current": -np.inf}, "max_discharge_current is -inf"),
-        ({"temperature": 300.0}, r"temperature is 300.0: give -40 to 70 degC \(not kelvin"),
+        ({"temperature": 300.0}, r"temperature is 300.0; give -40 to 70 degC \(not kelvin"),
         ({"min_charge_temperature": 50.0, "max_charge_temperature": 45.0}, "must be below"),
     ],
 )
