@@ -41,14 +41,11 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    TypeAdapter,
     ValidationError,
     ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
     field_validator,
 )
-from pydantic_core import ErrorDetails, core_schema
+from pydantic_core import ErrorDetails, SchemaValidator, core_schema
 
 from energyplan.errors import InvalidInputError, UnusualValueWarning
 
@@ -181,8 +178,11 @@ class Within:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: Callable[[Any], core_schema.CoreSchema]
     ) -> core_schema.CoreSchema:
+        return self.around(handler(source))
+
+    def around(self, schema: core_schema.CoreSchema) -> core_schema.CoreSchema:
         """Have pydantic refuse what is not possible."""
-        return core_schema.no_info_after_validator_function(self._possible, handler(source))
+        return core_schema.no_info_after_validator_function(self._possible, schema)
 
 
 Doubts = Iterator[tuple[tuple[str | int, ...], str]]
@@ -250,19 +250,19 @@ def warn(text: str, stacklevel: int = 2) -> None:
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of values: what to give, and the annotation by which pydantic checks it."""
+    """A kind of values: what to give, and how pydantic checks it."""
 
     words: str
-    hint: Any
+    schema: core_schema.CoreSchema
 
     @cached_property
-    def _adapter(self) -> TypeAdapter[Any]:
-        return TypeAdapter(self.hint)
+    def _validator(self) -> SchemaValidator:
+        return SchemaValidator(self.schema)
 
     def check(self, value: object, name: str, error: type[Exception], whose: str = "") -> None:
         """Refuse a value of another kind, or one that is not possible, with its place."""
         try:
-            self._adapter.validator.validate_python(value)
+            self._validator.validate_python(value)
         except ValidationError as problem:
             # of a choice of kinds the one that stands there: what is wrong lies deepest in it
             places = [
@@ -313,7 +313,7 @@ class _Fits(NamedTuple):
 
 def _of_kind(words: str, fits: Callable[[Any], bool]) -> _Kind:
     """Return the kind of the values that fit."""
-    return _Kind(words, Annotated[Any, _Fits(words, fits)])
+    return _Kind(words, _Fits(words, fits).__get_pydantic_core_schema__(Any, None))
 
 
 def _item(value: Any) -> Any:
@@ -390,15 +390,15 @@ def _list_of(items: _Kind | None) -> _Kind:
     """Return the kind of lists, and of what else yields such items one after the other."""
     words = f"a list: {items.words}, ..." if items else "a list"
 
-    def check(value: Any, within: ValidatorFunctionWrapHandler) -> Any:
+    def check(value: Any, within: core_schema.ValidatorFunctionWrapHandler) -> Any:
         if not _several(value):
             raise ValueError(f"give {words}")
         if items and isinstance(value, list | tuple):
             within([*value])
         return value
 
-    held: Any = items.hint if items else Any
-    return _Kind(words, Annotated[list[held], WrapValidator(check)])
+    held = core_schema.list_schema(items.schema if items else None)
+    return _Kind(words, core_schema.no_info_wrap_validator_function(check, held))
 
 
 @cache
@@ -408,8 +408,11 @@ def _kind(hint: Any) -> _Kind | None:
         return _PLAIN[hint]
     outer, parts = get_origin(hint), get_args(hint)
     if outer is Annotated:
-        kind = _kind(hint.__origin__) or _Kind("", Any)
-        return _Kind(kind.words, Annotated[(kind.hint, *hint.__metadata__)])
+        kind = _kind(hint.__origin__) or _Kind("", core_schema.any_schema())
+        schema = kind.schema
+        for part in hint.__metadata__:
+            schema = part.around(schema) if isinstance(part, Within) else schema
+        return _Kind(kind.words, schema)
     if outer in (Union, UnionType):
         return _either(parts)
     if outer is Literal:
@@ -434,7 +437,7 @@ def _either(parts: tuple[Any, ...]) -> _Kind | None:
                 return None
             kinds.append(kind)
     words = " or ".join(kind.words for kind in kinds if kind.words)
-    return _Kind(words, Union[tuple(kind.hint for kind in kinds)])  # noqa: UP007
+    return _Kind(words, core_schema.union_schema([kind.schema for kind in kinds]))
 
 
 class _Names(dict[str, Any]):
