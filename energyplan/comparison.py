@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from energyplan import html
-from energyplan.kinds import checked
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.budget import Budget
 from energyplan.planning.contract import priced_plan
 from energyplan.planning.driven import STEADY, Spent, spending
 from energyplan.planning.space.compiled import compiled
+from energyplan.records import checked
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.kinds import checked, instance, numbers
 from energyplan.path import FloatArray, Trajectory
-from energyplan.records import ByValue
+from energyplan.records import ByValue, checked, instance, numbers
 from energyplan.vehicle import TreadICR
 
 CHANNELS = {

@@ -16,7 +16,7 @@ import pytest
 import shapely
 
 import energyplan as ep
-from energyplan import kinds, live
+from energyplan import live, records
 from energyplan.diagnosis.result import Evidence, FoundEffect
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.io.config import Project
@@ -332,7 +332,7 @@ def test_what_nobody_writes_to_stays_so_in_a_copy(number: int, way: str) -> None
 
 def test_sources_name_public_things() -> None:
     """What a message tells to call exists, with the names of the library."""
-    for name, source in kinds.SOURCES.items():
+    for name, source in records.SOURCES.items():
         for called in re.findall(r"([A-Za-z_.]+)\(", source):
             found: object = ep
             for part in called.removeprefix("live.").split("."):
@@ -345,6 +345,6 @@ def test_annotations_of_public_functions_are_understood() -> None:
     for name in dir(ep):
         value = getattr(ep, name)
         if inspect.isfunction(value) and hasattr(value, "__wrapped__"):
-            told = kinds._kinds(value.__wrapped__)
+            told = records._kinds(value.__wrapped__)
             wanted = set(inspect.signature(value).parameters) - {"options"}
             assert wanted & set(told), name

@@ -15,7 +15,6 @@ from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, chemistry_of
 from energyplan.battery._tables import PRESETS as PRESETS
 from energyplan.errors import BatteryError, UnknownNameError
-from energyplan.kinds import Within, checked, numbers
 from energyplan.path import FloatArray
 from energyplan.records import (
     Amps,
@@ -28,8 +27,11 @@ from energyplan.records import (
     Ohms,
     Time,
     Volts,
+    Within,
     amount,
     amount_of,
+    checked,
+    numbers,
     record,
 )
 

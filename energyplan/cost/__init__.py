@@ -25,9 +25,9 @@ from energyplan.cost.bounds import LowerBound, lower_bound
 from energyplan.cost.direction_table import Corners, DirectionTable
 from energyplan.cost.driving import SteadyDriving
 from energyplan.errors import InvalidInputError, ModelError
-from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.power import SLIP, TRACTION, PowerModel
+from energyplan.records import checked
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, layout, wheel_loads
 
 

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.cost import direction_table, speeds
 from energyplan.cost.direction_table import SPECIAL, DirectionTable
 from energyplan.errors import InvalidInputError, ModelError
-from energyplan.kinds import check_fields, numbers
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel, Sides
+from energyplan.records import check_fields, numbers
 from energyplan.vehicle import TreadICR, Vehicle
 
 _STILL = ("x", "y", "yaw", "slope", "accel", "yaw_accel", "accel_x")

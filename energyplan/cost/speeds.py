@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError
 from energyplan.html import number
-from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray
 from energyplan.power import Sides
+from energyplan.records import NO_NUMBER
 from energyplan.vehicle import Vehicle
 
 CHEAPEST: Final = "cheapest"

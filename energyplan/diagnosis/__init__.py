@@ -55,13 +55,13 @@ from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_
 from energyplan.fit.drive import Drive, Late, check_long_enough
 from energyplan.fit.estimate import PAPER, JointFit, problem_of
 from energyplan.fit.identification import name_of
-from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
 from energyplan.logs.clean import set_aside_by_drive
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
 from energyplan.power.effects import Effect, catalogue
+from energyplan.records import checked
 from energyplan.vehicle import Vehicle
 
 __all__ = [

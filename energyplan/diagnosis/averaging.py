@@ -40,7 +40,7 @@ from energyplan.fit.solvers import Bounds, lad
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
-from energyplan.power.effect_terms import WHEEL_FIGHT
+from energyplan.power.effects import WHEEL_FIGHT
 
 FEWEST_RUNS = 4
 """Runs from which on leaving one out alone tells how runs to come are predicted."""

@@ -54,8 +54,7 @@ from energyplan.fit.regressors import (
 )
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
-from energyplan.power.effect_terms import WHEEL_FIGHT
-from energyplan.power.effects import Effect, empirical_term
+from energyplan.power.effects import WHEEL_FIGHT, Effect, empirical_term
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
 
 # -- errors on drives that were held out, with intervals -------------------------------------------

@@ -25,8 +25,7 @@ from energyplan.html import number, unit
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
-from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT
-from energyplan.power.effects import Effect, catalogue
+from energyplan.power.effects import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT, Effect, catalogue
 from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
 
 # -- what a model's prediction leaves of measured drives -------------------------------------------

@@ -15,13 +15,13 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter, savgol_filter
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.align import find_runs, time_weights
 from energyplan.logs.checks import POWERS, held_periods
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
+from energyplan.records import checked
 from energyplan.vehicle import TreadICR, Vehicle
 
 # -- consecutive windows of a drive, whose means a fit explains ------------------------------------

@@ -51,7 +51,6 @@ from energyplan.fit.solvers import (
     sum_covariance,
     weighted_least_squares,
 )
-from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_checks, find_lost_sign, refuse_one_side, without_copies
 from energyplan.logs.clean import set_aside_by_drive
@@ -59,7 +58,7 @@ from energyplan.logs.consistency import correlation, distance_ratio, lasts, yaw_
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
-from energyplan.records import ByValue
+from energyplan.records import ByValue, checked
 from energyplan.vehicle import TreadICR, Vehicle
 
 # -- the fit itself: measured power of all logs against a model that may not be linear -------------

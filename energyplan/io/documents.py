@@ -19,7 +19,6 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
-from energyplan.path import parse_pose as parse_pose
 from energyplan.records import NO_NUMBER, Doubts, ImpossibleError, in_words, warn
 from energyplan.records import Checked as Checked
 

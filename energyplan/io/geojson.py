@@ -14,8 +14,8 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.documents import beside, read_features
 from energyplan.io.files import atomic_write
-from energyplan.kinds import NO_NUMBER, checked, doubts_of, warn
 from energyplan.power import PowerModel
+from energyplan.records import NO_NUMBER, checked, doubts_of, warn
 from energyplan.terrain import OccupancyGrid, SpeedLimit, Surface, SurfaceMap
 from energyplan.terrain.grid import FARTHEST
 

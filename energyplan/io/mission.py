@@ -15,10 +15,10 @@ from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
 from energyplan.io.sites import PARTS, SiteFile, load_site, on_site
-from energyplan.kinds import checked, described, doubts_of
 from energyplan.mission import Mission, Robot, Task
 from energyplan.mission.types import OWN, Name, Place
 from energyplan.power import PowerModel
+from energyplan.records import checked, described, doubts_of
 from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")

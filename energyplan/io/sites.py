@@ -115,7 +115,7 @@ def _with_parts(site: Site, named: SiteFile, read: Read) -> Site:
     return replace(site, **parts, clearance=named.clearance or site.clearance)
 
 
-class Ground(NamedTuple):
+class ModelOnSite(NamedTuple):
     """A model on the ground of a site, if any, and what to know of both."""
 
     model: PowerModel
@@ -127,7 +127,7 @@ class Ground(NamedTuple):
         return EnergyCost(self.model, battery, speed=parse_speed(speed, self.model.vehicle))
 
 
-def on_site(model: PowerModel, site: Site | None) -> Ground:
+def on_site(model: PowerModel, site: Site | None) -> ModelOnSite:
     """Return a model for the ground of a site: where the ground slopes, the weight counts."""
     surfaces = site.surfaces if site else None
     notes = of_another_robot(
@@ -147,10 +147,10 @@ def on_site(model: PowerModel, site: Site | None) -> Ground:
             )
         model = with_weight(model)
         site = replace(site, surfaces=with_weights(surfaces) if surfaces else None)
-    return Ground(model, site, (*notes, *(site.notes if site else ())))
+    return ModelOnSite(model, site, (*notes, *(site.notes if site else ())))
 
 
-class Asked(NamedTuple):
+class NotedProblem(NamedTuple):
     """A planning problem, and what to know of it."""
 
     problem: PlanningProblem
@@ -166,7 +166,7 @@ def problem_from(
     speed: str | None = None,
     reverse: bool | None = None,
     **options: Any,
-) -> Asked:
+) -> NotedProblem:
     """Return the planning problem of a model at a site, from one end to the other."""
     ground = on_site(model, site)
     notes = ground.notes
@@ -175,7 +175,9 @@ def problem_from(
     if reverse is not None:
         options["vehicle"] = replace(model.vehicle, reverse=reverse)
     place: Any = ground.site  # of which a problem takes the parts
-    return Asked(PlanningProblem(place, ground.cost(battery, speed), *ends, **options), notes)
+    return NotedProblem(
+        PlanningProblem(place, ground.cost(battery, speed), *ends, **options), notes
+    )
 
 
 def of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> tuple[str, ...]:

@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import checked
 from energyplan.limits.drive import Drive, Ground, Pieces
 from energyplan.limits.motor import ROUNDING, UNITS, Limit, Limits, largest_within, relative
 from energyplan.limits.motor_kernels import intervals, shortest_window, window_mean
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
+from energyplan.records import checked
 from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import MotorLimits, Vehicle
 

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
-from energyplan.kinds import checked
 from energyplan.limits.course import SETTINGS, Course, Points, Sampled, times
 from energyplan.limits.drive import Drive, Ground
 from energyplan.limits.feasibility import LimitedDrive, Survey, Thermal
@@ -26,6 +25,7 @@ from energyplan.limits.motor import ROUNDING, Limits
 from energyplan.limits.reach import UNLIMITED, Reach
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 from energyplan.power import PowerModel
+from energyplan.records import checked
 from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import Vehicle
 

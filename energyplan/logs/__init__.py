@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.errors import DriveLogError, MissingChannelError
-from energyplan.kinds import checked
 from energyplan.logs.align import (
     block_bounds,
     derivative,
@@ -33,7 +32,7 @@ from energyplan.logs.tables import read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides
-from energyplan.records import ReadOnly
+from energyplan.records import ReadOnly, checked
 from energyplan.vehicle import TreadICR
 
 if TYPE_CHECKING:

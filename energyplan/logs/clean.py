@@ -13,10 +13,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import DriveLogError
-from energyplan.kinds import described, numbers
 from energyplan.logs.align import Series, align, gap_limit
 from energyplan.logs.mapping import ROW
 from energyplan.path import FloatArray
+from energyplan.records import described, numbers
 
 if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog

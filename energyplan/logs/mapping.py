@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError
-from energyplan.kinds import described
 from energyplan.logs.align import Series, align, derivative, gap_limit
 from energyplan.path import FloatArray
-from energyplan.records import Checked
+from energyplan.records import Checked, described
 
 ROW = "row"
 """Stands for the number of a row in a mapping: the time, of rows that come at a steady rate."""

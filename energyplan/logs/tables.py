@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError, MissingDependencyError
-from energyplan.kinds import NO_NUMBER
 from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess
 from energyplan.logs.mapping import ROW, Column, is_unit, scale_of, split_unit, time_units
 from energyplan.path import FloatArray
+from energyplan.records import NO_NUMBER
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd

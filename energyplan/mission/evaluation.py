@@ -18,12 +18,12 @@ import numpy as np
 
 from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
-from energyplan.kinds import checked
 from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
 from energyplan.mission.order import attempt, best_stops, finish
 from energyplan.mission.report import Doubt, MissionReport, Reason, TaskReport
 from energyplan.mission.trip import stops
 from energyplan.mission.types import Mission, Remedy
+from energyplan.records import checked
 
 
 def doubts(walk: Walk, end: State) -> tuple[Doubt, ...]:

@@ -19,12 +19,12 @@ from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError
-from energyplan.kinds import NO_NUMBER, Within, checked, described, doubts_of, in_words
 from energyplan.path import Pose, as_pose, parse_pose
 from energyplan.planning.problem import free_beside, nearest_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
 from energyplan.records import (
+    NO_NUMBER,
     Fraction,
     Length,
     Mass,
@@ -32,8 +32,13 @@ from energyplan.records import (
     Power,
     ReadOnly,
     Time,
+    Within,
     amount,
     amount_of,
+    checked,
+    described,
+    doubts_of,
+    in_words,
     instance_of,
     record,
 )

@@ -16,7 +16,7 @@ from energyplan.limits.drive import Ground as ModelledGround
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray, Pose, Trajectory, wrap_angle
 from energyplan.physics.engine import PERIOD, Engine, Run, State
-from energyplan.physics.robot import Amount, Ground, Positive, Robot
+from energyplan.physics.robot import Amount, EngineGround, Positive, Robot
 from energyplan.power import PowerModel
 from energyplan.records import in_words, record
 from energyplan.terrain import laid_out
@@ -266,10 +266,10 @@ class Driven(html.Readable):
 
 
 def energy_predicted(
-    trajectory: Trajectory, model: PowerModel, ground: Ground | None = None
+    trajectory: Trajectory, model: PowerModel, ground: EngineGround | None = None
 ) -> dict[str, float]:
     """Return the energy of a trajectory by term, as a power model predicts it [J]."""
-    here = ground or Ground()
+    here = ground or EngineGround()
     law, surfaces, heights = laid_out(model, trajectory.poses[:, :2], here.surfaces, here.heights)
     regions = () if surfaces is None else surfaces.surfaces
     others = tuple(surface.model.battery_side() for surface in regions)
@@ -282,7 +282,7 @@ def drive(
     robot: Robot,
     model: PowerModel,
     *,
-    ground: Ground | None = None,
+    ground: EngineGround | None = None,
     tracking: Tracking | None = None,
 ) -> Driven:
     """Drive a trajectory in the engine."""

@@ -36,7 +36,7 @@ from scipy.linalg import eigh
 
 from energyplan.errors import InvalidInputError, MissingDependencyError, PhysicsError
 from energyplan.path import FloatArray, Pose
-from energyplan.physics.robot import Ground, Robot
+from energyplan.physics.robot import EngineGround, Robot
 from energyplan.vehicle import GRAVITY
 
 if TYPE_CHECKING:
@@ -416,10 +416,10 @@ class Engine:
     """A robot on its ground in MuJoCo."""
 
     def __init__(
-        self, robot: Robot, ground: Ground | None = None, start: Pose | None = None
+        self, robot: Robot, ground: EngineGround | None = None, start: Pose | None = None
     ) -> None:
         self.mujoco = require_mujoco()
-        self.robot, self.ground = robot, ground or Ground()
+        self.robot, self.ground = robot, ground or EngineGround()
         self.start = start or Pose(0.0, 0.0, 0.0)
         vehicle = robot.vehicle
         left = vehicle.contacts[:, 1] > 0

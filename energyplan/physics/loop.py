@@ -28,7 +28,7 @@ from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.design import Explanation, design
 from energyplan.physics.driving import Driven, Sensors, drive, energy_predicted
 from energyplan.physics.engine import require_mujoco
-from energyplan.physics.robot import Ground, Robot
+from energyplan.physics.robot import EngineGround, Robot
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel, Sides
 from energyplan.power.effects import reads_slope, with_weight
@@ -77,7 +77,7 @@ class Steered(NamedTuple):
 
 def predicted_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
     """Return what the model and the ground of a problem say that a trajectory takes [J]."""
-    ground = Ground(problem.surfaces, problem.heights)
+    ground = EngineGround(problem.surfaces, problem.heights)
     return sum(energy_predicted(trajectory, problem.cost.model, ground).values())
 
 
@@ -128,7 +128,7 @@ LIKELY = 0.02
 
 
 @dataclass(frozen=True)
-class Found:
+class LearnedEffect:
     """An effect in the model of the next round: its name, size, standard error and unit."""
 
     name: str
@@ -141,7 +141,7 @@ class Learned(NamedTuple):
     """A model of all drives so far, the effects in it, and what else may explain them."""
 
     model: PowerModel | None
-    effects: tuple[Found, ...]
+    effects: tuple[LearnedEffect, ...]
     explanations: tuple[Explanation, ...] = ()
     note: str = ""
 
@@ -165,7 +165,7 @@ def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
         )
         return Learned(model, (), note=note)
     outcome = diagnose(long, [log.segment(float(log.t[0]), np.inf) for log in long], vehicle)
-    found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in outcome.effects)
+    found = tuple(LearnedEffect(e.name, e.value, e.std_error, e.unit) for e in outcome.effects)
     most = outcome.explanations[0].probability
     likely = [e for e in outcome.explanations if e.probability > LIKELY * most]
     return Learned(outcome.model, found, tuple(map(_explanation, likely)))
@@ -193,7 +193,9 @@ class Round:
     energy_measured: float  # energy that was measured [J]
     plan: Plan  # the route of this round
     model: PowerModel  # the model that predicted
-    effects: tuple[Found, ...]  # what the diagnosis of all drives so far found, this one included
+    effects: tuple[
+        LearnedEffect, ...
+    ]  # what the diagnosis of all drives so far found, this one included
     log: DriveLog  # the drive
     driven: Driven | None = None  # the drive in the engine
     survey: Driven | None = None  # the designed drive after it, to learn from
@@ -271,7 +273,7 @@ class EngineDrives:
     """Drives in the engine: each round's route, followed by the tracking controller."""
 
     robot: Robot  # what is true
-    ground: Ground | None = None  # the true ground
+    ground: EngineGround | None = None  # the true ground
     sensors: Sensors | None = None  # how drives are recorded
 
     def __post_init__(self) -> None:

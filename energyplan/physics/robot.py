@@ -136,7 +136,7 @@ class Robot:
 
 
 @dataclass(frozen=True)
-class Ground:
+class EngineGround:
     """Where friction, resistance and slope change on the way."""
 
     surfaces: SurfaceMap | None = None  # surfaces
@@ -235,7 +235,7 @@ def _borders(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
 
 
 @dataclass(frozen=True)
-class Kind:
+class EffectKind:
     """A kind of effect."""
 
     apply: _Apply | str  # ``apply(robot, size, details) -> Robot``, or the value that grows by it
@@ -263,70 +263,70 @@ def _one(robot: Robot) -> float:
     return 1.0
 
 
-_EFFECTS: dict[str, Kind] = {
-    "viscous_loss": Kind(
+_EFFECTS: dict[str, EffectKind] = {
+    "viscous_loss": EffectKind(
         "viscous", "N s/m", "resistance of each side that rises with its speed",
         _times(0.25, 0.8, lambda r: _resistance(r) / FULL_EFFORT),
     ),
-    "air_drag": Kind(
+    "air_drag": EffectKind(
         "drag", "N s^2/m^2", "resistance that rises with the square of the speed",
         _times(0.25, 0.8, lambda r: 2 * _resistance(r) / FULL_EFFORT**2),
     ),
-    "tilted_plane": Kind(
+    "tilted_plane": EffectKind(
         _tilts, "rad", "ground that is one tilted plane", _times(0.02, 0.07, _one),
         details=("direction",),
     ),
-    "dragging_wheel_left": Kind(
+    "dragging_wheel_left": EffectKind(
         _drags(1.0, 0.0), "N", "more resistance on the left side",
         _times(0.3, 1.0, _resistance),
     ),
-    "dragging_wheel_right": Kind(
+    "dragging_wheel_right": EffectKind(
         _drags(0.0, 1.0), "N", "more resistance on the right side",
         _times(0.3, 1.0, _resistance),
     ),
-    "centre_of_mass": Kind(
+    "centre_of_mass": EffectKind(
         _shifts, "m", "centre of mass off centre",
         _times(0.1, 0.3, lambda r: float(np.abs(r.vehicle.contacts).min())), ("direction",),
     ),
-    "towing_force": Kind(
+    "towing_force": EffectKind(
         "towing", "N", "a constant force along the body, against forward motion",
         _times(0.3, 0.8, lambda r: 2 * _resistance(r), sign=True),
     ),
-    "payload": Kind(
+    "payload": EffectKind(
         _loads, "kg", "further mass, spread like the robot's own",
         _times(0.1, 0.35, lambda r: r.vehicle.mass),
     ),
-    "surface_border": Kind(
+    "surface_border": EffectKind(
         _borders, "1", "more friction, and as many times more resistance, beyond a line",
         _times(0.15, 0.4, lambda r: r.friction, sign=True), ("direction", "offset"),
     ),
-    "slip_speed_friction": Kind(
+    "slip_speed_friction": EffectKind(
         "slip_speed", "s/m", "friction that grows with the slip speed",
         _times(0.3, 0.8, lambda r: r.friction),
     ),
-    "warm_up": Kind(
+    "warm_up": EffectKind(
         _warms, "N", "further resistance of each side when cold",
         _times(0.4, 1.0, _resistance), ("time_constant",),
     ),
-    "hotel_load": Kind(
+    "hotel_load": EffectKind(
         "hotel", "W", "constant draw",
         _times(0.2, 0.8, lambda r: 2 * _resistance(r) * FULL_EFFORT),
     ),
-    "drive_efficiency": Kind(
+    "drive_efficiency": EffectKind(
         "drive_loss", "1", "1/eta - 1: power lost while drawing",
         _times(0.1, 0.35, _one),
     ),
-    "regeneration_efficiency": Kind(
+    "regeneration_efficiency": EffectKind(
         "regeneration_loss", "1", "1 - eta_r: power lost while returning",
         _times(0.3, 1.0, _one),
     ),
-    "copper_loss": Kind(
+    "copper_loss": EffectKind(
         "copper", "W/N^2", "heat in the windings",
         _times(0.1, 0.35, lambda r: FULL_EFFORT / _resistance(r)),
     ),
 }  # fmt: skip
 
-EFFECTS: Mapping[str, Kind] = MappingProxyType(_EFFECTS)
+EFFECTS: Mapping[str, EffectKind] = MappingProxyType(_EFFECTS)
 """Effects that the engine can switch on, by name."""
 
 

@@ -26,12 +26,12 @@ from energyplan.errors import (
     UnknownNameError,
     UnsupportedPlannerError,
 )
-from energyplan.kinds import check_fields, checked
 from energyplan.planning.budget import SHARES, Budget, cancellable, plan_budget
 from energyplan.planning.contract import Candidate, Planner, check_path, priced_plan
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import compiled
+from energyplan.records import check_fields, checked
 
 __all__ = [
     "PLANNERS",

@@ -18,12 +18,12 @@ from energyplan.errors import (
     LowerBoundError,
     MissingDependencyError,
 )
-from energyplan.kinds import check_fields
 from energyplan.path import Path, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.driven import Plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.records import check_fields
 
 ARRIVED = 1e-6
 """How far from start and goal a path may begin and end [m], [rad]: rounding."""

@@ -16,8 +16,8 @@ from energyplan.errors import (
     OutsideMapError,
     StartInCollisionError,
 )
-from energyplan.kinds import check_fields, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
+from energyplan.records import check_fields, numbers
 from energyplan.terrain import (
     CLEARANCE,
     CostMap,

@@ -23,7 +23,6 @@ from energyplan.errors import (
     EnergyPlanError,
     InvalidInputError,
 )
-from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget, plan_budget
 from energyplan.planning.contract import ARRIVED, Candidate, check_path, priced_plan
@@ -33,6 +32,7 @@ from energyplan.planning.search import planner as lattice
 from energyplan.planning.search.narrow.ends import between_clear_ends, checked_ends
 from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.space.compiled import Segments, compiled, merged
+from energyplan.records import checked
 from energyplan.terrain import OccupancyGrid
 
 

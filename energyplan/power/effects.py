@@ -579,13 +579,16 @@ def side_gain(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
 
 
 (
-    AIR_DRAG, ANGULAR_INERTIA, COPPER_LOSS, GRADE, LINEAR_INERTIA, SLIP_BEYOND, SLIP_CHANGE,
-    SPECIFIC_FORCE, STRIBECK, TILT_X, TILT_Y, TRACTION_BEYOND, TRACTION_CHANGE, VISCOUS_LOSS,
-    WARM_UP, WHEEL_FIGHT,
+    AIR_DRAG, ANGULAR_INERTIA, COPPER_LOSS, DRAGGING_LEFT, GRADE, LINEAR_INERTIA, MOBILISATION,
+    SIDE_GAIN, SLIP_BEYOND, SLIP_CHANGE, SLIP_SPEED, SPECIFIC_FORCE, STRIBECK, TILT_X, TILT_Y,
+    TOWED_DRAG, TOWING_FORCE, TRACTION_BEYOND, TRACTION_CHANGE, TURN_ASYMMETRY, UNSIGNED_POWER,
+    VISCOUS_LOSS, WARM_UP, WHEEL_FIGHT,
 ) = (_TERMS[name] for name in (
-    "air_drag", "angular_inertia", "copper_loss", "grade", "linear_inertia", "slip_beyond",
-    "slip_change", "specific_force", "stribeck_friction", "tilt_x", "tilt_y", "traction_beyond",
-    "traction_change", "viscous_loss", "warm_up", "wheel_fight",
+    "air_drag", "angular_inertia", "copper_loss", "dragging_wheel_left", "grade",
+    "linear_inertia", "friction_mobilisation", "side_gain", "slip_beyond", "slip_change",
+    "slip_speed_friction", "specific_force", "stribeck_friction", "tilt_x", "tilt_y",
+    "towed_drag", "towing_force", "traction_beyond", "traction_change", "turn_asymmetry",
+    "unsigned_power", "viscous_loss", "warm_up", "wheel_fight",
 ))  # fmt: skip
 
 _ALWAYS = (SLIP, TRACTION, DRIVE_LOSS)

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import checked, numbers
 from energyplan.path import FloatArray, Path, Pose, refuse_degrees
+from energyplan.records import checked, numbers
 from energyplan.steering.forwards import forward_energies, forward_path
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
 from energyplan.steering.polygon import polygon_energies, polygon_path

@@ -13,9 +13,8 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan import html
 from energyplan.errors import MapError
-from energyplan.kinds import check_fields, checked, instance, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
-from energyplan.records import ByValue
+from energyplan.records import ByValue, check_fields, checked, instance, numbers
 from energyplan.terrain import collision as _collision
 from energyplan.terrain.updates import (
     distance_to_blocked,

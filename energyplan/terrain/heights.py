@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import MapError
-from energyplan.kinds import check_fields, checked, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose
-from energyplan.records import ByValue
+from energyplan.records import ByValue, check_fields, checked, numbers
 from energyplan.terrain.grid import ORIGIN, extent_in_words, from_raster, to_raster
 
 if TYPE_CHECKING:

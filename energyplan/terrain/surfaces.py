@@ -17,10 +17,10 @@ from energyplan.compilation import Column, FloatTable, IntTable, njit
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import MapError
-from energyplan.kinds import Within, check_fields, described
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
+from energyplan.records import Within, check_fields, described
 from energyplan.terrain.grid import FARTHEST, OccupancyGrid
 from energyplan.vehicle import Vehicle
 

@@ -20,7 +20,7 @@ from energyplan.power import (
     TRACTION,
     PowerModel,
 )
-from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT
+from energyplan.power.effects import COPPER_LOSS, DRAGGING_LEFT
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import Vehicle
 

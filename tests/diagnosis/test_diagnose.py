@@ -25,19 +25,17 @@ from energyplan.fit.estimate import Fit, Problem, fit
 from energyplan.fit.regressors import block_grams
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
-from energyplan.power.effect_terms import (
-    DRAGGING_LEFT,
-    MOBILISATION,
-    SLIP_SPEED,
-    TOWING_FORCE,
-    TURN_ASYMMETRY,
-)
 from energyplan.power.effects import (
     AIR_DRAG,
     ANGULAR_INERTIA,
     COPPER_LOSS,
+    DRAGGING_LEFT,
     GRADE,
     LINEAR_INERTIA,
+    MOBILISATION,
+    SLIP_SPEED,
+    TOWING_FORCE,
+    TURN_ASYMMETRY,
     VISCOUS_LOSS,
     WARM_UP,
     catalogue,

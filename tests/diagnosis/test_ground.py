@@ -11,8 +11,7 @@ from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis.candidates import Ground
 from energyplan.fit.drive import Drive
 from energyplan.motion import Motion
-from energyplan.power.effect_terms import SLIP_BEYOND
-from energyplan.power.effects import catalogue
+from energyplan.power.effects import SLIP_BEYOND, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 VEHICLE = ROBOT.vehicle

@@ -16,7 +16,7 @@ from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.io.files import bundled
 from energyplan.io.tables import write_trajectory
 from energyplan.limits.speed import profile
-from energyplan.physics import Driven, Ground, Robot, Sensors, drive
+from energyplan.physics import Driven, EngineGround, Robot, Sensors, drive
 from energyplan.power import HOTEL
 from energyplan.vehicle import predict_icr
 
@@ -120,7 +120,7 @@ def test_a_surface_under_the_wheels_is_felt() -> None:
     from energyplan.terrain import Surface, SurfaceMap
 
     slick = ep.PowerModel.paper(VEHICLE, K=60.0, mu=0.3)
-    ground = Ground(SurfaceMap([Surface(box(-50, -50, 50, 50), slick)]))
+    ground = EngineGround(SurfaceMap([Surface(box(-50, -50, 50, 50), slick)]))
     made = drive(trajectory(), Robot.from_model(MODEL), MODEL, ground=ground)
     bare = drive(trajectory(), Robot.from_model(slick), slick)
     assert made.energy_measured == pytest.approx(bare.energy_measured, rel=0.005)

@@ -14,16 +14,24 @@ from energyplan.power.effects import (
     AIR_DRAG,
     ANGULAR_INERTIA,
     COPPER_LOSS,
+    DRAGGING_LEFT,
     GRADE,
     LINEAR_INERTIA,
+    MOBILISATION,
+    SIDE_GAIN,
     SLIP_BEYOND,
     SLIP_CHANGE,
+    SLIP_SPEED,
     SPECIFIC_FORCE,
     STRIBECK,
     TILT_X,
     TILT_Y,
+    TOWED_DRAG,
+    TOWING_FORCE,
     TRACTION_BEYOND,
     TRACTION_CHANGE,
+    TURN_ASYMMETRY,
+    UNSIGNED_POWER,
     VISCOUS_LOSS,
     WARM_UP,
     WHEEL_FIGHT,
@@ -35,29 +43,6 @@ from energyplan.power.effects import (
 )
 from energyplan.power.empirical import CARRIERS, signal
 from energyplan.vehicle import GRAVITY
-
-(
-    DRAGGING_LEFT,
-    MOBILISATION,
-    SIDE_GAIN,
-    SLIP_SPEED,
-    TOWED_DRAG,
-    TOWING_FORCE,
-    TURN_ASYMMETRY,
-    UNSIGNED_POWER,
-) = map(
-    term,
-    (
-        "dragging_wheel_left",
-        "friction_mobilisation",
-        "side_gain",
-        "slip_speed_friction",
-        "towed_drag",
-        "towing_force",
-        "turn_asymmetry",
-        "unsigned_power",
-    ),
-)
 
 VEHICLE = Vehicle.preset("quadriga:full")
 T = np.array([0.0, 30.0, 90.0])

@@ -29,7 +29,6 @@ from energyplan.compilation import KERNELS, compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, PlanningError
-from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import Bounding, prepare_bound
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
@@ -62,6 +61,7 @@ from energyplan.planning.space.cost_to_go import (
     regions_for,
 )
 from energyplan.planning.space.motions import KernelProblem
+from energyplan.records import checked
 from energyplan.terrain.collision import motion_free
 
 
