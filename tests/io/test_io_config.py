@@ -141,11 +141,6 @@ def test_a_model_written_by_hand(tmp_path):
     assert read_model(write(tmp_path, without)).covariance is None
 
 
-def test_an_error_that_is_left_out_is_not_taken_as_zero(tmp_path):
-    with pytest.raises(ConfigError, match="give every term a std_error"):
-        read_model(write(tmp_path, MODEL.replace(", std_error: 2.0", "")))
-
-
 def test_model_presets(tmp_path):
     assert read_model("quadriga:full:marble").coefficient("traction_resistance") == 110.0
     with pytest.raises(UnknownNameError, match="quadriga:full:marble"):

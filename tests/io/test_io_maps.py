@@ -199,20 +199,6 @@ def test_a_mask_that_closes_no_cell_is_told(mask, why):
     assert note is None if why is None else "closes no cell" in note and why in note
 
 
-@pytest.mark.parametrize(
-    ("text", "kind"),
-    [
-        ("levels:\n  L1: {elevation: 0}\nname: site\n", "a building of Open-RMF"),
-        ("tasks: []\nbattery: quadriga\n", "a mission"),
-    ],
-)
-def test_yaml_files_of_others_are_refused_by_what_they_are(tmp_path, text, kind):
-    file = tmp_path / "site.building.yaml"
-    file.write_text(text)
-    with pytest.raises(MapError, match=f"seems to be {kind}, not a map of map_server"):
-        read_map(file)
-
-
 def test_an_image_beside_the_map_may_be_named_by_its_whole_path(tmp_path):
     """As ROS 1's map_saver does."""
     file = write(tmp_path, np.zeros((2, 2), np.uint8))
