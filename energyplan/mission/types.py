@@ -43,6 +43,7 @@ from energyplan.records import (
     record,
 )
 from energyplan.terrain import (
+    CLEARANCE,
     HeightMap,
     OccupancyGrid,
     Site,
@@ -518,7 +519,7 @@ class Mission(ReadOnly, html.Readable):
     heights: Annotated[HeightMap | None, instance_of(HeightMap, NoneType)] = None
     spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)
     waiting: Duration = 0.0
-    clearance: Annotated[Length, Within((0, 100), (0, 2), "m")] = 0.0
+    clearance: Annotated[Length, CLEARANCE] = 0.0
     robots: Annotated[tuple[Robot, ...], Field(max_length=100)] = ()
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 
