@@ -55,7 +55,9 @@ class _Parts(Checked, BaseModel):
 
 
 _SIZES = ("wheelbase", "track", "length", "width")
-_LIMITS = {**bounds(MotorLimits), **bounds(Vehicle)}
+_ENDLESS = {
+    k for one in (MotorLimits, Vehicle) for k, within in bounds(one).items() if within.endless
+}
 
 
 class ProjectFile(_Strict):
@@ -309,7 +311,7 @@ def _placed(
 def _vehicle(document: Document, *loc: str) -> Vehicle:
     """Build the vehicle that a file describes: of a preset, of dimensions, or wheel by wheel."""
     whole = document.data[loc[0]] if loc else document.data
-    given = {key: value for key, value in whole.items() if value is not None or key in _LIMITS}
+    given = {key: value for key, value in whole.items() if value is not None or key in _ENDLESS}
     spec, sizes = document.check(_Parts, loc), {*_SIZES} & {*given}
     rows = document.check(Rows, (*loc, "contacts")) if "contacts" in given else []
     clash, need, values = set[str](), set[str](), dict[str, Any]()
@@ -359,8 +361,7 @@ def _vehicle(document: Document, *loc: str) -> Vehicle:
 
 def _endless(key: str, value: Any) -> Any:
     """Read ``inf`` and ``null`` as no limit, where there may be none."""
-    none = key in _LIMITS and _LIMITS[key].endless and value in (None, "inf")
-    return inf if none else value
+    return inf if key in _ENDLESS and (value is None or value == "inf") else value
 
 
 def _unusual(given: Mapping[str, Any]) -> Doubts:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from test_bad_files import DIMENSIONS, MODEL, WHEELS
 
 from energyplan import simulate
 from energyplan.cost import EnergyCost
@@ -25,28 +26,6 @@ from energyplan.power.effects import HOTEL, WARM_UP, empirical_term
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 
 PRESETS = ("quadriga", "quadriga:full", "husky_a200", "jackal")
-
-DIMENSIONS = """\
-name: mule
-mass: 120.0
-wheelbase: 0.6
-track: 0.7
-length: 1.0
-width: 0.9
-"""
-WHEELS = """\
-name: mule
-contacts: [[0.3, 0.35], [-0.3, 0.35], [0.3, -0.35], [-0.3, -0.35]]
-footprint: [[-0.5, -0.45], [0.5, 0.45]]
-mass: 120.0
-"""
-MODEL = """\
-name: by hand
-vehicle: quadriga:full
-terms:
-- {name: slip_friction, value: 0.5, std_error: 0.1}
-- {name: traction_resistance, value: 100.0, std_error: 2.0}
-"""
 
 
 def same_vehicle(one, other):
@@ -90,7 +69,8 @@ def test_a_vehicle_from_its_dimensions_and_from_its_wheels(tmp_path):
 
 def test_a_preset_with_changes(tmp_path):
     text = (
-        "preset: jackal\nname: ours\nmass: 30\nmotor: {speed: 1.0, force: .inf, peak_power: null}\n"
+        "preset: jackal\nname: ours\nmass: 30\nicr: null\nusual_speed: null\n"
+        "motor: {speed: 1.0, force: .inf, peak_power: null}\n"
     )
     vehicle, jackal = read_vehicle(write(tmp_path, text)), Vehicle.preset("jackal")
     assert vehicle.name == "ours"
