@@ -28,7 +28,7 @@ CHANNELS = {
     "temperature": "temperature [degC]",
     "payload": "payload [kg]",
 }
-"""Channels that a motion may carry beside its tread speeds."""
+"""Channels that a motion may carry besides its tread speeds."""
 
 
 def _common_shape(arrays: Mapping[str, FloatArray]) -> tuple[int, ...]:
@@ -116,7 +116,7 @@ class Motion(ByValue):
         name : str
             Name of the channel.
         needed_by : str
-            Who asks, for the message.
+            What needs it, for the message.
 
         Returns
         -------

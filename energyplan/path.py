@@ -17,10 +17,18 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+ROUNDING = 1e-9
+"""Part of a number by which rounding may change it [1]."""
+
+PLACE = 1e-9
+"""Distance below which two places are one [m]."""
+
+ANGLE = 1e-12
+"""Difference below which two headings are one [rad]."""
 
 _MOST_PIECES = 1e8  # of a path that is divided
 _FULL_TURN = 6.3  # with rounding [rad]
-_TURNED = 10.0  # yaw beyond which whole and half numbers are taken for degrees
+_TURNED = 10.0  # yaw beyond which whole and half numbers count as degrees
 
 
 class Pose(NamedTuple):
@@ -115,7 +123,7 @@ def _chord_factor(dtheta: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Path(ByValue):
-    """A geometric path made of arcs, each of constant curvature.
+    """A geometric path of arcs, each of constant curvature.
 
     Segment i moves the reference point by the signed arc length ``ds[i]`` along its heading
     (negative: backwards) while the heading turns by ``dtheta[i]``. A straight line has
@@ -209,12 +217,12 @@ class Path(ByValue):
         if not (max_ds > 0 and max_dtheta > 0):
             raise PathError(f"max_ds {max_ds} and max_dtheta {max_dtheta} must be positive")
         pieces = np.ceil(
-            np.maximum(np.abs(self.ds) / max_ds, np.abs(self.dtheta) / max_dtheta) - 1e-12
+            np.maximum(np.abs(self.ds) / max_ds, np.abs(self.dtheta) / max_dtheta) - ROUNDING
         )
         if pieces.sum() > _MOST_PIECES:
             raise PathError(
                 f"max_ds {max_ds:g} and max_dtheta {max_dtheta:g} make {pieces.sum():.3g} "
-                f"segments; at most {_MOST_PIECES:g} are made"
+                f"segments; at most {_MOST_PIECES:g} are possible"
             )
         count = np.maximum(pieces, 1).astype(int)
         return Path(

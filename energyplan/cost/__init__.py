@@ -127,11 +127,7 @@ class EnergyCost(SteadyDriving):
     # -- energy ---------------------------------------------------------------------------------
 
     def _element_energy(
-        self,
-        x: FloatArray,
-        y: FloatArray,
-        slope: ArrayLike = 0.0,
-        rate: FloatArray | None = None,
+        self, x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0, rate: FloatArray | None = None
     ) -> FloatArray:
         """Energy of elements [J], evaluated through the model; they must not vanish."""
         if rate is None:

@@ -77,9 +77,9 @@ class Site:
     @property
     def notes(self) -> tuple[str, ...]:
         """Which parts do not lie on the map, or close nothing of it."""
-        told = () if self.surfaces is None else self.surfaces.notes_on(self.map)
+        off = () if self.surfaces is None else self.surfaces.notes_on(self.map)
         closing = None if self.keepout is None else self.map.note_of_mask(self.keepout)
-        return (*told, *([closing] if closing else []))
+        return (*off, *([closing] if closing else []))
 
     def fill(self, record: Any) -> None:
         """Give a dataclass that was built with this site for its map the parts that it left out."""
@@ -195,7 +195,7 @@ class Terrain:
         surfaces: SurfaceMap | None = None,
         heights: HeightMap | None = None,
     ) -> Terrain:
-        """Return the ground made of these; the map remembers those last seen."""
+        """Return the ground of these; the map remembers those last seen."""
         known: list[Terrain] = grid.__dict__.setdefault("_terrains", [])
         same = (g for g in tuple(known) if g.surfaces is surfaces and g.heights is heights)
         ground = next(same, None) or cls(grid, surfaces, heights)
