@@ -19,7 +19,7 @@ import numpy as np
 from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
-from energyplan.mission.order import attempt, best_stops, finish
+from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import Doubt, MissionReport, Reason, TaskReport
 from energyplan.mission.trip import stops
 from energyplan.mission.types import Mission, Remedy
@@ -41,6 +41,11 @@ _CANDIDATES = 5
 
 _CONFIRMED = 8
 """Remedies of a free order of so many tasks are confirmed by solving it anew."""
+
+_MINUTE = 60.0
+"""Least time that a remedy saves [s]."""
+
+_ROUNDING = 1e-9
 
 _FINER = 0.01
 """Steps in which strings are added, in units of those that the battery has."""
@@ -122,20 +127,21 @@ class Evaluation:
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
         self.done: list[int] = []
-        self.proven, self.gap = False, float(np.nan)
+        self.proven, self.gap, self.found = False, float(np.nan), Order()
         self.end = self.walk.start
 
     def report(self) -> MissionReport:
         """Do the tasks, find the way home, and explain what is left out."""
-        state = self.go()
-        last = finish(self.walk, state)
-        self.end = state if last is None else last
+        self.go()
+        last = finish(self.walk, self.end)
+        self.end = self.end if last is None else last
         # a robot's share has no remedies: what it cannot do is offered to the others
         shown = self.done if self.shared else self.tasks
         tasks = tuple(self._task(k) for k in shown)
         required = {task.name for task in self.mission.tasks if task.required}
         missed = [one for one in tasks if one.verdict == "unreachable" and one.name in required]
         end = self.end
+        remedies, time_saved = ((), 0.0) if last is None or self.shared else self._less_charge(last)
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
@@ -147,16 +153,18 @@ class Evaluation:
             gap=self.gap,
             uncertainty=doubts(self.walk, end),
             warnings=self._warnings(),
+            remedies=remedies,
+            time_saved=time_saved,
         )
 
     # -- the way ----------------------------------------------------------------------------------
 
-    def go(self) -> State:
+    def go(self) -> None:
         """Do the tasks that can be done."""
         walk, state = self.walk, self.walk.start
         given = self.mission.order == "given"
         found = best_stops(walk, tasks=self.tasks, progress=self.progress)
-        self.proven, self.gap = found.proven, found.gap
+        self.proven, self.gap, self.found = found.proven, found.gap, found
         turns = [state] * len(self.mission.tasks)  # where the robot is when a task has its turn
         for at, (stop, hurried) in enumerate(zip(found.stops, found.hurried, strict=True)):
             if stop in self.legs.chargers:
@@ -173,7 +181,7 @@ class Evaluation:
                 self.attempts[k] = _Try(turns[k], attempt(walk, turns[k], k), earlier)
             elif k not in self.attempts:
                 state = self._do(state, k)
-        return state
+        self.end = state
 
     def _do(self, state: State, task: int, hurried: bool = False) -> State:
         tried = self.walk.attempt(state, task, hurried)
@@ -374,6 +382,35 @@ class Evaluation:
         remedy = Remedy("warm", low, "degC") if cold else Remedy("cool", high, "degC")
         return self._first(tasks, [remedy])
 
+    def _less_charge(self, end: State) -> tuple[tuple[Remedy, ...], float]:
+        """Return the lowest charge to leave the chargers with, and the time that it saves [s].
+
+        The same tasks are done in the same order, and take no more energy.
+        """
+        found, most = self.found, end.total.mean * (1.0 + _ROUNDING)
+        visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
+        levels = [one.until for one in self.mission.chargers if one.name in visited]
+        if not levels or self.done != [s - 1 for s in found.stops if s <= len(self.mission.tasks)]:
+            return (), 0.0
+
+        def last(remedy: Remedy) -> State | None:
+            walk = Walk(self.legs.under(self.mission.with_remedy(remedy)), self.walk.taken)
+            then = walk.arrives(walk.follow(walk.start, found.stops, found.hurried))
+            return None if then is None or then.total.mean > most else then
+
+        low, high = int(100 * self.mission.reserve + _ROUNDING) + 1, int(100 * max(levels))
+        remedies = [Remedy("until", percent / 100, "1") for percent in range(low, high + 1)]
+        least = bisect_left(remedies, True, key=lambda remedy: last(remedy) is not None)
+        for remedy in remedies[least : least + _CANDIDATES]:
+            then = last(remedy)
+            if self._confirms:
+                again = self._anew(remedy)
+                same = sorted(again.done) == sorted(self.done)
+                then = finish(again.walk, again.end) if same else None
+            if then is not None and end.time - then.time >= _MINUTE:
+                return (remedy,), end.time - then.time
+        return (), 0.0
+
     def _first(self, tasks: Sequence[int], remedies: Sequence[Remedy]) -> list[Remedy]:
         """Return the first of some remedies that works, if any does."""
         return next(([remedy] for remedy in remedies if self._works(tasks, remedy)), [])
@@ -390,17 +427,26 @@ class Evaluation:
     def _holds(self, k: int, remedy: Remedy) -> bool:
         """Tell whether the whole mission with a remedy does the task.
 
-        Others that it makes possible must not take what it gains; at another speed routes change.
+        Others that it makes possible must not take what it gains.
         """
-        if self.mission.order == "free" and len(self.mission.tasks) > _CONFIRMED:
+        if not self._confirms:
             return True
+        again = self._anew(remedy)
+        name = self.mission.tasks[k].name
+        return any(again.mission.tasks[d].name == name for d in again.done)
+
+    @property
+    def _confirms(self) -> bool:
+        """Whether a remedy is tried on the whole mission, order included."""
+        return self.mission.order == "given" or len(self.mission.tasks) <= _CONFIRMED
+
+    def _anew(self, remedy: Remedy) -> Evaluation:
+        """Return the whole mission with a remedy, driven; at another speed routes change."""
         changed = self.mission.with_remedy(remedy)
         anew = remedy.kind in ("drop", "speed", "cheapest_speed")
-        legs = self.legs.under(changed, anew=anew)
-        again = Evaluation(changed, None, legs)
+        again = Evaluation(changed, None, self.legs.under(changed, anew=anew), self.walk.taken)
         again.go()
-        name = self.mission.tasks[k].name
-        return any(changed.tasks[d].name == name for d in again.done)
+        return again
 
 
 _REASONS: dict[str, Reason] = {

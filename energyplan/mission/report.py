@@ -76,6 +76,8 @@ class MissionReport(html.Readable):
     # that is the whole mission. The squares add up to the variance.
     uncertainty: tuple[Doubt, ...] = ()
     warnings: tuple[str, ...] = ()  # what to know before trusting the figures
+    remedies: tuple[Remedy, ...] = ()  # changes with which the same is done in less time
+    time_saved: float = 0.0  # by the remedies [s]
     # Of several robots, what each does; its tasks are those that it does, in this order. The whole
     # has no trip of its own.
     robots: tuple[MissionReport, ...] = ()
@@ -190,10 +192,12 @@ class MissionReport(html.Readable):
 
     @property
     def sentence(self) -> str:
-        """The headline, how long what can be done takes, and how much of that is charging."""
+        """The headline, how long what can be done takes, and what would make it shorter."""
         charging = sum(one.duration for one in self.chargers)
         told = f"{self.duration / 60:.0f} min"
         told += f", {charging / 60:.0f} min of which charging" if charging else ""
+        for remedy in self.remedies:
+            told += f"; {remedy}: {self.time_saved / 60:.0f} min less"
         subject = "" if self.feasible else " what can be done takes"
         return f"{self.headline};{subject} {told}" if self.duration else self.headline
 

@@ -56,7 +56,7 @@ from energyplan.vehicle import Vehicle
 
 RemedyKind = Literal[
     "warm", "cool", "charge", "capacity", "strings", "reserve", "speed", "cheapest_speed", "window",
-    "drop",
+    "drop", "until",
 ]  # fmt: skip
 
 _SENTENCES: dict[RemedyKind, str] = {
@@ -71,12 +71,13 @@ _SENTENCES: dict[RemedyKind, str] = {
     "cheapest_speed": "drive at the speed of least energy",
     "window": "let it begin {amount:.0f} s later",
     "drop": "drop {task!r}",
+    "until": "leave the chargers at {percent:.0f} %",
 }
 
 
 @dataclass(frozen=True)
 class Remedy:
-    """A change of a mission that makes a task reachable; `Mission.with_remedy` applies it."""
+    """A change that makes a task reachable or a mission shorter; see `Mission.with_remedy`."""
 
     kind: RemedyKind  # what to change
     amount: float | None = None  # how much, in `unit`
@@ -241,7 +242,8 @@ class Charger:
     power : float
         Power at the battery's terminals [W].
     until : float
-        State of charge at which the robot leaves.
+        State of charge at which the robot leaves, earlier where a window presses. Less saves time
+        where the rest of the mission needs less; `MissionReport.remedies` says how much.
     temperature : float, optional
         Temperature of the battery while it charges there [degC]; that on the way where not given.
     places : int
@@ -866,6 +868,9 @@ class Mission(ReadOnly, html.Readable):
                 for one in self.chargers
             )
             return replace(self, chargers=moved)
+        if remedy.kind == "until":
+            less = tuple(replace(one, until=min(one.until, amount)) for one in self.chargers)
+            return replace(self, chargers=less)
         if remedy.kind == "window":
             k = names.index(remedy.task)
             first, last = self.tasks[k].window

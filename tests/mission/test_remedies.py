@@ -18,6 +18,7 @@ from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError
 from energyplan.mission import Mission, Remedy, Routes, Spreads, Task, evaluate
 from energyplan.mission.types import RemedyKind
+from energyplan.output import documents
 from energyplan.path import FloatArray, Pose
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
@@ -147,11 +148,12 @@ def test_what_takes_no_charge_is_said_where_charge_is_needed_and_where_not(order
 
 
 def test_each_kind_of_remedy_is_told_of_some_mission() -> None:
+    reports = [evaluate(asked) for asked in (*troubled().values(), charged())]
     kinds = {
         remedy.kind
-        for asked in troubled().values()
-        for task in evaluate(asked).tasks
-        for remedy in task.remedies
+        for report in reports
+        for remedies in (report.remedies, *(task.remedies for task in report.tasks))
+        for remedy in remedies
     }
     assert kinds == set(get_args(RemedyKind))
 
@@ -221,6 +223,47 @@ def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypat
         planned.clear()
         assert evaluate(asked.with_remedy(Remedy("speed", speed, "m/s")), routes=routes).feasible
         assert planned == []
+
+
+def charged(**changes: Any) -> Mission:
+    """Two tools far from each other that need most of 1 kWh each, charged at 500 W in between."""
+    docks = (charger(5.0, "near"), charger(29.0, "far"))
+    asked = corridor(
+        3.6e6, {"a": 6.0, "b": 28.0}, 5.0, soc=0.5, reserve=0.2,
+        **{"chargers": tuple(replace(one, until=0.9) for one in docks), **changes},
+    )  # fmt: skip
+    a, b = asked.tasks
+    work = (replace(a, dwell=4000.0, power=300.0), replace(b, dwell=2000.0, power=500.0))
+    return replace(asked, tasks=work)
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+def test_charging_no_further_than_needed_is_proposed_with_the_minutes_that_it_saves(order) -> None:
+    """2.2 MJ and the drives, 1.08 MJ of them on board above the reserve.
+
+    Of the levels in whole per cent around it, and of others, the one proposed takes the least time.
+    """
+    asked = charged(order=order)
+    report = evaluate(asked)
+    (remedy,) = report.remedies
+    assert remedy == Remedy("until", remedy.amount, "1")
+    best = round(100 * remedy.amount)
+    tried = {
+        percent: evaluate(asked.with_remedy(Remedy("until", percent / 100, "1")))
+        for percent in (best - 10, best - 2, best - 1, best, best + 1, best + 2, best + 10, 90)
+    }
+    lasting = {percent: one.duration for percent, one in tried.items() if one.feasible}
+    assert remedy.amount == pytest.approx(min(lasting, key=lasting.__getitem__) / 100)
+    shortest = min(lasting.values())
+    assert report.time_saved == pytest.approx(report.duration - shortest)
+    minutes = f"{report.time_saved / 60:.0f} min less"
+    told = f"leave the chargers at {100 * remedy.amount:.0f} %: {minutes}"
+    assert told in report.sentence
+    document = documents.mission(report)
+    assert document["remedies"] == [{"kind": "until", "amount": remedy.amount, "unit": "1",
+                                     "task": ""}]  # fmt: skip
+    assert document["time_saved"] == report.time_saved
+    assert evaluate(asked.with_remedy(remedy)).remedies == ()
 
 
 def test_a_remedy_for_another_mission_is_refused() -> None:
