@@ -1,8 +1,8 @@
 """Battery budget missions of one robot or several; see `energyplan.mission.evaluation`."""
 
 from energyplan.mission.evaluation import Evaluated, evaluate, evaluate_many
-from energyplan.mission.legs import Routes
 from energyplan.mission.report import Doubt, MissionReport, TaskReport
+from energyplan.mission.routes import Routes
 from energyplan.mission.trip import Activity, ChargerReport, Segment, Stop, Timeline
 from energyplan.mission.types import Charger, Mission, Remedy, Robot, RobotState, Spreads, Task
 

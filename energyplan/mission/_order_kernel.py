@@ -19,9 +19,11 @@ the latest for no window to be missed.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from energyplan.compilation import (
     Flags,
@@ -52,35 +54,69 @@ _FAR = 1e15
 """Rank of labels that do not lead to the worth that is known, beyond their energy [J]."""
 
 
-class Table(NamedTuple):
-    """An order problem as arrays; n tasks, m chargers, N places, L loads, M ways of driving."""
+class OrderProblem(NamedTuple):
+    """Which tasks to do in which order; n tasks, m chargers, L payloads, M ways of driving.
 
-    energy: WideBlock  # (L + 1, M, N, N): energies from place to place [J], last the least
-    finish: FloatTable  # (L + 1, N): energy to where the mission may end [J], last the least
+    Of its N places, the first is the start, the next n are the tasks, and the others the chargers.
+    """
+
+    loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
+    energy: WideBlock  # (L, M, N, N): energies from place to place [J]
+    finish: FloatTable  # (L, N): energy to where the mission may end [J]
     time: FloatBlock  # (M, N, N): travel times [s]
     finish_time: Floats  # (N,): time to where the mission may end [s]
     service: Floats  # (n,): energy of each task [J]
     service_time: Floats  # (n,): time of each task [s]
     window: FloatTable  # (n, 2): earliest and latest begin [s]
-    idle: Floats  # (n + 1,): power of waiting at each task [W], last none
-    worth: Floats  # (n,): what each task is worth
+    idle: Floats  # (n,): power of waiting at each task [W]
+    worth: Floats  # (n,): prize of each task; any required one exceeds all optional ones together
     change: Floats  # (n,): change of the payload by each task [kg]
-    loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
+    capacity: Floats  # (m,): energy on leaving each charger when full, the reserve taken off [J]
+    charge_power: Floats  # (m,): energy stored per second at each charger [W]
+    budget: float  # energy at the start, the reserve taken off [J]
+    payload: float = 0.0  # payload at the start [kg]
+    full: float = np.inf  # energy of a full battery, the reserve taken off [J]
+    start_time: float = 0.0  # time at the start [s]
+    given: bool = False  # whether no task may come before one of a lower number
+
+    @property
+    def tasks(self) -> int:
+        """Number of tasks."""
+        return len(self.worth)
+
+    def at(self, load: ArrayLike) -> Any:
+        """Return which of the payloads that energies are known for stands for a payload."""
+        found = np.searchsorted(self.loads, np.asarray(load) - _MILLIGRAM)
+        return np.minimum(found, len(self.loads) - 1)
+
+    def some(self, tasks: Sequence[int]) -> OrderProblem:
+        """Return the problem of some of the tasks, in another sequence."""
+        n, mine = self.tasks, np.asarray(tasks, int)
+        nodes = np.array([0, *(mine + 1), *range(1 + n, self.time.shape[1])])
+        return self._replace(
+            energy=self.energy[..., nodes[:, None], nodes], finish=self.finish[:, nodes],
+            time=self.time[..., nodes[:, None], nodes], finish_time=self.finish_time[nodes],
+            service=self.service[mine], service_time=self.service_time[mine],
+            window=self.window[mine], idle=self.idle[mine], worth=self.worth[mine],
+            change=self.change[mine],
+        )  # fmt: skip
+
+
+class Stages(NamedTuple):
+    """The S stages of a problem, and what its search reads of them."""
+
     after: IntTable  # (S, n): stage after each task, later ones being higher; -1 if out of turn
     there: FlagTable  # (S, N): whether the robot may be at a place
-    done: Floats  # (S,): what is worth at most what was done until a stage
-    ahead: Floats  # (S,): what is worth at most what may still be done
+    done: Floats  # (S,): largest worth of what was done until a stage
+    ahead: Floats  # (S,): largest worth of what may still be done
     load: Floats  # (S,): payload of a stage [kg], infinite if the stage does not tell it
     load_index: Ints  # (S,): which of the L loads that is, or L
     pressing: Flags  # (S,): whether a window of the tasks that may still be done ends
     opening: Floats  # (S,): when the last window of those for which waiting takes power opens [s]
     need: Floats  # (N,): charge without which no charger and no end is reached from a place [J]
-    capacity: Floats  # (m,): energy on leaving each charger when full [J]
-    charge_power: Floats  # (m,): energy stored per second at each charger [W]
-    budget: float  # energy at the start [J]
-    full: float  # energy of a full battery [J]
-    start_time: float  # time at the start [s]
-    payload: float  # payload at the start [kg]
+    energy: FloatBlock  # (M, N, N): least energies with any payload [J]
+    finish: Floats  # (N,): least energy to where the mission may end [J]
+    idle: float  # largest power of waiting [W]
     visits: int  # most visits to chargers that the bound distinguishes
     most: int  # most labels to keep
     width: int  # most labels to keep of a stage and place
@@ -112,31 +148,32 @@ def energy_left(rest: Rest, bucket: int, charge: float) -> float:
 
 
 @njit
-def completions(table: Table, worth: float) -> Rest:
+def completions(problem: OrderProblem, stages: Stages, worth: float) -> Rest:
     """Bound what is left to do from each bucket on."""
-    n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
-    places = 1 + n + m
-    visits = table.visits if m > 0 else 0
-    stages = len(table.after)
-    least = np.full((stages * places, visits + 1), np.inf)
-    latest = np.full(stages * places, -np.inf)
-    quickest = table.time[0].copy()
+    n, m, ways = len(problem.worth), len(problem.capacity), problem.energy.shape[1]
+    places, count = 1 + n + m, len(stages.after)
+    visits = stages.visits if m > 0 else 0
+    least = np.full((count * places, visits + 1), np.inf)
+    latest = np.full(count * places, -np.inf)
+    quickest = problem.time[0].copy()
     for way in range(1, ways):
-        quickest = np.minimum(quickest, table.time[way])
-    for stage in range(stages - 1, -1, -1):
-        enough = table.done[stage] >= worth - _EPSILON
-        load = table.load_index[stage]
-        energy, finish = table.energy[load], table.finish[load]
+        quickest = np.minimum(quickest, problem.time[way])
+    for stage in range(count - 1, -1, -1):
+        enough = stages.done[stage] >= worth - _EPSILON
+        load = stages.load_index[stage]
+        energy, finish = stages.energy, stages.finish
+        if load < len(problem.loads):
+            energy, finish = problem.energy[load], problem.finish[load]
         for p in range(places):
-            if not table.there[stage, p]:
+            if not stages.there[stage, p]:
                 continue
             bucket = stage * places + p
             if enough and np.isfinite(finish[p]):
                 least[bucket, 0] = finish[p]
                 latest[bucket] = np.inf
             for t in range(n):
-                then = table.after[stage, t]
-                if then < 0 or table.load[stage] + table.change[t] < -_GRAM:
+                then = stages.after[stage, t]
+                if then < 0 or stages.load[stage] + problem.change[t] < -_GRAM:
                     continue
                 way = energy[0, p, 1 + t]
                 for other in range(1, ways):
@@ -145,16 +182,16 @@ def completions(table: Table, worth: float) -> Rest:
                     continue
                 after = then * places + 1 + t
                 for k in range(visits + 1):
-                    through = way + table.service[t] + least[after, k]
+                    through = way + problem.service[t] + least[after, k]
                     least[bucket, k] = min(least[bucket, k], through)
-                begin = min(table.window[t, 1], latest[after] - table.service_time[t])
-                if begin >= table.window[t, 0]:
+                begin = min(problem.window[t, 1], latest[after] - problem.service_time[t])
+                if begin >= problem.window[t, 0]:
                     latest[bucket] = max(latest[bucket], begin - quickest[p, 1 + t])
         # over chargers, which may lead to chargers
         for turn in range(m + 1 if m > 0 else 0):
             last = turn == m
             for p in range(places):
-                if (p > n) == last or not table.there[stage, p]:
+                if (p > n) == last or not stages.there[stage, p]:
                     continue
                 for c in range(m):
                     if 1 + n + c == p:
@@ -170,9 +207,9 @@ def completions(table: Table, worth: float) -> Rest:
                         through = way + least[there, k - 1]
                         least[bucket, k] = min(least[bucket, k], through)
                     latest[bucket] = max(latest[bucket], latest[there] - quickest[p, 1 + n + c])
-    most = table.budget
+    most = problem.budget
     for c in range(m):
-        most = max(most, table.capacity[c])
+        most = max(most, problem.capacity[c])
     return Rest(least, latest, most if m > 0 else 0.0)
 
 
@@ -356,11 +393,11 @@ def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
 
 @inner
 def _keep(
-    store: Store, table: Table, known: Known, stage: int, place: int, new: Label, count: int
+    store: Store, stages: Stages, known: Known, stage: int, place: int, new: Label, count: int
 ) -> bool:
     """Add a label to its bucket; not where one there is as good, or where nothing comes of it."""
-    bucket, ahead = stage * len(table.need) + place, table.ahead[stage]
-    timed, opening, idle = table.pressing[stage], table.opening[stage], table.idle.max()
+    bucket, ahead = stage * len(stages.need) + place, stages.ahead[stage]
+    timed, opening, idle = stages.pressing[stage], stages.opening[stage], stages.idle
     least, more = _promise(known, bucket, new, ahead)
     if not (more or least <= loosely(known.energy)):
         return False
@@ -384,7 +421,7 @@ def _keep(
                 last, last_least, worst, before_worst = old, store.value[k, 7], k, before
             before = k
         k = after
-    if there >= table.width:
+    if there >= stages.width:
         # as many labels as there may be: the one that promises least goes
         if worst < 0:
             _lose(store, (least, more))
@@ -401,9 +438,9 @@ def _keep(
 
 
 @inner
-def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
+def _docked(problem: OrderProblem, here: Label, charger: int, kind: int) -> Label:
     """Begin to charge; after another charger: here only (0), there first (1), or not here (2)."""
-    power, full = table.charge_power[charger], table.capacity[charger]
+    power, full = problem.charge_power[charger], problem.capacity[charger]
     new = _charged(here) if kind == 1 else here
     if kind == 2:
         return new
@@ -412,34 +449,34 @@ def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
 
 
 @inner
-def _priced(table: Table, load: float) -> int:
+def _priced(problem: OrderProblem, load: float) -> int:
     """Return which of the payloads that energies are known for stands for a payload."""
-    return min(int(np.searchsorted(table.loads, load - _MILLIGRAM)), len(table.loads) - 1)
+    return min(int(np.searchsorted(problem.loads, load - _MILLIGRAM)), len(problem.loads) - 1)
 
 
 @njit
-def search(table: Table, known: Known) -> Found:
+def search(problem: OrderProblem, stages: Stages, known: Known) -> Found:
     """Find an order of greater worth than the one known, or of the same and less energy.
 
     Of orders of the same energy the quickest is taken.
     """
-    n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
-    places, stages = 1 + n + m, len(table.after)
+    n, m, ways = len(problem.worth), len(problem.capacity), problem.energy.shape[1]
+    places = 1 + n + m
     store = Store(
-        np.empty((min(_FEW, table.most), _FIELDS)),
-        np.empty((min(_FEW, table.most), 4), np.int64),
-        np.full(stages * places, -1, np.int64),
+        np.empty((min(_FEW, stages.most), _FIELDS)),
+        np.empty((min(_FEW, stages.most), 4), np.int64),
+        np.full(len(stages.after) * places, -1, np.int64),
         np.array([np.inf, 0.0]),
     )
     best, best_worth, best_energy, best_time = -1, known.worth, known.energy, known.time
     count = 0
-    start = Label(0.0, table.budget, table.start_time, 0.0, 0.0, 0.0, table.payload)
-    if _keep(store, table, known, 0, 0, start, 0):
+    start = Label(0.0, problem.budget, problem.start_time, 0.0, 0.0, 0.0, problem.payload)
+    if _keep(store, stages, known, 0, 0, start, 0):
         store.link[0, 0], store.link[0, 1], store.link[0, 2] = -1, 0, 0
         count = 1
     queue = np.empty(256, np.int64)
-    for stage in range(stages):
-        first, timed = stage * places, table.pressing[stage]
+    for stage in range(len(stages.after)):
+        first, timed = stage * places, stages.pressing[stage]
         # chargers may lead to chargers: their labels stay within the stage
         waiting = 0
         for place in range(places if m > 0 else 0):
@@ -456,7 +493,7 @@ def search(table: Table, known: Known) -> Found:
             if store.link[k, 3] == _GONE:
                 continue
             here, at = _label(store, k), store.link[k, 1]
-            energy = table.energy[_priced(table, here.load)]
+            energy = problem.energy[_priced(problem, here.load)]
             for c in range(m):
                 place = 1 + n + c
                 if place == at:
@@ -465,16 +502,16 @@ def search(table: Table, known: Known) -> Found:
                     spent = energy[way, at, place]
                     if not np.isfinite(spent):
                         continue
-                    there = _spend(here, spent, table.time[way, at, place], table.full)
+                    there = _spend(here, spent, problem.time[way, at, place], problem.full)
                     if there.left < 0.0:
                         continue
-                    quicker = timed and there.slack > 0.0 and there.rate > table.charge_power[c]
+                    quicker = timed and there.slack > 0.0 and there.rate > problem.charge_power[c]
                     for kind in range(3 if quicker else 1):
-                        new = _docked(table, there, c, kind)
+                        new = _docked(problem, there, c, kind)
                         if not timed:
                             new = _charged(new)
-                        store = _with_room(store, count, table.most)
-                        if _keep(store, table, known, stage, place, new, count):
+                        store = _with_room(store, count, stages.most)
+                        if _keep(store, stages, known, stage, place, new, count):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, place, way
                             if waiting == len(queue):
@@ -486,9 +523,9 @@ def search(table: Table, known: Known) -> Found:
             k = store.head[first + place]
             while k >= 0:
                 here = _label(store, k)
-                worth, load = here.worth, _priced(table, here.load)
-                energy, finish = table.energy[load], table.finish[load]
-                last = _spend(here, finish[place], table.finish_time[place], table.full)
+                worth, load = here.worth, _priced(problem, here.load)
+                energy, finish = problem.energy[load], problem.finish[load]
+                last = _spend(here, finish[place], problem.finish_time[place], problem.full)
                 if last.left >= 0.0 and np.isfinite(last.energy):
                     better = worth > best_worth + _EPSILON
                     if not better and worth > best_worth - _EPSILON:
@@ -504,30 +541,31 @@ def search(table: Table, known: Known) -> Found:
                             known.beyond,
                         )  # fmt: skip
                 for t in range(n):
-                    after, carried = table.after[stage, t], here.load + table.change[t]
+                    after, carried = stages.after[stage, t], here.load + problem.change[t]
                     if after < 0 or carried < -_GRAM:
                         continue
+                    opens, closes = problem.window[t, 0], problem.window[t, 1]
                     for way in range(ways):
                         spent = energy[way, place, 1 + t]
                         if not np.isfinite(spent):
                             continue
-                        there = _spend(here, spent, table.time[way, place, 1 + t], table.full)
-                        if there.left < 0.0 or there.time > table.window[t, 1] + _EPSILON:
+                        there = _spend(here, spent, problem.time[way, place, 1 + t], problem.full)
+                        if there.left < 0.0 or there.time > closes + _EPSILON:
                             continue
-                        begun = _begin(there, table.window[t, 0], table.window[t, 1], table.idle[t])
-                        done = _spend(begun, table.service[t], 0.0, table.full)
-                        if done.left < 0.0 or done.time > table.window[t, 1] + _EPSILON:
+                        begun = _begin(there, opens, closes, problem.idle[t])
+                        done = _spend(begun, problem.service[t], 0.0, problem.full)
+                        if done.left < 0.0 or done.time > closes + _EPSILON:
                             continue
                         done = Label(
-                            done.energy, done.left, done.time + table.service_time[t], done.rate,
-                            done.slack, done.worth + table.worth[t], carried,
+                            done.energy, done.left, done.time + problem.service_time[t], done.rate,
+                            done.slack, done.worth + problem.worth[t], carried,
                         )  # fmt: skip
-                        if not table.pressing[after]:
+                        if not stages.pressing[after]:
                             done = _charged(done)
-                        if done.left + done.rate * done.slack < table.need[1 + t] - _EPSILON:
+                        if done.left + done.rate * done.slack < stages.need[1 + t] - _EPSILON:
                             continue
-                        store = _with_room(store, count, table.most)
-                        if _keep(store, table, known, after, 1 + t, done, count):
+                        store = _with_room(store, count, stages.most)
+                        if _keep(store, stages, known, after, 1 + t, done, count):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, 1 + t, way
                             count += 1

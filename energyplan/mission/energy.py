@@ -119,7 +119,7 @@ def gauge_of(battery: BatteryModel, spreads: Spreads, power: float) -> Gauge:
     return Gauge((spreads.capacity, health, temperature), soc)
 
 
-class Priced(NamedTuple):
+class Consumption(NamedTuple):
     """What a drive takes."""
 
     power: FloatArray  # (n,): mean power of each interval of its trajectory [W]
@@ -280,7 +280,7 @@ class Grounds(ByValue):
         ground = Ground(first, self.surfaces, self.heights, tuple(others))
         return Drive(trajectory, ground)
 
-    def priced(self, trajectory: Trajectory, payload: float) -> Priced:
+    def priced(self, trajectory: Trajectory, payload: float) -> Consumption:
         """Return what a trajectory takes with a payload [kg], at the battery."""
         total, joules = self.nothing, np.zeros(len(trajectory) - 1)
         drive = self.drive(trajectory, payload)
@@ -291,7 +291,7 @@ class Grounds(ByValue):
             np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
         duration = np.diff(trajectory.t)
         power = np.asarray(drive.interval_energies() / duration)
-        return Priced(power, np.asarray(joules / duration), total)
+        return Consumption(power, np.asarray(joules / duration), total)
 
     def _run_spread(self, region: int) -> float:
         """Return how far a model's power differs from run to run, as a fraction."""

@@ -18,21 +18,22 @@ import numpy as np
 
 from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
-from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
+from energyplan.mission.drive import SAGS, Attempt, Simulation, State
 from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import Doubt, MissionReport, Reason, TaskReport
+from energyplan.mission.routes import Legs, Routes, Scene
 from energyplan.mission.trip import stops
 from energyplan.mission.types import Mission, Remedy
 from energyplan.records import checked
 
 
-def doubts(walk: Walk, end: State) -> tuple[Doubt, ...]:
+def doubts(sim: Simulation, end: State) -> tuple[Doubt, ...]:
     """Tell what each unknown costs between the charges where the most is held back."""
     spent = max((*end.stretches, end.spent), key=lambda stretch: stretch.std)
-    whole, quantile = spent.std, walk.quantile
+    whole, quantile = spent.std, sim.quantile
     return tuple(
         Doubt(source, std, quantile * (whole - float(np.sqrt(max(whole**2 - std**2, 0.0)))))
-        for source, std in walk.legs.grounds.by_source(spent).items()
+        for source, std in sim.legs.grounds.by_source(spent).items()
     )
 
 
@@ -123,17 +124,17 @@ class Evaluation:
         self.shared = tasks is not None
         self.tasks = range(len(mission.tasks)) if tasks is None else tasks
         self.legs = legs
-        self.walk = Walk(self.legs, taken)
+        self.sim = Simulation(self.legs, taken)
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
         self.done: list[int] = []
         self.proven, self.gap, self.found = False, float(np.nan), Order()
-        self.end = self.walk.start
+        self.end = self.sim.start
 
     def report(self) -> MissionReport:
         """Do the tasks, find the way home, and explain what is left out."""
         self.go()
-        last = finish(self.walk, self.end)
+        last = finish(self.sim, self.end)
         self.end = self.end if last is None else last
         # a robot's share has no remedies: what it cannot do is offered to the others
         shown = self.done if self.shared else self.tasks
@@ -145,13 +146,13 @@ class Evaluation:
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
-            trip=self.walk.mark(end, "end").trip,
+            trip=self.sim.mark(end, "end").trip,
             energy=end.total.mean,
-            energy_upper=end.total.upper(self.walk.quantile),
+            energy_upper=end.total.upper(self.sim.quantile),
             feasible=last is not None and not missed,
             proven=self.proven,
             gap=self.gap,
-            uncertainty=doubts(self.walk, end),
+            uncertainty=doubts(self.sim, end),
             warnings=self._warnings(),
             remedies=remedies,
             time_saved=time_saved,
@@ -161,32 +162,33 @@ class Evaluation:
 
     def go(self) -> None:
         """Do the tasks that can be done."""
-        walk, state = self.walk, self.walk.start
+        sim, state = self.sim, self.sim.start
         given = self.mission.order == "given"
-        found = best_stops(walk, tasks=self.tasks, progress=self.progress)
+        found = best_stops(sim, tasks=self.tasks, progress=self.progress)
         self.proven, self.gap, self.found = found.proven, found.gap, found
         turns = [state] * len(self.mission.tasks)  # where the robot is when a task has its turn
-        for at, (stop, hurried) in enumerate(zip(found.stops, found.hurried, strict=True)):
-            if stop in self.legs.chargers:
-                docked = walk.dock(state, stop, hurried)
-                if docked is not None:
-                    rest = found.stops[at + 1 :], found.hurried[at + 1 :]
-                    state = walk.charge(docked, walk.leave_by(docked, *rest))
-            else:
-                state = self._do(state, stop - 1, hurried)
+        for at, stop in enumerate(found.stops):
+            visit = (
+                found.visits[at] if found.visits
+                else sim.visit(state, found.stops[at:], found.hurried[at:])
+            )  # fmt: skip
+            if visit.attempt is not None:
+                state = self._done(state, stop - 1, visit.attempt)
                 turns[stop:] = [state] * len(turns[stop:])
+            elif visit.after is not None:
+                state = visit.after
         for k in self.tasks:
             if k not in self.attempts and given:
                 earlier = tuple(d for d in self.done if d < k)
-                self.attempts[k] = _Try(turns[k], attempt(walk, turns[k], k), earlier)
+                self.attempts[k] = _Try(turns[k], attempt(sim, turns[k], k), earlier)
             elif k not in self.attempts:
-                state = self._do(state, k)
+                state = self._done(state, k, sim.attempt(state, k))
         self.end = state
 
-    def _do(self, state: State, task: int, hurried: bool = False) -> State:
-        tried = self.walk.attempt(state, task, hurried)
+    def _done(self, state: State, task: int, tried: Attempt) -> State:
+        """Return the state after a task that was tried; if need be after charging or in a hurry."""
         if tried.reason != "none":
-            tried = attempt(self.walk, state, task)
+            tried = attempt(self.sim, state, task)
         self.attempts[task] = _Try(state, tried, tuple(self.done))
         if tried.reason != "none":
             return state
@@ -219,7 +221,7 @@ class Evaluation:
     def _task(self, k: int) -> TaskReport:
         task = self.mission.tasks[k]
         before, tried, earlier = self.attempts[k]
-        quantile = self.walk.quantile
+        quantile = self.sim.quantile
         if tried.reason == "none":
             used, after = tried.after.total.since(before.total), tried.after
             told = TaskReport(
@@ -241,20 +243,20 @@ class Evaluation:
                 told, verdict="unreachable", reason="blocked_by_earlier", remedy=remedy,
                 detail=detail, remedies=remedies,
             )  # fmt: skip
-        alone = tried if not self.done else attempt(self.walk, self.walk.start, k)
+        alone = tried if not self.done else attempt(self.sim, self.sim.start, k)
         blocked = alone.reason == "none"
         # What a task leaves another one may have to bring; alone it cannot be judged.
         failed = tried if blocked or alone.reason == "payload" else alone
         reason: Reason = "blocked_by_earlier" if blocked else _REASONS[failed.reason]
         lacking = failed.reason == "battery"
-        used = failed.after.total.since((before if blocked else self.walk.start).total)
+        used = failed.after.total.since((before if blocked else self.sim.start).total)
         remedies, remedy = self._remedy(k, reason, failed)
         return TaskReport(
             task.name, "unreachable", reason, blocked,
             energy=used.mean if lacking else np.nan,
             energy_upper=used.upper(quantile) if lacking else np.nan,
             soc_after=failed.after.expected.soc if lacking else np.nan,
-            shortfall=self.walk.shortfall(failed.safe) if lacking else 0.0,
+            shortfall=self.sim.shortfall(failed.safe) if lacking else 0.0,
             remedy=remedy, detail=failed.detail, remedies=remedies,
         )  # fmt: skip
 
@@ -296,7 +298,7 @@ class Evaluation:
         faster = np.isfinite(top) and (now is None or now < top)
         speeds = [Remedy("speed", top, "m/s")] if faster else []
         in_turn = self.attempts[k].attempt
-        times = [self.walk.latest(a.after) for a in (told, in_turn) if a.reason == "late"]
+        times = [self.sim.latest(a.after) for a in (told, in_turn) if a.reason == "late"]
         late = sorted({float(np.ceil(time - task.window[1])) for time in times})
         windows = [Remedy("window", s, "s", task.name) for s in (*late, 2 * late[-1])]
         return [*self._first(tasks, speeds), *self._first(tasks, windows)]
@@ -311,14 +313,14 @@ class Evaluation:
             remedy = Remedy("drop", task=tasks[dropped].name)
             if tasks[dropped].required and not tasks[k].required:
                 continue
-            if self._follow(self.walk, [*rest, k]) and self._holds(k, remedy):
+            if self._follow(self.sim, [*rest, k]) and self._holds(k, remedy):
                 return [remedy]
         return []
 
-    def _follow(self, walk: Walk, tasks: Sequence[int]) -> bool:
-        state = walk.start
+    def _follow(self, sim: Simulation, tasks: Sequence[int]) -> bool:
+        state = sim.start
         for task in tasks:
-            tried = attempt(walk, state, task)
+            tried = attempt(sim, state, task)
             if tried.reason != "none":
                 return False
             state = tried.after
@@ -340,14 +342,14 @@ class Evaluation:
         It has to hold more than is missing: part of it is reserve, and the load draws charge too.
         Where no energy is missing, what limits is its power: that of its strings.
         """
-        full, powerless = self.mission.battery.full_energy, self.walk.lacks_power(safe)
+        full, powerless = self.mission.battery.full_energy, self.sim.lacks_power(safe)
         step = _FINER * full if powerless else 3600.0
 
         def remedy(n: int) -> Remedy:
             strings = Remedy("strings", 1.0 + _FINER * n, "1")
             return strings if powerless else Remedy("capacity", step * n, "J")
 
-        low, high = 0, max(int(np.ceil(self.walk.shortfall(safe) / step)), 1)
+        low, high = 0, max(int(np.ceil(self.sim.shortfall(safe) / step)), 1)
         while not self._works(tasks, remedy(high)):
             low, high = high, 2 * high
             if step * high > _MOST * full:
@@ -394,8 +396,8 @@ class Evaluation:
             return (), 0.0
 
         def last(remedy: Remedy) -> State | None:
-            walk = Walk(self.legs.under(self.mission.with_remedy(remedy)), self.walk.taken)
-            then = walk.arrives(walk.follow(walk.start, found.stops, found.hurried))
+            sim = Simulation(self.legs.under(self.mission.with_remedy(remedy)), self.sim.taken)
+            then = sim.arrives(sim.follow(sim.start, found.stops, found.hurried)[0])
             return None if then is None or then.total.mean > most else then
 
         low, high = int(100 * self.mission.reserve + _ROUNDING) + 1, int(100 * max(levels))
@@ -406,7 +408,7 @@ class Evaluation:
             if self._confirms:
                 again = self._anew(remedy)
                 same = sorted(again.done) == sorted(self.done)
-                then = finish(again.walk, again.end) if same else None
+                then = finish(again.sim, again.end) if same else None
             if then is not None and end.time - then.time >= _MINUTE:
                 return (remedy,), end.time - then.time
         return (), 0.0
@@ -421,8 +423,8 @@ class Evaluation:
             changed = self.mission.with_remedy(remedy)
         except BatteryError:  # beyond any battery
             return False
-        walk = Walk(self.legs.under(changed))
-        return self._follow(walk, tasks) and self._holds(tasks[-1], remedy)
+        sim = Simulation(self.legs.under(changed))
+        return self._follow(sim, tasks) and self._holds(tasks[-1], remedy)
 
     def _holds(self, k: int, remedy: Remedy) -> bool:
         """Tell whether the whole mission with a remedy does the task.
@@ -444,7 +446,7 @@ class Evaluation:
         """Return the whole mission with a remedy, driven; at another speed routes change."""
         changed = self.mission.with_remedy(remedy)
         anew = remedy.kind in ("drop", "speed", "cheapest_speed")
-        again = Evaluation(changed, None, self.legs.under(changed, anew=anew), self.walk.taken)
+        again = Evaluation(changed, None, self.legs.under(changed, anew=anew), self.sim.taken)
         again.go()
         return again
 

@@ -14,10 +14,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from energyplan.mission.drive import Simulation
 from energyplan.mission.evaluation import Evaluation
-from energyplan.mission.legs import Legs, Routes, Walk
-from energyplan.mission.order import EXACT, Matrix, Order, attempt, shared
+from energyplan.mission.order import EXACT, Matrix, Order, attempt, shared, worths
 from energyplan.mission.report import MissionReport, TaskReport
+from energyplan.mission.routes import Legs, Routes
 from energyplan.mission.trip import Segment
 from energyplan.mission.types import Mission, Task
 
@@ -36,12 +37,10 @@ class Sharing:
     ) -> None:
         self.mission, self.progress = mission, progress
         known = Routes() if routes is None else routes
-        self.walks = [Walk(Legs(part, progress, known)) for part in mission.parts]
+        self.sims = [Simulation(Legs(part, progress, known)) for part in mission.parts]
         names = [task.name for task in mission.tasks]
         self.own = [[names.index(task.name) for task in part.tasks] for part in mission.parts]
-        prizes = np.array([task.prize for task in mission.tasks])
-        required = np.array([task.required for task in mission.tasks])
-        self.worth = prizes + np.where(required, 1.0 + prizes.sum(), 0.0)
+        self.worth = worths(mission.tasks)
         self._done: dict[tuple[object, ...], MissionReport] = {}
 
     def report(self) -> MissionReport:
@@ -81,9 +80,9 @@ class Sharing:
         given: list[list[int]] = []
         for turn in range(_ROUNDS):
             matrices = []
-            for walk, own, mine in zip(self.walks, self.own, able, strict=True):
+            for sim, own, mine in zip(self.sims, self.own, able, strict=True):
                 tasks = [own.index(task) for task in mine]
-                matrices.append(Matrix(walk, walk.start, tasks, 1.0))
+                matrices.append(Matrix(sim, sim.start, tasks, 1.0))
             given, _ = shared([one.problem() for one in matrices], self.worth, able)
             missing = 0
             for matrix, mine, tasks in zip(matrices, able, given, strict=True):
@@ -122,9 +121,9 @@ class Sharing:
         """Evaluate what one robot does, as a mission of its own."""
         key = r, tuple(tasks), tuple((name, tuple(stays)) for name, stays in sorted(full.items()))
         if key not in self._done:
-            walk, own = self.walks[r], self.own[r]
+            sim, own = self.sims[r], self.own[r]
             exact = len(tasks) <= EXACT
-            legs = walk.legs.under(replace(walk.mission, order="free" if exact else "given"))
+            legs = sim.legs.under(replace(sim.mission, order="free" if exact else "given"))
             chargers = zip(legs.chargers, self.mission.chargers, strict=True)
             taken = {node: full.get(charger.name, ()) for node, charger in chargers}
             numbers = [own.index(task) for task in tasks]
@@ -134,8 +133,8 @@ class Sharing:
     def _left_out(self, number: int, task: Task) -> TaskReport:
         """Say why no robot could do a task, were it the only task."""
         reasons = {
-            part.name: attempt(walk, walk.start, own.index(number)).reason
-            for part, walk, own in zip(self.mission.parts, self.walks, self.own, strict=True)
+            part.name: attempt(sim, sim.start, own.index(number)).reason
+            for part, sim, own in zip(self.mission.parts, self.sims, self.own, strict=True)
             if number in own
         }
         told = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())

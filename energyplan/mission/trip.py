@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from energyplan.mission.energy import Estimate
+from energyplan.mission.energy import Consumption, Estimate
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 
 _INSTANT = 0.5
@@ -25,11 +25,14 @@ class Leg:
 
     path: Path  # its route
     trajectory: Trajectory | None  # when the robot is where
-    power: FloatArray  # (n,): mean power of each interval of the trajectory [W]
-    spread: FloatArray  # (n,): standard deviation of the power of each interval [W]
-    energy: Estimate  # its energy
+    consumption: Consumption  # what it takes
     trouble: str = ""
     detail: str = ""  # what the trouble is
+
+    @property
+    def energy(self) -> Estimate:
+        """Its energy."""
+        return self.consumption.energy
 
     @property
     def duration(self) -> float:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, evaluate
-from energyplan.mission.legs import Routes
+from energyplan.mission.routes import Routes
 from energyplan.motion import Motion
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual

@@ -11,7 +11,7 @@ from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.limits.feasibility import check
 from energyplan.mission import Mission, Spreads, Task
-from energyplan.mission.legs import Legs
+from energyplan.mission.routes import Legs
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel

@@ -25,7 +25,7 @@ from energyplan.io.config import read_model, write_model
 from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import write_map
 from energyplan.mission import Charger, Mission, Robot, Routes, Spreads, Task, evaluate, legs
-from energyplan.mission.legs import Legs
+from energyplan.mission.routes import Legs
 from energyplan.output import documents
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import EFFORT

@@ -211,7 +211,7 @@ def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypat
         planned.append(problem.cost.speed)
         return plan(problem, *args, **options)
 
-    monkeypatch.setattr("energyplan.mission.legs.plan", watched)
+    monkeypatch.setattr("energyplan.mission.routes.plan", watched)
     for name in ("current", "late"):
         asked = troubled()[name]
         asked = replace(asked, map=replace(asked.map))  # on which no route is known

@@ -41,7 +41,7 @@ from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.mission import mission_from
 from energyplan.io.tables import write_log
-from energyplan.mission.legs import shortest_ways
+from energyplan.mission.routes import shortest_ways
 from energyplan.output import documents
 from energyplan.planning.budget import EFFORT
 from energyplan.power import HOTEL
@@ -534,7 +534,7 @@ def test_others_are_heard_while_the_ways_of_many_tasks_are_found(
     grid = ep.OccupancyGrid(np.zeros((40, 40), bool), 0.5)
     points = np.random.default_rng(1).uniform(5, 15, (50, 2))
     vehicle = ep.Vehicle.preset("quadriga")
-    monkeypatch.setattr("energyplan.mission.legs.dijkstra", counted)
+    monkeypatch.setattr("energyplan.mission.routes.dijkstra", counted)
     shortest_ways(grid, vehicle, points)
     assert sum(places) == 50 and max(places) <= 8
 

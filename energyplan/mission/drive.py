@@ -1,0 +1,452 @@
+"""The robot on its way: charge, time and payload after each stop, expected and at the bound."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from energyplan.mission.energy import Consumption, Estimate
+from energyplan.mission.routes import Legs
+from energyplan.mission.trip import Kind, Leg, Segment
+from energyplan.mission.types import Charger, Mission
+from energyplan.path import FloatArray
+
+_STEP = 30.0
+_MOST_STEPS = 10_000  # of one stay: three days in steps of that length, and longer ones beyond
+_PARTS = 300
+_HOURS = 48
+_ROUNDING = 1e-9
+_GRAM = 1e-3
+_INSTANT = 1e-6
+
+
+class Charge(NamedTuple):
+    """The battery at one instant."""
+
+    soc: float  # state of charge
+    polarisation: float = 0.0  # voltage of its RC pair [V]
+    failure: str = "none"  # why it gave up on the way
+    instant: float = np.inf  # when it gave up [s]
+    load: float = 0.0  # power under which it gave up [W]
+
+
+@dataclass(frozen=True)
+class State:
+    """Where the robot stands."""
+
+    node: int  # place
+    payload: float  # payload [kg]
+    time: float  # time as expected [s]
+    lateness: FloatArray  # (n,): how the time changes with each shared unknown [s]
+    spent: Estimate
+    total: Estimate
+    origin: tuple[float, float]  # state of charge and time after the last charge
+    expected: Charge  # the battery as expected
+    worst: Charge  # the battery where the energy is at its bound
+    trip: tuple[Segment, ...] = ()  # what it did so far
+    stretches: tuple[Estimate, ...] = ()  # energies between one charge and the next, so far
+
+    @property
+    def time_spread(self) -> float:
+        """Standard deviation of the time [s]."""
+        return float(np.linalg.norm(self.lateness))
+
+
+class Attempt(NamedTuple):
+    """What comes of a task."""
+
+    reason: str
+    after: State  # when it is done
+    safe: State  # at the nearest safe place after it
+    detail: str = ""  # why not, in one sentence
+    begin: float = np.nan  # when it begins at the bound [s]
+
+
+class Visit(NamedTuple):
+    """What comes of one stop."""
+
+    attempt: Attempt | None  # of a task
+    after: State | None  # None where it cannot be done
+
+
+class Simulation:
+    """Steps from state to state."""
+
+    def __init__(
+        self, legs: Legs, taken: Mapping[int, Sequence[tuple[float, float]]] | None = None
+    ) -> None:
+        self.legs = legs
+        self.taken = dict(taken or {})  # when chargers are taken by others [s], ascending
+        self.mission: Mission = legs.mission
+        self.quantile = NormalDist().inv_cdf(self.mission.confidence)
+
+    @property
+    def start(self) -> State:
+        """The condition at the start."""
+        mission, nothing = self.mission, self.legs.grounds.nothing
+        told, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
+        gauge, origin = self.legs.gauge, (mission.soc, mission.time)
+        known = np.zeros(self.legs.grounds.size)
+        return self.mark(
+            State(0, mission.payload, mission.time, known, gauge, nothing, origin, told, least),
+            "start",
+        )
+
+    def mark(self, state: State, kind: Kind) -> State:
+        """Add an instant to the trip: its start or end, or a task that takes no time."""
+        now = [state.time, 0.0, state.expected.soc, state.worst.soc]
+        return self._add(state, kind, np.outer(now, np.ones(2)))
+
+    def _add(
+        self, state: State, kind: Kind, samples: FloatArray, leg: Leg | None = None, start: int = -1
+    ) -> State:
+        """Add a segment that ends at the place of a state to its trip.
+
+        Its samples are time, power, and charge as expected and at the bound, shape (4, n).
+        """
+        here, names = state.node, self.legs.names
+        begin, pose = names[here if leg is None else start], self.legs.poses[here]
+        t, power, soc, soc_lower = samples
+        one = Segment(kind, begin, names[here], pose, t, power, soc, soc_lower, leg)
+        return replace(state, trip=(*state.trip, one))
+
+    def at_least(self, soc: float) -> float:
+        """Return the state of charge at the bound when the gauge tells one."""
+        return max(soc - self.quantile * self.mission.spreads.soc, 0.0)
+
+    def _told(self, soc: float) -> float:
+        """Return what the gauge tells when the state of charge is at the bound."""
+        return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
+
+    def latest(self, state: State) -> float:
+        """Return the time of a condition at the bound [s]."""
+        return state.time + self.quantile * state.time_spread
+
+    def holds(self, state: State) -> bool:
+        """Tell whether the reserve is left at the bound."""
+        enough = state.worst.soc >= self.mission.reserve - _ROUNDING
+        return enough and state.worst.failure == "none"
+
+    # -- steps ------------------------------------------------------------------------------------
+
+    def drive(self, state: State, goal: int, hurried: bool = False) -> State | None:
+        """Drive to a place, quickly if in a hurry; None where the leg cannot be driven."""
+        leg = self.legs.leg(state.node, goal, state.payload, hurried)
+        if leg.trouble:
+            return None
+        if leg.trajectory is None:
+            return replace(state, node=goal)
+        late = state.lateness + self.legs.grounds.driving_time(leg.duration)
+        load, moved = leg.consumption, replace(state, node=goal, lateness=late)
+        samples, after = self._draw(moved, leg.trajectory.t, load)
+        return self._add(after, "drive", samples, leg, state.node)
+
+    @cached_property
+    def stations(self) -> tuple[int, ...]:
+        """Nodes of the chargers at which the battery takes charge."""
+        told = zip(self.legs.chargers, self.mission.chargers, strict=True)
+        return tuple(node for node, one in told if not self.mission.charging_fault(one))
+
+    def wait(self, state: State, duration: float) -> State:
+        """Stand still for so long [s]."""
+        region = self.legs.region(state.node)
+        energy = self.legs.grounds.idle(region, duration, state.payload)
+        return self._stay(state, "wait", duration, energy)
+
+    def wait_until(self, state: State, time: float) -> State:
+        """Stand still until a time [s]; who is there before it in any case is no longer late."""
+        latest = self.latest(state)
+        if state.time >= time:
+            return state
+        late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
+        return replace(self.wait(state, time - state.time), lateness=late * state.lateness)
+
+    def _stay(self, state: State, kind: Kind, duration: float, energy: Estimate) -> State:
+        """Stand still for so long [s], which takes an energy."""
+        if duration <= _INSTANT:
+            return state if kind == "wait" else self.mark(state, kind)
+        t = np.linspace(0.0, duration, int(min(max(duration / _STEP, 1), _MOST_STEPS)) + 1)
+        flat = np.full(len(t) - 1, energy.mean / duration)
+        samples, after = self._draw(state, t, Consumption(flat, np.ones(len(flat)), energy))
+        return self._add(after, kind, samples)
+
+    def _draw(self, state: State, t: FloatArray, load: Consumption) -> tuple[FloatArray, State]:
+        """Draw a load from the battery, as expected and at the bound."""
+        spent = state.spent + self.legs.from_battery(load.energy)
+        more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
+        # what it may take beyond the expectation is drawn where the power is uncertain
+        shares = load.spread if load.spread.any() else np.ones(len(load.spread))
+        raised = load.power + (more - load.energy.mean) * shares / float(shares @ np.diff(t))
+        clock = state.time + t - t[0]
+        expected, soc = self._run(state.expected, clock, load.power)
+        worst, soc_lower = self._run(state.worst, clock, raised)
+        after = replace(
+            state, time=float(clock[-1]), spent=spent, total=state.total + load.energy,
+            expected=expected, worst=worst,
+        )  # fmt: skip
+        power = np.append(load.power, load.power[-1])
+        return np.array([clock, power, soc, soc_lower]), after
+
+    def _run(self, charge: Charge, t: FloatArray, power: FloatArray) -> tuple[Charge, FloatArray]:
+        run = self.mission.battery.simulate(
+            t, np.append(power, 0.0), soc=charge.soc, polarisation=charge.polarisation
+        )
+        after = charge._replace(soc=run.soc_end, polarisation=run.polarisation)
+        if charge.failure == "none" and run.reason != "none":
+            load = power[min(int(np.searchsorted(t, run.brown_out, "right")), len(power)) - 1]
+            after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
+        return after, run.soc
+
+    def charge(self, state: State, leave_by: float = np.inf) -> State:
+        """Charge at the charger at hand until it suffices, or until it is time to leave [s]."""
+        charger = self.mission.chargers[state.node - self.legs.chargers[0]]
+        low = self._charge(state.worst, charger, self.at_least(charger.until))
+        high = self._charge(state.expected, charger, charger.until)
+        gauge = self.legs.gauge
+        enough = high[0][-1]
+        last = min(max(low[0][-1], enough), leave_by - state.time)
+        if last <= _INSTANT:
+            return state
+        t = np.unique(np.append(np.concatenate([low[0], high[0]]), last))
+        t = t[t <= last]
+        filled = [np.interp(t, *one) for one in (high, low)]
+        power = np.where(t < min(enough, t[-1]), -charger.power, 0.0)
+        t = state.time + t
+        low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
+        state = replace(
+            state,
+            time=float(t[-1]),
+            spent=gauge,
+            origin=(self._told(low_end.soc), float(t[-1])),
+            stretches=(*state.stretches, state.spent),
+            expected=high_end,
+            worst=low_end,
+        )
+        return self._add(state, "charge", np.array([t, power, *filled]))
+
+    def _charge(
+        self, charge: Charge, charger: Charger, until: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return times since charging began and charges, until it suffices or rises no more."""
+        battery, power = self.mission.at_charger(charger), charger.power
+        t, soc = [0.0], [charge.soc]
+        steps = _STEP * np.arange(int(3600 / _STEP) + 1)
+        for _ in range(_HOURS):
+            begun = soc[-1]
+            if begun >= until:
+                break
+            run = battery.simulate(steps, np.full(len(steps), -power), soc=begun)
+            reached = np.flatnonzero(run.soc >= until)
+            stop = int(reached[0]) if len(reached) else len(steps)
+            hour = t[-1]
+            t.extend(hour + steps[1:stop])
+            soc.extend(run.soc[1:stop])
+            if len(reached):
+                # the last step ends when it suffices
+                short = np.linspace(0.0, _STEP, _PARTS + 1)
+                run = battery.simulate(
+                    short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
+                )
+                # the shorter steps need not get there by the last bit
+                enough = np.flatnonzero(run.soc >= until)
+                end = int(enough[0]) if len(enough) else _PARTS
+                t.append(hour + steps[stop - 1] + short[end])
+                soc.append(until)
+            elif run.soc_end - begun < 1e-3:
+                break
+        return np.array(t), np.array(soc)
+
+    # -- tasks ------------------------------------------------------------------------------------
+
+    def attempt(self, state: State, task: int, hurried: bool = False) -> Attempt:
+        """Try a task without charging before it."""
+        asked, node = self.mission.tasks[task], task + 1
+        there = self.drive(state, node, hurried)
+        if there is None:
+            leg = self.legs.leg(state.node, node, state.payload, hurried)
+            return Attempt(leg.trouble, state, state, leg.detail)
+        grounds, region = self.legs.grounds, self.legs.region(node)
+        lost = grounds.waited(region, task, there.payload)
+        there = self._stay(there, "wait", self.mission.waiting, lost)
+        there = replace(there, lateness=there.lateness + grounds.waiting_time(task))
+        latest = self.latest(there)
+        if latest > asked.window[1]:
+            expected = f", {there.time:.0f} s as expected" if latest > there.time + 0.5 else ""
+            return Attempt(
+                "late",
+                there,
+                there,
+                f"it must begin by {asked.window[1]:.0f} s, and the robot is there at "
+                f"{latest:.0f} s{expected}",
+            )
+        begun = self.wait_until(there, asked.window[0])
+        work = grounds.work(region, task, begun.payload)
+        done = self._stay(begun, "work", asked.dwell, work)
+        done = replace(done, lateness=done.lateness + grounds.dwell_time(task))
+        carried = done.payload + asked.payload
+        if carried < -_GRAM:
+            return Attempt(
+                "payload",
+                done,
+                done,
+                f"it leaves {-asked.payload:g} kg, and {done.payload:g} kg are on board",
+            )
+        done = replace(done, payload=max(carried, 0.0))
+        safe, trouble = self.refuge(done)
+        if safe is None:
+            return Attempt(trouble.trouble, done, done, f"no way back: {trouble.detail}")
+        if not self.holds(safe):
+            return Attempt("battery", done, safe, self._why_not(safe))
+        return Attempt("none", done, safe, begin=max(latest, asked.window[0]))
+
+    @property
+    def timed(self) -> bool:
+        """Whether windows end, so that being late is possible."""
+        return any(np.isfinite(task.window[1]) for task in self.mission.tasks)
+
+    @property
+    def ways(self) -> tuple[bool, ...]:
+        """Whether to hurry: no, or both where windows press.
+
+        Where no window ends a quicker way that takes more helps nothing: with the way of least
+        energy in its place all that follows can be done with more charge, later.
+        """
+        return (False, True) if self.timed else (False,)
+
+    def leave_by(self, state: State, stops: Sequence[int], hurried: Sequence[bool] = ()) -> float:
+        """Return when to leave a place at the latest so that no later window is missed."""
+        tasks, grounds = self.mission.tasks, self.legs.grounds
+        ways = (*hurried, *(False for _ in stops[len(hurried) :]))
+        node, payload, spent, late, latest = state.node, state.payload, 0.0, state.lateness, np.inf
+        for stop, quick in zip(stops, ways, strict=True):
+            leg = self.legs.leg(node, stop, payload, quick)
+            if leg.trouble:
+                return -np.inf
+            spent, late = spent + leg.duration, late + grounds.driving_time(leg.duration)
+            if stop <= len(tasks):
+                task = tasks[stop - 1]
+                spent, late = spent + self.mission.waiting, late + grounds.waiting_time(stop - 1)
+                margin = self.quantile * float(np.linalg.norm(late))
+                latest = min(latest, task.window[1] - margin - spent)
+                spent, late = spent + task.dwell, late + grounds.dwell_time(stop - 1)
+                payload = max(payload + task.payload, 0.0)
+            node = stop
+        return float(latest)
+
+    def visit(self, state: State, stops: Sequence[int], hurried: Sequence[bool]) -> Visit:
+        """Go to the first of some stops; a charge ends in time for the windows of the others."""
+        stop, quick = stops[0], hurried[0]
+        if stop in self.legs.chargers:
+            docked = self.dock(state, stop, quick)
+            if docked is None:
+                return Visit(None, None)
+            leave_by = self.leave_by(docked, stops[1:], hurried[1:])
+            return Visit(None, self.charge(docked, leave_by))
+        attempt = self.attempt(state, stop - 1, quick)
+        return Visit(attempt, attempt.after if attempt.reason == "none" else None)
+
+    def follow(
+        self, state: State, stops: Sequence[int], hurried: Sequence[bool], then: int | None = None
+    ) -> tuple[State | None, tuple[Visit, ...]]:
+        """Do tasks and charge in the order of some stops; no state where that cannot be done.
+
+        Charges end in time for the windows of the stops and of one that comes `then`.
+        """
+        rest = (*stops, *(() if then is None else (then,)))
+        visits: list[Visit] = []
+        for k in range(len(stops)):
+            visits.append(self.visit(state, rest[k:], hurried[k:]))
+            after = visits[-1].after
+            if after is None:
+                return None, ()
+            state = after
+        return state, tuple(visits)
+
+    def dock(self, state: State, charger: int, hurried: bool = False) -> State | None:
+        """Drive to a charger and wait until it is free; None where the battery does not last."""
+        docked = self.drive(state, charger, hurried)
+        if docked is None or not self.holds(docked):
+            return None
+        for begin, end in self.taken.get(charger, ()):
+            if begin < self.charge(docked).time and docked.time < end:
+                docked = self.wait_until(docked, end)
+        return docked if self.holds(docked) else None
+
+    def missing(self, attempt: Attempt) -> tuple[bool, float]:
+        """Sort what works by energy before what does not by what is missing."""
+        if attempt.reason == "none":
+            return False, attempt.after.total.mean
+        return True, self.shortfall(attempt.safe) if attempt.reason == "battery" else np.inf
+
+    def refuge(self, state: State) -> tuple[State | None, Leg]:
+        """Drive to the nearest safe place: home or a charger."""
+        return self._nearest(state, (self.legs.home, *self.legs.chargers))
+
+    @property
+    def ends(self) -> list[int]:
+        """Where the mission may end."""
+        rule = self.mission.return_to
+        ends = [] if rule == "charger" else [self.legs.home]
+        return ends if rule == "start" else [*ends, *self.legs.chargers]
+
+    def arrives(self, state: State | None) -> State | None:
+        """Drive to where the mission may end; None where the battery does not last for it."""
+        last = None if state is None else self._nearest(state, tuple(self.ends))[0]
+        return last if last is not None and self.holds(last) else None
+
+    def _nearest(self, state: State, places: tuple[int, ...]) -> tuple[State | None, Leg]:
+        """Drive to the place of least energy; routes that cannot be the least are not planned."""
+        bounds = self.legs.lower_bounds(state.payload)[state.node]
+        first, *others = sorted(places, key=lambda place: float(bounds[place]))
+        goal, best = first, self.legs.leg(state.node, first, state.payload)
+        for place in others:
+            if best.energy.mean <= bounds[place]:
+                break
+            leg = self.legs.leg(state.node, place, state.payload)
+            if leg.energy.mean < best.energy.mean:
+                goal, best = place, leg
+        return self.drive(state, goal), best
+
+    # -- shortfall --------------------------------------------------------------------------------
+
+    def shortfall(self, safe: State) -> float:
+        """Energy that is missing at a safe place to keep the reserve [J].
+
+        Nothing is missing where the battery holds the energy but not the power.
+        """
+        soc, since = safe.origin
+        need = safe.spent.upper(self.quantile)
+        mean = max(need / max(safe.time - since, 1.0), 1.0)
+        levels = [soc, self.mission.reserve, safe.worst.soc]
+        stored = self.mission.battery.usable_energy(mean, levels)
+        if stored[0] == 0 and safe.worst.failure in SAGS:
+            return 0.0
+        by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0
+        return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
+
+    def lacks_power(self, safe: State) -> bool:
+        """Tell whether the battery holds the energy, and what it cannot deliver is the power."""
+        return safe.worst.failure in SAGS and self.shortfall(safe) == 0
+
+    def _why_not(self, safe: State) -> str:
+        need, missing = safe.spent.upper(self.quantile), self.shortfall(safe)
+        worst = safe.worst
+        if self.lacks_power(safe):
+            return f"{SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
+        told = (
+            f"with the way back to {self.legs.names[safe.node]} it may take "
+            f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
+        )
+        faults = map(self.mission.charging_fault, self.mission.chargers)
+        return "; ".join((told, *dict.fromkeys(filter(None, faults))))
+
+
+SAGS = {
+    "voltage": "the voltage sags below cut-off",
+    "current": "the battery would have to deliver more current than it may",
+}
