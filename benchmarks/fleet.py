@@ -36,7 +36,7 @@ def problems(robots: int, tasks: int, unlike: bool, seed: int = 0) -> list[Order
                 np.zeros(1), energy[None, None], safe[None], time=apart[None] / 0.8,
                 finish_time=apart[:, 0] / 0.8, service=work, service_time=np.full(tasks, 60.0),
                 window=np.tile([0.0, np.inf], (tasks, 1)), idle=np.zeros(tasks),
-                worth=np.full(tasks, 2.0 + tasks), change=np.zeros(tasks),
+                prize=np.full(tasks, 2.0 + tasks), change=np.zeros(tasks),
                 budget=40e3, capacity=np.full(2, 50e3), charge_power=np.full(2, 500.0), full=50e3,
             )
         )  # fmt: skip

@@ -50,7 +50,7 @@ def problem(seed: int, tasks: int, chargers: int, windows: bool) -> OrderProblem
         service=service,
         service_time=service_time,
         idle=np.zeros(tasks),
-        worth=prize + (1.0 + prize.sum()) * required,
+        prize=prize + (1.0 + prize.sum()) * required,
         change=np.zeros(tasks),
         window=window,
         budget=budget * float(rng.uniform(0.5, 1.0)),

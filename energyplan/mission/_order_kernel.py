@@ -1,8 +1,8 @@
 """One search for an order: labels over stages and places, and what the rest of an order takes.
 
-A stage tells which tasks may come next: of a free order it is the set of tasks that are done, of a
+A stage says which tasks may come next: of a free order it is the set of tasks that are done, of a
 given order the last one of them (see `energyplan.mission.order`). A label is one way of having come
-to a stage and a place: the energy that it took, the charge that is left, the time, the worth of
+to a stage and a place: the energy that it took, the charge that is left, the time, the prize of
 what was done and the payload. Where time matters charging may stop early. Such a label is a
 segment: after `time` with `left` on board, each further second, up to `slack`, adds `rate`; how
 much of it is used shows later. Waiting for a window is time to charge first, and takes the power of
@@ -10,11 +10,11 @@ standing still once nothing more can be charged. Of the labels of
 a stage and place only those are kept that no other one beats in every respect, and only those that
 can still lead to a better order than the best one known.
 
-What the rest takes at least is told by a programme over stages without the battery: the least
-energy of doing what reaches a worth and ending, with at least so many visits to chargers on the
-way. Every charge that the battery needs is such a visit, so the fewest visits that a charge can do
-with tell what the rest takes (`energy_left`). The same programme over times tells when to leave at
-the latest for no window to be missed.
+A bound of the rest comes from a dynamic programme over stages without the battery: the least energy
+of what reaches a prize and ends, with at least so many visits to chargers on the way. Every charge
+that the battery needs is such a visit, so the number of charges still needed bounds the remaining
+energy (`energy_left`). The same programme over times gives the latest time to leave at which no
+window is missed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _CLOSED = 0.5
 _APART = 8
 
 _FAR = 1e15
-"""Rank of labels that do not lead to the worth that is known, beyond their energy [J]."""
+"""Rank of labels that do not lead to the prize that is known, beyond their energy [J]."""
 
 
 class OrderProblem(NamedTuple):
@@ -69,7 +69,7 @@ class OrderProblem(NamedTuple):
     service_time: Floats  # (n,): time of each task [s]
     window: FloatTable  # (n, 2): earliest and latest begin [s]
     idle: Floats  # (n,): power of waiting at each task [W]
-    worth: Floats  # (n,): prize of each task; any required one exceeds all optional ones together
+    prize: Floats  # (n,): prize of each task; any required one exceeds all optional ones together
     change: Floats  # (n,): change of the payload by each task [kg]
     capacity: Floats  # (m,): energy on leaving each charger when full, the reserve taken off [J]
     charge_power: Floats  # (m,): energy stored per second at each charger [W]
@@ -82,7 +82,7 @@ class OrderProblem(NamedTuple):
     @property
     def tasks(self) -> int:
         """Number of tasks."""
-        return len(self.worth)
+        return len(self.prize)
 
     def at(self, load: ArrayLike) -> Any:
         """Return which of the payloads that energies are known for stands for a payload."""
@@ -97,7 +97,7 @@ class OrderProblem(NamedTuple):
             energy=self.energy[..., nodes[:, None], nodes], finish=self.finish[:, nodes],
             time=self.time[..., nodes[:, None], nodes], finish_time=self.finish_time[nodes],
             service=self.service[mine], service_time=self.service_time[mine],
-            window=self.window[mine], idle=self.idle[mine], worth=self.worth[mine],
+            window=self.window[mine], idle=self.idle[mine], prize=self.prize[mine],
             change=self.change[mine],
         )  # fmt: skip
 
@@ -107,8 +107,8 @@ class Stages(NamedTuple):
 
     after: IntTable  # (S, n): stage after each task, later ones being higher; -1 if out of turn
     there: FlagTable  # (S, N): whether the robot may be at a place
-    done: Floats  # (S,): largest worth of what was done until a stage
-    ahead: Floats  # (S,): largest worth of what may still be done
+    done: Floats  # (S,): largest prize of what was done until a stage
+    ahead: Floats  # (S,): largest prize of what may still be done
     load: Floats  # (S,): payload of a stage [kg], infinite if the stage does not tell it
     load_index: Ints  # (S,): which of the L loads that is, or L
     pressing: Flags  # (S,): whether a window of the tasks that may still be done ends
@@ -148,9 +148,9 @@ def energy_left(rest: Rest, bucket: int, charge: float) -> float:
 
 
 @njit
-def completions(problem: OrderProblem, stages: Stages, worth: float) -> Rest:
+def completions(problem: OrderProblem, stages: Stages, prize: float) -> Rest:
     """Bound what is left to do from each bucket on."""
-    n, m, ways = len(problem.worth), len(problem.capacity), problem.energy.shape[1]
+    n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
     places, count = 1 + n + m, len(stages.after)
     visits = stages.visits if m > 0 else 0
     least = np.full((count * places, visits + 1), np.inf)
@@ -159,7 +159,7 @@ def completions(problem: OrderProblem, stages: Stages, worth: float) -> Rest:
     for way in range(1, ways):
         quickest = np.minimum(quickest, problem.time[way])
     for stage in range(count - 1, -1, -1):
-        enough = stages.done[stage] >= worth - _EPSILON
+        enough = stages.done[stage] >= prize - _EPSILON
         load = stages.load_index[stage]
         energy, finish = stages.energy, stages.finish
         if load < len(problem.loads):
@@ -214,25 +214,25 @@ def completions(problem: OrderProblem, stages: Stages, worth: float) -> Rest:
 
 
 class Known(NamedTuple):
-    """An order that is known, and what is asked of a better one."""
+    """An order that is known, and what a better one must reach."""
 
-    worth: float  # its worth
+    prize: float  # its prize
     energy: float  # energy that it takes [J]
     time: float  # when it ends [s]
-    same: Rest  # what it takes at least to reach its worth
+    same: Rest  # what it takes at least to reach its prize
     more: Rest  # what it takes at least to reach `beyond`
     beyond: float
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """What the search found."""
 
     better: bool  # whether it is better than what was known
-    worth: float  # worth of the best order
+    prize: float  # prize of the best order
     energy: float  # energy of the best order, to where the mission ends [J]
     time: float  # when the best order ends [s]
-    bound: float  # energy that no order of this worth undercuts [J]
-    open: bool  # whether an order of greater worth may have been left out
+    bound: float  # energy that no order of this prize undercuts [J]
+    open: bool  # whether an order of greater prize may have been left out
     stops: Ints  # numbers of places in the order of their visits
     ways: Ints  # the way of driving to each of them
 
@@ -245,7 +245,7 @@ class Label(NamedTuple):
     time: float
     rate: float
     slack: float
-    worth: float
+    prize: float
     load: float
 
 
@@ -255,7 +255,7 @@ class Store(NamedTuple):
     value: FloatTable  # each label's fields, and the least energy of an order that it leads to [J]
     link: IntTable  # (n, 4): label before, place, way of driving, next label of the bucket
     head: Ints  # (S * N,): first label of each bucket
-    lost: Floats  # (2,): least energy that what was left out leads to [J]; 1 if to more worth
+    lost: Floats  # (2,): least energy that what was left out leads to [J]; 1 if to a greater prize
 
 
 @inner
@@ -275,12 +275,12 @@ def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
         left, time, slack = left + label.rate * more, time + more, slack - more
         if left > -_EPSILON * max(label.left, 1.0):
             left = max(left, 0.0)
-    return Label(label.energy + energy, left, time, label.rate, slack, label.worth, label.load)
+    return Label(label.energy + energy, left, time, label.rate, slack, label.prize, label.load)
 
 
 @inner
 def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
-    """Wait for a window, charging meanwhile what may be charged; the time tells a miss."""
+    """Wait for a window, charging meanwhile; a time after the window is a miss."""
     energy, left, time, slack = label.energy, label.left, label.time, label.slack
     if time < earliest:
         more = min(slack, earliest - time)
@@ -288,7 +288,7 @@ def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
         energy, left = energy + drawn, left + label.rate * more - drawn
         slack, time = slack - more, earliest
     slack = max(min(slack, latest - time), 0.0)
-    return Label(energy, left, time, label.rate, slack, label.worth, label.load)
+    return Label(energy, left, time, label.rate, slack, label.prize, label.load)
 
 
 @inner
@@ -296,7 +296,7 @@ def _charged(label: Label) -> Label:
     """Charge as long as may be."""
     left = label.left + label.rate * label.slack
     time = label.time + label.slack
-    return Label(label.energy, left, time, 0.0, 0.0, label.worth, label.load)
+    return Label(label.energy, left, time, 0.0, 0.0, label.prize, label.load)
 
 
 @inner
@@ -312,7 +312,7 @@ def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float)
     """
     ready, end = one.time + one.slack, other.time + other.slack
     wait = idle * max(min(end, opening) - ready, 0.0) - _EPSILON
-    if one.energy + wait > other.energy or one.worth < other.worth - _EPSILON:
+    if one.energy + wait > other.energy or one.prize < other.prize - _EPSILON:
         return False
     if abs(one.load - other.load) > _MILLIGRAM:
         return False
@@ -358,16 +358,16 @@ def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
 
 @inner
 def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[float, bool]:
-    """Return the least energy of an order of the worth known that a label leads to [J], or more."""
-    worth, most = label.worth + ahead, label.left + label.rate * label.slack
-    if worth < known.worth - _EPSILON:
+    """Return the least energy of an order of the known prize that a label leads to [J], or more."""
+    prize, most = label.prize + ahead, label.left + label.rate * label.slack
+    if prize < known.prize - _EPSILON:
         return np.inf, False
     least, more = np.inf, False
     if label.time <= loosely(known.same.latest[bucket]):
         least = label.energy + energy_left(known.same, bucket, most)
     if (
         len(known.more.latest) > 0
-        and worth >= known.beyond - _EPSILON
+        and prize >= known.beyond - _EPSILON
         and label.time <= loosely(known.more.latest[bucket])
     ):
         more = energy_left(known.more, bucket, most) < np.inf
@@ -385,8 +385,8 @@ def _lose(store: Store, promise: tuple[float, bool]) -> None:
 @inner
 def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
     """Tell whether a label promises less than another."""
-    if abs(one.worth - other.worth) > _EPSILON:
-        return one.worth < other.worth
+    if abs(one.prize - other.prize) > _EPSILON:
+        return one.prize < other.prize
     mine = least if np.isfinite(least) else _FAR + one.energy
     return mine > (other_least if np.isfinite(other_least) else _FAR + other.energy)
 
@@ -430,7 +430,7 @@ def _keep(
         _take_out(store, bucket, worst, before_worst)
     value = store.value
     value[count, 0], value[count, 1], value[count, 2] = new.energy, new.left, new.time
-    value[count, 3], value[count, 4], value[count, 5] = new.rate, new.slack, new.worth
+    value[count, 3], value[count, 4], value[count, 5] = new.rate, new.slack, new.prize
     value[count, 6], value[count, 7] = new.load, least
     store.link[count, 3] = store.head[bucket]
     store.head[bucket] = count
@@ -445,7 +445,7 @@ def _docked(problem: OrderProblem, here: Label, charger: int, kind: int) -> Labe
     if kind == 2:
         return new
     room = max(full - new.left, 0.0) / power
-    return Label(new.energy, new.left, new.time, power, room, new.worth, new.load)
+    return Label(new.energy, new.left, new.time, power, room, new.prize, new.load)
 
 
 @inner
@@ -455,12 +455,12 @@ def _priced(problem: OrderProblem, load: float) -> int:
 
 
 @njit
-def search(problem: OrderProblem, stages: Stages, known: Known) -> Found:
-    """Find an order of greater worth than the one known, or of the same and less energy.
+def search(problem: OrderProblem, stages: Stages, known: Known) -> SearchResult:
+    """Find an order of greater prize than the one known, or of the same and less energy.
 
     Of orders of the same energy the quickest is taken.
     """
-    n, m, ways = len(problem.worth), len(problem.capacity), problem.energy.shape[1]
+    n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
     places = 1 + n + m
     store = Store(
         np.empty((min(_FEW, stages.most), _FIELDS)),
@@ -468,7 +468,7 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> Found:
         np.full(len(stages.after) * places, -1, np.int64),
         np.array([np.inf, 0.0]),
     )
-    best, best_worth, best_energy, best_time = -1, known.worth, known.energy, known.time
+    best, best_prize, best_energy, best_time = -1, known.prize, known.energy, known.time
     count = 0
     start = Label(0.0, problem.budget, problem.start_time, 0.0, 0.0, 0.0, problem.payload)
     if _keep(store, stages, known, 0, 0, start, 0):
@@ -523,21 +523,21 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> Found:
             k = store.head[first + place]
             while k >= 0:
                 here = _label(store, k)
-                worth, load = here.worth, _priced(problem, here.load)
+                prize, load = here.prize, _priced(problem, here.load)
                 energy, finish = problem.energy[load], problem.finish[load]
                 last = _spend(here, finish[place], problem.finish_time[place], problem.full)
                 if last.left >= 0.0 and np.isfinite(last.energy):
-                    better = worth > best_worth + _EPSILON
-                    if not better and worth > best_worth - _EPSILON:
+                    better = prize > best_prize + _EPSILON
+                    if not better and prize > best_prize - _EPSILON:
                         rounding = loosely(best_energy) - best_energy
                         better = last.energy < best_energy - rounding or (
                             last.energy <= best_energy + rounding and loosely(last.time) < best_time
                         )
                     if better:
-                        best, best_worth = k, worth
+                        best, best_prize = k, prize
                         best_energy, best_time = last.energy, last.time
                         known = Known(
-                            best_worth, best_energy, best_time, known.same, known.more,
+                            best_prize, best_energy, best_time, known.same, known.more,
                             known.beyond,
                         )  # fmt: skip
                 for t in range(n):
@@ -558,7 +558,7 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> Found:
                             continue
                         done = Label(
                             done.energy, done.left, done.time + problem.service_time[t], done.rate,
-                            done.slack, done.worth + problem.worth[t], carried,
+                            done.slack, done.prize + problem.prize[t], carried,
                         )  # fmt: skip
                         if not stages.pressing[after]:
                             done = _charged(done)
@@ -580,8 +580,8 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> Found:
         stops[length], driven[length] = store.link[k, 1], store.link[k, 2]
         k = store.link[k, 0]
     bound = min(best_energy, store.lost[0])
-    return Found(
-        best >= 0, best_worth, best_energy, best_time, bound, store.lost[1] > 0.0, stops, driven,
+    return SearchResult(
+        best >= 0, best_prize, best_energy, best_time, bound, store.lost[1] > 0.0, stops, driven,
     )  # fmt: skip
 
 
@@ -598,7 +598,7 @@ class Tours(NamedTuple):
     window: FloatTable  # (n, 2): earliest and latest begin [s]
     idle: FloatTable  # (R, n): power of waiting at each task [W]
     change: Floats  # (n,): change of the payload by each task [kg]
-    worth: Floats  # (n,): energy that doing a task is worth [J]
+    prize: Floats  # (n,): prize of each task as an energy, above that of any sequence [J]
     budget: Floats  # (R,): energy at the start [J]
     capacity: Floats  # (R,): energy on leaving the best charger when full [J]
     start_time: Floats  # (R,): time at the start [s]
@@ -612,7 +612,7 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
     Each charge that the battery needs is counted as the least detour over a charger. Infinite
     where the sequence cannot be.
     """
-    n, places = len(tours.worth), tours.energy.shape[1]
+    n, places = len(tours.prize), tours.energy.shape[1]
     energy, time, load, here = 0.0, tours.start_time[r], tours.payload[r], 0
     detour = np.inf if places > 1 + n else 0.0
     length = count + (1 if extra >= 0 else 0)
@@ -659,7 +659,7 @@ def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tup
 def _insert_all(
     tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags, closed: Flags
 ) -> None:
-    """Put in what is left out where it pays, first what would be dearer anywhere else (regret).
+    """Insert the tasks left out where it pays, in the order of regret.
 
     Robots that are closed get nothing.
     """
@@ -685,9 +685,9 @@ def _insert_all(
                     first, second, best = more, first, r
                 elif more < second:
                     second = more
-            if best < 0 or first >= tours.worth[t]:
+            if best < 0 or first >= tours.prize[t]:
                 continue
-            regret = min(second, tours.worth[t]) - first
+            regret = min(second, tours.prize[t]) - first
             if regret > most:
                 chosen, robot, most = t, best, regret
         if chosen < 0:
@@ -712,7 +712,7 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
     (ruin and recreate, Pisinger and Ropke 2007).
     """
     rounds = len(chances)
-    robots, n = len(tours.budget), len(tours.worth)
+    robots, n = len(tours.budget), len(tours.prize)
     stops, counts = np.zeros((robots, n), np.int64), np.zeros(robots, np.int64)
     open_tasks = np.ones(n, np.bool_)
     energies = np.array([tour_energy(tours, r, stops[r], 0, -1, 0) for r in range(robots)])
@@ -722,7 +722,7 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
         near[t] = np.argsort(tours.energy[:, 1 + t, 1 : 1 + n].sum(axis=0))
     nobody = np.zeros(robots, np.bool_)
     _insert_all(tours, stops, counts, energies, open_tasks, nobody)
-    now = energies.sum() + tours.worth[open_tasks].sum()
+    now = energies.sum() + tours.prize[open_tasks].sum()
     best, best_stops, best_counts = now, stops.copy(), counts.copy()
     for turn in range(rounds):
         new_stops, new_counts, new_energies = stops.copy(), counts.copy(), energies.copy()
@@ -751,7 +751,7 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
             closed = drawn[3 + n :] < _CLOSED
             _insert_all(tours, new_stops, new_counts, new_energies, out, closed)
         _insert_all(tours, new_stops, new_counts, new_energies, out, nobody)
-        then = new_energies.sum() + tours.worth[out].sum()
+        then = new_energies.sum() + tours.prize[out].sum()
         heat = 0.01 * (1.0 - (turn + 1) / rounds) * abs(best) / max(n, 1)
         if then < now - heat * np.log(max(drawn[2], 1e-12)):
             now, stops, counts, energies = then, new_stops, new_counts, new_energies

@@ -36,7 +36,7 @@ class Charge(NamedTuple):
 
 
 @dataclass(frozen=True)
-class State:
+class Status:
     """Where the robot stands."""
 
     node: int  # place
@@ -61,8 +61,8 @@ class Attempt(NamedTuple):
     """What comes of a task."""
 
     reason: str
-    after: State  # when it is done
-    safe: State  # at the nearest safe place after it
+    after: Status  # when it is done
+    safe: Status  # at the nearest safe place after it
     detail: str = ""  # why not, in one sentence
     begin: float = np.nan  # when it begins at the bound [s]
 
@@ -71,40 +71,45 @@ class Visit(NamedTuple):
     """What comes of one stop."""
 
     attempt: Attempt | None  # of a task
-    after: State | None  # None where it cannot be done
+    after: Status | None  # None where it cannot be done
 
 
 class Simulation:
     """Steps from state to state."""
 
     def __init__(
-        self, legs: Legs, taken: Mapping[int, Sequence[tuple[float, float]]] | None = None
+        self, legs: Legs, occupied: Mapping[int, Sequence[tuple[float, float]]] | None = None
     ) -> None:
         self.legs = legs
-        self.taken = dict(taken or {})  # when chargers are taken by others [s], ascending
+        self.occupied = dict(occupied or {})  # when chargers are occupied by others [s], ascending
         self.mission: Mission = legs.mission
         self.quantile = NormalDist().inv_cdf(self.mission.confidence)
 
     @property
-    def start(self) -> State:
+    def start(self) -> Status:
         """The condition at the start."""
-        mission, nothing = self.mission, self.legs.grounds.nothing
-        told, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
+        mission, nothing = self.mission, self.legs.models.nothing
+        full, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
         gauge, origin = self.legs.gauge, (mission.soc, mission.time)
-        known = np.zeros(self.legs.grounds.size)
+        known = np.zeros(self.legs.models.size)
         return self.mark(
-            State(0, mission.payload, mission.time, known, gauge, nothing, origin, told, least),
+            Status(0, mission.payload, mission.time, known, gauge, nothing, origin, full, least),
             "start",
         )
 
-    def mark(self, state: State, kind: Kind) -> State:
+    def mark(self, state: Status, kind: Kind) -> Status:
         """Add an instant to the trip: its start or end, or a task that takes no time."""
         now = [state.time, 0.0, state.expected.soc, state.worst.soc]
         return self._add(state, kind, np.outer(now, np.ones(2)))
 
     def _add(
-        self, state: State, kind: Kind, samples: FloatArray, leg: Leg | None = None, start: int = -1
-    ) -> State:
+        self,
+        state: Status,
+        kind: Kind,
+        samples: FloatArray,
+        leg: Leg | None = None,
+        start: int = -1,
+    ) -> Status:
         """Add a segment that ends at the place of a state to its trip.
 
         Its samples are time, power, and charge as expected and at the bound, shape (4, n).
@@ -116,32 +121,32 @@ class Simulation:
         return replace(state, trip=(*state.trip, one))
 
     def at_least(self, soc: float) -> float:
-        """Return the state of charge at the bound when the gauge tells one."""
+        """Return the state of charge at the bound when the gauge shows one."""
         return max(soc - self.quantile * self.mission.spreads.soc, 0.0)
 
-    def _told(self, soc: float) -> float:
-        """Return what the gauge tells when the state of charge is at the bound."""
+    def _gauge_at(self, soc: float) -> float:
+        """Return what the gauge shows when the state of charge is at the bound."""
         return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
 
-    def latest(self, state: State) -> float:
+    def latest(self, state: Status) -> float:
         """Return the time of a condition at the bound [s]."""
         return state.time + self.quantile * state.time_spread
 
-    def holds(self, state: State) -> bool:
+    def holds(self, state: Status) -> bool:
         """Tell whether the reserve is left at the bound."""
         enough = state.worst.soc >= self.mission.reserve - _ROUNDING
         return enough and state.worst.failure == "none"
 
     # -- steps ------------------------------------------------------------------------------------
 
-    def drive(self, state: State, goal: int, hurried: bool = False) -> State | None:
+    def drive(self, state: Status, goal: int, hurried: bool = False) -> Status | None:
         """Drive to a place, quickly if in a hurry; None where the leg cannot be driven."""
         leg = self.legs.leg(state.node, goal, state.payload, hurried)
         if leg.trouble:
             return None
         if leg.trajectory is None:
             return replace(state, node=goal)
-        late = state.lateness + self.legs.grounds.driving_time(leg.duration)
+        late = state.lateness + self.legs.models.driving_time(leg.duration)
         load, moved = leg.consumption, replace(state, node=goal, lateness=late)
         samples, after = self._draw(moved, leg.trajectory.t, load)
         return self._add(after, "drive", samples, leg, state.node)
@@ -149,16 +154,16 @@ class Simulation:
     @cached_property
     def stations(self) -> tuple[int, ...]:
         """Nodes of the chargers at which the battery takes charge."""
-        told = zip(self.legs.chargers, self.mission.chargers, strict=True)
-        return tuple(node for node, one in told if not self.mission.charging_fault(one))
+        chargers = zip(self.legs.chargers, self.mission.chargers, strict=True)
+        return tuple(node for node, one in chargers if not self.mission.charging_fault(one))
 
-    def wait(self, state: State, duration: float) -> State:
+    def wait(self, state: Status, duration: float) -> Status:
         """Stand still for so long [s]."""
         region = self.legs.region(state.node)
-        energy = self.legs.grounds.idle(region, duration, state.payload)
+        energy = self.legs.models.idle(region, duration, state.payload)
         return self._stay(state, "wait", duration, energy)
 
-    def wait_until(self, state: State, time: float) -> State:
+    def wait_until(self, state: Status, time: float) -> Status:
         """Stand still until a time [s]; who is there before it in any case is no longer late."""
         latest = self.latest(state)
         if state.time >= time:
@@ -166,7 +171,7 @@ class Simulation:
         late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
         return replace(self.wait(state, time - state.time), lateness=late * state.lateness)
 
-    def _stay(self, state: State, kind: Kind, duration: float, energy: Estimate) -> State:
+    def _stay(self, state: Status, kind: Kind, duration: float, energy: Estimate) -> Status:
         """Stand still for so long [s], which takes an energy."""
         if duration <= _INSTANT:
             return state if kind == "wait" else self.mark(state, kind)
@@ -175,7 +180,7 @@ class Simulation:
         samples, after = self._draw(state, t, Consumption(flat, np.ones(len(flat)), energy))
         return self._add(after, kind, samples)
 
-    def _draw(self, state: State, t: FloatArray, load: Consumption) -> tuple[FloatArray, State]:
+    def _draw(self, state: Status, t: FloatArray, load: Consumption) -> tuple[FloatArray, Status]:
         """Draw a load from the battery, as expected and at the bound."""
         spent = state.spent + self.legs.from_battery(load.energy)
         more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
@@ -202,8 +207,8 @@ class Simulation:
             after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
         return after, run.soc
 
-    def charge(self, state: State, leave_by: float = np.inf) -> State:
-        """Charge at the charger at hand until it suffices, or until it is time to leave [s]."""
+    def charge(self, state: Status, leave_by: float = np.inf) -> Status:
+        """Charge at the charger at hand up to its level, or until it is time to leave [s]."""
         charger = self.mission.chargers[state.node - self.legs.chargers[0]]
         low = self._charge(state.worst, charger, self.at_least(charger.until))
         high = self._charge(state.expected, charger, charger.until)
@@ -222,7 +227,7 @@ class Simulation:
             state,
             time=float(t[-1]),
             spent=gauge,
-            origin=(self._told(low_end.soc), float(t[-1])),
+            origin=(self._gauge_at(low_end.soc), float(t[-1])),
             stretches=(*state.stretches, state.spent),
             expected=high_end,
             worst=low_end,
@@ -263,38 +268,38 @@ class Simulation:
 
     # -- tasks ------------------------------------------------------------------------------------
 
-    def attempt(self, state: State, task: int, hurried: bool = False) -> Attempt:
+    def attempt(self, state: Status, task: int, hurried: bool = False) -> Attempt:
         """Try a task without charging before it."""
-        asked, node = self.mission.tasks[task], task + 1
+        job, node = self.mission.tasks[task], task + 1
         there = self.drive(state, node, hurried)
         if there is None:
             leg = self.legs.leg(state.node, node, state.payload, hurried)
             return Attempt(leg.trouble, state, state, leg.detail)
-        grounds, region = self.legs.grounds, self.legs.region(node)
-        lost = grounds.waited(region, task, there.payload)
+        models, region = self.legs.models, self.legs.region(node)
+        lost = models.waited(region, task, there.payload)
         there = self._stay(there, "wait", self.mission.waiting, lost)
-        there = replace(there, lateness=there.lateness + grounds.waiting_time(task))
+        there = replace(there, lateness=there.lateness + models.waiting_time(task))
         latest = self.latest(there)
-        if latest > asked.window[1]:
+        if latest > job.window[1]:
             expected = f", {there.time:.0f} s as expected" if latest > there.time + 0.5 else ""
             return Attempt(
                 "late",
                 there,
                 there,
-                f"it must begin by {asked.window[1]:.0f} s, and the robot is there at "
+                f"it must begin by {job.window[1]:.0f} s, and the robot is there at "
                 f"{latest:.0f} s{expected}",
             )
-        begun = self.wait_until(there, asked.window[0])
-        work = grounds.work(region, task, begun.payload)
-        done = self._stay(begun, "work", asked.dwell, work)
-        done = replace(done, lateness=done.lateness + grounds.dwell_time(task))
-        carried = done.payload + asked.payload
+        begun = self.wait_until(there, job.window[0])
+        work = models.work(region, task, begun.payload)
+        done = self._stay(begun, "work", job.dwell, work)
+        done = replace(done, lateness=done.lateness + models.dwell_time(task))
+        carried = done.payload + job.payload
         if carried < -_GRAM:
             return Attempt(
                 "payload",
                 done,
                 done,
-                f"it leaves {-asked.payload:g} kg, and {done.payload:g} kg are on board",
+                f"it leaves {-job.payload:g} kg, and {done.payload:g} kg are on board",
             )
         done = replace(done, payload=max(carried, 0.0))
         safe, trouble = self.refuge(done)
@@ -302,7 +307,7 @@ class Simulation:
             return Attempt(trouble.trouble, done, done, f"no way back: {trouble.detail}")
         if not self.holds(safe):
             return Attempt("battery", done, safe, self._why_not(safe))
-        return Attempt("none", done, safe, begin=max(latest, asked.window[0]))
+        return Attempt("none", done, safe, begin=max(latest, job.window[0]))
 
     @property
     def timed(self) -> bool:
@@ -318,27 +323,27 @@ class Simulation:
         """
         return (False, True) if self.timed else (False,)
 
-    def leave_by(self, state: State, stops: Sequence[int], hurried: Sequence[bool] = ()) -> float:
+    def leave_by(self, state: Status, stops: Sequence[int], hurried: Sequence[bool] = ()) -> float:
         """Return when to leave a place at the latest so that no later window is missed."""
-        tasks, grounds = self.mission.tasks, self.legs.grounds
+        tasks, models = self.mission.tasks, self.legs.models
         ways = (*hurried, *(False for _ in stops[len(hurried) :]))
         node, payload, spent, late, latest = state.node, state.payload, 0.0, state.lateness, np.inf
         for stop, quick in zip(stops, ways, strict=True):
             leg = self.legs.leg(node, stop, payload, quick)
             if leg.trouble:
                 return -np.inf
-            spent, late = spent + leg.duration, late + grounds.driving_time(leg.duration)
+            spent, late = spent + leg.duration, late + models.driving_time(leg.duration)
             if stop <= len(tasks):
                 task = tasks[stop - 1]
-                spent, late = spent + self.mission.waiting, late + grounds.waiting_time(stop - 1)
+                spent, late = spent + self.mission.waiting, late + models.waiting_time(stop - 1)
                 margin = self.quantile * float(np.linalg.norm(late))
                 latest = min(latest, task.window[1] - margin - spent)
-                spent, late = spent + task.dwell, late + grounds.dwell_time(stop - 1)
+                spent, late = spent + task.dwell, late + models.dwell_time(stop - 1)
                 payload = max(payload + task.payload, 0.0)
             node = stop
         return float(latest)
 
-    def visit(self, state: State, stops: Sequence[int], hurried: Sequence[bool]) -> Visit:
+    def visit(self, state: Status, stops: Sequence[int], hurried: Sequence[bool]) -> Visit:
         """Go to the first of some stops; a charge ends in time for the windows of the others."""
         stop, quick = stops[0], hurried[0]
         if stop in self.legs.chargers:
@@ -351,8 +356,12 @@ class Simulation:
         return Visit(attempt, attempt.after if attempt.reason == "none" else None)
 
     def follow(
-        self, state: State, stops: Sequence[int], hurried: Sequence[bool], then: int | None = None
-    ) -> tuple[State | None, tuple[Visit, ...]]:
+        self,
+        state: Status,
+        stops: Sequence[int],
+        hurried: Sequence[bool],
+        then: int | None = None,
+    ) -> tuple[Status | None, tuple[Visit, ...]]:
         """Do tasks and charge in the order of some stops; no state where that cannot be done.
 
         Charges end in time for the windows of the stops and of one that comes `then`.
@@ -367,12 +376,12 @@ class Simulation:
             state = after
         return state, tuple(visits)
 
-    def dock(self, state: State, charger: int, hurried: bool = False) -> State | None:
+    def dock(self, state: Status, charger: int, hurried: bool = False) -> Status | None:
         """Drive to a charger and wait until it is free; None where the battery does not last."""
         docked = self.drive(state, charger, hurried)
         if docked is None or not self.holds(docked):
             return None
-        for begin, end in self.taken.get(charger, ()):
+        for begin, end in self.occupied.get(charger, ()):
             if begin < self.charge(docked).time and docked.time < end:
                 docked = self.wait_until(docked, end)
         return docked if self.holds(docked) else None
@@ -383,7 +392,7 @@ class Simulation:
             return False, attempt.after.total.mean
         return True, self.shortfall(attempt.safe) if attempt.reason == "battery" else np.inf
 
-    def refuge(self, state: State) -> tuple[State | None, Leg]:
+    def refuge(self, state: Status) -> tuple[Status | None, Leg]:
         """Drive to the nearest safe place: home or a charger."""
         return self._nearest(state, (self.legs.home, *self.legs.chargers))
 
@@ -394,12 +403,12 @@ class Simulation:
         ends = [] if rule == "charger" else [self.legs.home]
         return ends if rule == "start" else [*ends, *self.legs.chargers]
 
-    def arrives(self, state: State | None) -> State | None:
+    def arrives(self, state: Status | None) -> Status | None:
         """Drive to where the mission may end; None where the battery does not last for it."""
         last = None if state is None else self._nearest(state, tuple(self.ends))[0]
         return last if last is not None and self.holds(last) else None
 
-    def _nearest(self, state: State, places: tuple[int, ...]) -> tuple[State | None, Leg]:
+    def _nearest(self, state: Status, places: tuple[int, ...]) -> tuple[Status | None, Leg]:
         """Drive to the place of least energy; routes that cannot be the least are not planned."""
         bounds = self.legs.lower_bounds(state.payload)[state.node]
         first, *others = sorted(places, key=lambda place: float(bounds[place]))
@@ -414,7 +423,7 @@ class Simulation:
 
     # -- shortfall --------------------------------------------------------------------------------
 
-    def shortfall(self, safe: State) -> float:
+    def shortfall(self, safe: Status) -> float:
         """Energy that is missing at a safe place to keep the reserve [J].
 
         Nothing is missing where the battery holds the energy but not the power.
@@ -429,21 +438,21 @@ class Simulation:
         by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0
         return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
 
-    def lacks_power(self, safe: State) -> bool:
+    def lacks_power(self, safe: Status) -> bool:
         """Tell whether the battery holds the energy, and what it cannot deliver is the power."""
         return safe.worst.failure in SAGS and self.shortfall(safe) == 0
 
-    def _why_not(self, safe: State) -> str:
+    def _why_not(self, safe: Status) -> str:
         need, missing = safe.spent.upper(self.quantile), self.shortfall(safe)
         worst = safe.worst
         if self.lacks_power(safe):
             return f"{SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
-        told = (
+        detail = (
             f"with the way back to {self.legs.names[safe.node]} it may take "
             f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
         )
         faults = map(self.mission.charging_fault, self.mission.chargers)
-        return "; ".join((told, *dict.fromkeys(filter(None, faults))))
+        return "; ".join((detail, *dict.fromkeys(filter(None, faults))))
 
 
 SAGS = {

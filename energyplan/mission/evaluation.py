@@ -1,7 +1,7 @@
 """Battery budget missions: what can be done, with what certainty, and why not.
 
 A task is reachable only if the robot can do it and still get to where it started or to a charger
-with its reserve, at the confidence asked. Energies carry their uncertainty along (see
+with its reserve, at the confidence wanted. Energies carry their uncertainty along (see
 `energyplan.mission.energy`); the battery is run twice, with the energy as expected and with the
 energy at its bound.
 """
@@ -18,22 +18,22 @@ import numpy as np
 
 from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
-from energyplan.mission.drive import SAGS, Attempt, Simulation, State
+from energyplan.mission.drive import SAGS, Attempt, Simulation, Status
 from energyplan.mission.order import Order, attempt, best_stops, finish
-from energyplan.mission.report import Doubt, MissionReport, Reason, TaskReport
+from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport
 from energyplan.mission.routes import Legs, Routes, Scene
 from energyplan.mission.trip import stops
 from energyplan.mission.types import Mission, Remedy
 from energyplan.records import checked
 
 
-def doubts(sim: Simulation, end: State) -> tuple[Doubt, ...]:
-    """Tell what each unknown costs between the charges where the most is held back."""
+def contributions(sim: Simulation, end: Status) -> tuple[Contribution, ...]:
+    """Return what each unknown costs between the charges where the margin is largest."""
     spent = max((*end.stretches, end.spent), key=lambda stretch: stretch.std)
     whole, quantile = spent.std, sim.quantile
     return tuple(
-        Doubt(source, std, quantile * (whole - float(np.sqrt(max(whole**2 - std**2, 0.0)))))
-        for source, std in sim.legs.grounds.by_source(spent).items()
+        Contribution(source, std, quantile * (whole - float(np.sqrt(max(whole**2 - std**2, 0.0)))))
+        for source, std in sim.legs.models.by_source(spent).items()
     )
 
 
@@ -78,7 +78,7 @@ def evaluate(
     Raises
     ------
     MissionError
-        If a bound is asked of models without a known uncertainty, or a payload leaves the range
+        If a bound is wanted of models without a known uncertainty, or a payload leaves the range
         of its models.
 
     References
@@ -104,7 +104,7 @@ def evaluate(
 class _Try(NamedTuple):
     """A task's attempt, the condition before it, and the tasks done until then."""
 
-    before: State
+    before: Status
     attempt: Attempt
     earlier: tuple[int, ...]
 
@@ -117,14 +117,14 @@ class Evaluation:
         mission: Mission,
         progress: Callable[[str], None] | None,
         legs: Legs,
-        taken: Mapping[int, Sequence[tuple[float, float]]] | None = None,
+        occupied: Mapping[int, Sequence[tuple[float, float]]] | None = None,
         tasks: Sequence[int] | None = None,
     ) -> None:
         self.mission = mission
         self.shared = tasks is not None
         self.tasks = range(len(mission.tasks)) if tasks is None else tasks
         self.legs = legs
-        self.sim = Simulation(self.legs, taken)
+        self.sim = Simulation(self.legs, occupied)
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
         self.done: list[int] = []
@@ -152,7 +152,7 @@ class Evaluation:
             feasible=last is not None and not missed,
             proven=self.proven,
             gap=self.gap,
-            uncertainty=doubts(self.sim, end),
+            uncertainty=contributions(self.sim, end),
             warnings=self._warnings(),
             remedies=remedies,
             time_saved=time_saved,
@@ -185,7 +185,7 @@ class Evaluation:
                 state = self._done(state, k, sim.attempt(state, k))
         self.end = state
 
-    def _done(self, state: State, task: int, tried: Attempt) -> State:
+    def _done(self, state: Status, task: int, tried: Attempt) -> Status:
         """Return the state after a task that was tried; if need be after charging or in a hurry."""
         if tried.reason != "none":
             tried = attempt(self.sim, state, task)
@@ -224,14 +224,14 @@ class Evaluation:
         quantile = self.sim.quantile
         if tried.reason == "none":
             used, after = tried.after.total.since(before.total), tried.after
-            told = TaskReport(
+            found = TaskReport(
                 task.name, "reachable", "none", True, used.mean, used.upper(quantile),
                 after.expected.soc,
             )  # fmt: skip
             if k in self.done:
                 stop = stops(after.trip)[-1]
                 return replace(
-                    told, start=after.time - task.dwell, arrival=stop.arrival,
+                    found, start=after.time - task.dwell, arrival=stop.arrival,
                     departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
                 )  # fmt: skip
             # it could be done, but a later one could then not be
@@ -240,7 +240,7 @@ class Evaluation:
             remedies, remedy = self._remedy(k, "blocked_by_earlier", tried)
             detail = f"left out, since with it the battery would not last for {names}"
             return replace(
-                told, verdict="unreachable", reason="blocked_by_earlier", remedy=remedy,
+                found, verdict="unreachable", reason="blocked_by_earlier", remedy=remedy,
                 detail=detail, remedies=remedies,
             )  # fmt: skip
         alone = tried if not self.done else attempt(self.sim, self.sim.start, k)
@@ -260,37 +260,37 @@ class Evaluation:
             remedy=remedy, detail=failed.detail, remedies=remedies,
         )  # fmt: skip
 
-    def _remedy(self, k: int, reason: Reason, told: Attempt) -> tuple[tuple[Remedy, ...], str]:
+    def _remedy(self, k: int, reason: Reason, tried: Attempt) -> tuple[tuple[Remedy, ...], str]:
         """Return what makes a task reachable, and the sentence that says so."""
         if reason == "no_path":
-            return (), f"clear the route or move the task: {told.detail}"
+            return (), f"clear the route or move the task: {tried.detail}"
         remedies, advice = self._drop(k) if reason == "blocked_by_earlier" else [], ""
-        if told.reason == "late":
-            remedies += self._sooner(k, told)
-        elif told.reason == "time":
+        if tried.reason == "late":
+            remedies += self._sooner(k, tried)
+        elif tried.reason == "time":
             advice = "give more planning_time or planning_effort"
-        elif told.reason == "payload":
+        elif tried.reason == "payload":
             advice = "put a task before it that takes the payload on board"
-        elif told.reason == "motor":
-            advice = f"take another route or a stronger drive: {told.detail}"
+        elif tried.reason == "motor":
+            advice = f"take another route or a stronger drive: {tried.detail}"
             if self.mission.payload > 0:
                 advice += ", or leave payload behind"
-        elif told.reason == "no_path":
-            advice = f"clear the route back: {told.detail}"
+        elif tried.reason == "no_path":
+            advice = f"clear the route back: {tried.detail}"
         else:
             earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
             tasks = (*earlier, k)
             remedies += [
                 *self._indoors(tasks),
-                *self._slower(tasks, told.safe),
+                *self._slower(tasks, tried.safe),
                 *self._charge_first(tasks),
-                *self._larger_battery(tasks, told.safe),
+                *self._larger_battery(tasks, tried.safe),
                 *self._smaller_reserve(tasks),
             ]
         hints = [*map(str, remedies), *([advice] if advice else [])]
-        return tuple(remedies), ", or ".join(hints) or told.detail
+        return tuple(remedies), ", or ".join(hints) or tried.detail
 
-    def _sooner(self, k: int, told: Attempt) -> list[Remedy]:
+    def _sooner(self, k: int, tried: Attempt) -> list[Remedy]:
         """Tell what brings the robot there in time: speed, or a wider window."""
         task, tasks = self.mission.tasks[k], (*self.attempts[k].earlier, k)
         top = float(self.mission.vehicle.motor.speed)
@@ -298,13 +298,13 @@ class Evaluation:
         faster = np.isfinite(top) and (now is None or now < top)
         speeds = [Remedy("speed", top, "m/s")] if faster else []
         in_turn = self.attempts[k].attempt
-        times = [self.sim.latest(a.after) for a in (told, in_turn) if a.reason == "late"]
+        times = [self.sim.latest(a.after) for a in (tried, in_turn) if a.reason == "late"]
         late = sorted({float(np.ceil(time - task.window[1])) for time in times})
         windows = [Remedy("window", s, "s", task.name) for s in (*late, 2 * late[-1])]
         return [*self._first(tasks, speeds), *self._first(tasks, windows)]
 
     def _drop(self, k: int) -> list[Remedy]:
-        """Name a task without which this one can be done, the least worth first."""
+        """Name a task without which this one can be done, the one of least prize first."""
         tasks, (_, tried, earlier) = self.mission.tasks, self.attempts[k]
         others = self.done if tried.reason == "none" else earlier
         ranked = sorted(others, key=lambda d: (tasks[d].required, tasks[d].prize, -d))
@@ -336,7 +336,7 @@ class Evaluation:
         least = bisect_left(remedies, True, 0, last, key=lambda remedy: self._works(tasks, remedy))
         return [remedies[least]]
 
-    def _larger_battery(self, tasks: Sequence[int], safe: State) -> list[Remedy]:
+    def _larger_battery(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
         """Tell how much more the battery has to hold, in whole watt-hours, or to deliver.
 
         It has to hold more than is missing: part of it is reserve, and the load draws charge too.
@@ -364,7 +364,7 @@ class Evaluation:
         reserves = [max(round(share * now, 3), least) for share in (0.75, 0.5, 0.25)]
         return self._first(tasks, [Remedy("reserve", r, "1") for r in reserves if r < now])
 
-    def _slower(self, tasks: Sequence[int], safe: State) -> list[Remedy]:
+    def _slower(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
         """Tell whether another speed helps: that of least energy, or one of less power."""
         given, top = self.mission.tread_speed, float(self.mission.vehicle.motor.speed)
         remedies = [] if given is None else [Remedy("cheapest_speed")]
@@ -384,7 +384,7 @@ class Evaluation:
         remedy = Remedy("warm", low, "degC") if cold else Remedy("cool", high, "degC")
         return self._first(tasks, [remedy])
 
-    def _less_charge(self, end: State) -> tuple[tuple[Remedy, ...], float]:
+    def _less_charge(self, end: Status) -> tuple[tuple[Remedy, ...], float]:
         """Return the lowest charge to leave the chargers with, and the time that it saves [s].
 
         The same tasks are done in the same order, and take no more energy.
@@ -395,8 +395,8 @@ class Evaluation:
         if not levels or self.done != [s - 1 for s in found.stops if s <= len(self.mission.tasks)]:
             return (), 0.0
 
-        def last(remedy: Remedy) -> State | None:
-            sim = Simulation(self.legs.under(self.mission.with_remedy(remedy)), self.sim.taken)
+        def last(remedy: Remedy) -> Status | None:
+            sim = Simulation(self.legs.under(self.mission.with_remedy(remedy)), self.sim.occupied)
             then = sim.arrives(sim.follow(sim.start, found.stops, found.hurried)[0])
             return None if then is None or then.total.mean > most else then
 
@@ -446,7 +446,7 @@ class Evaluation:
         """Return the whole mission with a remedy, driven; at another speed routes change."""
         changed = self.mission.with_remedy(remedy)
         anew = remedy.kind in ("drop", "speed", "cheapest_speed")
-        again = Evaluation(changed, None, self.legs.under(changed, anew=anew), self.sim.taken)
+        again = Evaluation(changed, None, self.legs.under(changed, anew=anew), self.sim.occupied)
         again.go()
         return again
 
@@ -479,7 +479,7 @@ def evaluate_many(
     """Evaluate many missions over an executor; yield each result when it is ready.
 
     Of missions that share their map, costs and planner one is evaluated first, and the routes that
-    it needed are handed to the others. A mission that fails is told with its error.
+    it needed are handed to the others. A mission that fails yields its error.
 
     Parameters
     ----------

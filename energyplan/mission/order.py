@@ -33,7 +33,7 @@ from energyplan.mission._order_kernel import (
     search,
     share,
 )
-from energyplan.mission.drive import Attempt, Simulation, State, Visit
+from energyplan.mission.drive import Attempt, Simulation, Status, Visit
 from energyplan.mission.energy import Estimate
 from energyplan.mission.types import Task
 from energyplan.path import FloatArray
@@ -54,17 +54,17 @@ _STAGES = 2**19
 """Most stages times tasks squared, beyond `EXACT` tasks."""
 
 _VISITS = 6
-"""Visits to chargers that bounds tell apart."""
+"""Visits to chargers that bounds distinguish."""
 
 _LEAST = 1e-8
-"""Least difference of worth."""
+"""Least difference of prizes."""
 
 _EARLIER = 1e-5
-"""What the first of all tasks in a given order is worth beyond the last one."""
+"""Prize that the first task of a given order has beyond the last one."""
 
 _ROUNDING = 1e-9
 _NO_REST = Rest(np.empty((0, 1)), np.empty(0), 0.0)
-"""What it takes to be worth more than everything."""
+"""Bound for a prize above that of all tasks: nothing reaches it."""
 
 _ROUNDS = 25
 """Most rounds of solving and planning."""
@@ -95,8 +95,8 @@ _LOSSLESS = 1.0
 """Power so small that a battery loses nothing to its resistance [W]."""
 
 
-def worths(tasks: Sequence[Task]) -> FloatArray:
-    """Return the prizes of tasks, with that of any required one above the sum of all others."""
+def prizes(tasks: Sequence[Task]) -> FloatArray:
+    """Return the prizes of tasks; that of any required one exceeds all optional ones together."""
     prize = np.array([task.prize for task in tasks], float)
     required = np.array([task.required for task in tasks], bool)
     return prize + np.where(required, 1.0 + prize.sum(), 0.0)
@@ -110,45 +110,45 @@ class Order:
     hurried: tuple[bool, ...] = ()  # whether the way to each stop is driven as quickly as may be
     energy: float = np.inf  # energy of the whole tour [J]
     proven: bool = False  # whether no better order exists on the routes known
-    bound: float = np.nan  # energy that no order of this worth undercuts [J]
+    bound: float = np.nan  # energy that no order of this prize undercuts [J]
     gap: float = np.nan  # by which fraction of its energy a better order may exist at most
     visits: tuple[Visit, ...] = field(default=(), compare=False)  # as simulated; none if it fails
 
 
 def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
-    """Find the order of greatest worth, and of least energy among those."""
+    """Find the order of greatest prize, and of least energy among those."""
     n = problem.tasks
     if problem.given or n <= EXACT:
         return _searched(problem, widths, 1 if problem.given else n)
     reach = max(int(np.log2(_STAGES / n**2)), 1) + 1
-    (sequence,), left = shared([problem], problem.worth)
-    best, worth = Order(), -1.0
+    (sequence,), left = shared([problem], problem.prize)
+    best, prize = Order(), -1.0
     while True:
         turn = _with_left(problem, sequence, left)
         found = _searched(problem.some(turn), _NARROW, reach)
         stops = tuple(turn[s - 1] + 1 if s <= n else s for s in found.stops)
         done = [s - 1 for s in stops if s <= n]
-        gained = float(problem.worth[done].sum())
-        if gained < worth - _LEAST or (
-            gained < worth + _LEAST and found.energy >= best.energy * (1 - _SAME)
+        gained = float(problem.prize[done].sum())
+        if gained < prize - _LEAST or (
+            gained < prize + _LEAST and found.energy >= best.energy * (1 - _SAME)
         ):
             return best
-        worth, best = gained, replace(found, stops=stops, proven=False, bound=np.nan)
+        prize, best = gained, replace(found, stops=stops, proven=False, bound=np.nan)
         sequence, left = done, sorted(set(range(n)) - set(done))
 
 
 def shared(
     problems: Sequence[OrderProblem],
-    worth: FloatArray,
+    prize: FloatArray,
     own: Sequence[Sequence[int]] | None = None,
 ) -> tuple[list[list[int]], list[int]]:
     """Give tasks to robots by insertion; return each one's in their sequence, and what is left.
 
     Each robot's problem has its own tasks alone: their numbers among all are `own`.
     """
-    n = len(worth)
+    n = len(prize)
     own = [range(n)] * len(problems) if own is None else own
-    tours = _tours(problems, worth, own)
+    tours = _tours(problems, prize, own)
     chances = np.random.default_rng(0).random((_SHARES, 3 + n + len(problems)))
     open_to_all = chances.copy()
     open_to_all[:, 3 + n :] = 1.0
@@ -160,7 +160,7 @@ def shared(
             part = problem.some([list(tasks).index(task) for task in mine])
             found = solve(part._replace(given=len(mine) > EXACT), _NARROW)
             energy += found.energy
-            done += float(sum(worth[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
+            done += float(sum(prize[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
         return round(-done, 6), energy
 
     tried = [
@@ -172,10 +172,10 @@ def shared(
 
 
 def _tours(
-    problems: Sequence[OrderProblem], worth: FloatArray, own: Sequence[Sequence[int]]
+    problems: Sequence[OrderProblem], prize: FloatArray, own: Sequence[Sequence[int]]
 ) -> Tours:
     """Return robots as the insertion reads them; payloads are priced as at the start."""
-    n, m, robots = len(worth), len(problems[0].capacity), len(problems)
+    n, m, robots = len(prize), len(problems[0].capacity), len(problems)
     size = 1 + n + m
     energy, time = np.full((2, robots, size, size), np.inf)
     finish = np.full((robots, size), np.inf)
@@ -190,9 +190,9 @@ def _tours(
         finish[r, nodes] = one.finish[load]
         service[r, mine], idle[r, mine] = one.service_time, one.idle
         window[mine], change[mine] = one.window, one.change
-    # what a task is worth is more than all that any sequence takes
-    dearest = np.where(np.isfinite(energy), np.abs(energy), 0.0).max(axis=(0, 1)).sum()
-    least = float(worth[worth > 0].min()) if np.any(worth > 0) else 1.0
+    # the prize of a task is more than all that any sequence takes
+    largest = np.where(np.isfinite(energy), np.abs(energy), 0.0).max(axis=(0, 1)).sum()
+    least = float(prize[prize > 0].min()) if np.any(prize > 0) else 1.0
     return Tours(
         energy=energy,
         time=time,
@@ -201,7 +201,7 @@ def _tours(
         window=window,
         idle=idle,
         change=change,
-        worth=2.0 * max(float(dearest), 1.0) / least * np.asarray(worth, float),
+        prize=2.0 * max(float(largest), 1.0) / least * np.asarray(prize, float),
         budget=np.array([one.budget for one in problems], float),
         capacity=np.array([one.capacity.max(initial=0.0) for one in problems], float),
         start_time=np.array([one.start_time for one in problems], float),
@@ -227,7 +227,7 @@ def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order
     """Find the best order in which a task overtakes fewer than `reach` others."""
     problem, stages = _staged(problem, reach)
     nearest = stages.energy.min(axis=(0, 1))[1 : 1 + problem.tasks]
-    whole = float(problem.worth[np.isfinite(nearest)].sum())
+    whole = float(problem.prize[np.isfinite(nearest)].sum())
     # the first search looks for an order that does everything, and takes what it finds
     more = completions(problem, stages, -1.0)
     known = Known(-1.0, np.inf, np.inf, completions(problem, stages, whole), more, -1.0)
@@ -236,22 +236,22 @@ def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order
     for width in widths:
         found = search(problem, stages._replace(width=width), known)
         if found.better:
-            bound = bound if found.worth < best.worth + _LEAST else np.nan
-            best = best._replace(worth=found.worth, energy=found.energy, time=found.time)
+            bound = bound if found.prize < best.prize + _LEAST else np.nan
+            best = best._replace(prize=found.prize, energy=found.energy, time=found.time)
             stops, hurried = found.stops, found.ways
-        if not found.open or best.worth > whole - _LEAST:
+        if not found.open or best.prize > whole - _LEAST:
             bound = np.nanmax([found.bound, bound])
         proven = bool(bound >= best.energy - _ROUNDING * abs(best.energy))
         if proven:
             break
-        if best.worth >= 0:
-            all_of_it = best.worth >= whole - _LEAST
-            beyond = best.worth + _LEAST
+        if best.prize >= 0:
+            all_of_it = best.prize >= whole - _LEAST
+            beyond = best.prize + _LEAST
             more = _NO_REST if all_of_it else completions(problem, stages, beyond)
             known = best._replace(
-                same=completions(problem, stages, best.worth), more=more, beyond=beyond
+                same=completions(problem, stages, best.prize), more=more, beyond=beyond
             )
-    energy = best.energy if best.worth >= 0 else 0.0
+    energy = best.energy if best.prize >= 0 else 0.0
     nodes, ways = tuple(map(int, stops)), tuple(map(bool, hurried))
     return Order(nodes, ways, energy, proven, bound)
 
@@ -289,9 +289,9 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
     n, m = problem.tasks, len(problem.capacity)
     free = reach >= n and not problem.given
     after, there, done = _sets(n) if free else _near(n, reach)
-    worth, change, service = problem.worth, problem.change, problem.service
+    prize, change, service = problem.prize, problem.change, problem.service
     if problem.given:
-        worth = worth + _EARLIER * (1.0 - np.arange(n) / max(n, 1))
+        prize = prize + _EARLIER * (1.0 - np.arange(n) / max(n, 1))
     loads = np.full(len(after), np.inf)
     index = np.full(len(after), len(problem.loads))
     if free or not change.any():
@@ -313,8 +313,8 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
     stages = Stages(
         after=after.reshape(len(after), n),
         there=reached,
-        done=done @ worth,
-        ahead=~done @ worth,
+        done=done @ prize,
+        ahead=~done @ prize,
         load=loads,
         load_index=index,
         pressing=np.any(~done & ends, axis=1),
@@ -327,7 +327,7 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
         most=_MOST_LABELS,
         width=_MOST_LABELS,
     )
-    return _contiguous(problem._replace(energy=energy, worth=worth)), _contiguous(stages)
+    return _contiguous(problem._replace(energy=energy, prize=prize)), _contiguous(stages)
 
 
 def _contiguous(record: Record) -> Record:
@@ -386,7 +386,7 @@ def _most_left(problem: OrderProblem, ways: FloatArray | None) -> FloatArray:
 
 def best_stops(
     sim: Simulation,
-    state: State | None = None,
+    state: Status | None = None,
     tasks: Sequence[int] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Order:
@@ -399,21 +399,21 @@ def best_stops(
         last, visits = sim.follow(state, stops, straight)
         if sim.arrives(last):
             return Order(stops, straight, proven=True, gap=0.0, visits=visits)
-    asked = _Search(sim, state, tuple(tasks), progress)
-    if not asked.exact:
-        return asked.at_bounds().told()
-    hope = asked.tried(0.0, ideal=True)
+    trials = _Search(sim, state, tuple(tasks), progress)
+    if not trials.exact:
+        return trials.at_bounds().answer()
+    hope = trials.tried(0.0, ideal=True)
     found, low, high = hope, 0.0, 1.0
-    if not asked.gap(hope, hope) <= _SAME:
-        found = min(hope, asked.at_bounds(), key=asked.rank)
+    if not trials.gap(hope, hope) <= _SAME:
+        found = min(hope, trials.at_bounds(), key=trials.rank)
     for _ in range(_HALVES if sim.quantile > 0 else 0):
-        if asked.gap(found, hope) <= _SAME:
+        if trials.gap(found, hope) <= _SAME:
             break
         middle = 0.5 * (low + high)
-        tried = asked.tried(middle)
+        tried = trials.tried(middle)
         low, high = (middle, high) if tried.end is None else (low, middle)
-        found = min(found, tried, key=asked.rank)
-    return found.told(asked.gap(found, hope))
+        found = min(found, tried, key=trials.rank)
+    return found.answer(trials.gap(found, hope))
 
 
 @dataclass(frozen=True)
@@ -421,10 +421,10 @@ class _Trial:
     """An order that the search found, and where the simulation ends with it."""
 
     order: Order
-    end: State | None  # None if the battery does not last, or a window is missed
+    end: Status | None  # None if the battery does not last, or a window is missed
     true: bool  # whether the search took energies and times of each leg at its payload
 
-    def told(self, gap: float = np.nan) -> Order:
+    def answer(self, gap: float = np.nan) -> Order:
         """Return the answer."""
         return replace(self.order, proven=bool(gap <= _SAME), gap=gap)
 
@@ -435,22 +435,22 @@ class _Search:
     def __init__(
         self,
         sim: Simulation,
-        state: State,
+        state: Status,
         tasks: tuple[int, ...],
         progress: Callable[[str], None] | None,
     ) -> None:
         self.sim, self.state, self.tasks, self.progress = sim, state, tasks, progress
         given = sim.mission.order == "given"
         self.exact = given or len(tasks) <= EXACT
-        worth = worths([sim.mission.tasks[k] for k in tasks])
-        self._worth = {k + 1: float(one) for k, one in zip(tasks, worth, strict=True)}
+        prize = prizes([sim.mission.tasks[k] for k in tasks])
+        self._prizes = {k + 1: float(one) for k, one in zip(tasks, prize, strict=True)}
 
     def tried(
         self, caution: float, scale: float = 1.0, late: float | None = None, ideal: bool = False
     ) -> _Trial:
         """Solve at a caution, plan what is used, and drive what was found."""
         matrix = Matrix(self.sim, self.state, self.tasks, caution, scale, late, ideal)
-        order = matrix.settled(self.progress)
+        order = matrix.solved(self.progress)
         last, visits = self.sim.follow(self.state, order.stops, order.hurried)
         return _Trial(replace(order, visits=visits), self.sim.arrives(last), matrix.true)
 
@@ -467,19 +467,19 @@ class _Search:
             found = self.tried(1.0, scale)
         return found
 
-    def worth(self, trial: _Trial) -> float:
-        """Return what an order is worth."""
-        return float(sum(self._worth.get(stop, 0.0) for stop in trial.order.stops))
+    def prize(self, trial: _Trial) -> float:
+        """Return the prize of an order."""
+        return float(sum(self._prizes.get(stop, 0.0) for stop in trial.order.stops))
 
     def rank(self, trial: _Trial) -> tuple[bool, float, float]:
-        """Sort what can be driven by its worth and energy."""
+        """Sort what can be driven by its prize and energy."""
         if trial.end is None:
             return True, 0.0, 0.0
-        return False, -round(self.worth(trial), 6), trial.end.total.mean
+        return False, -round(self.prize(trial), 6), trial.end.total.mean
 
     def gap(self, found: _Trial, hope: _Trial) -> float:
         """Return by which fraction of an order's energy a better one may exist at most."""
-        if found.end is None or not hope.true or self.worth(found) < self.worth(hope) - _SAME:
+        if found.end is None or not hope.true or self.prize(found) < self.prize(hope) - _SAME:
             return float(np.nan)
         spent = found.end.total.mean - self.state.total.mean
         if spent <= 0:
@@ -498,7 +498,7 @@ class Matrix:
     def __init__(
         self,
         sim: Simulation,
-        state: State,
+        state: Status,
         tasks: Sequence[int],
         caution: float,
         scale: float = 1.0,
@@ -540,11 +540,11 @@ class Matrix:
                     # a route of least time takes no less than that of least energy
                     for quick in (False, True) if hurried else (False,):
                         if legs.planned(i, j, quick):
-                            matrix[i, j] = self._counted(legs.leg(i, j, payload, quick).energy)
+                            matrix[i, j] = self._priced(legs.leg(i, j, payload, quick).energy)
             self._cache[payload, hurried] = matrix
         return self._cache[payload, hurried]
 
-    def _counted(self, energy: Estimate) -> float:
+    def _priced(self, energy: Estimate) -> float:
         """Return what an energy counts, as the battery feels it."""
         if not self._caution or not np.isfinite(energy.mean):
             return energy.mean
@@ -578,8 +578,8 @@ class Matrix:
         legs, payload = self._sim.legs, self._state.payload
         speed = legs.scene(payload).cost.admissible_speed(0.0)
         poses = np.array(legs.poses)[:, :2]
-        apart = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
-        times: FloatArray = np.asarray(apart / float(speed), float)
+        distance = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
+        times: FloatArray = np.asarray(distance / float(speed), float)
         for i in {*self.nodes}:
             for j in {*self.nodes, *self._ends}:
                 if legs.planned(i, j, hurried):
@@ -593,15 +593,15 @@ class Matrix:
     def _fixed(self) -> dict[str, FloatArray]:
         """What no route changes: energies and times of the tasks."""
         sim, mission, payload = self._sim, self._sim.mission, self._state.payload
-        grounds, service, lasting, idle = sim.legs.grounds, [], [], []
+        models, service, lasting, idle = sim.legs.models, [], [], []
         for k in self._tasks:
             region = sim.legs.region(k + 1)
-            done = grounds.waited(region, k, payload) + grounds.work(region, k, payload)
-            service.append(self._counted(done))
-            spread = np.linalg.norm(grounds.waiting_time(k) + grounds.dwell_time(k))
+            done = models.waited(region, k, payload) + models.work(region, k, payload)
+            service.append(self._priced(done))
+            spread = np.linalg.norm(models.waiting_time(k) + models.dwell_time(k))
             more = self._late * sim.quantile * float(spread)
             lasting.append(mission.waiting + mission.tasks[k].dwell + more)
-            idle.append(0.0 if self._ideal else self._counted(grounds.idle(region, 1.0, payload)))
+            idle.append(0.0 if self._ideal else self._priced(models.idle(region, 1.0, payload)))
         return {"service": np.array(service, float), "service_time": np.array(lasting, float),
                 "idle": np.array(idle, float)}  # fmt: skip
 
@@ -627,7 +627,7 @@ class Matrix:
             finish_time=self._times()[np.ix_(self.nodes, self._ends)].min(axis=1),
             payload=state.payload,
             change=change,
-            worth=worths(tasks),
+            prize=prizes(tasks),
             window=np.array([task.window for task in tasks], float).reshape(-1, 2),
             budget=self._scale * (self._stored(state.expected.soc, state.worst.soc) - reserve),
             capacity=np.array([
@@ -668,7 +668,7 @@ class Matrix:
         for i, j, quick in wanted:
             leg = legs.leg(i, j, payload, quick)
             if np.isfinite(leg.energy.mean) and bounds[i, j] > 0:
-                ratios.append(self._counted(leg.energy) / bounds[i, j])
+                ratios.append(self._priced(leg.energy) / bounds[i, j])
         if not self.exact and ratios:
             # a search cannot wait for all bounds to become true: let them be typical instead
             self._inflation = float(np.median(ratios))
@@ -678,7 +678,7 @@ class Matrix:
         """Return the routes of an order that are not planned."""
         return [one for one in self.used(order) if not self._sim.legs.planned(*one)]
 
-    def settled(self, progress: Callable[[str], None] | None) -> Order:
+    def solved(self, progress: Callable[[str], None] | None) -> Order:
         """Solve and plan the routes of the answer until it uses planned routes only.
 
         The answer is proven where that point is reached with an exact order. Its stops are nodes.
@@ -699,7 +699,7 @@ class Matrix:
         return replace(order, stops=nodes, proven=order.proven and not missing)
 
 
-def attempt(sim: Simulation, state: State, task: int) -> Attempt:
+def attempt(sim: Simulation, state: Status, task: int) -> Attempt:
     """Try a task, in a hurry or after charging where it cannot be done otherwise."""
     best = sim.attempt(state, task)
     if best.reason == "late":
@@ -714,7 +714,7 @@ def attempt(sim: Simulation, state: State, task: int) -> Attempt:
         done = best if ready is None else sim.attempt(ready, task, found.hurried[at])
         if done.reason == "none":
             return done
-    # what is missing is told from where the least is
+    # what is missing is reported from where the least is
     for charger in sim.stations:
         docked = sim.dock(state, charger)
         if docked is not None:
@@ -723,7 +723,7 @@ def attempt(sim: Simulation, state: State, task: int) -> Attempt:
     return best
 
 
-def finish(sim: Simulation, state: State) -> State | None:
+def finish(sim: Simulation, state: Status) -> Status | None:
     """Drive to where the mission may end, charging on the way if need be; None if it cannot."""
     last = sim.arrives(state)
     if last is not None or not sim.stations:

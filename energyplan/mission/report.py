@@ -47,12 +47,12 @@ class TaskReport:
     arrival: float = np.nan  # when the robot gets there [s]
     departure: float = np.nan  # when it leaves [s]
     soc_lower: float = np.nan  # state of charge at the bound when it is done
-    start_upper: float = np.nan  # when it begins at the latest, at the confidence asked [s]
+    start_upper: float = np.nan  # when it begins at the latest, at the confidence wanted [s]
     reasons: tuple[str, ...] = ()  # of several robots, why each that has the skills cannot do it
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Contribution:
     """What one unknown costs."""
 
     source: str  # what is not known
@@ -74,7 +74,7 @@ class MissionReport(html.Readable):
     gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
     # Largest first, between the charges where the largest margin is needed; without charges
     # that is the whole mission. The squares add up to the variance.
-    uncertainty: tuple[Doubt, ...] = ()
+    uncertainty: tuple[Contribution, ...] = ()
     warnings: tuple[str, ...] = ()  # what to know before trusting the figures
     remedies: tuple[Remedy, ...] = ()  # changes with which the same is done in less time
     time_saved: float = 0.0  # by the remedies [s]
@@ -194,12 +194,12 @@ class MissionReport(html.Readable):
     def sentence(self) -> str:
         """The headline, how long what can be done takes, and what would make it shorter."""
         charging = sum(one.duration for one in self.chargers)
-        told = f"{self.duration / 60:.0f} min"
-        told += f", {charging / 60:.0f} min of which charging" if charging else ""
+        text = f"{self.duration / 60:.0f} min"
+        text += f", {charging / 60:.0f} min of which charging" if charging else ""
         for remedy in self.remedies:
-            told += f"; {remedy}: {self.time_saved / 60:.0f} min less"
+            text += f"; {remedy}: {self.time_saved / 60:.0f} min less"
         subject = "" if self.feasible else " what can be done takes"
-        return f"{self.headline};{subject} {told}" if self.duration else self.headline
+        return f"{self.headline};{subject} {text}" if self.duration else self.headline
 
     @property
     def tables(self) -> tuple[html.Summary, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from energyplan.mission.drive import Simulation
 from energyplan.mission.evaluation import Evaluation
-from energyplan.mission.order import EXACT, Matrix, Order, attempt, shared, worths
+from energyplan.mission.order import EXACT, Matrix, Order, attempt, prizes, shared
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Routes
 from energyplan.mission.trip import Segment
@@ -26,7 +26,7 @@ _ROUNDS = 4
 """Rounds of sharing and planning."""
 
 _Stays = Mapping[str, Sequence[tuple[float, float]]]
-"""When all places of each charger are taken [s]."""
+"""When all places of each charger are occupied [s]."""
 
 
 class Sharing:
@@ -40,7 +40,7 @@ class Sharing:
         self.sims = [Simulation(Legs(part, progress, known)) for part in mission.parts]
         names = [task.name for task in mission.tasks]
         self.own = [[names.index(task.name) for task in part.tasks] for part in mission.parts]
-        self.worth = worths(mission.tasks)
+        self.prize = prizes(mission.tasks)
         self._done: dict[tuple[object, ...], MissionReport] = {}
 
     def report(self) -> MissionReport:
@@ -57,7 +57,7 @@ class Sharing:
                         lost = True
             if not lost:
                 break
-        done = {told.name: told for robot in robots for told in robot.tasks}
+        done = {task.name: task for robot in robots for task in robot.tasks}
         tasks = [done.get(task.name) or self._left_out(k, task)
                  for k, task in enumerate(self.mission.tasks)]  # fmt: skip
         left = [task for task in self.mission.tasks if task.name not in done]
@@ -83,7 +83,7 @@ class Sharing:
             for sim, own, mine in zip(self.sims, self.own, able, strict=True):
                 tasks = [own.index(task) for task in mine]
                 matrices.append(Matrix(sim, sim.start, tasks, 1.0))
-            given, _ = shared([one.problem() for one in matrices], self.worth, able)
+            given, _ = shared([one.problem() for one in matrices], self.prize, able)
             missing = 0
             for matrix, mine, tasks in zip(matrices, able, given, strict=True):
                 stops = tuple(1 + mine.index(task) for task in tasks)
@@ -125,9 +125,11 @@ class Sharing:
             exact = len(tasks) <= EXACT
             legs = sim.legs.under(replace(sim.mission, order="free" if exact else "given"))
             chargers = zip(legs.chargers, self.mission.chargers, strict=True)
-            taken = {node: full.get(charger.name, ()) for node, charger in chargers}
+            occupied = {node: full.get(charger.name, ()) for node, charger in chargers}
             numbers = [own.index(task) for task in tasks]
-            self._done[key] = Evaluation(legs.mission, self.progress, legs, taken, numbers).report()
+            self._done[key] = Evaluation(
+                legs.mission, self.progress, legs, occupied, numbers
+            ).report()
         return self._done[key]
 
     def _left_out(self, number: int, task: Task) -> TaskReport:
@@ -137,15 +139,15 @@ class Sharing:
             for part, sim, own in zip(self.mission.parts, self.sims, self.own, strict=True)
             if number in own
         }
-        told = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
+        detail = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
         return TaskReport(
             task.name, "unreachable", "blocked_by_earlier", False, np.nan, np.nan, np.nan,
-            detail=told or "no robot has the skills", reasons=tuple(reasons.values()),
+            detail=detail or "no robot has the skills", reasons=tuple(reasons.values()),
         )  # fmt: skip
 
 
 def _full(charges: Sequence[Segment], places: int) -> list[tuple[float, float]]:
-    """Return when all places of a charger are taken [s]."""
+    """Return when all places of a charger are occupied [s]."""
     stays = [(one.departure, one.arrival) for one in charges]
     return [
         (begin, end)

@@ -17,7 +17,7 @@ from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.mission.energy import Consumption, Estimate, Gauge, Grounds, gauge_of
+from energyplan.mission.energy import Consumption, Estimate, Gauge, Models, gauge_of
 from energyplan.mission.trip import Leg
 from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
@@ -30,7 +30,7 @@ from energyplan.records import ByValue
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
 
-Made = TypeVar("Made")
+Value = TypeVar("Value")
 
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
@@ -52,7 +52,7 @@ _OCTILE = np.cos(np.pi / 8)
 
 
 @dataclass(frozen=True)
-class Route:
+class PlannedRoute:
     """A way that was planned."""
 
     path: Path
@@ -67,7 +67,7 @@ class Scene(ByValue):
 
     map: OccupancyGrid  # obstacles, with what must be kept out of occupied
     model: PowerModel  # power outside all surfaces, with the payload on board
-    surfaces: SurfaceMap | None  # grounds with models of their own, and speed limits
+    surfaces: SurfaceMap | None  # models with models of their own, and speed limits
     heights: HeightMap | None
     speed: float | None  # tread speed [m/s]; None stands for the cheapest
     objective: str
@@ -83,7 +83,7 @@ class Scene(ByValue):
 
     @cached_property
     def slower(self) -> tuple[EnergyCost, SurfaceMap | None]:
-        """The cost and the surfaces of driving at any speed up to the one asked.
+        """The cost and the surfaces of driving at any speed up to the one wanted.
 
         A drive is slower where it speeds up, turns or stops, and may take less there.
         """
@@ -112,11 +112,11 @@ class Scene(ByValue):
             for c in costs
         )
 
-    def plan(self, start: Pose, goal: Pose, hurried: bool) -> Route:
+    def plan(self, start: Pose, goal: Pose, hurried: bool) -> PlannedRoute:
         """Plan the route of least energy from pose to pose; in a hurry that of least time."""
         still = Path(start, np.zeros(0), np.zeros(0), self.cost.icr.longitudinal)
         if start == goal:
-            return Route(still)
+            return PlannedRoute(still)
         problem = PlanningProblem(
             self.map, self.cost, start, goal, surfaces=self.surfaces, heights=self.heights,
             objective="time" if hurried else self.objective, clearance=self.clearance,
@@ -126,12 +126,12 @@ class Scene(ByValue):
             limit = patience * self.planning_time
             try:
                 found = plan(problem, self.planner, limit, effort=effort)
-                return Route(found.path, stopped=found.stopped)
+                return PlannedRoute(found.path, stopped=found.stopped)
             except TimeLimitError as error:
                 last = str(error)
             except PlanningError as error:
-                return Route(still, "no_path", str(error))
-        return Route(still, "time", last)
+                return PlannedRoute(still, "no_path", str(error))
+        return PlannedRoute(still, "time", last)
 
     def drive(self, path: Path, hurried: bool) -> Trajectory:
         """Return a path's trajectory, as a plan of the same path is driven."""
@@ -147,7 +147,7 @@ class Scene(ByValue):
 
         The greater of the least energy without obstacles and that of the shortest way round them;
         infinite where there is no way. On slopes that is the least price on any slope, and what
-        the height is worth.
+        the height costs.
         """
         cost, surfaces = self.slower
         at = np.array(poses)
@@ -243,13 +243,13 @@ class Routes:
 
 def _memory(found: Any) -> int:
     """Return about how much memory a route or a trajectory takes [B]."""
-    if isinstance(found, Route):
+    if isinstance(found, PlannedRoute):
         found = found.path
     return 1000 + sum(v.nbytes for v in vars(found).values() if isinstance(v, np.ndarray))
 
 
 class Legs:
-    """All legs of a mission, each planned when it is first asked for.
+    """All legs of a mission, each planned when it is first needed.
 
     Node 0 is the start; tasks, chargers and home follow.
     """
@@ -266,9 +266,9 @@ class Legs:
         self.stopped: set[frozenset[int]] = set()
         """Pairs of nodes between which the clock stopped the planning."""
         # what was worked out, by the value of all that decides it
-        self._made: dict[Hashable, Any] = {} if former is None else former._made
-        grounds = Grounds.of(mission)
-        self.grounds: Grounds = self._made.setdefault(grounds, grounds)
+        self._cache: dict[Hashable, Any] = {} if former is None else former._cache
+        models = Models.of(mission)
+        self.models: Models = self._cache.setdefault(models, models)
         self._progress = progress
         home = mission.start if mission.home is None else mission.home
         places: list[Task | Charger] = [*mission.tasks, *mission.chargers]
@@ -308,8 +308,8 @@ class Legs:
 
     @cached_property
     def driving_power(self) -> float:
-        """Power of driving straight on, at the speed asked or a usual one [W]."""
-        return self.grounds.driving_power(self.mission.payload, self.mission.tread_speed)
+        """Power of driving straight on, at the speed wanted or a typical one [W]."""
+        return self.models.driving_power(self.mission.payload, self.mission.tread_speed)
 
     @cached_property
     def _gauge(self) -> Gauge:
@@ -318,22 +318,22 @@ class Legs:
     @property
     def gauge(self) -> Estimate:
         """What is open about the charge after it was read off the gauge, as an energy."""
-        return self.grounds.after_reading(self._gauge)
+        return self.models.after_reading(self._gauge)
 
     def from_battery(self, energy: Estimate) -> Estimate:
         """Return an energy as the battery's charge feels it."""
-        return self.grounds.from_battery(energy, self._gauge)
+        return self.models.from_battery(energy, self._gauge)
 
     # -- legs -------------------------------------------------------------------------------------
 
     def scene(self, payload: float) -> Scene:
         """Return what decides drives with a payload [kg] on board."""
         if payload not in self._scenes:
-            mission, grounds = self.mission, self.grounds
+            mission, models = self.mission, self.models
             scene = Scene(
                 map=mission.free_map,
-                model=grounds.model_of(0, payload),
-                surfaces=grounds.laden(payload),
+                model=models.model_of(0, payload),
+                surfaces=models.laden(payload),
                 heights=mission.heights,
                 speed=mission.tread_speed,
                 objective=mission.objective,
@@ -342,7 +342,7 @@ class Legs:
                 planning_time=mission.planning_time or np.inf,
                 planning_effort=self._planning_effort,
             )
-            self._scenes[payload] = self._made.setdefault(scene, scene)
+            self._scenes[payload] = self._cache.setdefault(scene, scene)
         return self._scenes[payload]
 
     @property
@@ -376,8 +376,8 @@ class Legs:
     def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
         """Tell whether the route from node to node is known."""
         scene, here, there = self.planned_in, self.poses[start], self.poses[goal]
-        known = (scene, here, there, hurried) in self._made
-        return known or (scene.symmetric and (scene, there, here, hurried) in self._made)
+        known = (scene, here, there, hurried) in self._cache
+        return known or (scene.symmetric and (scene, there, here, hurried) in self._cache)
 
     def leg(self, start: int, goal: int, payload: float, hurried: bool = False) -> Leg:
         """Return the leg from node to node with a payload [kg] on board.
@@ -389,29 +389,29 @@ class Legs:
             self._legs[key] = self._priced(self._route(start, goal, hurried), payload, hurried)
         return self._legs[key]
 
-    def _once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return what is made once of all that decides it."""
-        if key not in self._made:
-            self._made[key] = make()
-        made: Made = self._made[key]
-        return made
+    def _once(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """Return what is computed once for all that decides it."""
+        if key not in self._cache:
+            self._cache[key] = make()
+        value: Value = self._cache[key]
+        return value
 
-    def _shared(self, scene: Scene, key: tuple[Hashable, ...], make: Callable[[], Made]) -> Made:
-        """Return what is made once in a scene, by this mission or another one."""
+    def _shared(self, scene: Scene, key: tuple[Hashable, ...], make: Callable[[], Value]) -> Value:
+        """Return what is computed once in a scene, by this mission or another one."""
 
-        def found() -> Made:
-            known: Made | None = self.routes.get(scene, key)
+        def found() -> Value:
+            known: Value | None = self.routes.get(scene, key)
             if known is None:
                 self.routes.put(scene, key, known := make())
             return known
 
         return self._once((scene, *key), found)
 
-    def _route(self, start: int, goal: int, hurried: bool) -> Route:
+    def _route(self, start: int, goal: int, hurried: bool) -> PlannedRoute:
         """Plan from node to node, for the payload at the start of the mission."""
         here, there, scene = self.poses[start], self.poses[goal], self.planned_in
 
-        def planned() -> Route:
+        def planned() -> PlannedRoute:
             if here != there and scene.symmetric and there < here:
                 # one plan serves both ways; which one it is depends on the poses alone, so that a
                 # mission is the same whatever was planned on its map before
@@ -427,20 +427,20 @@ class Legs:
             self.stopped.add(frozenset((start, goal)))
         return route
 
-    def _priced(self, route: Route, payload: float, hurried: bool) -> Leg:
+    def _priced(self, route: PlannedRoute, payload: float, hurried: bool) -> Leg:
         path, trouble, detail = route.path, route.trouble, route.detail
         scene, key = self.scene(payload), (path, hurried)
         if not trouble and len(path):
             try:
                 trajectory = self._shared(scene, key, lambda: scene.drive(path, hurried))
                 priced = self._once(
-                    (self.grounds, payload, scene, *key),
-                    lambda: self.grounds.priced(trajectory, payload),
+                    (self.models, payload, scene, *key),
+                    lambda: self.models.priced(trajectory, payload),
                 )
                 return Leg(path, trajectory, priced)
             except InfeasibleMotionError as error:
                 trouble, detail = "motor", str(error)
-        energy = replace(self.grounds.nothing, mean=np.inf if trouble else 0.0)
+        energy = replace(self.models.nothing, mean=np.inf if trouble else 0.0)
         nothing = Consumption(np.zeros(0), np.zeros(0), energy)
         return Leg(path, None, nothing, trouble, detail)
 

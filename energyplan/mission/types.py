@@ -106,8 +106,8 @@ def uncertain(kind: str, value: Any) -> tuple[float, float | None]:
         try:
             return float(amount(kind, value)), None
         except (TypeError, OverflowError):
-            told = "give a number, {mean: ..., std: ...} or {low: ..., high: ...}"
-            raise ValueError(told) from None
+            message = "give a number, {mean: ..., std: ...} or {low: ..., high: ...}"
+            raise ValueError(message) from None
     parts = {key: uncertain(kind, part)[0] for key, part in value.items()}
     if parts.keys() == {"mean", "std"}:
         mean, spread = parts["mean"], parts["std"]
@@ -170,7 +170,7 @@ class Task:
     payload : float
         What is taken on board (positive) or left behind (negative) when it is done [kg].
     prize : float
-        What it is worth, where not all tasks fit.
+        Prize for doing it, where not all tasks fit.
     required : bool
         Whether the mission fails without it.
     window : tuple of float
@@ -547,8 +547,8 @@ class Mission(ReadOnly, html.Readable):
             except ValueError as problem:
                 raise MissionError(str(problem), place) from None
             if relative and where[key] <= 0:
-                told = f"a {key} of {where[key]:g} has no spread; give a mean above 0"
-                raise MissionError(told, place)
+                message = f"a {key} of {where[key]:g} has no spread; give a mean above 0"
+                raise MissionError(message, place)
             spreads[key] = (spread or 0.0) / (where[key] if relative else 1.0)
         known = given.get("spreads", {})
         if spreads and (known == "none" or isinstance(known, dict)):
@@ -566,13 +566,13 @@ class Mission(ReadOnly, html.Readable):
         most = self.payload + sum(max(task.payload, 0.0) for task in self.tasks)
         for k, task in enumerate(self.tasks):
             if -task.payload > most:
-                told = f"it leaves {-task.payload:g} kg, and at most {most:g} kg are ever on board"
-                found.append((("tasks", k, "payload"), told))
+                note = f"it leaves {-task.payload:g} kg, and at most {most:g} kg are ever on board"
+                found.append((("tasks", k, "payload"), note))
             for name in ("dwell", "power"):
                 mean, spread = getattr(task, name), getattr(task, f"{name}_spread")
                 if spread is not None and spread > mean:
-                    told = f"a standard deviation of {spread:g} is more than the mean of {mean:g}"
-                    found.append((("tasks", k, name), told))
+                    note = f"a standard deviation of {spread:g} is more than the mean of {mean:g}"
+                    found.append((("tasks", k, name), note))
         notes = (f"{where(place)}: {text}" for place, text in found)
         known = (info.context or {}).get("notes", ())
         object.__setattr__(self, "notes", (*self.notes, *known, *notes))
@@ -583,8 +583,8 @@ class Mission(ReadOnly, html.Readable):
         if isinstance(place, Site):
             place.fill(self)
             if place.costmap is not None:
-                told = "the costmap of the site does not count: routes are those of least energy"
-                object.__setattr__(self, "notes", (told,))
+                note = "the costmap of the site does not count: routes are those of least energy"
+                object.__setattr__(self, "notes", (note,))
         if self.robots:
             require(self.tasks, "the mission has no task; list at least one", "tasks")
             self._check_names()
@@ -614,8 +614,8 @@ class Mission(ReadOnly, html.Readable):
                 name: {payload: on_laid_ground(model, ground) for payload, model in known.items()}
                 for name, known in self.payload_models.items()
             }
-            told = {**ground._asdict(), "payload_models": models}
-            for name, value in told.items():
+            laid = {**ground._asdict(), "payload_models": models}
+            for name, value in laid.items():
                 object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, object]:
@@ -681,12 +681,12 @@ class Mission(ReadOnly, html.Readable):
 
     def _move_start(self) -> None:
         """Move a start that just touches an obstacle to the nearest free pose."""
-        beside = free_beside(self.free_map, self.vehicle, self.start)
-        if beside is not None:
+        moved = free_beside(self.free_map, self.vehicle, self.start)
+        if moved is not None:
             if self.home == self.start:
-                object.__setattr__(self, "home", beside.pose)
-            object.__setattr__(self, "start", beside.pose)
-            object.__setattr__(self, "notes", (*self.notes, beside.note))
+                object.__setattr__(self, "home", moved.pose)
+            object.__setattr__(self, "start", moved.pose)
+            object.__setattr__(self, "notes", (*self.notes, moved.note))
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]
@@ -711,10 +711,10 @@ class Mission(ReadOnly, html.Readable):
                     f"; the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
                     f"{np.degrees(near.yaw):.0f} deg)"
                 )  # fmt: skip
-                told = f"{label}: the robot at {where} touches an obstacle{hint}"
-                faults.append((told, place))
+                fault = f"{label}: the robot at {where} touches an obstacle{hint}"
+                faults.append((fault, place))
         if faults:
-            raise MissionError("; ".join(told for told, _ in faults), faults[0][1])
+            raise MissionError("; ".join(fault for fault, _ in faults), faults[0][1])
 
     def _may_fail(self, place: tuple[str | int, ...]) -> bool:
         """Tell whether a pose is that of an optional task, which is then unreachable."""
@@ -766,8 +766,8 @@ class Mission(ReadOnly, html.Readable):
         found = []
         for k, robot in enumerate(self.robots):
             able = [j for j, task in enumerate(self.tasks) if {*task.needs} <= {*robot.skills}]
-            told = f"robot {robot.name!r} has the skills for no task; leave it out"
-            require(able, told, "robots", k)
+            message = f"robot {robot.name!r} has the skills for no task; leave it out"
+            require(able, message, "robots", k)
             try:
                 tasks = tuple(self.tasks[j] for j in able)
                 changes: dict[str, Any] = {"order": "free", "name": robot.name, **robot.changes}

@@ -53,7 +53,7 @@ def problem(
         idle=np.zeros(tasks),
         payload=load,
         change=change,
-        worth=prize + (1.0 + prize.sum()) * (rng.uniform(size=tasks) < required),
+        prize=prize + (1.0 + prize.sum()) * (rng.uniform(size=tasks) < required),
         window=window,
         budget=budget,
         capacity=np.full(chargers, 15.0),
@@ -118,7 +118,7 @@ def best_schedule(p: OrderProblem) -> tuple[float, float]:
     best = (-1.0, np.inf) if found is None else (0.0, found)
     for count in range(1, p.tasks + 1):
         for order in permutations(range(1, p.tasks + 1), count):
-            worth = float(p.worth[[k - 1 for k in order]].sum())
+            worth = float(p.prize[[k - 1 for k in order]].sum())
             if worth < best[0] - 1e-9:
                 continue
             for charges in product((0, *chargers), repeat=count + 1):
@@ -203,14 +203,14 @@ def brute_force(p: OrderProblem) -> tuple[float, float]:
                     stops += [task] if task else []
                 driven = drive(p, tuple(stops))
                 if driven is not None:
-                    worth = float(p.worth[[k - 1 for k in order]].sum())
+                    worth = float(p.prize[[k - 1 for k in order]].sum())
                     if (-worth, driven[0]) < (-best[0], best[1]):
                         best = (worth, driven[0])
     return best
 
 
 def worth_of(p: OrderProblem, stops: tuple[int, ...]) -> float:
-    return float(sum(p.worth[s - 1] for s in stops if s <= p.tasks))
+    return float(sum(p.prize[s - 1] for s in stops if s <= p.tasks))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -388,7 +388,7 @@ def test_round_trips_that_give_energy_away_are_no_reason_to_leave_anything_out()
     p = OrderProblem(
         np.zeros(1), energy[None, None], energy[None, :, 0], time=np.abs(energy)[None],
         finish_time=np.abs(energy[:, 0]), service=np.zeros(1), service_time=np.zeros(1),
-        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), worth=np.ones(1), change=np.zeros(1),
+        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), prize=np.ones(1), change=np.zeros(1),
         capacity=np.array([4.5]), charge_power=np.ones(1), budget=1.0,
     )  # fmt: skip
     order = solve(p)
@@ -403,7 +403,7 @@ def test_what_comes_back_finds_no_room_in_a_full_battery(full, possible):
     p = OrderProblem(
         np.zeros(1), energy[None, None], energy[None, :, 0], time=np.ones((1, 2, 2)),
         finish_time=np.ones(2), service=np.zeros(1), service_time=np.zeros(1),
-        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), worth=np.ones(1), change=np.zeros(1),
+        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), prize=np.ones(1), change=np.zeros(1),
         capacity=np.zeros(0), charge_power=np.zeros(0), budget=10.0, full=full,
     )  # fmt: skip
     assert solve(p).stops == ((1,) if possible else ())
