@@ -124,6 +124,9 @@ def test_every_remedy_that_is_told_holds(name: str, order: str) -> None:
             assert again.verdict == "reachable", (task.name, remedy)
     if order == "given":
         assert told
+    if name == "given up":
+        assert evaluate(asked).feasible
+        assert [(task.name, task.reason) for task in told] == [("optional", "blocked_by_earlier")]
 
 
 @pytest.mark.parametrize("order", ["given", "free"])
