@@ -157,19 +157,16 @@ class Simulation:
         chargers = zip(self.legs.chargers, self.mission.chargers, strict=True)
         return tuple(node for node, one in chargers if not self.mission.charging_fault(one))
 
-    def wait(self, state: Status, duration: float) -> Status:
-        """Stand still for so long [s]."""
-        region = self.legs.region(state.node)
-        energy = self.legs.models.idle(region, duration, state.payload)
-        return self._stay(state, "wait", duration, energy)
-
     def wait_until(self, state: Status, time: float) -> Status:
-        """Stand still until a time [s]; who is there before it in any case is no longer late."""
+        """Stand still until a time [s]; arriving before it with certainty resets the lateness."""
         latest = self.latest(state)
         if state.time >= time:
             return state
         late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
-        return replace(self.wait(state, time - state.time), lateness=late * state.lateness)
+        region, duration = self.legs.region(state.node), time - state.time
+        energy = self.legs.models.idle(region, duration, state.payload)
+        waited = self._stay(state, "wait", duration, energy)
+        return replace(waited, lateness=late * state.lateness)
 
     def _stay(self, state: Status, kind: Kind, duration: float, energy: Estimate) -> Status:
         """Stand still for so long [s], which takes an energy."""
@@ -224,14 +221,10 @@ class Simulation:
         t = state.time + t
         low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
         state = replace(
-            state,
-            time=float(t[-1]),
-            spent=gauge,
+            state, time=float(t[-1]), spent=gauge, expected=high_end, worst=low_end,
             origin=(self._gauge_at(low_end.soc), float(t[-1])),
             stretches=(*state.stretches, state.spent),
-            expected=high_end,
-            worst=low_end,
-        )
+        )  # fmt: skip
         return self._add(state, "charge", np.array([t, power, *filled]))
 
     def _charge(
@@ -282,25 +275,17 @@ class Simulation:
         latest = self.latest(there)
         if latest > job.window[1]:
             expected = f", {there.time:.0f} s as expected" if latest > there.time + 0.5 else ""
-            return Attempt(
-                "late",
-                there,
-                there,
-                f"it must begin by {job.window[1]:.0f} s, and the robot is there at "
-                f"{latest:.0f} s{expected}",
-            )
+            begin = f"it must begin by {job.window[1]:.0f} s"
+            detail = f"{begin}, and the robot is there at {latest:.0f} s{expected}"
+            return Attempt("late", there, there, detail)
         begun = self.wait_until(there, job.window[0])
         work = models.work(region, task, begun.payload)
         done = self._stay(begun, "work", job.dwell, work)
         done = replace(done, lateness=done.lateness + models.dwell_time(task))
         carried = done.payload + job.payload
         if carried < -_GRAM:
-            return Attempt(
-                "payload",
-                done,
-                done,
-                f"it leaves {-job.payload:g} kg, and {done.payload:g} kg are on board",
-            )
+            detail = f"it leaves {-job.payload:g} kg, and {done.payload:g} kg are on board"
+            return Attempt("payload", done, done, detail)
         done = replace(done, payload=max(carried, 0.0))
         safe, trouble = self.refuge(done)
         if safe is None:

@@ -128,7 +128,7 @@ class Evaluation:
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
         self.done: list[int] = []
-        self.proven, self.gap, self.found = False, float(np.nan), Order()
+        self.found = Order()
         self.end = self.sim.start
 
     def report(self) -> MissionReport:
@@ -150,8 +150,8 @@ class Evaluation:
             energy=end.total.mean,
             energy_upper=end.total.upper(self.sim.quantile),
             feasible=last is not None and not missed,
-            proven=self.proven,
-            gap=self.gap,
+            proven=self.found.proven,
+            gap=self.found.gap,
             uncertainty=contributions(self.sim, end),
             warnings=self._warnings(),
             remedies=remedies,
@@ -165,7 +165,7 @@ class Evaluation:
         sim, state = self.sim, self.sim.start
         given = self.mission.order == "given"
         found = best_stops(sim, tasks=self.tasks, progress=self.progress)
-        self.proven, self.gap, self.found = found.proven, found.gap, found
+        self.found = found
         turns = [state] * len(self.mission.tasks)  # where the robot is when a task has its turn
         for at, stop in enumerate(found.stops):
             visit = (
@@ -281,12 +281,9 @@ class Evaluation:
             earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
             tasks = (*earlier, k)
             remedies += [
-                *self._indoors(tasks),
-                *self._slower(tasks, tried.safe),
-                *self._charge_first(tasks),
-                *self._larger_battery(tasks, tried.safe),
-                *self._smaller_reserve(tasks),
-            ]
+                *self._indoors(tasks), *self._slower(tasks, tried.safe), *self._charge_first(tasks),
+                *self._larger_battery(tasks, tried.safe), *self._smaller_reserve(tasks),
+            ]  # fmt: skip
         hints = [*map(str, remedies), *([advice] if advice else [])]
         return tuple(remedies), ", or ".join(hints) or tried.detail
 
@@ -452,13 +449,9 @@ class Evaluation:
 
 
 _REASONS: dict[str, Reason] = {
-    "no_path": "no_path",
-    "motor": "motor",
-    "battery": "battery",
-    "late": "late",
-    "time": "time_limit",
-    "payload": "blocked_by_earlier",
-}
+    "no_path": "no_path", "motor": "motor", "battery": "battery", "late": "late",
+    "time": "time_limit", "payload": "blocked_by_earlier",
+}  # fmt: skip
 
 
 # -- many missions -------------------------------------------------------------------------------

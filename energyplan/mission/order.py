@@ -113,6 +113,12 @@ class Order:
     bound: float = np.nan  # energy that no order of this prize undercuts [J]
     gap: float = np.nan  # by which fraction of its energy a better order may exist at most
     visits: tuple[Visit, ...] = field(default=(), compare=False)  # as simulated; none if it fails
+    end: Status | None = field(default=None, compare=False)  # None where the battery does not last
+    true: bool = False  # whether the search took energies and times of each leg at its payload
+
+    def answer(self, gap: float = np.nan) -> Order:
+        """Return the order with its gap."""
+        return replace(self, proven=bool(gap <= _SAME), gap=gap)
 
 
 def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
@@ -416,19 +422,6 @@ def best_stops(
     return found.answer(trials.gap(found, hope))
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """An order that the search found, and where the simulation ends with it."""
-
-    order: Order
-    end: Status | None  # None if the battery does not last, or a window is missed
-    true: bool  # whether the search took energies and times of each leg at its payload
-
-    def answer(self, gap: float = np.nan) -> Order:
-        """Return the answer."""
-        return replace(self.order, proven=bool(gap <= _SAME), gap=gap)
-
-
 class _Search:
     """Tries of one search at several cautions, each checked by the simulation."""
 
@@ -447,14 +440,14 @@ class _Search:
 
     def tried(
         self, caution: float, scale: float = 1.0, late: float | None = None, ideal: bool = False
-    ) -> _Trial:
+    ) -> Order:
         """Solve at a caution, plan what is used, and drive what was found."""
         matrix = Matrix(self.sim, self.state, self.tasks, caution, scale, late, ideal)
         order = matrix.solved(self.progress)
         last, visits = self.sim.follow(self.state, order.stops, order.hurried)
-        return _Trial(replace(order, visits=visits), self.sim.arrives(last), matrix.true)
+        return replace(order, visits=visits, end=self.sim.arrives(last), true=matrix.true)
 
-    def at_bounds(self) -> _Trial:
+    def at_bounds(self) -> Order:
         """Return what is found at the bounds of all energies; less battery while it does not last.
 
         The order is found on energies that add up; the battery holds less at high power.
@@ -462,29 +455,29 @@ class _Search:
         scale, found = 1.0, self.tried(1.0, late=_LATE if self.sim.timed else None)
         if found.end is None and self.sim.timed:
             found = self.tried(1.0)
-        while found.end is None and found.order.stops and scale > _LEAST_SCALE:
+        while found.end is None and found.stops and scale > _LEAST_SCALE:
             scale *= _SMALLER
             found = self.tried(1.0, scale)
         return found
 
-    def prize(self, trial: _Trial) -> float:
+    def prize(self, order: Order) -> float:
         """Return the prize of an order."""
-        return float(sum(self._prizes.get(stop, 0.0) for stop in trial.order.stops))
+        return float(sum(self._prizes.get(stop, 0.0) for stop in order.stops))
 
-    def rank(self, trial: _Trial) -> tuple[bool, float, float]:
+    def rank(self, order: Order) -> tuple[bool, float, float]:
         """Sort what can be driven by its prize and energy."""
-        if trial.end is None:
+        if order.end is None:
             return True, 0.0, 0.0
-        return False, -round(self.prize(trial), 6), trial.end.total.mean
+        return False, -round(self.prize(order), 6), order.end.total.mean
 
-    def gap(self, found: _Trial, hope: _Trial) -> float:
+    def gap(self, found: Order, hope: Order) -> float:
         """Return by which fraction of an order's energy a better one may exist at most."""
         if found.end is None or not hope.true or self.prize(found) < self.prize(hope) - _SAME:
             return float(np.nan)
         spent = found.end.total.mean - self.state.total.mean
         if spent <= 0:
-            return 0.0 if spent <= hope.order.bound + _SAME else float(np.nan)
-        return max(1.0 - hope.order.bound / spent, 0.0)
+            return 0.0 if spent <= hope.bound + _SAME else float(np.nan)
+        return max(1.0 - hope.bound / spent, 0.0)
 
 
 class Matrix:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import inf, isfinite, sqrt
@@ -122,6 +122,17 @@ def uncertain(kind: str, value: Any) -> tuple[float, float | None]:
     return mean, spread
 
 
+def _part(values: dict[str, Any], key: str, kind: str, *place: str) -> float | None:
+    """Put the mean of a distribution in its place; return its standard deviation."""
+    if not isinstance(values.get(key), dict | list):
+        return None
+    try:
+        values[key], spread = uncertain(kind, values[key])
+    except ValueError as problem:
+        raise MissionError(f"{key}: {problem}", (*place, key)) from None
+    return spread
+
+
 def _pose(value: Any, info: ValidationInfo) -> Pose:
     """Read a pose: numbers, ``x,y,90deg``, or the name of one of the places of a mission."""
     places: Mapping[str, Any] = (info.context or {}).get("places", {})
@@ -210,14 +221,11 @@ class Task:
         """Part what is given as a distribution into its mean and its standard deviation."""
         if not isinstance(given, dict | ArgsKwargs):
             return given  # pydantic refuses it by its kind
-        values = given if isinstance(given, dict) else dict(given.kwargs or {})
+        values = dict(given if isinstance(given, dict) else given.kwargs or {})
         for key, kind in (("dwell", "time"), ("power", "power")):
-            if isinstance(values.get(key), dict | list):
-                try:
-                    value, spread = uncertain(kind, values[key])
-                except ValueError as problem:
-                    raise MissionError(f"{key}: {problem}", (key,)) from None
-                values = {**values, key: value, f"{key}_spread": spread}
+            spread = _part(values, key, kind)
+            if spread is not None:
+                values[f"{key}_spread"] = spread
         return values if isinstance(given, dict) else ArgsKwargs(given.args, values)
 
     def __post_init__(self) -> None:
@@ -538,18 +546,14 @@ class Mission(ReadOnly, html.Readable):
         if isinstance(battery, dict):
             battery = given["battery"] = dict(battery)
         for key, (kind, relative, inside) in _OPEN.items():
-            where = battery if inside else given
-            if not isinstance(where, dict) or not isinstance(where.get(key), dict):
+            where, place = (battery, ("battery",)) if inside else (given, ())
+            spread = _part(where, key, kind, *place) if isinstance(where, dict) else None
+            if spread is None:
                 continue
-            place = ("battery", key) if inside else (key,)
-            try:
-                where[key], spread = uncertain(kind, where[key])
-            except ValueError as problem:
-                raise MissionError(str(problem), place) from None
             if relative and where[key] <= 0:
                 message = f"a {key} of {where[key]:g} has no spread; give a mean above 0"
-                raise MissionError(message, place)
-            spreads[key] = (spread or 0.0) / (where[key] if relative else 1.0)
+                raise MissionError(message, (*place, key))
+            spreads[key] = spread / (where[key] if relative else 1.0)
         known = given.get("spreads", {})
         if spreads and (known == "none" or isinstance(known, dict)):
             known = vars(Spreads.none()) if known == "none" else known
@@ -624,15 +628,19 @@ class Mission(ReadOnly, html.Readable):
             state.pop(name, None)
         return state
 
+    @property
+    def _stops(self) -> Iterator[tuple[str, str, Pose, tuple[str | int, ...]]]:
+        """What each task and charger is, its name, where it is, and its place in the mission."""
+        for k, task in enumerate(self.tasks):
+            yield "task", task.name, task.pose, ("tasks", k)
+        for k, charger in enumerate(self.chargers):
+            yield "charger", charger.name, charger.pose, ("chargers", k)
+
     def _check_names(self) -> None:
         seen = {"start"}
-        named = [("tasks", k, task.name) for k, task in enumerate(self.tasks)]
-        named += [("chargers", k, charger.name) for k, charger in enumerate(self.chargers)]
-        for kind, k, name in named:
-            require(
-                name not in seen, f"the name {name!r} stands twice; give each place its own",
-                kind, k, "name",
-            )  # fmt: skip
+        for _, name, _, place in self._stops:
+            message = f"the name {name!r} stands twice; give each place its own"
+            require(name not in seen, message, *place, "name")
             seen.add(name)
         for k, robot in enumerate(self.robots):
             require(
@@ -670,8 +678,8 @@ class Mission(ReadOnly, html.Readable):
     def _check_models(self) -> None:
         if self.heights is None:
             return
-        grounds = self.surfaces.surfaces if self.surfaces is not None else ()
-        for model in (self.model, *(surface.model for surface in grounds)):
+        surfaces = self.surfaces.surfaces if self.surfaces is not None else ()
+        for model in (self.model, *(surface.model for surface in surfaces)):
             require(
                 reads_slope(model),
                 f"no term of the model {model.name!r} reads the slope; add the weight with "
@@ -692,13 +700,8 @@ class Mission(ReadOnly, html.Readable):
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]
         if self.home is not None and self.home != self.start:
             places.append(("home", self.home, ("home",)))
-        places += [
-            (f"task {t.name!r}", t.pose, ("tasks", k, "pose")) for k, t in enumerate(self.tasks)
-        ]
-        places += [
-            (f"charger {c.name!r}", c.pose, ("chargers", k, "pose"))
-            for k, c in enumerate(self.chargers)
-        ]
+        places += [(f"{kind} {name!r}", pose, (*place, "pose"))
+                   for kind, name, pose, place in self._stops]  # fmt: skip
         free = self.free_map.footprint_free([pose for _, pose, _ in places], self.vehicle)
         faults: list[tuple[str, tuple[str | int, ...]]] = []
         for (label, pose, place), good in zip(places, free, strict=True):
