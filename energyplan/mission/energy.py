@@ -3,9 +3,9 @@
 Every unknown of a mission is written as a standard normal coordinate: the principal directions of
 each model's covariance, the spread of its coefficients from day to day, the error that it made on
 drives held out from its identification, what differs from run to run, the power of each tool, the
-duration of each task, and what the battery holds (see `energyplan.mission.energy`). An energy
-carries its sensitivity to each of them. Legs that share a model share its unknowns, so that their
-errors add up instead of averaging out; only the noise of the drive itself is each leg's own.
+duration of each task, and what the battery holds. An energy carries its sensitivity to each of
+them. Legs that share a model share its unknowns, so that their errors add up instead of averaging
+out; only the noise of the drive itself is each leg's own.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ energy at its bound.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.mission.drive import SAGS, Attempt, Simulation, Status
 from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport
-from energyplan.mission.routes import Legs, Routes, Scene
+from energyplan.mission.routes import Legs, Progress, Routes, Scene
 from energyplan.mission.trip import stops
 from energyplan.mission.types import Mission, Remedy
 from energyplan.records import checked
@@ -57,7 +57,7 @@ _MOST = 10.0
 
 @checked(MissionError)
 def evaluate(
-    mission: Mission, progress: Callable[[str], None] | None = None, *, routes: Routes | None = None
+    mission: Mission, progress: Progress = None, *, routes: Routes | None = None
 ) -> MissionReport:
     """Find which tasks of a mission can be done, and the energy that they take.
 
@@ -113,13 +113,10 @@ class Evaluation:
     """One mission on its way to a report."""
 
     def __init__(
-        self,
-        mission: Mission,
-        progress: Callable[[str], None] | None,
-        legs: Legs,
+        self, mission: Mission, progress: Progress, legs: Legs,
         occupied: Mapping[int, Sequence[tuple[float, float]]] | None = None,
         tasks: Sequence[int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.mission = mission
         self.shared = tasks is not None
         self.tasks = range(len(mission.tasks)) if tasks is None else tasks

@@ -15,7 +15,7 @@ in which no task overtakes another: its stages are the last tasks done.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -35,6 +35,7 @@ from energyplan.mission._order_kernel import (
 )
 from energyplan.mission.drive import Attempt, Simulation, Status, Visit
 from energyplan.mission.energy import Estimate
+from energyplan.mission.routes import Progress
 from energyplan.mission.types import Task
 from energyplan.path import FloatArray
 
@@ -144,9 +145,7 @@ def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
 
 
 def shared(
-    problems: Sequence[OrderProblem],
-    prize: FloatArray,
-    own: Sequence[Sequence[int]] | None = None,
+    problems: Sequence[OrderProblem], prize: FloatArray, own: Sequence[Sequence[int]] | None = None
 ) -> tuple[list[list[int]], list[int]]:
     """Give tasks to robots by insertion; return each one's in their sequence, and what is left.
 
@@ -391,11 +390,9 @@ def _most_left(problem: OrderProblem, ways: FloatArray | None) -> FloatArray:
 
 
 def best_stops(
-    sim: Simulation,
-    state: Status | None = None,
-    tasks: Sequence[int] | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> Order:
+    sim: Simulation, state: Status | None = None, tasks: Sequence[int] | None = None,
+    progress: Progress = None,
+) -> Order:  # fmt: skip
     """Find which of some tasks to do in which order from a state on, and where to charge."""
     state = sim.start if state is None else state
     tasks = range(len(sim.mission.tasks)) if tasks is None else tasks
@@ -426,11 +423,7 @@ class _Search:
     """Tries of one search at several cautions, each checked by the simulation."""
 
     def __init__(
-        self,
-        sim: Simulation,
-        state: Status,
-        tasks: tuple[int, ...],
-        progress: Callable[[str], None] | None,
+        self, sim: Simulation, state: Status, tasks: tuple[int, ...], progress: Progress
     ) -> None:
         self.sim, self.state, self.tasks, self.progress = sim, state, tasks, progress
         given = sim.mission.order == "given"
@@ -489,15 +482,9 @@ class Matrix:
     """
 
     def __init__(
-        self,
-        sim: Simulation,
-        state: Status,
-        tasks: Sequence[int],
-        caution: float,
-        scale: float = 1.0,
-        late: float | None = None,
-        ideal: bool = False,
-    ) -> None:
+        self, sim: Simulation, state: Status, tasks: Sequence[int], caution: float,
+        scale: float = 1.0, late: float | None = None, ideal: bool = False,
+    ) -> None:  # fmt: skip
         self._sim, self._state, self._tasks = sim, state, tuple(tasks)
         self._caution, self._scale, self._ideal = caution, scale, ideal
         self._late = caution if late is None else late
@@ -671,7 +658,7 @@ class Matrix:
         """Return the routes of an order that are not planned."""
         return [one for one in self.used(order) if not self._sim.legs.planned(*one)]
 
-    def solved(self, progress: Callable[[str], None] | None) -> Order:
+    def solved(self, progress: Progress) -> Order:
         """Solve and plan the routes of the answer until it uses planned routes only.
 
         The answer is proven where that point is reached with an exact order. Its stops are nodes.

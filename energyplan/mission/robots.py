@@ -8,7 +8,7 @@ What a robot turns out not to be able to do is offered to the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from energyplan.mission.drive import Simulation
 from energyplan.mission.evaluation import Evaluation
 from energyplan.mission.order import EXACT, Matrix, Order, attempt, prizes, shared
 from energyplan.mission.report import MissionReport, TaskReport
-from energyplan.mission.routes import Legs, Routes
+from energyplan.mission.routes import Legs, Progress, Routes
 from energyplan.mission.trip import Segment
 from energyplan.mission.types import Mission, Task
 
@@ -32,9 +32,7 @@ _Stays = Mapping[str, Sequence[tuple[float, float]]]
 class Sharing:
     """The tasks of a mission on their way to the robots that do them."""
 
-    def __init__(
-        self, mission: Mission, progress: Callable[[str], None] | None, routes: Routes | None
-    ) -> None:
+    def __init__(self, mission: Mission, progress: Progress, routes: Routes | None) -> None:
         self.mission, self.progress = mission, progress
         known = Routes() if routes is None else routes
         self.sims = [Simulation(Legs(part, progress, known)) for part in mission.parts]

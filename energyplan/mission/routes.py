@@ -31,6 +31,7 @@ from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
 
 Value = TypeVar("Value")
+Progress = Callable[[str], None] | None  # called with a line of text
 
 _PERIOD = 0.1
 """Largest time between two samples of a leg [s]."""
@@ -255,12 +256,9 @@ class Legs:
     """
 
     def __init__(
-        self,
-        mission: Mission,
-        progress: Callable[[str], None] | None = None,
-        routes: Routes | None = None,
+        self, mission: Mission, progress: Progress = None, routes: Routes | None = None,
         former: Legs | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.mission = mission
         self.routes = Routes() if routes is None else routes
         self.stopped: set[frozenset[int]] = set()
