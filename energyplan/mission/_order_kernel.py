@@ -224,7 +224,7 @@ class Known(NamedTuple):
     beyond: float
 
 
-class SearchResult(NamedTuple):
+class BestOrder(NamedTuple):
     """What the search found."""
 
     better: bool  # whether it is better than what was known
@@ -455,7 +455,7 @@ def _priced(problem: OrderProblem, load: float) -> int:
 
 
 @njit
-def search(problem: OrderProblem, stages: Stages, known: Known) -> SearchResult:
+def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
     """Find an order of greater prize than the one known, or of the same and less energy.
 
     Of orders of the same energy the quickest is taken.
@@ -580,7 +580,7 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> SearchResult:
         stops[length], driven[length] = store.link[k, 1], store.link[k, 2]
         k = store.link[k, 0]
     bound = min(best_energy, store.lost[0])
-    return SearchResult(
+    return BestOrder(
         best >= 0, best_prize, best_energy, best_time, bound, store.lost[1] > 0.0, stops, driven,
     )  # fmt: skip
 

@@ -402,7 +402,7 @@ def best_stops(
         last, visits = sim.follow(state, stops, straight)
         if sim.arrives(last):
             return Order(stops, straight, proven=True, gap=0.0, visits=visits)
-    trials = _Search(sim, state, tuple(tasks), progress)
+    trials = OrderSearch(sim, state, tuple(tasks), progress)
     if not trials.exact:
         return trials.at_bounds().answer()
     hope = trials.tried(0.0, ideal=True)
@@ -419,7 +419,7 @@ def best_stops(
     return found.answer(trials.gap(found, hope))
 
 
-class _Search:
+class OrderSearch:
     """Tries of one search at several cautions, each checked by the simulation."""
 
     def __init__(
