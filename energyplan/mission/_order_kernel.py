@@ -38,7 +38,7 @@ from energyplan.compilation import (
     njit,
 )
 
-_GRAM, _MILLIGRAM = 1e-3, 1e-6
+GRAM, _MILLIGRAM = 1e-3, 1e-6
 _EPSILON = 1e-9
 _FEW = 4096
 _FIELDS = 8
@@ -173,7 +173,7 @@ def completions(problem: OrderProblem, stages: Stages, prize: float) -> Rest:
                 latest[bucket] = np.inf
             for t in range(n):
                 then = stages.after[stage, t]
-                if then < 0 or stages.load[stage] + problem.change[t] < -_GRAM:
+                if then < 0 or stages.load[stage] + problem.change[t] < -GRAM:
                     continue
                 way = energy[0, p, 1 + t]
                 for other in range(1, ways):
@@ -542,7 +542,7 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
                         )  # fmt: skip
                 for t in range(n):
                     after, carried = stages.after[stage, t], here.load + problem.change[t]
-                    if after < 0 or carried < -_GRAM:
+                    if after < 0 or carried < -GRAM:
                         continue
                     opens, closes = problem.window[t, 0], problem.window[t, 1]
                     for way in range(ways):
@@ -632,7 +632,7 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
         wait = max(tours.window[goal - 1, 0] - time, 0.0)
         energy, time = energy + tours.idle[r, goal - 1] * wait, time + wait
         load += tours.change[goal - 1]
-        if time > tours.window[goal - 1, 1] + _EPSILON or load < -_GRAM:
+        if time > tours.window[goal - 1, 1] + _EPSILON or load < -GRAM:
             return np.inf
         time += tours.service_time[r, goal - 1]
         here = goal

@@ -10,18 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from energyplan.mission._order_kernel import GRAM
 from energyplan.mission.energy import Consumption, Estimate
 from energyplan.mission.routes import Legs
 from energyplan.mission.trip import Kind, Leg, Segment
-from energyplan.mission.types import Charger, Mission
+from energyplan.mission.types import ROUNDING, Charger, Mission
 from energyplan.path import FloatArray
 
 _STEP = 30.0
 _MOST_STEPS = 10_000  # of one stay: three days in steps of that length, and longer ones beyond
 _PARTS = 300
 _HOURS = 48
-_ROUNDING = 1e-9
-_GRAM = 1e-3
 _INSTANT = 1e-6
 
 
@@ -134,7 +133,7 @@ class Simulation:
 
     def holds(self, state: Status) -> bool:
         """Tell whether the reserve is left at the bound."""
-        enough = state.worst.soc >= self.mission.reserve - _ROUNDING
+        enough = state.worst.soc >= self.mission.reserve - ROUNDING
         return enough and state.worst.failure == "none"
 
     # -- steps ------------------------------------------------------------------------------------
@@ -283,7 +282,7 @@ class Simulation:
         done = self._stay(begun, "work", job.dwell, work)
         done = replace(done, lateness=done.lateness + models.dwell_time(task))
         carried = done.payload + job.payload
-        if carried < -_GRAM:
+        if carried < -GRAM:
             detail = f"it leaves {-job.payload:g} kg, and {done.payload:g} kg are on board"
             return Attempt("payload", done, done, detail)
         done = replace(done, payload=max(carried, 0.0))

@@ -23,8 +23,7 @@ from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes, Scene
 from energyplan.mission.trip import stops
-from energyplan.mission.types import Mission, Remedy
-from energyplan.records import checked
+from energyplan.mission.types import ROUNDING, Mission, Remedy
 
 
 def contributions(sim: Simulation, end: Status) -> tuple[Contribution, ...]:
@@ -45,8 +44,6 @@ _CONFIRMED = 8
 
 _MINUTE = 60.0
 """Least time that a remedy saves [s]."""
-
-_ROUNDING = 1e-9
 
 _FINER = 0.01
 """Steps in which strings are added, in units of those that the battery has."""
@@ -383,7 +380,7 @@ class Evaluation:
 
         The same tasks are done in the same order, and take no more energy.
         """
-        found, most = self.found, end.total.mean * (1.0 + _ROUNDING)
+        found, most = self.found, end.total.mean + ROUNDING * abs(end.total.mean)
         visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
         levels = [one.until for one in self.mission.chargers if one.name in visited]
         if not levels or self.done != [s - 1 for s in found.stops if s <= len(self.mission.tasks)]:
@@ -394,7 +391,7 @@ class Evaluation:
             then = sim.arrives(sim.follow(sim.start, found.stops, found.hurried)[0])
             return None if then is None or then.total.mean > most else then
 
-        low, high = int(100 * self.mission.reserve + _ROUNDING) + 1, int(100 * max(levels))
+        low, high = int(100 * self.mission.reserve + ROUNDING) + 1, int(100 * max(levels))
         remedies = [Remedy("until", percent / 100, "1") for percent in range(low, high + 1)]
         least = bisect_left(remedies, True, key=lambda remedy: last(remedy) is not None)
         for remedy in remedies[least : least + _CANDIDATES]:

@@ -36,7 +36,7 @@ from energyplan.mission._order_kernel import (
 from energyplan.mission.drive import Attempt, Simulation, Status, Visit
 from energyplan.mission.energy import Estimate
 from energyplan.mission.routes import Progress
-from energyplan.mission.types import Task
+from energyplan.mission.types import ROUNDING, Task
 from energyplan.path import FloatArray
 
 Record = TypeVar("Record", OrderProblem, Stages)
@@ -63,7 +63,6 @@ _LEAST = 1e-8
 _EARLIER = 1e-5
 """Prize that the first task of a given order has beyond the last one."""
 
-_ROUNDING = 1e-9
 _NO_REST = Rest(np.empty((0, 1)), np.empty(0), 0.0)
 """Bound for a prize above that of all tasks: nothing reaches it."""
 
@@ -246,7 +245,7 @@ def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order
             stops, hurried = found.stops, found.ways
         if not found.open or best.prize > whole - _LEAST:
             bound = np.nanmax([found.bound, bound])
-        proven = bool(bound >= best.energy - _ROUNDING * abs(best.energy))
+        proven = bool(bound >= best.energy - ROUNDING * abs(best.energy))
         if proven:
             break
         if best.prize >= 0:
@@ -310,7 +309,7 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
     need, left = _need(closed, problem.finish.min(axis=0), n), _most_left(problem, closed)
     # no battery lasts for a way from which nothing can be reached
     needed = least + (need + np.concatenate([[0.0], service, np.zeros(m)]))[None, :]
-    room = _ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
+    room = ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
     energy[:, :, needed > (left + room)[:, None]] = np.inf
     ends = np.isfinite(problem.window[:, 1])
     opens = np.where(problem.idle > 0, problem.window[:, 0], -np.inf)
