@@ -1,9 +1,17 @@
 """Battery budget missions of one robot or several; see `energyplan.mission.evaluation`."""
 
+from energyplan.mission.drive import Segment
 from energyplan.mission.evaluation import Evaluated, evaluate, evaluate_many
-from energyplan.mission.report import Contribution, MissionReport, TaskReport
+from energyplan.mission.report import (
+    Activity,
+    ChargerReport,
+    Contribution,
+    MissionReport,
+    Stop,
+    TaskReport,
+    Timeline,
+)  # fmt: skip
 from energyplan.mission.routes import Routes
-from energyplan.mission.trip import Activity, ChargerReport, Segment, Stop, Timeline
 from energyplan.mission.types import Charger, Mission, Remedy, Robot, RobotState, Spreads, Task
 
 __all__ = [

@@ -6,22 +6,68 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from energyplan.mission._order_kernel import GRAM
 from energyplan.mission.energy import Consumption, Estimate
-from energyplan.mission.routes import Legs
-from energyplan.mission.trip import Kind, Leg, Segment
+from energyplan.mission.routes import Leg, Legs
 from energyplan.mission.types import ROUNDING, Charger, Mission
-from energyplan.path import FloatArray
+from energyplan.path import FloatArray, Pose, Trajectory
+
+Kind = Literal["start", "drive", "wait", "work", "charge", "end"]
 
 _STEP = 30.0
 _MOST_STEPS = 10_000  # of one stay: three days in steps of that length, and longer ones beyond
 _PARTS = 300
 _HOURS = 48
 _INSTANT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A stretch of a mission: a drive, a stay or a charge; an instant at its start and its end."""
+
+    kind: Kind  # what the robot does
+    start: str  # place where it begins
+    goal: str  # place where it ends
+    pose: Pose  # pose at the end
+    t: FloatArray  # (n,): time [s]
+    power: FloatArray  # (n,): power at the battery from each time to the next [W]
+    soc: FloatArray  # (n,): state of charge, as expected
+    soc_lower: FloatArray  # (n,): the same at the bound
+    leg: Leg | None = None  # the drive
+
+    @property
+    def departure(self) -> float:
+        """Time of its begin [s]."""
+        return float(self.t[0])
+
+    @property
+    def arrival(self) -> float:
+        """Time of its end [s]."""
+        return float(self.t[-1])
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The drive, from time 0."""
+        assert self.leg is not None and self.leg.trajectory is not None
+        return self.leg.trajectory
+
+    @property
+    def energy(self) -> float:
+        """Energy at the battery, as expected [J]; negative while charging."""
+        drawn = float(self.power[:-1] @ np.diff(self.t))
+        return drawn if self.leg is None else self.leg.energy.mean
+
+    @property
+    def poses(self) -> FloatArray:
+        """Pose at each time, shape (n, 3)."""
+        if self.leg is None:
+            return np.tile(self.pose, (len(self.t), 1))
+        drive = self.trajectory
+        return np.column_stack([drive.x, drive.y, drive.yaw])
 
 
 class Charge(NamedTuple):

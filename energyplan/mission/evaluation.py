@@ -20,9 +20,8 @@ from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.mission.drive import SAGS, Attempt, Simulation, Status
 from energyplan.mission.order import Order, attempt, best_stops, finish
-from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport
+from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport, stops
 from energyplan.mission.routes import Legs, Progress, Routes, Scene
-from energyplan.mission.trip import stops
 from energyplan.mission.types import ROUNDING, Mission, Remedy
 
 

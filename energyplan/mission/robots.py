@@ -14,12 +14,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from energyplan.mission.drive import Simulation
+from energyplan.mission.drive import Segment, Simulation
 from energyplan.mission.evaluation import Evaluation
 from energyplan.mission.order import EXACT, Matrix, Order, attempt, prizes, shared
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
-from energyplan.mission.trip import Segment
 from energyplan.mission.types import Mission, Task
 
 _ROUNDS = 4

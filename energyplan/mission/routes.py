@@ -18,7 +18,6 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
 from energyplan.mission.energy import Consumption, Estimate, Gauge, Models, gauge_of
-from energyplan.mission.trip import Leg
 from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, find, plan
@@ -50,6 +49,27 @@ _TOGETHER = 8
 
 _OCTILE = np.cos(np.pi / 8)
 """Least distance over way along the eight directions of a grid."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A drive from one place to another."""
+
+    path: Path  # its route
+    trajectory: Trajectory | None  # when the robot is where
+    consumption: Consumption  # what it takes
+    trouble: str = ""
+    detail: str = ""  # what the trouble is
+
+    @property
+    def energy(self) -> Estimate:
+        """Its energy."""
+        return self.consumption.energy
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return 0.0 if self.trajectory is None else self.trajectory.duration
 
 
 @dataclass(frozen=True)
