@@ -155,10 +155,7 @@ class Simulation:
         leg: Leg | None = None,
         start: int = -1,
     ) -> Status:
-        """Add a segment that ends at the place of a state to its trip.
-
-        Its samples are time, power, and charge as expected and at the bound, shape (4, n).
-        """
+        """Add a segment that ends at a state's place: rows of time, power, charge and its bound."""
         here, names = state.node, self.legs.names
         begin, pose = names[here if leg is None else start], self.legs.poses[here]
         t, power, soc, soc_lower = samples

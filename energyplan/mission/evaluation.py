@@ -375,10 +375,7 @@ class Evaluation:
         return self._first(tasks, [remedy])
 
     def _less_charge(self, end: Status) -> tuple[tuple[Remedy, ...], float]:
-        """Return the lowest charge to leave the chargers with, and the time that it saves [s].
-
-        The same tasks are done in the same order, and take no more energy.
-        """
+        """Return the least charge to leave chargers with for the same trip, and the time saved [s]."""
         found, most = self.found, end.total.mean + ROUNDING * abs(end.total.mean)
         visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
         levels = [one.until for one in self.mission.chargers if one.name in visited]
@@ -417,10 +414,7 @@ class Evaluation:
         return self._follow(sim, tasks) and self._holds(tasks[-1], remedy)
 
     def _holds(self, k: int, remedy: Remedy) -> bool:
-        """Tell whether the whole mission with a remedy does the task.
-
-        Others that it makes possible must not take what it gains.
-        """
+        """Tell whether a remedy lets the whole mission do a task; others may take what it gains."""
         if not self._confirms:
             return True
         again = self._anew(remedy)

@@ -146,10 +146,7 @@ def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
 def shared(
     problems: Sequence[OrderProblem], prize: FloatArray, own: Sequence[Sequence[int]] | None = None
 ) -> tuple[list[list[int]], list[int]]:
-    """Give tasks to robots by insertion; return each one's in their sequence, and what is left.
-
-    Each robot's problem has its own tasks alone: their numbers among all are `own`.
-    """
+    """Give tasks to robots by insertion; `own` are the numbers of each one's tasks among all."""
     n = len(prize)
     own = [range(n)] * len(problems) if own is None else own
     tours = _tours(problems, prize, own)

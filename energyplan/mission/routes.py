@@ -398,10 +398,7 @@ class Legs:
         return known or (scene.symmetric and (scene, there, here, hurried) in self._cache)
 
     def leg(self, start: int, goal: int, payload: float, hurried: bool = False) -> Leg:
-        """Return the leg from node to node with a payload [kg] on board.
-
-        It is that of least energy; in a hurry that of least time.
-        """
+        """Return the leg of least energy, in a hurry of least time, with a payload [kg] on board."""
         key = (start, goal, payload, hurried)
         if key not in self._legs:
             self._legs[key] = self._priced(self._route(start, goal, hurried), payload, hurried)
