@@ -375,7 +375,7 @@ class Evaluation:
         return self._first(tasks, [remedy])
 
     def _less_charge(self, end: Status) -> tuple[tuple[Remedy, ...], float]:
-        """Return the least charge to leave chargers with for the same trip, and the time saved [s]."""
+        """Return the least charge to leave chargers with, and the time that it saves [s]."""
         found, most = self.found, end.total.mean + ROUNDING * abs(end.total.mean)
         visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
         levels = [one.until for one in self.mission.chargers if one.name in visited]

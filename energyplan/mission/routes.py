@@ -398,7 +398,7 @@ class Legs:
         return known or (scene.symmetric and (scene, there, here, hurried) in self._cache)
 
     def leg(self, start: int, goal: int, payload: float, hurried: bool = False) -> Leg:
-        """Return the leg of least energy, in a hurry of least time, with a payload [kg] on board."""
+        """Return the leg of least energy (in a hurry: of least time) with a payload [kg]."""
         key = (start, goal, payload, hurried)
         if key not in self._legs:
             self._legs[key] = self._priced(self._route(start, goal, hurried), payload, hurried)
