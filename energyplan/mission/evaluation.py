@@ -23,6 +23,7 @@ from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport, stops
 from energyplan.mission.routes import Legs, Progress, Routes, Scene
 from energyplan.mission.types import ROUNDING, Mission, Remedy
+from energyplan.records import checked
 
 
 def contributions(sim: Simulation, end: Status) -> tuple[Contribution, ...]:
