@@ -17,7 +17,8 @@ from scipy.signal import lfilter, savgol_filter
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.logs import DriveLog
 from energyplan.logs.align import find_runs, time_weights
-from energyplan.logs.checks import POWERS, held_periods
+from energyplan.logs.checks import held_periods
+from energyplan.logs.consistency import POWERS
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
