@@ -887,7 +887,7 @@ def _with_units(
         columns = {**columns, "t": columns["t"].changed(unit=unit)}
     t = recording.clock(name) if recording.times else _some(recording, columns["t"])
     if t is not None and np.median(np.diff(t)) < _CLOSE:
-        recording = whole.head(name, 10 * _SOME)
+        recording = whole.head(name, 4 * _SOME)
     choices = _choices(recording, columns, found, known)
     raw = _readings(recording, columns)
     measures, radius = known_measures(known), known.wheel_radius
