@@ -15,12 +15,13 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from energyplan.fit.doubts import usual_effects, with_usual
-from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, Steps, columns_of, parted, prepared
+from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, columns_of, prepared, reading_step
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
 from energyplan.fit.solvers import least_squares
 from energyplan.logs import DriveLog
+from energyplan.logs.checks import find_lost_sign
 from energyplan.path import FloatArray
-from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
+from energyplan.power import SLIP, TRACTION, PowerModel, Term
 from energyplan.power.effects import Effect, most_of
 from energyplan.vehicle import Vehicle
 
@@ -441,22 +442,18 @@ class Problem:
         return errors
 
 
-# -- what the powers of both sides show, and whether their sensors know which way ------------------
+# -- what the powers of both sides show ------------------------------------------------------------
 
 _HOLDING = 0.01  # mean slip speed up to which contacts may hold [m/s]
-_CLEAR = 3.0  # noise beyond which a side should return power
-_RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
-_LITTLE = 0.4  # of the resistance, with which sides return much
-_BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
-_TURNS = 20  # fits in which signs settle, at most
 _LOST = 0.5  # misfit of the moment between the sides, over it, from which it tells nothing
 _SLIDES = 0.3  # misfit in slight turns up to which contacts slide there; simulated ones: 0.2
-_ENOUGH = 20  # samples that a sign needs
 _LEFT = 0.01  # share of the samples that must slide
 
 
 def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
-    """Return drives as they are fitted: each side an equation, where it slides."""
+    """Return drives as they are fitted: each side an equation, where it slides and has its sign."""
+    if any(find_lost_sign(log.channels) for log in logs):
+        return Problem(prepared(logs, vehicle), vehicle).of_totals
     usual = (effect for effect in usual_effects(effects) if not effect.grid)
     terms = [term for effect in usual for term in effect.terms]
     return with_sides(Problem(prepared(logs, vehicle), vehicle), terms)
@@ -475,7 +472,7 @@ def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
         return total
     design = held.design(terms)
     values = fit(design, held.reference(design)).values
-    if _misfit(held, terms, values, np.inf) > _LOST or _unsigned(held, terms, values):
+    if _misfit(held, terms, values, np.inf) > _LOST:
         return total
     slight = _misfit(problem, terms, values, breakaway)
     return held if _SLIDES < slight < np.inf else problem  # which slides however little it turns
@@ -492,165 +489,6 @@ def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray, most: f
         size += float(push @ push)
         beyond += float(left @ left) - np.count_nonzero(turns) * drive.between_noise**2
     return float(np.sqrt(max(beyond, 0.0) / size)) if size > 0.0 else np.inf
-
-
-def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether sensors show what sides return as if it were drawn."""
-    due, shown = [], []
-    faint, lowest = 0, np.inf
-    for drive in problem.drives:
-        if drive.between is None:
-            continue
-        for side, measured in _sides(drive, problem, terms, values):
-            returns = (side < -_CLEAR * drive.between_noise) & (drive.slides != 0.0)
-            faint += int(np.count_nonzero(side < 0.0))
-            lowest = min(lowest, float(measured.min()))
-            due.append(-side[returns])
-            shown.append(measured[returns])
-    expected, seen = np.concatenate(due), np.concatenate(shown)
-    if len(expected) < _ENOUGH:
-        never = lowest >= 0.0 and faint >= _ENOUGH
-        return never or _signs_lost(problem, terms, values)
-    return float(np.polyfit(expected, seen, 1)[0]) > _RISES
-
-
-def _signs_lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether the drives fit better with the signs given back that their model asks for."""
-    wide = [*terms, HOTEL]
-    found = by_name(terms, values)
-    little = {TRACTION.name: _LITTLE * found[TRACTION.name]}
-    errors = problem.reference(problem.design(terms))
-    plain, back = [], []
-    for start in (found, {**found, **little}):
-        held = Problem(problem.drives, problem.vehicle)
-        for share in (0.0, 1.0):
-            about = {**start, REGENERATION_LOSS.name: share}
-            plain.append(fit(held.design([*wide, REGENERATION_LOSS], errors, about), errors).loss)
-        now = np.array([start.get(term.name, 0.0) for term in wide])
-        for _ in range(_TURNS):
-            signed = _with_signs(held, wide, now)
-            one = fit(signed.design(wide, errors), errors)
-            settled = np.allclose(one.values, now, rtol=1e-3)
-            now = one.values
-            if settled:
-                break
-        back.append(one.loss)
-    return min(back) < _BETTER * min(plain)
-
-
-def _with_signs(problem: Problem, terms: Sequence[Term], values: FloatArray) -> Problem:
-    """Return the drives, the power of each side with the sign that a model has there."""
-    drives = []
-    for drive in problem.drives:
-        left, right = (
-            np.copysign(measured, side) for side, measured in _sides(drive, problem, terms, values)
-        )
-        drives.append(replace(drive, power=left + right, between=right - left))
-    return Problem(drives, problem.vehicle)
-
-
-def _sides(
-    drive: Drive, problem: Problem, terms: Sequence[Term], values: FloatArray
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the power of the left side and of the right one: by a model, and as measured [W]."""
-    table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
-    total, more = (table @ values).T
-    between = np.zeros(len(total)) if drive.between is None else drive.between
-    return list(zip(parted(total, more), parted(drive.power, between), strict=True))
-
-
-# -- what sensors that read in steps leave uncertain of coefficients -------------------------------
-
-_SHARE = 1e-3  # step of the logarithm of a speed
-
-
-def _covariance_of(sources: Sequence[tuple[NDArray[np.int64], FloatArray]]) -> FloatArray:
-    """Return the covariance of coefficients, each state of a sensor erring alike whenever it is.
-
-    Of each drive come the states of its samples, shape (n, m), and what the standard error of its
-    state, in that sample, does to the coefficients, shape (n, k).
-    """
-    _, state = np.unique(np.concatenate([one[0] for one in sources]), axis=0, return_inverse=True)
-    moved = np.concatenate([one[1] for one in sources])
-    sums = np.stack([np.bincount(state.ravel(), column) for column in moved.T], axis=-1)
-    return np.asarray(sums.T @ sums)
-
-
-def moved_by(drives: Sequence[Drive], design: Design, errors: FloatArray) -> list[FloatArray]:
-    """Return what one watt more in a sample of each equation does to the coefficients."""
-    normal = weighted(design, errors).sum(axis=0)[:-1, :-1]
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-    unit = np.linalg.pinv(normal * np.outer(scale, scale), 1e-12, hermitian=True)
-    inverse = unit * np.outer(scale, scale)
-    found = [np.zeros((len(drive.t), drive.equations, len(normal))) for drive in drives]
-    for k, (table, error, count) in enumerate(zip(design.rows, errors, design.counts, strict=True)):
-        step, first = table[:, :-1] @ inverse / (error * count), 0
-        for drive, table_of in zip(drives, found, strict=True):
-            windows = drive.windows[k % len(SCALES)]
-            own = step[first : first + len(windows.counts)] / windows.counts[:, None]
-            table_of[:, k // len(SCALES)] += np.repeat(own, windows.counts.astype(np.intp), axis=0)
-            first += len(windows.counts)
-    return found
-
-
-def reading_covariance(
-    problem: Problem, terms: Sequence[Term], values: FloatArray, design: Design, errors: FloatArray
-) -> FloatArray:
-    """Return the covariance of coefficients that the steps of sensors leave."""
-    width = design.rows[0].shape[1] - 1
-    found = np.zeros((width, width))
-    moved = moved_by(problem.drives, design, errors)
-    expected = [
-        linearise_drive(drive, problem.vehicle, terms, values, ()).power.T
-        for drive in problem.drives
-    ]
-    for side in range(problem.drives[0].equations):
-        shown, due, by_watt = [], [], []  # by a sensor of power, and what its watt more does
-        for drive, power, by in zip(problem.drives, expected, moved, strict=True):
-            if drive.between is None:
-                own, known, does = drive.power, power[0], by[:, 0]
-            else:
-                own, known = (parted(*both)[side] for both in ((drive.power, drive.between), power))
-                does = by[:, 0] + (-1.0, 1.0)[side] * drive.slides[:, None] * by[:, 1]
-            shown.append(own)
-            due.append(known)
-            by_watt.append(does)
-        steps = Steps.of(np.concatenate(shown), np.concatenate(due))
-        if steps.error > 0.0:
-            pairs = zip(shown, by_watt, strict=True)
-            found += _covariance_of(
-                [(steps.states(p)[:, None], steps.error * by) for p, by in pairs]
-            )
-    sources = []
-    for drive, by in zip(problem.drives, moved, strict=True):
-        if drive.steps.error <= 0.0:
-            continue
-        motion = drive.motion
-        speed = np.hypot(motion.v_left, motion.v_right) / np.sqrt(2.0)
-        share = np.divide(
-            drive.steps.error, speed, out=np.zeros(len(speed)), where=speed > drive.steps.size
-        )
-        late = round(drive.late.mean / drive.clock.period)
-        at = np.clip(np.arange(len(speed)) - late, 0, len(speed) - 1)
-        states = [drive.steps.states(v)[at] for v in (motion.v_left, motion.v_right)]
-        rise = _rise_with_speed(drive, problem.vehicle, terms, values)
-        sources.append(
-            (np.column_stack(states), np.einsum("te,tek->tk", rise * share[at, None], by))
-        )
-    return found + _covariance_of(sources) if sources else found
-
-
-def _rise_with_speed(
-    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
-) -> FloatArray:
-    """Return by how much the power in each equation rises with the logarithm of the speed [W]."""
-    ends = []
-    for factor in (1.0 + _SHARE, 1.0 - _SHARE):
-        motion = drive.motion
-        faster = replace(motion, v_left=factor * motion.v_left, v_right=factor * motion.v_right)
-        moved = replace(drive, motion=faster, breakaway=factor * drive.breakaway, fields={})
-        ends.append(linearise_drive(moved, vehicle, terms, values, ()).power)
-    return np.asarray((ends[0] - ends[1]) / (2.0 * _SHARE))
 
 
 # -- all coefficients of a sum of terms, fitted together to window means of drives -----------------
@@ -672,6 +510,20 @@ class JointFit:
     run_error: float | None = None  # relative, of the energy of runs that were left out
 
 
+def _offset(problem: Problem, design: Design, errors: FloatArray) -> FloatArray:
+    """Return the covariance of coefficients that an offset of a sensor with steps leaves.
+
+    A sensor errs alike whenever it reads the same; a robot at rest is read the same throughout.
+    """
+    step = max(reading_step(drive.power) for drive in problem.drives)
+    rows = tuple(
+        np.column_stack([table[:, :-1], np.full(len(table), float(k < len(SCALES)))])
+        for k, table in enumerate(design.rows)
+    )
+    by_watt = solve(weighted(replace(design, rows=rows), errors).sum(axis=0))
+    return np.asarray(step**2 / 12.0 * np.outer(by_watt, by_watt))
+
+
 def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
     """Fit terms together."""
     errors = problem.reference(problem.design(terms))
@@ -689,7 +541,7 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
         columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
         design = design.joined(window_means(problem.drives, columns))
         covariance = fit(design, errors).reported
-    covariance = covariance + reading_covariance(problem, terms, values, design, errors)
+    covariance = covariance + _offset(problem, design, errors)
     covariance, rest = covariance[:count, :count], covariance[count:, count:]
     plain = problem.of_totals
     spread = RunSpread.of(plain.design(terms), values)
