@@ -17,9 +17,9 @@ from energyplan.fit.regressors import Linear, equations_of, is_lossy, linearise_
 from energyplan.fit.solvers import (
     NORMAL_MAD,
     SensorNoise,
-    autocorrelation,
     correlation_time,
     least_squares,
+    repeats_of,
 )
 from energyplan.html import number, unit
 from energyplan.motion import Motion
@@ -481,7 +481,7 @@ def _noises(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> list[Se
         stops = np.cumsum([len(part) for part in rests]).tolist()
         pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
         usual = np.clip(rest, -_SIGMA * spread, _SIGMA * spread)
-        repeats = autocorrelation(usual, pieces).repeats
+        repeats = repeats_of(usual, pieces)
         found.append(SensorNoise.of_repeats(float(len(rest)), spread**2, repeats))
         if spread**2 > _LIKE * white and len(rest) > _TELLING * repeats:
             return found

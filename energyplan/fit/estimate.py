@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.optimize import brentq
 from scipy.special import fdtrc
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from energyplan.fit.doubts import usual_effects, with_usual
 from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, columns_of, prepared, reading_step
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
-from energyplan.fit.solvers import least_squares
+from energyplan.fit.solvers import jackknife, least_squares
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_lost_sign
 from energyplan.path import FloatArray
@@ -45,11 +43,7 @@ class Fit:
     @property
     def reported(self) -> FloatArray:
         """Covariance whose 95 % intervals are those of Student's distribution."""
-        square = np.sum(self.deviations**2, axis=0)
-        freedom = 3.0 * square**2 / np.maximum(np.sum(self.deviations**4, axis=0), 1e-300)
-        freedom = np.clip(freedom, 3.0, len(self.deviations)) - 1.0
-        stretch = student.ppf(0.975, freedom) / norm.ppf(0.975)
-        return np.asarray(self.covariance * np.outer(stretch, stretch))
+        return jackknife(self.deviations)
 
     @property
     def errors(self) -> FloatArray:

@@ -31,24 +31,20 @@ from energyplan.fit.doubts import (
     usual_effects,
     usual_terms,
 )
-from energyplan.fit.drive import Drive, check_long_enough
+from energyplan.fit.drive import BLOCK, Drive, check_long_enough, cut
 from energyplan.fit.estimate import Problem, joint_fit, problem_of
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
 from energyplan.fit.regressors import is_lossy
 from energyplan.fit.solvers import (
     HUBER_TUNING,
     Bounds,
-    autocorrelation,
     column_scale,
     huber,
+    jackknife,
     lad,
     least_squares,
-    local_scale,
-    normal_scores,
     robust_scale,
-    sandwich,
     simplex,
-    sum_covariance,
     weighted_least_squares,
 )
 from energyplan.logs import DriveLog
@@ -66,26 +62,7 @@ from energyplan.vehicle import TreadICR, Vehicle
 Method = Literal["lad", "simplex", "huber", "windows"]
 Loss = Callable[[FloatArray], float]
 
-_IDLE = 0.01  # size of a regressor, over its usual one, below which a sample says nothing about it
-
-
-def telling(design: FloatArray) -> NDArray[np.bool_]:
-    """Tell which samples say something about the coefficients."""
-    size = np.abs(design)
-    usual = np.sqrt(np.einsum("ij,ij->j", size, size) / np.maximum((size > 0).sum(axis=0), 1))
-    found = np.any(size > _IDLE * usual, axis=1)
-    return found if np.count_nonzero(found) > design.shape[1] else np.ones(len(design), bool)
-
-
-def kept_pieces(pieces: Sequence[slice], kept: NDArray[np.bool_]) -> list[slice]:
-    """Return stretches without a gap among the kept samples, counted over those alone."""
-    number = np.concatenate([[0], np.cumsum(kept)])
-    edges = [0]
-    for piece in pieces:
-        steps = np.flatnonzero(np.diff(kept[piece].astype(int))) + piece.start + 1
-        edges += [*number[steps], number[piece.stop]]
-    bounds = np.unique(edges).tolist()
-    return [slice(a, b) for a, b in pairwise(bounds)]
+_BLOCKS = 12  # of the jackknife, at least: blocks are shorter where a log is short
 
 
 class PowerRegression:
@@ -181,29 +158,37 @@ class PowerRegression:
                 break
         return bounds.clip(c)
 
-    def covariance(self, model: PowerModel, method: Method) -> FloatArray:
-        """Covariance of the coefficients under autocorrelated, heteroscedastic residuals."""
+    def covariance(self, model: PowerModel, method: Method, independent: float) -> FloatArray:
+        """Covariance of the coefficients: a jackknife over blocks of time, by one step each.
+
+        `independent` is the number of samples that the residual is worth.
+        """
         target, design = self._linearise(model)
-        informative = telling(design)
-        target, design = target[informative], design[informative]
-        pieces = kept_pieces(self.pieces, informative)
         residual = target - design @ model.coefficients
-        noise = autocorrelation(normal_scores(residual), pieces, design)
-        sigma = robust_scale(residual)
+        sigma = robust_scale(residual[residual != 0.0]) if np.any(residual) else 0.0
         sigma = max(sigma, 1e-9 * float(np.max(np.abs(self._measured), initial=1e-300)))
         if method == "huber":
             edge = HUBER_TUNING * sigma
-            scale = local_scale(np.clip(residual, -edge, edge), noise.repeats)
-            rho = noise.rho
-            slope = (np.abs(residual) < edge).astype(float)
+            pull, slope = np.clip(residual, -edge, edge), (np.abs(residual) < edge).astype(float)
         else:
-            scale = np.ones(len(residual))
-            # Signs of jointly normal values are correlated by the arcsine law.
-            rho = 2 / np.pi * np.arcsin(np.clip(noise.rho, -1.0, 1.0))
-            slope = 2.0 * _density_at_zero(residual, sigma, len(residual) / noise.repeats)
-        bread = (design * slope[:, None]).T @ design
-        meat = sum_covariance(design, scale, rho, pieces)
-        return np.asarray(sandwich(bread, meat) / noise.kept)
+            pull, slope = np.sign(residual), 2.0 * _density_at_zero(residual, sigma, independent)
+        length = min(BLOCK, sum(float(drive.t[-1]) for drive in self._drives) / _BLOCKS)
+        first, block = 0, list[NDArray[np.intp]]()
+        for drive in self._drives:
+            block.append(first + cut(drive.t, length))
+            first = int(block[-1][-1]) + 1
+        scale = column_scale(design)
+        table = np.column_stack([design / scale, pull])
+        bread, score = np.zeros((first, len(scale), len(scale))), np.zeros((first, len(scale)))
+        edges = np.flatnonzero(np.diff(np.concatenate(block), prepend=-1))
+        for k, part in enumerate(np.split(table, edges[1:])):
+            weight = slope[edges[k] : edges[k] + len(part)]
+            bread[k] = (part[:, :-1] * weight[:, None]).T @ part[:, :-1]
+            score[k] = part[:, -1] @ part[:, :-1]
+        whole, kept = bread.sum(axis=0), np.any(score != 0.0, axis=1)
+        rest = np.linalg.pinv(whole - bread[kept], rcond=1e-12, hermitian=True)
+        moved = np.einsum("bij,bj->bi", rest, score.sum(axis=0) - score[kept]) / scale
+        return jackknife(moved) if len(moved) > 1 else np.full_like(whole, np.inf)
 
     def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:
         """Covariance that the coefficients take over from the tread ICRs."""
@@ -716,12 +701,14 @@ def identify(
         doubts = check_identifiable(model, _stacked(model, clean, ready), turning)
     warnings += doubts
 
-    covariance = problem.covariance(model, method) if model.covariance is None else model.covariance
-    if estimate is not None:
-        covariance = covariance + problem.inherited(model, estimate)
     powers = problem.powers(model)
     residual = statistics(ready, powers)
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
+    covariance = model.covariance
+    if covariance is None:
+        covariance = problem.covariance(model, method, independent)
+    if estimate is not None:
+        covariance = covariance + problem.inherited(model, estimate)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, independent)
