@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from by_day import by_day
-from scipy.linalg import toeplitz
 from scipy.optimize import linprog
 from scipy.signal import lfilter
 from scipy.stats import binom, chi2
