@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -23,7 +24,7 @@ from energyplan.diagnosis.result import (
     Evidence,
     FoundEffect,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, SearchResult
+from energyplan.diagnosis.search import SIGNIFICANCE, EffectSet, Gain
 from energyplan.errors import VehicleError
 from energyplan.fit.contacts import Held, preload
 from energyplan.fit.doubts import (
@@ -36,13 +37,10 @@ from energyplan.fit.doubts import (
 )
 from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late, cut
 from energyplan.fit.estimate import (
-    Fit,
     JointFit,
     Problem,
     RunSpread,
     by_name,
-    difference,
-    fit,
     joint_fit,
 )
 from energyplan.fit.regressors import (
@@ -282,8 +280,6 @@ def _turning(drives: Sequence[Drive]) -> tuple[FloatArray, FloatArray]:
 _STEP = 0.02  # relative step of a parameter's derivative
 _MOMENT = 0.02  # step of a time offset [s]
 
-_UNSURE = 0.5  # standard error over size from which zero is within two errors
-
 _LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
 """Standard deviation of a delay anywhere among those looked for [s]: none is known less."""
 
@@ -374,27 +370,6 @@ def size_error(effect: Effect, model: PowerModel) -> float:
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
 
 
-def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
-    """Return the effect whose size is known least, where zero is within two standard errors."""
-    sized = [part for part in parts if part.terms]
-    ratios = [
-        size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
-        for part in sized
-    ]
-    if not ratios or max(ratios) <= _UNSURE:
-        return None
-    return sized[int(np.argmax(ratios))]
-
-
-def beyond(model: PowerModel, parts: Sequence[Part]) -> Part | None:
-    """Return an effect of a size that is not believed on the vehicle."""
-    for part in parts:
-        low, high = part.effect.limits(model.vehicle)
-        if part.terms and not low <= part.effect.value(model) <= high:
-            return part
-    return None
-
-
 # -- what it costs that the sides push against each other on straights -----------------------------
 
 _WORTH = 0.01  # share of the energy that is worth naming
@@ -465,61 +440,46 @@ def straight_heat(problem: Problem, model: PowerModel) -> StraightHeat | None:
     return StraightHeat(rate, float(np.sqrt(variance)), sum(joules) / energy, extended)
 
 
-# -- a set of effects as a model, and what that leaves of the training drives ----------------------
+# -- which effects of the best explanation are named, and what the model with them leaves ---------
 
-
-_MOSTLY = 0.3
-"""Share of the error from which on a channel is asked whether it makes effects unnecessary."""
-
-
-def smooth_part(found: Dependence) -> Part:
-    """Return the smooth term of a dependence as an effect."""
-    term = empirical_term(f"empirical_{found.carrier}_{found.channel}", found.knots, found.values)
-    return Part(Effect.of(term, planner="where it knows the channel"))
-
-
-def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """Take out effects that a smooth term of one channel makes unnecessary."""
-    usual = [part for part in parts if part.effect.usual or not part.terms]
-    if not any(part.terms and not part.effect.usual for part in parts):
-        return parts
-    shapes = dependences(problem, terms_of(usual))
-    best = next((one for one in shapes if one.knots), None)
-    if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
-        return parts
-    smooth = smooth_part(best)
-    others = [part for part in parts if part not in usual]
-    errors = problem.reference(problem.design(terms_of(parts)))
-
-    def loss(some: Sequence[Part]) -> Fit:
-        return fit(problem.design(terms_of(some), errors), errors)
-
-    gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
-    model = final_fit(problem, parts).model
-    adequate = adequacy(problem.drives, left_over(model, problem.drives)).adequate
-    if gap <= (max(error, WORTHWHILE * len(errors)) if adequate else -error):
-        return parts
-    kept = list(parts)
-    for part in [*others, *(part for part in usual if part.terms)]:
-        rest = [other for other in kept if other is not part]
-        gap, error = difference(loss([*rest, smooth]).losses, loss([*kept, smooth]).losses)
-        if gap <= max(error, WORTHWHILE * len(errors)):
-            kept = rest
-    return tuple(kept)
-
-
+_ERRORS = 2.0  # standard errors that the size of a named effect exceeds
+_MISSING = 2.0  # times what the model lacks, that an effect searched for in time or place exceeds
 _TELLING = 0.1  # share of the error that a channel must explain to be called a reason
+
+Why = Literal["range", "size", "missing"]
+"""An effect is not named: its size is impossible, it is uncertain, or more than it is missing."""
 
 
 @dataclass(frozen=True)
-class Tested:
+class Modelled:
     """A set of effects as a model, and what that leaves."""
 
-    effects: tuple[Part, ...]  # the effects
-    added: Part | None  # A smooth term that the model has beside them
     fitted: JointFit  # the model
-    fight: StraightHeat | None
+    heat: StraightHeat | None
     quality: Adequacy  # what the model leaves, against noise
+
+    @classmethod
+    def of(
+        cls, problem: Problem, parts: Sequence[Part], plain: PowerModel | None, heats: bool
+    ) -> Modelled:
+        """Fit the paper's terms and some effects; `plain` is the model without any."""
+        fitted = final_fit(problem, parts)
+        if not parts and plain is not None:
+            fitted = replace(fitted, model=plain, assumed=())
+        heat = straight_heat(problem, fitted.model) if heats else None
+        if heat is not None:
+            fitted = replace(fitted, model=heat.model)
+        return cls(fitted, heat, adequacy(problem.drives, left_over(fitted.model, problem.drives)))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The effects that are named, the model with them, and what that leaves."""
+
+    effects: tuple[Part, ...]  # the effects
+    dropped: list[tuple[Effect, Why]]  # those of the explanation that are not named
+    added: Part | None  # A smooth term that the model has beside them
+    model: Modelled
     dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
     left: list[Dependence]  # those that are reasons
     first: Dependence | None  # the one that explains most, beside how drives differ
@@ -529,43 +489,64 @@ class Tested:
         """All that the model has beside the paper's terms."""
         return self.effects if self.added is None else (*self.effects, self.added)
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether effects, looked for at any time or place, may only follow a smooth dependence."""
-        # What has a searched constant is doubted where the rest still depends on a channel.
-        kinds = {part.effect.acts for part in self.effects}
-        searched = any(p.terms and p.effect.grid and not p.effect.usual for p in self.effects)
-        rest = self.first is not None and bool(self.first.knots)
-        return bool(kinds & {"change", "place"}) or (searched and rest)
+
+def doubt(part: Part, gain: Gain, fitted: JointFit, missing: float) -> tuple[float, Why]:
+    """Return how doubtful an effect is, from 1 on too much to name it, and why.
+
+    `missing` is what the model lacks, over the root mean square power.
+    """
+    effect, model = part.effect, fitted.model
+    found: list[tuple[float, Why]] = [(0.0, "size")]
+    if part.terms:
+        size, (low, high) = effect.value(model), effect.limits(model.vehicle)
+        if not low <= size <= high:
+            return np.inf, "range"
+        found.append((_ERRORS * size_error(effect, model) / max(abs(size), 1e-300), "size"))
+    # What is searched for at any time or place follows whatever else the model lacks.
+    if effect.acts in ("change", "place") or (part.terms and effect.grid and not effect.usual):
+        found.append((_MISSING * missing / max(gain.share, 1e-300), "missing"))
+    return max(found)
 
 
-def tested(
-    searched: SearchResult,
-    parts: tuple[Part, ...],
+def judged(
+    best: EffectSet,
     *,
+    choose: bool,
     plain: PowerModel | None,
-    fights: bool,
+    heats: bool,
     smooth: Callable[[Part], bool],
-) -> Tested:
-    """Fit effects of the best explanation and test what they leave."""
-    problem = searched.best.problem
+) -> Judged:
+    """Name the effects of the best explanation that are sure, and test what they leave."""
+    problem, parts, dropped = best.problem, best.parts, list[tuple[Effect, Why]]()
+    power = float(np.sqrt(np.mean(np.concatenate([d.power**2 for d in problem.drives]))))
+    now = Modelled.of(problem, parts, plain, heats)
+    while choose and parts:
+        missing = float(np.sqrt(max(now.quality.missing))) / max(power, 1e-300)
+        doubts = [
+            doubt(part, best.gains[best.parts.index(part)], now.fitted, missing) for part in parts
+        ]
+        (most, why), worst = max(zip(doubts, parts, strict=True), key=lambda one: one[0][0])
+        if most < 1.0:
+            break
+        dropped.append((worst.effect, why))
+        parts = tuple(part for part in parts if part is not worst)
+        now = Modelled.of(problem, parts, plain, heats)
     told = dependences(problem, terms_of(parts))
     left = [
         one for one in told
         if one.p_value < SIGNIFICANCE and one.explained_variance > max(_TELLING, 2 * one.std_error)
     ]  # fmt: skip
     first = next((one for one in left if one.channel != "drive"), None)
-    added = smooth_part(first) if first is not None and first.knots else None
-    if added is not None and not smooth(added):
-        added = None
-    fitted = final_fit(problem, parts if added is None else (*parts, added))
-    if not parts and added is None and plain is not None:
-        fitted = replace(fitted, model=plain, assumed=())
-    fight = straight_heat(problem, fitted.model) if fights else None
-    if fight is not None:
-        fitted = replace(fitted, model=fight.model)
-    quality = adequacy(problem.drives, left_over(fitted.model, problem.drives))
-    return Tested(parts, added, fitted, fight, quality, told, left, first)
+    added = None
+    if first is not None and first.knots:
+        term = empirical_term(
+            f"empirical_{first.carrier}_{first.channel}", first.knots, first.values
+        )
+        added = Part(Effect.of(term, planner="where it knows the channel"))
+        added = added if smooth(added) else None
+    if added is not None:
+        now = Modelled.of(problem, (*parts, added), plain, heats)
+    return Judged(parts, dropped, added, now, told, left, first)
 
 
 # -- does what was found hold on other drives? Prediction intervals of energies --------------------
