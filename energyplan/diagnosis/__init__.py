@@ -49,7 +49,7 @@ from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words
 from energyplan.fit.drive import Drive, Late, check_long_enough
-from energyplan.fit.estimate import PAPER, JointFit, problem_of
+from energyplan.fit.estimate import PAPER, Fitted, problem_of
 from energyplan.fit.identification import name_of
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
@@ -411,7 +411,7 @@ class _Case:
     def _found(
         self,
         parts: Sequence[Part],
-        fitted: JointFit,
+        fitted: Fitted,
         searched: SearchResult,
         after: Sequence[Prediction],
     ) -> tuple[FoundEffect, ...]:

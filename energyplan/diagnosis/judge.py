@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 from scipy.stats import norm
-from scipy.stats import t as student
 
 from energyplan.diagnosis.candidates import Part, settle_change, terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
@@ -37,21 +36,20 @@ from energyplan.fit.doubts import (
 )
 from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late, cut
 from energyplan.fit.estimate import (
-    JointFit,
+    Fitted,
     Problem,
-    RunSpread,
-    by_name,
     joint_fit,
 )
 from energyplan.fit.regressors import (
     equations_of,
     held_forces,
     is_lossy,
+    linearise_drive,
     losses_of,
     slip_limit,
 )
 from energyplan.path import FloatArray
-from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
+from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import WHEEL_FIGHT, Effect, empirical_term
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
 
@@ -284,7 +282,7 @@ _LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
 """Standard deviation of a delay anywhere among those looked for [s]: none is known less."""
 
 
-def final_fit(problem: Problem, parts: Sequence[Part]) -> JointFit:
+def final_fit(problem: Problem, parts: Sequence[Part]) -> Fitted:
     """Fit the paper's terms and those of the parts together."""
     moved: dict[str, list[FloatArray]] = {}
 
@@ -454,7 +452,7 @@ Why = Literal["range", "size", "missing"]
 class Modelled:
     """A set of effects as a model, and what that leaves."""
 
-    fitted: JointFit  # the model
+    fitted: Fitted  # the model
     heat: StraightHeat | None
     quality: Adequacy  # what the model leaves, against noise
 
@@ -490,7 +488,7 @@ class Judged:
         return self.effects if self.added is None else (*self.effects, self.added)
 
 
-def doubt(part: Part, gain: Gain, fitted: JointFit, missing: float) -> tuple[float, Why]:
+def doubt(part: Part, gain: Gain, fitted: Fitted, missing: float) -> tuple[float, Why]:
     """Return how doubtful an effect is, from 1 on too much to name it, and why.
 
     `missing` is what the model lacks, over the root mean square power.
@@ -555,8 +553,6 @@ _HOLDS = 1.5  # error on other drives, over that on the training drives, that is
 _GROSS = 4.0  # residual over noise from which most of it must be explained
 _EXPLAINED = 0.5  # error with what was found, over that without, that counts as most
 _LEVEL = 0.9  # of the intervals of energies
-_WITHIN = 30  # degrees of freedom of what is known from within runs
-_ASSUMED = 2  # of a spread that is assumed: robots and grounds differ much in it
 
 
 def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
@@ -579,43 +575,21 @@ def explains(quality: Adequacy, before: float, after: float) -> bool:
 
 
 def energies(
-    problem: Problem, fitted: JointFit, predictions: Sequence[Prediction]
+    problem: Problem, fitted: Fitted, predictions: Sequence[Prediction]
 ) -> tuple[EnergyPrediction, ...]:
     """Predict the energy of drives that took no part, with intervals."""
-    model = fitted.model
-    plain = problem.of_totals
-    design = plain.design(fitted.model.terms, None, by_name(model.terms, model.coefficients))
-    values = np.array(model.coefficients)
-    spread = RunSpread.of(design, values)
-    table, owner = design.longest
-    factor = np.ones(len(problem.drives)) if spread is None else 1.0 + spread.excess
-    left = table[:, -1] - (table[:, :-1] @ values) * factor[owner]
-    length = problem.drives[0].windows[-1].length
-    density = float(np.mean(left**2)) * length  # of the residual's integral, by time [W^2 s]
-    count = len(problem.drives)
-    told = 0.5 + _LEVEL / 2
-    reach = float(student.ppf(told, count - 1 if spread else _WITHIN))
-    assumed = 0.0 if spread else USUAL_RUN_SPREAD * float(student.ppf(told, _ASSUMED))
+    model, values = fitted.model, np.array(fitted.model.coefficients)
     changes = any(term.name in ("slip_change", "traction_change") for term in model.terms)
     found = []
     for one in predictions:
-        drive, weights = one.drive, one.drive.weights
-        energy = float(weights @ one.power)
+        drive, weights = replace(one.drive, between=None), one.drive.weights
         if changes and "changed" not in drive.motion.channels:
             drive = drive.with_channels(changed=np.ones(len(drive.t)))
-        alone = Problem([replace(drive, between=None)], plain.vehicle)
-        gradient = weights @ alone.tables(model.terms, values).columns[0][:, 0]
-        variance = density * float(weights.sum())
-        if model.covariance is not None:
-            variance += float(gradient @ model.covariance @ gradient)
-        if spread is not None:
-            variance += (spread.deviation * energy) ** 2
-        half = float(np.hypot(reach * np.sqrt(variance), assumed * energy))
-        if fitted.run_error is not None:
-            half = max(half, reach * fitted.run_error * abs(energy))
+        columns = linearise_drive(drive, problem.vehicle, model.terms, values).columns
+        gradient = weights @ columns[:, 0]
+        said, seconds = float(weights @ one.power), float(weights.sum())
+        told = fitted.run.energy(model, said, gradient, seconds, _LEVEL)
         found.append(
-            EnergyPrediction(
-                drive.name, energy, (energy - half, energy + half), float(weights @ drive.power),
-            )
-        )  # fmt: skip
+            EnergyPrediction(drive.name, told.mean, told[1:], float(weights @ drive.power))
+        )
     return tuple(found)

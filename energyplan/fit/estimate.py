@@ -9,12 +9,12 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-from scipy.optimize import brentq
 from scipy.special import fdtrc
 
 from energyplan.fit.doubts import usual_effects, with_usual
 from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, columns_of, prepared, reading_step
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
+from energyplan.fit.run import RunEffect
 from energyplan.fit.solvers import jackknife, least_squares
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_lost_sign
@@ -126,47 +126,6 @@ def difference(one: FloatArray, other: FloatArray) -> tuple[float, float]:
     """Sum of the paired differences of block losses, and its standard error."""
     gap = one - other
     return float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1))
-
-
-# -- how much runs differ as a whole, each by a factor of its power --------------------------------
-
-
-@dataclass(frozen=True)
-class RunSpread:
-    """How much runs differ as a whole, each by a factor of its power."""
-
-    deviation: float
-    excess: FloatArray  # each run's own estimate of its factor, less 1
-    p_value: float  # that they do not differ
-
-    @classmethod
-    def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
-        """Compare runs by their longest windows (Paule's and Mandel's estimate)."""
-        # Source: Paule and Mandel (1982), J. Res. NBS 87, 377-385.
-        table, owner = design.longest
-        count = int(owner.max()) + 1
-        if count < 3 or len(owner) == count:
-            return None
-        predicted, measured = table[:, :-1] @ values, table[:, -1]
-        square = np.bincount(owner, predicted**2, count)
-        product = np.bincount(owner, predicted * measured, count)
-        excess = product / np.maximum(square, 1e-300) - 1.0
-        scatter = measured - predicted * (1.0 + excess[owner])
-        windows = np.bincount(owner, minlength=count)
-        freedom = float(np.sum(np.maximum(windows - 1, 0)))
-        noise = float(scatter @ scatter) / freedom
-        variances = np.maximum(noise / np.maximum(square, 1e-300), 1e-12)
-
-        def misfit(between: float) -> float:
-            weight = 1.0 / (variances + between)
-            return float(weight @ (excess - weight @ excess / weight.sum()) ** 2) - (count - 1)
-
-        between = 0.0
-        if misfit(0.0) > 0.0:
-            most = 2.0 * float(np.var(excess, ddof=1)) + 1e-12
-            between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
-        chance = fdtrc(count - 1, freedom, misfit(0.0) / (count - 1) + 1.0)
-        return cls(float(np.sqrt(between)), excess, float(chance))
 
 
 # -- drives and the terms that are to explain them: their columns, losses linearised ---------------
@@ -493,15 +452,19 @@ shape (n, equations) each."""
 
 
 @dataclass(frozen=True)
-class JointFit:
+class Fitted:
     """A sum of terms fitted to drives."""
 
     model: PowerModel  # the model with its covariance
-    run_spread: float | None  # relative standard deviation of the power between runs
+    run: RunEffect  # by how much runs differ as a whole
     assumed: tuple[str, ...]  # terms of which drives tell less than is known of any robot
     further: FloatArray  # covariance of further parameters, at whose values the terms were fitted
     errors: Mapping[str, float] = field(default_factory=dict)  # of parameters that were searched
-    run_error: float | None = None  # relative, of the energy of runs that were left out
+
+    @property
+    def run_spread(self) -> float | None:
+        """Relative standard deviation of the energy between runs; None where none were compared."""
+        return self.run.deviation if self.run.compared else None
 
 
 def _offset(problem: Problem, design: Design, errors: FloatArray) -> FloatArray:
@@ -518,7 +481,7 @@ def _offset(problem: Problem, design: Design, errors: FloatArray) -> FloatArray:
     return np.asarray(step**2 / 12.0 * np.outer(by_watt, by_watt))
 
 
-def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
+def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> Fitted:
     """Fit terms together."""
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
@@ -537,16 +500,22 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
         covariance = fit(design, errors).reported
     covariance = covariance + _offset(problem, design, errors)
     covariance, rest = covariance[:count, :count], covariance[count:, count:]
-    plain = problem.of_totals
-    spread = RunSpread.of(plain.design(terms), values)
-    if spread is not None:
+    run = run_effect(problem, terms, values)
+    if run.compared:
         # What all runs share is known no better than the mean of runs that differ.
-        level = spread.deviation**2 / len(problem.drives)
+        level = run.deviation**2 / len(problem.drives)
         covariance = covariance + level * np.outer(values, values)
     if assumed:
         covariance = usual(values, covariance)[1]
     model = PowerModel(problem.vehicle, tuple(terms), values, 0.5 * (covariance + covariance.T))
-    return JointFit(model, None if spread is None else spread.deviation, assumed, rest)
+    return Fitted(model, run, assumed, rest)
+
+
+def run_effect(problem: Problem, terms: Sequence[Term], values: FloatArray) -> RunEffect:
+    """Compare what runs took with what a sum of terms says of them."""
+    plain = problem.of_totals
+    design = plain.design(terms, None, by_name(terms, values), rounds=1)
+    return RunEffect.between(design, np.array(values), plain.drives[0].windows[-1].length)
 
 
 def _within(

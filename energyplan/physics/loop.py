@@ -8,7 +8,6 @@ from dataclasses import astuple, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.diagnosis import diagnose, result
@@ -21,6 +20,8 @@ from energyplan.errors import (
     NotIdentifiableError,
 )
 from energyplan.fit import identify
+from energyplan.fit.doubts import linearise
+from energyplan.fit.run import RunEffect
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -30,36 +31,13 @@ from energyplan.physics.driving import Driven, Sensors, drive, energy_predicted
 from energyplan.physics.engine import require_mujoco
 from energyplan.physics.robot import EngineGround, Robot
 from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.power import PowerModel, Sides
+from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope, with_weight
 from energyplan.terrain import HeightMap
 from energyplan.vehicle import TreadICR, Vehicle
 
-NORMAL = 1.96
-"""Half width of a 95 % interval in standard deviations."""
-
-MODEL_ERROR = 0.005
-"""Relative error of predicted energies where the model lacks nothing, as of engine drives."""
-PRIOR = 4
-"""Number of drives that this prior error counts for."""
 ALIKE = 0.02
 """How far tread ICRs may differ for controllers to steer alike, over half the slip track [1]."""
-
-
-class Overhead(NamedTuple):
-    """What drives take beyond what a model says of the planned routes."""
-
-    share: float  # what they took more, over what the model says
-    deviation: float  # how much that differs from drive to drive, relative
-
-
-def overhead(ratios: Sequence[float]) -> Overhead:
-    """Learn from earlier drives what the next one takes beyond what a model says of its route."""
-    share = float(np.mean(ratios)) - 1.0 if len(ratios) else 0.0
-    freedom = PRIOR + max(len(ratios) - 1, 0)
-    scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - share)))
-    variance = (PRIOR * MODEL_ERROR**2 + scatter) / freedom * (1.0 + 1.0 / max(len(ratios), 1))
-    return Overhead(share, float(np.sqrt(variance) * student.ppf(0.975, freedom) / NORMAL))
 
 
 def replayed_energy(model: PowerModel, log: DriveLog) -> float:
@@ -95,28 +73,28 @@ def ratio(
     return max(drive.log.energy / predicted, 1.0)
 
 
-def interval(
-    energy: float, model: PowerModel, motion: Motion, weights: FloatArray, share: float
-) -> tuple[float, float] | None:
-    """Return the 95 % interval of an energy."""
-    if model.covariance is None:
-        return None
+LEVEL = 0.95
+"""Probability of the interval of an energy."""
 
-    def total(column: Sides | FloatArray) -> float:
-        power = column.total if isinstance(column, Sides) else column
-        return float(weights @ np.broadcast_to(power, weights.shape))
 
-    try:
-        gradient = np.array([total(column) for column in model.regressors(motion)])
-    except MissingChannelError:
-        return None
-    variance = float(gradient @ model.covariance @ gradient)
-    if model.residual is not None:
-        misfit, duration = model.residual, float(weights.sum())
-        correlated = 2.0 * max(misfit.correlation_time, 0.05) * duration
-        variance += misfit.rmse**2 * correlated + (misfit.bias * duration) ** 2
-    half = NORMAL * float(np.sqrt(variance + (share * energy) ** 2))
-    return energy - half, energy + half
+def with_interval(
+    energy: float, model: PowerModel, motion: Motion, weights: FloatArray, ratios: Sequence[float]
+) -> tuple[float, tuple[float, float] | None, float]:
+    """Return an energy with what drives took beyond a model, its interval, and that share of it."""
+    misfit = model.residual
+    density = 0.0
+    if misfit is not None:
+        density = misfit.rmse**2 * 2.0 * max(misfit.correlation_time, 0.05)
+        density += misfit.bias**2 * float(weights.sum())
+    run = RunEffect.of(ratios, density)
+    gradient = None
+    if model.covariance is not None:
+        with suppress(MissingChannelError):
+            gradient = weights @ linearise(model, motion).columns[:, 0]
+    if gradient is None:
+        return (1.0 + run.mean) * energy, None, run.mean
+    told = run.energy(model, energy, gradient, float(weights.sum()), LEVEL)
+    return told.mean, told[1:], run.mean
 
 
 SHORTEST = 16.0
@@ -357,12 +335,11 @@ def close_loop(
             energy = replayed_energy(model, log)
             known = [one.energy / replayed_energy(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
-        beyond = overhead(known if model is not problem.cost.model else ())
-        energy *= 1.0 + beyond.share
-        within = interval(energy, model, motion, weights, beyond.deviation)
+        known = known if model is not problem.cost.model else []
+        energy, within, beyond = with_interval(energy, model, motion, weights, known)
         logs.append(log)
         now = Round(
-            energy, within, log.energy, planned, model, (), log, driven, overhead=beyond.share
+            energy, within, log.energy, planned, model, (), log, driven, overhead=beyond
         )
         right = now.within or abs(now.error) <= tolerance
         if right:
