@@ -267,18 +267,18 @@ def advice_of_model(
             f"no effect of the catalogue fits; look at what changes with {first.channel}: "
             f"{first.shape}"
         )
-    for effect, why in dropped:
-        low, high = effect.limits(model.vehicle)
+    for entry, why in dropped:
+        low, high = entry.limits(model.vehicle)
         reasons = {
             "missing": "with it, the model still lacks more than half as much, so that it probably "
             "stands for something else, and would mislead elsewhere. Drive the same places at "
             "another time, by other ways",
             "size": "its size is less than two standard errors, so that another one, or none, fits "
-            f"these drives about as well; to tell it: {effect.manoeuvre}",
-            "range": f"its size would be beyond {low:.3g} to {high:.3g} {effect.unit}, the range "
+            f"these drives about as well; to tell it: {entry.manoeuvre}",
+            "range": f"its size would be beyond {low:.3g} to {high:.3g} {entry.unit}, the range "
             "that is possible for this vehicle",
         }
-        yield f"{html.words(effect.name)} was dropped: {reasons[why]}"
+        yield f"{html.words(entry.name)} was dropped: {reasons[why]}"
     if not quality.adequate:
         unknown = "" if left else ", and no recorded channel explains it"
         yield (
