@@ -413,55 +413,45 @@ def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
     return left
 
 
-@dataclass(frozen=True)
-class Beside:
-    """What further terms do to a fitted model."""
-
-    residuals: list[FloatArray]  # (n,): what is left of each drive [W]
-    moved: FloatArray  # (k,): by how much the model's own coefficients move
-    errors: FloatArray  # (k,)
-
-    def moves(self, model: PowerModel) -> list[str]:
-        """Name the coefficients that move by more than their standard errors admit."""
-        return [
-            f"{term.symbol} from {value:.4g} to {value + by:.4g}"
-            for term, value, by, error in zip(
-                model.terms, model.coefficients, self.moved, self.errors, strict=True
-            )
-            if abs(by) > _MOVED * abs(value)
-            and abs(by) > _STEADY * np.hypot(error, model.std_error(term.name) or 0.0)
-        ]
-
-
 def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
     """Return what of some effects, or of all known ones, nearly every drive shows."""
     every = catalogue().values() if entries is None else entries
     return [effect for effect in every if effect.usual and not effect.channels]
 
 
-def usual_terms(terms: Sequence[Term]) -> list[Term]:
-    """Return the terms of what nearly every drive shows, beside those of a model."""
-    names = {term.name for term in terms}
-    return [
-        replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
-        for effect in usual_effects()
-        for values in product(*effect.grid.values())
-        for term in effect.terms
-        if term.name not in names
-    ]
+@dataclass(frozen=True)
+class Wider:
+    """What a model leaves with the effects beside it that nearly every drive shows."""
 
+    residuals: list[FloatArray]  # (n,): what is left of each drive [W]
+    moves: list[str]  # coefficients of the model that move by more than their errors, in words
 
-def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) -> Beside:
-    """Fit further terms beside those of a model."""
-    every, own = (*model.terms, *terms), len(model.terms)
-    about = np.append(model.coefficients, np.zeros(len(terms)))
-    tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
-    left = left_over(model, drives)
-    step, covariance, _ = least_squares(
-        np.concatenate(tables), np.concatenate(left), pieces_of(drives)
-    )
-    residuals = [r - table @ step for r, table in zip(left, tables, strict=True)]
-    return Beside(residuals, step[:own], np.sqrt(np.diag(covariance)[:own]))
+    @classmethod
+    def of(cls, model: PowerModel, drives: Sequence[Drive]) -> Wider:
+        """Fit usual effects beside the terms of a model."""
+        names, own = {term.name for term in model.terms}, len(model.terms)
+        every = [*model.terms] + [
+            replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
+            for effect in usual_effects()
+            for values in product(*effect.grid.values())
+            for term in effect.terms if term.name not in names
+        ]  # fmt: skip
+        about = np.append(model.coefficients, np.zeros(len(every) - own))
+        tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
+        left = left_over(model, drives)
+        step, covariance, _ = least_squares(
+            np.concatenate(tables), np.concatenate(left), pieces_of(drives)
+        )
+        residuals = [r - table @ step for r, table in zip(left, tables, strict=True)]
+        moves = [
+            f"{term.symbol} from {value:.4g} to {value + by:.4g}"
+            for term, value, by, variance in zip(
+                model.terms, model.coefficients, step[:own], np.diag(covariance)[:own], strict=True
+            )
+            if abs(by) > _MOVED * abs(value)
+            and abs(by) > _STEADY * np.hypot(np.sqrt(variance), model.std_error(term.name) or 0.0)
+        ]
+        return cls(residuals, moves)
 
 
 def _noises(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> list[SensorNoise]:

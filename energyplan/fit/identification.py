@@ -17,9 +17,8 @@ from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
 from energyplan.fit.doubts import (
     Adequacy,
-    Beside,
+    Wider,
     adequacy,
-    beside,
     check_identifiable,
     ends_in_words,
     linearise,
@@ -29,7 +28,6 @@ from energyplan.fit.doubts import (
     signal_motion,
     statistics,
     usual_effects,
-    usual_terms,
 )
 from energyplan.fit.drive import BLOCK, Drive, check_long_enough, cut
 from energyplan.fit.estimate import Problem, joint_fit, problem_of
@@ -713,10 +711,10 @@ def identify(
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
-    usual = beside(usual_terms(terms), model, ready)
-    quality = adequacy(ready, usual.residuals)
+    wider = Wider.of(model, ready)
+    quality = adequacy(ready, wider.residuals)
     told = foretold(model, ready)
-    warnings += _missing(quality, model, usual, told)
+    warnings += _missing(quality, wider.moves, told)
     aside = set_aside_by_drive(drives)
     return Identification(
         model, method, icr_covariance, independent, quality, told, tuple(warnings), aside
@@ -732,11 +730,8 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
 # -- parts --------------------------------------------------------------------------------------
 
 
-def _missing(
-    left: Adequacy, model: PowerModel, usual: Beside, left_out: Foretold | None
-) -> list[str]:
+def _missing(left: Adequacy, moves: Sequence[str], left_out: Foretold | None) -> list[str]:
     """Warn of a model that lacks something, and of how much: errors know of noise alone."""
-    moves = usual.moves(model)
     if moves:
         told = f"inertia and the mobilisation of friction beside it move {' and '.join(moves)}"
     elif not left.adequate:
