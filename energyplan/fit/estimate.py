@@ -17,7 +17,6 @@ from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_
 from energyplan.fit.run import RunEffect
 from energyplan.fit.solvers import jackknife, least_squares
 from energyplan.logs import DriveLog
-from energyplan.logs.checks import find_lost_sign
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Term
 from energyplan.power.effects import Effect, most_of
@@ -398,15 +397,16 @@ class Problem:
 # -- what the powers of both sides show ------------------------------------------------------------
 
 _HOLDING = 0.01  # mean slip speed up to which contacts may hold [m/s]
+_CLEAR = 3.0  # noise beyond which a side should return power
+_RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
+_ENOUGH = 20  # samples that a sign needs
 _LOST = 0.5  # misfit of the moment between the sides, over it, from which it tells nothing
 _SLIDES = 0.3  # misfit in slight turns up to which contacts slide there; simulated ones: 0.2
 _LEFT = 0.01  # share of the samples that must slide
 
 
 def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
-    """Return drives as they are fitted: each side an equation, where it slides and has its sign."""
-    if any(find_lost_sign(log.channels) for log in logs):
-        return Problem(prepared(logs, vehicle), vehicle).of_totals
+    """Return drives as they are fitted: each side an equation, where it slides."""
     usual = (effect for effect in usual_effects(effects) if not effect.grid)
     terms = [term for effect in usual for term in effect.terms]
     return with_sides(Problem(prepared(logs, vehicle), vehicle), terms)
@@ -425,7 +425,7 @@ def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
         return total
     design = held.design(terms)
     values = fit(design, held.reference(design)).values
-    if _misfit(held, terms, values, np.inf) > _LOST:
+    if _misfit(held, terms, values, np.inf) > _LOST or _unsigned(held, terms, values):
         return total
     slight = _misfit(problem, terms, values, breakaway)
     return held if _SLIDES < slight < np.inf else problem  # which slides however little it turns
@@ -442,6 +442,26 @@ def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray, most: f
         size += float(push @ push)
         beyond += float(left @ left) - np.count_nonzero(turns) * drive.between_noise**2
     return float(np.sqrt(max(beyond, 0.0) / size)) if size > 0.0 else np.inf
+
+
+def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
+    """Tell whether sensors show what sides return as if it were drawn."""
+    due, shown, faint, lowest = list[FloatArray](), list[FloatArray](), 0, np.inf
+    for drive in problem.drives:
+        table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
+        total, more = (table @ values).T
+        between = np.zeros(len(total)) if drive.between is None else drive.between
+        for sign in (-1.0, 1.0):  # the left side, the right one
+            expected, seen = 0.5 * (total + sign * more), 0.5 * (drive.power + sign * between)
+            returns = (expected < -_CLEAR * drive.between_noise) & (drive.slides != 0.0)
+            faint += int(np.count_nonzero(expected < 0.0))
+            lowest = min(lowest, float(seen.min()))
+            due.append(-expected[returns])
+            shown.append(seen[returns])
+    expected, seen = np.concatenate(due), np.concatenate(shown)
+    if len(expected) < _ENOUGH:
+        return lowest >= 0.0 and faint >= _ENOUGH
+    return float(np.polyfit(expected, seen, 1)[0]) > _RISES
 
 
 # -- all coefficients of a sum of terms, fitted together to window means of drives -----------------

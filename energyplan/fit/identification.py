@@ -60,7 +60,7 @@ from energyplan.vehicle import TreadICR, Vehicle
 Method = Literal["lad", "simplex", "huber", "windows"]
 Loss = Callable[[FloatArray], float]
 
-_BLOCKS = 12  # of the jackknife, at least: blocks are shorter where a log is short
+_BLOCKS = 16  # of the jackknife, at least: blocks are shorter where a log is short
 
 
 class PowerRegression:
@@ -170,7 +170,8 @@ class PowerRegression:
             pull, slope = np.clip(residual, -edge, edge), (np.abs(residual) < edge).astype(float)
         else:
             pull, slope = np.sign(residual), 2.0 * _density_at_zero(residual, sigma, independent)
-        length = min(BLOCK, sum(float(drive.t[-1]) for drive in self._drives) / _BLOCKS)
+        time = sum(float(drive.t[-1]) for drive in self._drives)
+        length = min(BLOCK, time / _BLOCKS)
         first, block = 0, list[NDArray[np.intp]]()
         for drive in self._drives:
             block.append(first + cut(drive.t, length))
@@ -186,7 +187,11 @@ class PowerRegression:
         whole, kept = bread.sum(axis=0), np.any(score != 0.0, axis=1)
         rest = np.linalg.pinv(whole - bread[kept], rcond=1e-12, hermitian=True)
         moved = np.einsum("bij,bj->bi", rest, score.sum(axis=0) - score[kept]) / scale
-        return jackknife(moved) if len(moved) > 1 else np.full_like(whole, np.inf)
+        if len(moved) < 2:
+            return np.full_like(whole, np.inf)
+        # Neighbouring blocks are alike: variance of a mean over one, beside that of all of them.
+        ratio = 0.5 * time / max(independent, 1.0) / length
+        return jackknife(moved) / (1.0 - ratio * (1.0 - np.exp(-1.0 / max(ratio, 1e-3))))
 
     def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:
         """Covariance that the coefficients take over from the tread ICRs."""
