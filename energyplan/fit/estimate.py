@@ -17,6 +17,7 @@ from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_
 from energyplan.fit.run import RunEffect
 from energyplan.fit.solvers import jackknife, least_squares
 from energyplan.logs import DriveLog
+from energyplan.logs.checks import find_lost_sign
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Term
 from energyplan.power.effects import Effect, most_of
@@ -406,7 +407,9 @@ _LEFT = 0.01  # share of the samples that must slide
 
 
 def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
-    """Return drives as they are fitted: each side an equation, where it slides."""
+    """Return drives as they are fitted: each side an equation, where it slides and has its sign."""
+    if any(find_lost_sign(log.channels) for log in logs):
+        return Problem(prepared(logs, vehicle), vehicle).of_totals
     usual = (effect for effect in usual_effects(effects) if not effect.grid)
     terms = [term for effect in usual for term in effect.terms]
     return with_sides(Problem(prepared(logs, vehicle), vehicle), terms)
