@@ -225,15 +225,6 @@ def test_standard_errors_are_those_of_many_drives(method: str, drives: int) -> N
     assert np.all(hits <= 0.99 * drives) or drives < 100
 
 
-@pytest.mark.parametrize("tau", [0.2, 1.0])
-def test_correlation_time_of_a_markov_process(tau: float) -> None:
-    keep, rng = np.exp(-0.05 / tau), np.random.default_rng(1)
-    series = lfilter([1.0], [1.0, -keep], rng.normal(size=200_000))
-    exact = 0.05 * (0.5 + keep / (1 - keep))
-    found = solvers.correlation_time(series, 0.05, [slice(0, len(series))])
-    assert found == pytest.approx(exact, rel=0.1)
-
-
 def test_error_of_the_tread_icrs_is_passed_on(truth: PowerModel) -> None:
     """What the covariance takes over is what identification with another ICR would find."""
     log = simulate.drive(truth, "spiral")
