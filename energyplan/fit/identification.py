@@ -191,7 +191,8 @@ class PowerRegression:
             return np.full_like(whole, np.inf)
         # Neighbouring blocks are alike: variance of a mean over one, beside that of all of them.
         ratio = 0.5 * time / max(independent, 1.0) / length
-        return jackknife(moved) / (1.0 - ratio * (1.0 - np.exp(-1.0 / max(ratio, 1e-3))))
+        alike = ratio * (1.0 - np.exp(-1.0 / max(ratio, 1e-3)))
+        return np.asarray(jackknife(moved) / (1.0 - alike))
 
     def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:
         """Covariance that the coefficients take over from the tread ICRs."""
