@@ -289,10 +289,10 @@ class _Case:
         after = [predict(told.model, parts, drive) for drive in self.held]
         if told.model is self.paper:
             after = list(before)
-        foretold, undated = after, None
+        ahead, undated = after, None
         if any(part.effect.acts == "change" for part in parts):
-            foretold = [predict(told.model, parts, drive, dated=False) for drive in self.held]
-            undated = score(foretold)
+            ahead = [predict(told.model, parts, drive, dated=False) for drive in self.held]
+            undated = score(ahead)
         others = self._explanations(searched)
         found = self._found(chosen, fitted, searched, after)
         if heat is not None and fighting is not None:
@@ -362,7 +362,7 @@ class _Case:
             predictions_after=self._on_given_samples(after),
             explanations=others,
             adequacy=quality,
-            predictions=energies(best.problem, told, foretold),
+            predictions=energies(best.problem, told, ahead),
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),

@@ -439,7 +439,7 @@ class Proposals:
             if effect.acts == "change":
                 if marked is None:
                     continue
-                # Every drive has a time of its own, which no other foretells.
+                # Prior penalty: one free time a drive (logarithm of the number of windows).
                 windows = [len(drive.windows[0].starts) for drive in self.problem.drives]
                 prior -= float(np.sum(np.log(windows)))
             for part in parts:

@@ -75,7 +75,7 @@ def residuals(design: Design, values: FloatArray) -> list[FloatArray]:
 
 
 def innovations(design: Design, left: Sequence[FloatArray]) -> FloatArray:
-    """Return the share of a residual that its own past does not foretell, at each scale."""
+    """Return the share of a residual that its own past does not predict, at each scale."""
     shares = []
     for table, block, residual in zip(design.rows, design.blocks, left, strict=True):
         kept = np.any(table != 0.0, axis=1)
@@ -624,7 +624,7 @@ class Search:
                 ]  # fmt: skip
                 if full.sound and not poor:
                     return now
-                # Nonsense that fits: what explains least is the culprit.
+                # If the fit is beyond what is possible, the least supported effect is dropped.
                 weak = min(poor or now, key=lambda k: gains[k].weight + candidates[k].prior)
             now = tuple(k for k in now if k != weak)
         return now

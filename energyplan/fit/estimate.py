@@ -26,7 +26,7 @@ from energyplan.vehicle import Vehicle
 # -- fits of a sum of terms to drives, with cross-validation and jackknife -------------------------
 
 WEIGHTS = np.array([1.0, 2.0, 3.0]) / 6.0
-"""Say of each scale: what lasts adds up to energy."""
+"""Weight of each window length in the loss: slow errors matter more for energy."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ FLOOR = 0.01
 ROUNDS = 20
 """Most steps of a fit with losses."""
 
-_SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
+_SLIP_LAW = 0.05  # error of p_right - p_left, relative, that the friction law itself has
 _KEPT = 0.1  # of friction and resistance in a step, at least
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
 _SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better

@@ -479,7 +479,7 @@ class Identification(ByValue, html.Readable):
         every drive shows are allowed for. Where that is more than noise, the model lacks something,
         and coefficients may be off by more than their standard errors.
     foretold : Foretold, optional
-        By how much energies are missed that are foretold from the other drives, or from the rest of
+        Error of energies that are predicted from the other drives, or from the rest of
         few drives; None where the drives took no energy.
     warnings : tuple of str
         What the logs do not determine, or hardly.

@@ -350,7 +350,7 @@ class SensorNoise:
 
 
 def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
-    """Share of a series' variance that its own past does not foretell."""
+    """Share of a series' variance that its own past does not predict."""
     # Source: Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989),
     # Biometrika 76.
     count = len(series)
