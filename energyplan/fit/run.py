@@ -7,7 +7,7 @@ a model says of the next run is no surer than that, however well its coefficient
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +43,6 @@ class RunEffect:
     freedom: float = _ASSUMED  # degrees of freedom that the deviation is known with
     compared: bool = False  # whether runs were compared for it
     density: float = 0.0  # of the residual within runs, by time [W^2 s]
-    excess: FloatArray = field(default_factory=lambda: np.zeros(0))  # of each run that was compared
     p_value: float = 1.0  # that runs do not differ
 
     @classmethod
@@ -74,17 +73,17 @@ class RunEffect:
             between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
         chance = fdtrc(count - 1, freedom, misfit(0.0) / (count - 1) + 1.0)
         density = float(np.mean(scatter**2)) * length
-        return cls(0.0, float(np.sqrt(between)), count - 1.0, True, density, excess, float(chance))
+        return cls(0.0, float(np.sqrt(between)), count - 1.0, True, density, float(chance))
 
     @classmethod
-    def of(cls, ratios: Sequence[float], density: float = 0.0) -> RunEffect:
+    def of(cls, ratios: Sequence[float]) -> RunEffect:
         """Learn from measured over predicted energies; the prior is that of a right model."""
         count = len(ratios)
         mean = float(np.mean(ratios)) - 1.0 if count else 0.0
         freedom = float(_PRIOR + max(count - 1, 0))
         scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - mean)))
         variance = (_PRIOR * _EXACT**2 + scatter) / freedom * (1.0 + 1.0 / max(count, 1))
-        return cls(mean, float(np.sqrt(variance)), freedom, density=density)
+        return cls(mean, float(np.sqrt(variance)), freedom)
 
     def at_least(self, deviation: float) -> RunEffect:
         """Return the effect with the error of runs that were left out, where that is larger."""

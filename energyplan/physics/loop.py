@@ -21,7 +21,7 @@ from energyplan.errors import (
 )
 from energyplan.fit import identify
 from energyplan.fit.doubts import linearise
-from energyplan.fit.run import RunEffect
+from energyplan.fit.run import Energy, RunEffect
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -78,23 +78,21 @@ LEVEL = 0.95
 
 
 def with_interval(
-    energy: float, model: PowerModel, motion: Motion, weights: FloatArray, ratios: Sequence[float]
-) -> tuple[float, tuple[float, float] | None, float]:
-    """Return an energy with what drives took beyond a model, its interval, and that share of it."""
-    misfit = model.residual
-    density = 0.0
+    energy: float, run: RunEffect, model: PowerModel, motion: Motion, weights: FloatArray
+) -> Energy | None:
+    """Return an energy with what drives took beyond a model, and its interval if there is one."""
+    misfit, density = model.residual, 0.0
     if misfit is not None:
         density = misfit.rmse**2 * 2.0 * max(misfit.correlation_time, 0.05)
         density += misfit.bias**2 * float(weights.sum())
-    run = RunEffect.of(ratios, density)
-    gradient = None
-    if model.covariance is not None:
-        with suppress(MissingChannelError):
-            gradient = weights @ linearise(model, motion).columns[:, 0]
-    if gradient is None:
-        return (1.0 + run.mean) * energy, None, run.mean
-    told = run.energy(model, energy, gradient, float(weights.sum()), LEVEL)
-    return told.mean, told[1:], run.mean
+    if model.covariance is None:
+        return None
+    try:
+        gradient = weights @ linearise(model, motion).columns[:, 0]
+    except MissingChannelError:
+        return None
+    run = replace(run, density=density)
+    return run.energy(model, energy, gradient, float(weights.sum()), LEVEL)
 
 
 SHORTEST = 16.0
@@ -335,11 +333,13 @@ def close_loop(
             energy = replayed_energy(model, log)
             known = [one.energy / replayed_energy(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
-        known = known if model is not problem.cost.model else []
-        energy, within, beyond = with_interval(energy, model, motion, weights, known)
+        beyond = RunEffect.of(known if model is not problem.cost.model else ())
+        told = with_interval(energy, beyond, model, motion, weights)
+        energy *= 1.0 + beyond.mean
+        within = None if told is None else told[1:]
         logs.append(log)
         now = Round(
-            energy, within, log.energy, planned, model, (), log, driven, overhead=beyond
+            energy, within, log.energy, planned, model, (), log, driven, overhead=beyond.mean
         )
         right = now.within or abs(now.error) <= tolerance
         if right:
