@@ -708,8 +708,12 @@ def check_long_enough(*lists: Sequence[DriveLog]) -> None:
 
 
 def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
-    """Prepare training drives; very many samples are thinned, to four a window at least."""
-    drives = [Drive.of(log, vehicle) for log in logs]
+    """Prepare training drives."""
+    return enough_of([Drive.of(log, vehicle) for log in logs])
+
+
+def enough_of(drives: list[Drive]) -> list[Drive]:
+    """Return drives, of which very many samples are thinned, to four a window at least."""
     total = sum(len(drive.t) for drive in drives)
     period = max(drive.clock.period for drive in drives)
     step = min(int(np.ceil(total / _MANY)), int(SCALES[0] / (4 * period)))

@@ -29,7 +29,7 @@ from energyplan.fit.doubts import (
     statistics,
     usual_effects,
 )
-from energyplan.fit.drive import BLOCK, Drive, check_long_enough, cut
+from energyplan.fit.drive import BLOCK, Drive, check_long_enough, cut, enough_of
 from energyplan.fit.estimate import Problem, joint_fit, problem_of
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
 from energyplan.fit.regressors import is_lossy
@@ -717,9 +717,10 @@ def identify(
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
-    wider = Wider.of(model, ready)
-    quality = adequacy(ready, wider.residuals)
-    told = foretold(model, ready)
+    few = enough_of(ready)
+    wider = Wider.of(model, few)
+    quality = adequacy(few, wider.residuals)
+    told = foretold(model, few)
     warnings += _missing(quality, wider.moves, told)
     aside = set_aside_by_drive(drives)
     return Identification(
