@@ -35,7 +35,7 @@ from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis import FoundEffect
 from energyplan.power import HOTEL, REGENERATION_LOSS
 from energyplan.power import effects as known
-from energyplan.power.effect_terms import (
+from energyplan.power.effects import (
     DRAGGING_LEFT,
     SLIP_BEYOND,
     SLIP_SPEED,

@@ -27,7 +27,7 @@ from energyplan.fit import fit_residual
 from energyplan.io.husky import read_husky
 from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TABLE_II, TRACTION, PowerModel
 from energyplan.power import effects as catalogue
-from energyplan.power.effect_terms import (
+from energyplan.power.effects import (
     DRAGGING_LEFT,
     MOBILISATION,
     SLIP_SPEED,

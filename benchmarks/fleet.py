@@ -9,21 +9,15 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from energyplan.battery import Battery
 from energyplan.mission import Charger, Mission, Robot, Task, evaluate
 from energyplan.mission.order import OrderProblem, shared, solve
-from energyplan.path import FloatArray, Pose
+from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
-
-
-def _same(values: FloatArray, load: float) -> FloatArray:
-    """Return what does not depend on the payload."""
-    return values
 
 
 def problems(robots: int, tasks: int, unlike: bool, seed: int = 0) -> list[OrderProblem]:
@@ -39,10 +33,10 @@ def problems(robots: int, tasks: int, unlike: bool, seed: int = 0) -> list[Order
         safe = energy[:, [0, 1 + tasks, 2 + tasks]].min(axis=1)
         made.append(
             OrderProblem(
-                energy=partial(_same, energy), finish=partial(_same, safe), time=apart / 0.8,
+                np.zeros(1), energy[None, None], safe[None], time=apart[None] / 0.8,
                 finish_time=apart[:, 0] / 0.8, service=work, service_time=np.full(tasks, 60.0),
-                payload=0.0, payload_change=np.zeros(tasks), prize=np.ones(tasks),
-                required=np.ones(tasks, bool), window=np.tile([0.0, np.inf], (tasks, 1)),
+                window=np.tile([0.0, np.inf], (tasks, 1)), idle=np.zeros(tasks),
+                prize=np.full(tasks, 2.0 + tasks), change=np.zeros(tasks),
                 budget=40e3, capacity=np.full(2, 50e3), charge_power=np.full(2, 500.0), full=50e3,
             )
         )  # fmt: skip
@@ -57,7 +51,7 @@ def sums(robots: int, tasks: int) -> None:
         own, _ = shared(drawn, np.ones(tasks))
         energy, done = 0.0, 0
         for one, mine in zip(drawn, own, strict=True):
-            part = replace(one.in_turn(mine), given=len(mine) > 15)
+            part = one.some(mine)._replace(given=len(mine) > 15)
             found = solve(part)
             energy += found.energy
             done += sum(stop <= len(mine) for stop in found.stops)

@@ -14,7 +14,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 import energyplan as ep
-from energyplan.physics import Effect, Ground
+from energyplan.physics import Effect, EngineGround
 from energyplan.terrain import HeightMap
 
 WIDTH, ROOM, RESOLUTION = 1.8, 1.7, 0.1
@@ -29,7 +29,7 @@ class Fork(NamedTuple):
     start: ep.Pose
     goal: ep.Pose
     effects: tuple[Effect, ...]
-    ground: Ground | None = None
+    ground: EngineGround | None = None
 
     def problem(self, model: ep.PowerModel) -> ep.PlanningProblem:
         """Return the problem as a model sees it."""
@@ -98,7 +98,7 @@ def ridge(share: float) -> Fork:
     effect = Effect("regeneration_efficiency", 1.0)
     return Fork(
         "ridge, nothing returned", corridors(short, long), start, goal, (effect,),
-        Ground(heights=heights),
+        EngineGround(heights=heights),
     )  # fmt: skip
 
 

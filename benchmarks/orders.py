@@ -39,17 +39,19 @@ def problem(seed: int, tasks: int, chargers: int, windows: bool) -> OrderProblem
         begin = rng.uniform(0, 1.2 * whole, tasks)
         last = begin + rng.uniform(0.05, 0.4, tasks) * whole
         window[pressed] = np.column_stack([begin, last])[pressed]
+    prize = rng.integers(1, 6, tasks).astype(float)
+    required = rng.random(tasks) < 0.3
     return OrderProblem(
-        energy=lambda load: energy,
-        finish=lambda load: energy[:, [0, *range(1 + tasks, size)]].min(axis=1),
-        time=driving,
+        loads=np.zeros(1),
+        energy=energy[None, None],
+        finish=energy[None, :, [0, *range(1 + tasks, size)]].min(axis=-1),
+        time=driving[None],
         finish_time=driving[:, 0],
         service=service,
         service_time=service_time,
-        payload=0.0,
-        payload_change=np.zeros(tasks),
-        prize=rng.integers(1, 6, tasks).astype(float),
-        required=rng.random(tasks) < 0.3,
+        idle=np.zeros(tasks),
+        prize=prize + (1.0 + prize.sum()) * required,
+        change=np.zeros(tasks),
         window=window,
         budget=budget * float(rng.uniform(0.5, 1.0)),
         capacity=np.full(chargers, 0.95 * budget),

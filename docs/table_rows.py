@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import energyplan as ep
-from energyplan.kinds import bounds
 from energyplan.mission import Spreads
 from energyplan.power.effects import catalogue
+from energyplan.records import bounds
 from energyplan.terrain import SpeedLimit
 
 OWNERS: dict[str, list[Any]] = {

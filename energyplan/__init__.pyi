@@ -11,7 +11,7 @@ from .io.config import read_model as read_model
 from .io.config import read_vehicle as read_vehicle
 from .io.config import write_model as write_model
 from .io.geojson import read_surfaces as read_surfaces
-from .io.maps import read_heights as read_heights
+from .io.heights import read_heights as read_heights
 from .io.maps import read_map as read_map
 from .io.mission import read_mission as read_mission
 from .limits import speed as speed

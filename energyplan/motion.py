@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.kinds import checked, instance, numbers
 from energyplan.path import FloatArray, Trajectory
-from energyplan.records import ByValue
+from energyplan.records import ByValue, checked, instance, numbers
 from energyplan.vehicle import TreadICR
 
 CHANNELS = {
@@ -29,7 +28,7 @@ CHANNELS = {
     "temperature": "temperature [degC]",
     "payload": "payload [kg]",
 }
-"""Channels that a motion may carry beside its tread speeds."""
+"""Channels that a motion may carry besides its tread speeds."""
 
 
 def _common_shape(arrays: Mapping[str, FloatArray]) -> tuple[int, ...]:
@@ -117,7 +116,7 @@ class Motion(ByValue):
         name : str
             Name of the channel.
         needed_by : str
-            Who asks, for the message.
+            What needs it, for the message.
 
         Returns
         -------

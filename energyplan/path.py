@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,17 +10,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import InvalidInputError, PathError
-from energyplan.kinds import checked, described, numbers
-from energyplan.records import ByValue
+from energyplan.records import NO_NUMBER, ByValue, amount, checked, described, numbers
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FloatArray = NDArray[np.float64]
 
+ROUNDING = 1e-9
+"""Part of a number by which rounding may change it [1]."""
+
+PLACE = 1e-9
+"""Distance below which two places are one [m]."""
+
+ANGLE = 1e-12
+"""Difference below which two headings are one [rad]."""
 
 _MOST_PIECES = 1e8  # of a path that is divided
-_TURNED = 10.0  # yaw beyond which whole and half numbers are taken for degrees
+_FULL_TURN = 6.3  # with rounding [rad]
+_TURNED = 10.0  # yaw beyond which whole and half numbers count as degrees
 
 
 class Pose(NamedTuple):
@@ -65,6 +74,25 @@ def as_pose(
     return Pose(*(float(v) for v in row))
 
 
+def parse_pose(given: str | Sequence[object]) -> Pose:
+    """Return the pose that ``X,Y,YAW``, or a list of texts, stands for."""
+    try:
+        x, y, yaw = given.split(",") if isinstance(given, str) else given
+        pose = Pose(float(x), float(y), float(amount("angle", yaw)))  # type: ignore[arg-type]
+        if not np.all(np.isfinite(pose)):
+            raise ValueError
+    except NO_NUMBER:
+        raise InvalidInputError(
+            f"pose {given!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
+        ) from None
+    if abs(pose.yaw) > _FULL_TURN:
+        raise InvalidInputError(
+            f"the yaw of pose {given!r} is more than a full turn in radians; for degrees write "
+            f"{str(yaw).strip().removesuffix('deg')}deg, up to 360"
+        )
+    return pose
+
+
 def wrap_angle(angle: ArrayLike) -> FloatArray:
     """Return `angle` [rad] shifted by full turns into (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle, float), 2 * np.pi))
@@ -95,7 +123,7 @@ def _chord_factor(dtheta: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Path(ByValue):
-    """A geometric path made of arcs, each of constant curvature.
+    """A geometric path of arcs, each of constant curvature.
 
     Segment i moves the reference point by the signed arc length ``ds[i]`` along its heading
     (negative: backwards) while the heading turns by ``dtheta[i]``. A straight line has
@@ -189,12 +217,12 @@ class Path(ByValue):
         if not (max_ds > 0 and max_dtheta > 0):
             raise PathError(f"max_ds {max_ds} and max_dtheta {max_dtheta} must be positive")
         pieces = np.ceil(
-            np.maximum(np.abs(self.ds) / max_ds, np.abs(self.dtheta) / max_dtheta) - 1e-12
+            np.maximum(np.abs(self.ds) / max_ds, np.abs(self.dtheta) / max_dtheta) - ROUNDING
         )
         if pieces.sum() > _MOST_PIECES:
             raise PathError(
                 f"max_ds {max_ds:g} and max_dtheta {max_dtheta:g} make {pieces.sum():.3g} "
-                f"segments; at most {_MOST_PIECES:g} are made"
+                f"segments; at most {_MOST_PIECES:g} are possible"
             )
         count = np.maximum(pieces, 1).astype(int)
         return Path(

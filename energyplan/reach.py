@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import checked, numbers
 from energyplan.path import FloatArray, Pose, as_pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.problem import PlanningProblem
@@ -26,6 +25,7 @@ from energyplan.planning.space import prices
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.planning.space.cost_to_go import no_cost_to_go
 from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
+from energyplan.records import checked, numbers
 
 STEP = 0.01
 """Part of a standard deviation by which coefficients are changed to see what that does."""

@@ -1,4 +1,4 @@
-"""What a compiled function is made of: a digest of its source and of all that it uses by name.
+"""What a compiled function depends on: a digest of its source and of all that it uses by name.
 
 A kernel's machine code holds the kernels that it calls and the constants that it reads. The digest
 follows these names from definition to definition, through the imports of this package. Comments,

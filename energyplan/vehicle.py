@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, partial
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import UnknownNameError, VehicleError
-from energyplan.kinds import Within, check_fields, checked, numbers
-from energyplan.records import ByValue
+from energyplan.records import Array, ByValue, Scalar, Text, Within, checked, numbers, record
 
-ICR = Annotated[float, Within((-1e3, 1e3), (-20, 20), "m")]
-Power = Annotated[float, Within((0, 1e6), (0, 5e4), "W", endless=True)]
-Speed = Annotated[float, Within((1e-3, 50), (0.05, 15), "m/s", endless=True)]
-Size = Annotated[float, Within((0.01, 30), (0.1, 6), "m", "not centimetres")]
-Positions = Annotated[NDArray[np.float64], Within((-30, 30), (-6, 6), "m")]
-Mass = Annotated[float, Within((0.05, 1e5), (0.5, 5e3), "kg", "not grams")]
+ICR = Annotated[Scalar, Within((-1e3, 1e3), (-20, 20), "m")]
+Power = Annotated[Scalar, Within((0, 1e6), (0, 5e4), "W", endless=True)]
+Speed = Annotated[Scalar, Within((1e-3, 50), (0.05, 15), "m/s", endless=True)]
+Size = Annotated[Scalar, Within((0.01, 30), (0.1, 6), "m", "not centimetres")]
+Positions = Annotated[Array, Within((-30, 30), (-6, 6), "m")]
+Mass = Annotated[Scalar, Within((0.05, 1e5), (0.5, 5e3), "kg", "not grams")]
 
 
-@dataclass(frozen=True)
+@record(VehicleError, whose="tread ICR ")
 class TreadICR:
     """Instantaneous centres of rotation of the two treads, in the body frame.
 
@@ -55,7 +54,6 @@ class TreadICR:
     longitudinal: ICR = 0.0
 
     def __post_init__(self) -> None:
-        check_fields(self, VehicleError, "tread ICR ")
         if not self.slip_track > 0:
             raise VehicleError(
                 f"the slip track left + right is {self.slip_track} m; it must be positive"
@@ -125,7 +123,7 @@ def _require(condition: bool, message: str, *place: str) -> None:
         raise VehicleError(message, place)
 
 
-@dataclass(frozen=True)
+@record(VehicleError, whose="motor limit ")
 class MotorLimits:
     """What one side's motor can do. Infinite where unknown, but for the acceleration.
 
@@ -152,16 +150,15 @@ class MotorLimits:
 
     continuous_power: Power = np.inf
     peak_power: Power = np.inf
-    thermal_time: Annotated[float, Within((1e-3, 1e6), (1, 3600), "s", endless=True)] = 30.0
-    force: Annotated[float, Within((0, 1e6), (1, 5e4), "N", endless=True)] = np.inf
+    thermal_time: Annotated[Scalar, Within((1e-3, 1e6), (1, 3600), "s", endless=True)] = 30.0
+    force: Annotated[Scalar, Within((0, 1e6), (1, 5e4), "N", endless=True)] = np.inf
     speed: Speed = np.inf
-    acceleration: Annotated[float, Within((1e-3, 1e3), (0.05, 20), "m/s^2", endless=True)] = (
+    acceleration: Annotated[Scalar, Within((1e-3, 1e3), (0.05, 20), "m/s^2", endless=True)] = (
         DEFAULT_ACCELERATION
     )
     regeneration: Power = np.inf
 
     def __post_init__(self) -> None:
-        check_fields(self, VehicleError, "motor limit ")
         _require(
             self.peak_power >= self.continuous_power or np.isinf(self.continuous_power),
             f"peak_power {self.peak_power} W is below continuous_power "
@@ -206,7 +203,7 @@ def wheel_loads(
     return np.asarray(loads)
 
 
-@dataclass(frozen=True, eq=False)
+@record(VehicleError, eq=False, whose="")
 class Vehicle(ByValue, html.Readable):
     """A wheeled skid-steer robot.
 
@@ -253,34 +250,31 @@ class Vehicle(ByValue, html.Readable):
     (147.1, 0.94)
     """
 
-    name: str
+    also: ClassVar = ("kind", "preset", "mass", "cog", "wheelbase", "track", "length", "width")
+
+    name: Text
     contacts: Positions
-    loads: Annotated[NDArray[np.float64], Within((0, 1e6), (0.1, 1.5e4), "N")]
+    loads: Annotated[Array, Within((0, 1e6), (0.1, 1.5e4), "N")]
     icr: TreadICR
     footprint: Positions
     motor: MotorLimits = field(default_factory=MotorLimits)
-    drive_efficiency: Annotated[float, Within((0.01, 1), (0.3, 1), "", "90 % is 0.9")] = 1.0
-    regen_efficiency: Annotated[float, Within((0, 1), (0, 1), "", "90 % is 0.9")] = 1.0
-    max_yaw_rate: Annotated[float, Within((1e-3, 100), (0.05, 20), "rad/s", endless=True)] = np.inf
-    battery_power: Annotated[float, Within((0.1, 1e6), (5, 1e5), "W", endless=True)] = np.inf
-    battery_return: Annotated[float, Within((0, 1e6), (0, 1e5), "W", endless=True)] = np.inf
+    drive_efficiency: Annotated[Scalar, Within((0.01, 1), (0.3, 1), "", "90 % is 0.9")] = 1.0
+    regen_efficiency: Annotated[Scalar, Within((0, 1), (0, 1), "", "90 % is 0.9")] = 1.0
+    max_yaw_rate: Annotated[Scalar, Within((1e-3, 100), (0.05, 20), "rad/s", endless=True)] = np.inf
+    battery_power: Annotated[Scalar, Within((0.1, 1e6), (5, 1e5), "W", endless=True)] = np.inf
+    battery_return: Annotated[Scalar, Within((0, 1e6), (0, 1e5), "W", endless=True)] = np.inf
     usual_speed: Speed = np.inf
-    tracking_tolerance: Annotated[float, Within((0, 10), (0, 0.5), "m")] = 0.0
+    tracking_tolerance: Annotated[Scalar, Within((0, 10), (0, 0.5), "m")] = 0.0
     reverse: bool = True
 
     def __post_init__(self) -> None:
-        check_fields(self, VehicleError)
-        for name, width in (("contacts", 2), ("footprint", 2)):
-            value = np.array(getattr(self, name), float)
+        for name, value in (("contacts", self.contacts), ("footprint", self.footprint)):
             _require(
-                value.ndim == 2 and value.shape[1] == width and len(value) > 0,
+                value.ndim == 2 and value.shape[1] == 2 and len(value) > 0,
                 f"{name} has shape {value.shape}; give rows of (x, y) [m]",
+                name,
             )
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        loads = np.array(self.loads, float)
-        loads.setflags(write=False)
-        object.__setattr__(self, "loads", loads)
+        loads = self.loads
         _require(
             loads.shape == (len(self.contacts),),
             f"{len(self.contacts)} contacts but loads of shape {loads.shape}; give one load each",
@@ -323,7 +317,7 @@ class Vehicle(ByValue, html.Readable):
 
     @property
     def driving_speed(self) -> float:
-        """Tread speed at which it is driven where nothing else is asked for [m/s]."""
+        """Tread speed at which it is driven by default [m/s]."""
         return min(self.usual_speed, self.motor.speed)
 
     def up_to(self, speed: float) -> Vehicle:

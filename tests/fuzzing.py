@@ -37,9 +37,10 @@ from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.geojson import read_surfaces
+from energyplan.io.heights import read_heights
 from energyplan.io.husky import read_husky
 from energyplan.io.logs import read_log
-from energyplan.io.maps import read_heights, read_map, write_map
+from energyplan.io.maps import read_map, write_map
 from energyplan.io.mission import read_battery, read_mission
 from energyplan.io.tables import (
     read_path,

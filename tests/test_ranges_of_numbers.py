@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import energyplan as ep
-from energyplan.kinds import bounds, doubts_of
+from energyplan.records import bounds, doubts_of
 
 OWNERS = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "table_rows.py"))["OWNERS"]
 CHECKED_ELSEWHERE = {

@@ -15,7 +15,6 @@ from energyplan.battery._kernel import Circuit, discharge
 from energyplan.battery._tables import CHEMISTRIES, chemistry_of
 from energyplan.battery._tables import PRESETS as PRESETS
 from energyplan.errors import BatteryError, UnknownNameError
-from energyplan.kinds import Within, checked, numbers
 from energyplan.path import FloatArray
 from energyplan.records import (
     Amps,
@@ -28,8 +27,11 @@ from energyplan.records import (
     Ohms,
     Time,
     Volts,
+    Within,
     amount,
     amount_of,
+    checked,
+    numbers,
     record,
 )
 
@@ -219,8 +221,8 @@ class Battery(ByValue, html.Readable):
         """Read words, or a mapping of a preset, words or equal units with what differs from it."""
         if not isinstance(given, str | dict):
             return given
-        told = {"preset": given} if isinstance(given, str) else given
-        given = {key: value for key, value in told.items() if value is not None}
+        parts = {"preset": given} if isinstance(given, str) else given
+        given = {key: value for key, value in parts.items() if value is not None}
         if "usable" in given:
             usable = amount("fraction", given.pop("usable"))
             _require(isinstance(usable, int | float), "usable is no fraction; give one, as 80 %")
@@ -505,11 +507,11 @@ class Battery(ByValue, html.Readable):
         notes: tuple[str, ...] = ()
         if unit_resistance is None:
             unit_resistance = kind.typical_resistance * 3600.0 / unit_capacity
-            told = unit_resistance * series / parallel
+            ohms = unit_resistance * series / parallel
             notes = (
-                f"battery {name}: its resistance of {1e3 * told:.3g} mohm is typical of its "
-                f"chemistry and capacity; others have from {500 * told:.3g} to "
-                f"{2e3 * told:.3g} mohm, so give it where you know it",
+                f"battery {name}: its resistance of {1e3 * ohms:.3g} mohm is typical of its "
+                f"chemistry and capacity; others have from {500 * ohms:.3g} to "
+                f"{2e3 * ohms:.3g} mohm, so give it where you know it",
             )
         _require(series >= 1 and parallel >= 1, f"{series} x {parallel} units; give 1 or more")
         capacity = unit_capacity * parallel

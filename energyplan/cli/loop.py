@@ -82,7 +82,7 @@ def drive(
     from energyplan.io.sites import read_site
     from energyplan.io.tables import read_trajectory, write_log
     from energyplan.output import documents
-    from energyplan.physics import Ground as Floor
+    from energyplan.physics import EngineGround as Floor
     from energyplan.physics import Robot, Sensors, switch_on
     from energyplan.physics import drive as run
 
@@ -136,12 +136,12 @@ def close_the_loop(
     Diagnoses with all drives so far, until the predicted energy is right.
     """
     from energyplan.io.config import write_model
-    from energyplan.io.documents import parse_pose
     from energyplan.io.logs import read_drives
     from energyplan.output import documents
     from energyplan.output.pages import loop_page
+    from energyplan.path import parse_pose
     from energyplan.physics import EngineDrives, Robot, close_loop, switch_on
-    from energyplan.physics import Ground as Floor
+    from energyplan.physics import EngineGround as Floor
     from energyplan.physics.loop import Source
 
     priced = DriveOptions(model, at_battery=True)
@@ -211,10 +211,10 @@ def design(
     there is most room.
     """
     from energyplan.io.config import read_model
-    from energyplan.io.documents import parse_pose
     from energyplan.io.sites import read_site
     from energyplan.io.tables import write_trajectory
     from energyplan.output import documents, text
+    from energyplan.path import parse_pose
     from energyplan.physics.design import design as run
     from energyplan.physics.design import explanations_of
 

@@ -46,8 +46,7 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
 
 def number(option: str, kind: str, text: str) -> float:
     """Return the amount that an option gives, such as ``50%`` or ``90deg``."""
-    from energyplan.kinds import NO_NUMBER
-    from energyplan.records import UNITS, amount
+    from energyplan.records import NO_NUMBER, UNITS, amount
 
     try:
         return float(amount(kind, text))

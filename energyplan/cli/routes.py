@@ -22,7 +22,7 @@ from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number, wr
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
-    from energyplan.io.sites import Ground
+    from energyplan.io.sites import ModelOnSite
     from energyplan.mission import Mission
     from energyplan.path import Pose
     from energyplan.planning import Plan, PlanningProblem
@@ -94,7 +94,7 @@ class Routing:
             atomic_write(self.plot, image(picture, self.plot.suffix))
 
 
-def ground_of(drive: DriveOptions, place: Site | None) -> Ground:
+def ground_of(drive: DriveOptions, place: Site | None) -> ModelOnSite:
     """Return the model that drives on the ground of a site; say what there is to know of it."""
     from energyplan.io.config import read_model
     from energyplan.io.sites import on_site
@@ -208,9 +208,9 @@ def plan(
 
     Prints its energy, and how far from optimal it can be at most.
     """
-    from energyplan.io.documents import parse_pose
     from energyplan.io.tables import read_path
     from energyplan.output import documents
+    from energyplan.path import parse_pose
     from energyplan.planning import plan as run
     from energyplan.planning.replanning import replan
 
@@ -261,8 +261,8 @@ def compare(
     Plans the route of least energy and the shortest one, and prices both by the same model.
     """
     from energyplan.comparison import compare as run
-    from energyplan.io.documents import parse_pose
     from energyplan.output import documents
+    from energyplan.path import parse_pose
 
     problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
     with planning(json, strict):
@@ -392,9 +392,9 @@ def reach(
 
     Computes the energy that it takes to reach each place of a map, and to come back with --return.
     """
-    from energyplan.io.documents import parse_pose
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, text
+    from energyplan.path import parse_pose
     from energyplan.reach import energy_map, energy_of_charge
 
     if battery and energy is not None:

@@ -25,9 +25,9 @@ from energyplan.cost.bounds import LowerBound, lower_bound
 from energyplan.cost.direction_table import Corners, DirectionTable
 from energyplan.cost.driving import SteadyDriving
 from energyplan.errors import InvalidInputError, ModelError
-from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.power import SLIP, TRACTION, PowerModel
+from energyplan.records import checked
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, layout, wheel_loads
 
 
@@ -127,11 +127,7 @@ class EnergyCost(SteadyDriving):
     # -- energy ---------------------------------------------------------------------------------
 
     def _element_energy(
-        self,
-        x: FloatArray,
-        y: FloatArray,
-        slope: ArrayLike = 0.0,
-        rate: FloatArray | None = None,
+        self, x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0, rate: FloatArray | None = None
     ) -> FloatArray:
         """Energy of elements [J], evaluated through the model; they must not vanish."""
         if rate is None:

@@ -1,7 +1,7 @@
 """Lower bounds on the cost of any motion: true infima over its direction.
 
 A table is linear between its directions and lies above a model that bends between them. What no
-motion may cost less than is therefore sought on the model itself.
+motion may cost less than is therefore searched on the model itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.cost.direction_table import SPECIAL, octant_directions, scan_ratios
-from energyplan.path import FloatArray
+from energyplan.path import ROUNDING, FloatArray
 from energyplan.vehicle import TreadICR
 
 SLACK = 1e-6
@@ -47,7 +47,7 @@ class LowerBound:
 
 @dataclass(frozen=True)
 class Infimum:
-    """Least values over all directions of motion, sought on the model itself.
+    """Least values over all directions of motion, searched on the model itself.
 
     Directions ``(x, y) = (ds, C dtheta)`` lie on the square ``max(|x|, |y|) = 1``. They are
     scanned, the more closely the nearer to straight motion, spin and pivot, and the lowest places
@@ -95,7 +95,7 @@ class Infimum:
         return rate - self.slack * abs(rate)
 
     def least(self, value: _Value) -> float:
-        """Return the least value over all directions and grounds."""
+        """Return the least value over all directions and surfaces."""
 
         def lowest(octant: FloatArray, ratio: FloatArray) -> FloatArray:
             x, y = (
@@ -151,7 +151,7 @@ class Infimum:
         turns = turn > 0
         price, way, turn = lowest[turns], way[turns], turn[turns]
 
-        def worth(metre: float) -> float:
+        def value(metre: float) -> float:
             radian = float(((price * (1.0 + _ROUNDING) - metre * way) / turn).min())
             return metre + _WINDING / half_track * radian if radian >= 0 else -np.inf
 
@@ -160,12 +160,12 @@ class Infimum:
         straight = high
         for _ in range(60):
             third = (high - low) / 3.0
-            if worth(low + third) < worth(high - third) > -np.inf:
+            if value(low + third) < value(high - third) > -np.inf:
                 low += third
             else:
                 high -= third
         found = 0.5 * (low + high)
-        return straight if worth(straight) >= worth(found) * (1.0 - 1e-9) else found
+        return straight if value(straight) >= value(found) * (1.0 - ROUNDING) else found
 
 
 def per_metre(travel: Callable[[FloatArray, FloatArray], FloatArray]) -> _Value:

@@ -5,7 +5,7 @@ element: twice the element, twice the energy. So it is known from its values on 
 around the origin of the plane ``(x, y) = (ds, C dtheta)``. The curve here is the square
 ``max(|x|, |y|) = 1``. Its eight octants meet at the eight special directions: straight, spin, and
 the pivots about either tread's ICR, where the power of the usual terms has its kinks. Within an
-octant a direction is told by the ratio of the smaller to the larger component.
+octant a direction is known by the ratio of the smaller to the larger component.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from heapq import heappop, heappush
 import numpy as np
 
 from energyplan.compilation import Floats, FloatTable, njit
-from energyplan.path import FloatArray
+from energyplan.path import ROUNDING, FloatArray
 
-SNAP = 1e-9  # directions this close to a special one are taken as that one
 _EDGE = 1e-6  # an octant's limits towards its ends are extrapolated from here
 
 
@@ -34,9 +33,9 @@ def element_energy(
         back, right = int(x[i] < 0.0), int(y[i] < 0.0)
         spin = b > a
         big, small = (b, a) if spin else (a, b)
-        if small <= SNAP * big:
+        if small <= ROUNDING * big:
             out[i] = big * special[2 + right if spin else back]
-        elif small >= (1.0 - SNAP) * big:
+        elif small >= (1.0 - ROUNDING) * big:
             out[i] = big * special[4 + 2 * right + back]
         else:
             place = small / big
@@ -104,13 +103,15 @@ class DirectionTable:
         that costs more, because returned power is partly lost, is none of them.
         """
         straight, pivot = self.special[0], self.special[4]
-        equal = np.allclose(self.special[[0, 1]], straight, rtol=1e-9) and np.allclose(
-            self.special[4:], pivot, rtol=1e-9
+        equal = np.allclose(self.special[[0, 1]], straight, rtol=ROUNDING) and np.allclose(
+            self.special[4:], pivot, rtol=ROUNDING
         )
         x, y = np.abs(self.directions.T)
         least = straight * np.maximum(x, y) + (pivot - straight) * y
         return bool(
-            equal and pivot >= straight * (1 - 1e-9) and np.all(self.values >= least * (1 - 1e-9))
+            equal
+            and pivot >= straight * (1 - ROUNDING)
+            and np.all(self.values >= least * (1 - ROUNDING))
         )
 
     def corners(self) -> Corners:
@@ -118,7 +119,7 @@ class DirectionTable:
         points = self.directions / self.values[:, None]
         points[len(SPECIAL) :] *= 1.0 - 1e-12  # special directions win ties
         chosen, error = _simplify(_convex_hull(points))
-        turns = np.abs(chosen[:, 1]) > 1e-9 * np.abs(chosen[:, 0])
+        turns = np.abs(chosen[:, 1]) > ROUNDING * np.abs(chosen[:, 0])
         left, right = (chosen[turns & (side * chosen[:, 1] > 0)] for side in (1, -1))
         return Corners(left, right, error)
 
@@ -195,20 +196,20 @@ def scan_ratios(even: int) -> FloatArray:
 
 
 def _simplify(hull: FloatArray) -> tuple[FloatArray, float]:
-    """Drop vertices of a convex polygon about the origin; return the rest and the error made.
+    """Drop vertices of a convex polygon about the origin; return the rest and the error.
 
     The error is the largest fraction by which a dropped vertex lies outside of what is left. The
-    vertex that lies farthest outside is taken back first, until none lies outside by more than
+    vertex that lies farthest outside is put back first, until none lies outside by more than
     `OUTSIDE`, or `MOST_CORNERS` of a turning direction are kept.
     """
     # Vertices in special directions stay: the motions there are simple, and both halves alike.
     x, y = np.abs(hull.T)
-    first = np.flatnonzero((np.minimum(x, y) < 1e-9) | (np.abs(x - y) < 1e-9 * x)).tolist()
+    first = np.flatnonzero((np.minimum(x, y) < ROUNDING) | (np.abs(x - y) < ROUNDING * x)).tolist()
     n = len(hull)
     if not first:  # arcs are cheaper than straights and than pivots: begin anywhere
         first = [0]
     keep, error = set(first), 0.0
-    side = np.where(np.abs(hull[:, 1]) > 1e-9 * np.abs(hull[:, 0]), np.sign(hull[:, 1]), 0.0)
+    side = np.where(np.abs(hull[:, 1]) > ROUNDING * np.abs(hull[:, 0]), np.sign(hull[:, 1]), 0.0)
     count = {s: sum(side[k] == s for k in first) for s in (-1.0, 0.0, 1.0)}
     waiting: list[tuple[float, int, int, int]] = []
 

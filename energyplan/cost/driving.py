@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.cost import direction_table, speeds
 from energyplan.cost.direction_table import SPECIAL, DirectionTable
 from energyplan.errors import InvalidInputError, ModelError
-from energyplan.kinds import check_fields, numbers
 from energyplan.motion import Motion
-from energyplan.path import FloatArray, Path
+from energyplan.path import ROUNDING, FloatArray, Path
 from energyplan.power import PowerModel, Sides
+from energyplan.records import check_fields, numbers
 from energyplan.vehicle import TreadICR, Vehicle
 
 _STILL = ("x", "y", "yaw", "slope", "accel", "yaw_accel", "accel_x")
@@ -37,7 +37,7 @@ class SteadyDriving:
 
     model: PowerModel  # the power model with its vehicle
     battery: bool = False  # whether power is that of the battery rather than of the treads
-    # tread speed to drive at [m/s], or the cheapest; the vehicle's usual one where not given
+    # tread speed to drive at [m/s], or the cheapest; the vehicle's driving speed where not given
     speed: float | Literal["cheapest"] | None = None
     channels: Mapping[str, float] = field(default_factory=dict)
     time_value: float = 0.0  # what a second is worth where the speed is chosen [J/s]
@@ -86,7 +86,7 @@ class SteadyDriving:
                 "longitudinal=cost.icr.longitudinal"
             )
         x, y = self._element(path.ds, path.dtheta)
-        pivot = np.abs(np.abs(x) - np.abs(y)) <= 1e-9 * np.abs(y)
+        pivot = np.abs(np.abs(x) - np.abs(y)) <= ROUNDING * np.abs(y)
         x = np.where(pivot, np.copysign(y, x), x)
         tilt = numbers(slope, "slope")
         if tilt.shape not in ((), (1,), x.shape):
@@ -135,7 +135,7 @@ class SteadyDriving:
         """Whether speed makes no difference to the energy."""
         x, y = np.concatenate([SPECIAL, SPECIAL + np.array([0.3, 0.1])]).T
         slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
-        return bool(np.allclose(slow, fast, rtol=1e-9, atol=0.0))
+        return bool(np.allclose(slow, fast, rtol=ROUNDING, atol=0.0))
 
     def _forces(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> Sides:
         return self.model.forces(self._motion(x, y, rate))
@@ -230,9 +230,9 @@ class SteadyDriving:
         ) -> FloatArray:
             return np.asarray(1.0 / rate)
 
-        taken = self._as_driven(duration, x, y)
-        if np.all(taken > 0):
-            return taken
+        found = self._as_driven(duration, x, y)
+        if np.all(found > 0):
+            return found
         raise InvalidInputError(
             f"the vehicle {self.vehicle.name!r} has no speed limit, so a motion has no "
             "duration; set its motor speed, or give EnergyCost a speed"
@@ -244,12 +244,7 @@ class SteadyDriving:
         return direction_table.tabulate(self._element_duration)
 
     def segment_duration(
-        self,
-        ds: ArrayLike,
-        dtheta: ArrayLike,
-        *,
-        exact: bool = False,
-        fastest: bool = False,
+        self, ds: ArrayLike, dtheta: ArrayLike, *, exact: bool = False, fastest: bool = False
     ) -> FloatArray:
         """Return the time that arcs take, as they are driven [s]; arguments as in `segment_energy`.
 

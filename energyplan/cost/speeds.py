@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from energyplan.errors import InvalidInputError
 from energyplan.html import number
-from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray
 from energyplan.power import Sides
+from energyplan.records import NO_NUMBER
 from energyplan.vehicle import Vehicle
 
 CHEAPEST: Final = "cheapest"
-"""What is asked for where every motion is to be driven as slowly as is cheapest."""
+"""The speed where every motion is to be driven as slowly as is cheapest."""
 _UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
 _SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
 _SCAN = 25  # rates tried before the best is refined
@@ -31,20 +31,20 @@ _AT_ONCE = 1 << 18  # numbers in an array of rates to try
 _ZOOMS, _TRIED = 12, 5  # rounds in which the best is enclosed, and rates tried in each
 
 
-def tread_speed(asked: float | str | None, vehicle: Vehicle) -> float | None:
+def tread_speed(given: float | str | None, vehicle: Vehicle) -> float | None:
     """Return the tread speed that motions are priced and driven at, None for the cheapest.
 
-    Where nothing is asked for it is the vehicle's usual speed, or as fast as its motors go; where
+    Where none is given it is the vehicle's driving speed, or as fast as its motors go; where
     neither is known, the cheapest.
     """
-    if asked is None:
-        usual = vehicle.driving_speed
-        return usual if np.isfinite(usual) else None
-    return None if asked == CHEAPEST else float(asked)
+    if given is None:
+        driving = vehicle.driving_speed
+        return driving if np.isfinite(driving) else None
+    return None if given == CHEAPEST else float(given)
 
 
 def parse_speed(text: str | None, vehicle: Vehicle) -> float | Literal["cheapest"] | None:
-    """Return the speed that an option asks for, within what the vehicle can do."""
+    """Return the speed of an option, within what the vehicle can do."""
     if text is None:
         return None
     if text == CHEAPEST:
@@ -169,7 +169,7 @@ def last_within(
 
 
 def slowest_rate(x: FloatArray, y: FloatArray, limit: FloatArray, vehicle: Vehicle) -> FloatArray:
-    """Return the slowest rate [1/s] worth trying.
+    """Return the slowest rate [1/s] to try.
 
     A model whose energy falls with speed all the way, because time costs nothing in it, would have
     the robot stand still; it is driven at a twentieth of its speed limit instead.

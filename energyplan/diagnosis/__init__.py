@@ -17,21 +17,17 @@ from energyplan.diagnosis.candidates import Part, change_time
 from energyplan.diagnosis.judge import (
     MassCentre,
     Prediction,
-    Tested,
-    beyond,
     energies,
     explains,
     final_fit,
     find_mass_centre,
     holds,
     interval,
-    least_known,
+    judged,
     predict,
     score,
     size_error,
-    tested,
     with_contacts,
-    without_mimics,
 )
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
@@ -53,15 +49,15 @@ from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words
 from energyplan.fit.drive import Drive, Late, check_long_enough
-from energyplan.fit.estimate import PAPER, JointFit, problem_of
+from energyplan.fit.estimate import PAPER, Fitted, problem_of
 from energyplan.fit.identification import name_of
-from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
 from energyplan.logs.clean import set_aside_by_drive
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
 from energyplan.power.effects import Effect, catalogue
+from energyplan.records import checked
 from energyplan.vehicle import Vehicle
 
 __all__ = [
@@ -272,40 +268,18 @@ class _Case:
         self, searched: SearchResult, choose: bool, empirical: bool, report: Progress
     ) -> Diagnosis:
         """Judge the most probable explanation on the hold-out drives and put it into words."""
-        before, best, parts = self.before, searched.best, searched.best.parts
+        before, best = self.before, searched.best
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
         keep = self.identified and self.mass_centre is None
-        plain = self.paper if keep else None
         fighting = next((one for one in self.entries if one.acts == "hold"), None)
 
-        def test(some: Sequence[Part]) -> Tested:
-            return tested(
-                searched, tuple(some), plain=plain, fights=fighting is not None,
-                smooth=lambda part: empirical and self._carry(part),
-            )  # fmt: skip
-
-        outcome = test(parts)
-        if choose and outcome.doubtful:
-            parts = without_mimics(best.problem, parts)
-            outcome = outcome if parts == searched.best.parts else test(parts)
-        maps = [part for part in outcome.effects if choose and part.effect.acts == "place"]
-        if outcome.quality.adequate:  # else what fits the ways of these drives may fit no others
-            maps = []
-        if maps:
-            outcome = test([part for part in outcome.effects if part not in maps])
-        vague, wild = list[Part](), list[Part]()
-        while choose:
-            model, effects = outcome.fitted.model, outcome.effects
-            if (worst := beyond(model, effects)) is not None:
-                wild.append(worst)
-            elif (worst := least_known(model, effects)) is not None:
-                vague.append(worst)
-            else:
-                break
-            outcome = test([part for part in effects if part is not worst])
+        outcome = judged(
+            best, choose=choose, plain=self.paper if keep else None, heats=fighting is not None,
+            smooth=lambda part: empirical and self._carry(part),
+        )  # fmt: skip
         chosen, parts, left = outcome.effects, outcome.parts, outcome.left
-        fitted, quality = outcome.fitted, outcome.quality
+        fitted, quality, heat = outcome.model.fitted, outcome.model.quality, outcome.model.heat
         weighed = (
             averaged(best.problem, fitted, parts, self._common(parts))
             if choose else None
@@ -315,14 +289,14 @@ class _Case:
         after = [predict(told.model, parts, drive) for drive in self.held]
         if told.model is self.paper:
             after = list(before)
-        foretold, undated = after, None
+        ahead, undated = after, None
         if any(part.effect.acts == "change" for part in parts):
-            foretold = [predict(told.model, parts, drive, dated=False) for drive in self.held]
-            undated = score(foretold)
+            ahead = [predict(told.model, parts, drive, dated=False) for drive in self.held]
+            undated = score(ahead)
         others = self._explanations(searched)
         found = self._found(chosen, fitted, searched, after)
-        if outcome.fight is not None and fighting is not None:
-            found = (*found, outcome.fight.effect(fighting))
+        if heat is not None and fighting is not None:
+            found = (*found, heat.effect(fighting))
         unexplained = tuple(
             Unexplained(
                 one.channel, one.shape, one.explained_variance, one.p_value,
@@ -339,15 +313,13 @@ class _Case:
             *self.limits,
             *open_in_words(told.model, told.assumed),
             *ends_in_words(told.model),
-            *([] if outcome.fight is None else [outcome.fight.in_words]),
+            *([] if heat is None else [heat.in_words]),
             *self._of_totals(chosen),
             *advice_of_model(
                 found,
                 {entry.name: entry for entry in self.entries},
                 used,
-                [part.effect.name for part in maps],
-                [part.effect for part in vague],
-                [part.effect for part in wild],
+                outcome.dropped,
                 fitted.model,
                 quality,
                 left,
@@ -390,7 +362,7 @@ class _Case:
             predictions_after=self._on_given_samples(after),
             explanations=others,
             adequacy=quality,
-            predictions=energies(best.problem, told, foretold),
+            predictions=energies(best.problem, told, ahead),
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),
@@ -439,7 +411,7 @@ class _Case:
     def _found(
         self,
         parts: Sequence[Part],
-        fitted: JointFit,
+        fitted: Fitted,
         searched: SearchResult,
         after: Sequence[Prediction],
     ) -> tuple[FoundEffect, ...]:

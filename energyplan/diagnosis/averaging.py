@@ -28,11 +28,11 @@ from energyplan.diagnosis.result import Average
 from energyplan.fit.estimate import (
     FLOOR,
     PAPER,
-    JointFit,
+    Fitted,
     Problem,
-    RunSpread,
     by_name,
     left_out,
+    run_effect,
     weighted,
 )
 from energyplan.fit.regressors import Design, held_forces
@@ -40,7 +40,7 @@ from energyplan.fit.solvers import Bounds, lad
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
-from energyplan.power.effect_terms import WHEEL_FIGHT
+from energyplan.power.effects import WHEEL_FIGHT
 
 FEWEST_RUNS = 4
 """Runs from which on leaving one out alone tells how runs to come are predicted."""
@@ -65,7 +65,7 @@ _DRAWS = 400  # of the Bayesian bootstrap
 class Averaged:
     """A model for runs to come."""
 
-    fitted: JointFit  # the average
+    fitted: Fitted  # the average
     average: Average | None  # weights, and why
 
 
@@ -120,7 +120,7 @@ class _Member:
 class _Explanation:
     """The explanation, and how it is fitted again without some of the blocks."""
 
-    fitted: JointFit
+    fitted: Fitted
     names: tuple[str, ...]
     handicap: float
     whole: Design  # as it predicts runs to come
@@ -130,7 +130,7 @@ class _Explanation:
 
     @classmethod
     def of(
-        cls, problem: Problem, plain: Problem, fitted: JointFit, parts: Sequence[Part],
+        cls, problem: Problem, plain: Problem, fitted: Fitted, parts: Sequence[Part],
         handicap: float,
     ) -> _Explanation:  # fmt: skip
         """Prepare an explanation."""
@@ -176,7 +176,7 @@ class _Table:
     terms: tuple[Term, ...]
     shown: Design  # what the terms are fitted to
     design: Design  # as they predict runs to come
-    fitted: JointFit
+    fitted: Fitted
     given: dict[str, float]  # terms that every member has, and their coefficients
     measured: tuple[Term, ...]  # those of them that the powers of both sides measure
     ratio: FloatArray | None  # of the two terms, where drives leave both open
@@ -292,7 +292,7 @@ def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArr
 
 def averaged(
     problem: Problem,
-    fitted: JointFit,
+    fitted: Fitted,
     parts: Sequence[Part] = (),
     common: Sequence[Term] = (),
 ) -> Averaged | None:
@@ -331,16 +331,12 @@ def averaged(
     if not few:
         missed = float(np.sqrt(np.mean((weights @ errors) ** 2)))
     if 1.0 - own < _NEGLIGIBLE:
-        return None if missed is None else Averaged(replace(fitted, run_error=missed), None)
+        if missed is None:
+            return None
+        return Averaged(replace(fitted, run=fitted.run.at_least(missed)), None)
     model = _mixed(plain, fitted, members, weights)
-    about = by_name(model.terms, model.coefficients)
-    between = RunSpread.of(
-        plain.design(model.terms, None, about, rounds=1), np.array(model.coefficients)
-    )
-    mixed = replace(
-        fitted, model=model, run_spread=None if between is None else between.deviation,
-        run_error=missed,
-    )  # fmt: skip
+    run = run_effect(plain, model.terms, np.array(model.coefficients))
+    mixed = replace(fitted, model=model, run=run.at_least(missed or 0.0))
     theirs = errors[-1] if members[-1].explains else weights @ errors
     sizes = [float(np.mean(np.abs(some))) for some in (theirs, errors[0])]
     shares = {
@@ -359,7 +355,7 @@ def _telling(problem: Problem) -> NDArray[np.bool_]:
 
 
 def _mixed(
-    plain: Problem, fitted: JointFit, members: Sequence[_Member], weights: FloatArray
+    plain: Problem, fitted: Fitted, members: Sequence[_Member], weights: FloatArray
 ) -> PowerModel:
     """Average coefficients; their covariance includes by how much the models differ."""
     kept = [k for k, weight in enumerate(weights) if weight > 0.0]

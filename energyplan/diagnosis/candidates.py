@@ -168,7 +168,7 @@ _VISITS = 3
 
 
 @dataclass(frozen=True)
-class Ground:
+class Lines:
     """Where the contacts of a robot were while it moved."""
 
     drives: Sequence[Drive]  # drives with ``x`` and ``y``
@@ -418,7 +418,7 @@ class Proposals:
     def variants(self, effect: Effect) -> list[Part]:
         """Return an effect with every combination of the values to try of its parameters."""
         if effect.acts == "place":
-            return list(Ground(self.problem.drives, self.problem.vehicle).lines(effect))
+            return list(Lines(self.problem.drives, self.problem.vehicle).lines(effect))
         chosen: list[tuple[tuple[str, float], ...]] = [()]
         for key, values in effect.grid.items():
             chosen = [(*before, (key, value)) for before in chosen for value in values]
@@ -439,7 +439,7 @@ class Proposals:
             if effect.acts == "change":
                 if marked is None:
                     continue
-                # Every drive has a time of its own, which no other foretells.
+                # Prior penalty: one free time a drive (logarithm of the number of windows).
                 windows = [len(drive.windows[0].starts) for drive in self.problem.drives]
                 prior -= float(np.sum(np.log(windows)))
             for part in parts:

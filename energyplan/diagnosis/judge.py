@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 from scipy.stats import norm
-from scipy.stats import t as student
 
 from energyplan.diagnosis.candidates import Part, settle_change, terms_of
 from energyplan.diagnosis.residual import Dependence, dependences
@@ -23,7 +23,7 @@ from energyplan.diagnosis.result import (
     Evidence,
     FoundEffect,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, WORTHWHILE, SearchResult
+from energyplan.diagnosis.search import SIGNIFICANCE, EffectSet, Gain
 from energyplan.errors import VehicleError
 from energyplan.fit.contacts import Held, preload
 from energyplan.fit.doubts import (
@@ -36,26 +36,21 @@ from energyplan.fit.doubts import (
 )
 from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late, cut
 from energyplan.fit.estimate import (
-    Fit,
-    JointFit,
+    Fitted,
     Problem,
-    RunSpread,
-    by_name,
-    difference,
-    fit,
     joint_fit,
 )
 from energyplan.fit.regressors import (
     equations_of,
     held_forces,
     is_lossy,
+    linearise_drive,
     losses_of,
     slip_limit,
 )
 from energyplan.path import FloatArray
-from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
-from energyplan.power.effect_terms import WHEEL_FIGHT
-from energyplan.power.effects import Effect, empirical_term
+from energyplan.power import PowerModel, Residual
+from energyplan.power.effects import WHEEL_FIGHT, Effect, empirical_term
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
 
 # -- errors on drives that were held out, with intervals -------------------------------------------
@@ -283,13 +278,11 @@ def _turning(drives: Sequence[Drive]) -> tuple[FloatArray, FloatArray]:
 _STEP = 0.02  # relative step of a parameter's derivative
 _MOMENT = 0.02  # step of a time offset [s]
 
-_UNSURE = 0.5  # standard error over size from which zero is within two errors
-
 _LOOKED_FOR = float(np.ptp(DELAYS) / np.sqrt(12.0))
 """Standard deviation of a delay anywhere among those looked for [s]: none is known less."""
 
 
-def final_fit(problem: Problem, parts: Sequence[Part]) -> JointFit:
+def final_fit(problem: Problem, parts: Sequence[Part]) -> Fitted:
     """Fit the paper's terms and those of the parts together."""
     moved: dict[str, list[FloatArray]] = {}
 
@@ -375,27 +368,6 @@ def size_error(effect: Effect, model: PowerModel) -> float:
     return float(np.sqrt(max(float(gradient @ model.covariance @ gradient), 0.0)))
 
 
-def least_known(model: PowerModel, parts: Sequence[Part]) -> Part | None:
-    """Return the effect whose size is known least, where zero is within two standard errors."""
-    sized = [part for part in parts if part.terms]
-    ratios = [
-        size_error(part.effect, model) / max(abs(part.effect.value(model)), 1e-300)
-        for part in sized
-    ]
-    if not ratios or max(ratios) <= _UNSURE:
-        return None
-    return sized[int(np.argmax(ratios))]
-
-
-def beyond(model: PowerModel, parts: Sequence[Part]) -> Part | None:
-    """Return an effect of a size that is not believed on the vehicle."""
-    for part in parts:
-        low, high = part.effect.limits(model.vehicle)
-        if part.terms and not low <= part.effect.value(model) <= high:
-            return part
-    return None
-
-
 # -- what it costs that the sides push against each other on straights -----------------------------
 
 _WORTH = 0.01  # share of the energy that is worth naming
@@ -466,61 +438,46 @@ def straight_heat(problem: Problem, model: PowerModel) -> StraightHeat | None:
     return StraightHeat(rate, float(np.sqrt(variance)), sum(joules) / energy, extended)
 
 
-# -- a set of effects as a model, and what that leaves of the training drives ----------------------
+# -- which effects of the best explanation are named, and what the model with them leaves ---------
 
-
-_MOSTLY = 0.3
-"""Share of the error from which on a channel is asked whether it makes effects unnecessary."""
-
-
-def smooth_part(found: Dependence) -> Part:
-    """Return the smooth term of a dependence as an effect."""
-    term = empirical_term(f"empirical_{found.carrier}_{found.channel}", found.knots, found.values)
-    return Part(Effect.of(term, planner="where it knows the channel"))
-
-
-def without_mimics(problem: Problem, parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """Take out effects that a smooth term of one channel makes unnecessary."""
-    usual = [part for part in parts if part.effect.usual or not part.terms]
-    if not any(part.terms and not part.effect.usual for part in parts):
-        return parts
-    shapes = dependences(problem, terms_of(usual))
-    best = next((one for one in shapes if one.knots), None)
-    if best is None or best.explained_variance < _MOSTLY or best.p_value > SIGNIFICANCE:
-        return parts
-    smooth = smooth_part(best)
-    others = [part for part in parts if part not in usual]
-    errors = problem.reference(problem.design(terms_of(parts)))
-
-    def loss(some: Sequence[Part]) -> Fit:
-        return fit(problem.design(terms_of(some), errors), errors)
-
-    gap, error = difference(loss(parts).losses, loss([*usual, smooth]).losses)
-    model = final_fit(problem, parts).model
-    adequate = adequacy(problem.drives, left_over(model, problem.drives)).adequate
-    if gap <= (max(error, WORTHWHILE * len(errors)) if adequate else -error):
-        return parts
-    kept = list(parts)
-    for part in [*others, *(part for part in usual if part.terms)]:
-        rest = [other for other in kept if other is not part]
-        gap, error = difference(loss([*rest, smooth]).losses, loss([*kept, smooth]).losses)
-        if gap <= max(error, WORTHWHILE * len(errors)):
-            kept = rest
-    return tuple(kept)
-
-
+_ERRORS = 2.0  # standard errors that the size of a named effect exceeds
+_MISSING = 2.0  # times what the model lacks, that an effect searched for in time or place exceeds
 _TELLING = 0.1  # share of the error that a channel must explain to be called a reason
+
+Why = Literal["range", "size", "missing"]
+"""An effect is not named: its size is impossible, it is uncertain, or more than it is missing."""
 
 
 @dataclass(frozen=True)
-class Tested:
+class Modelled:
     """A set of effects as a model, and what that leaves."""
 
-    effects: tuple[Part, ...]  # the effects
-    added: Part | None  # A smooth term that the model has beside them
-    fitted: JointFit  # the model
-    fight: StraightHeat | None
+    fitted: Fitted  # the model
+    heat: StraightHeat | None
     quality: Adequacy  # what the model leaves, against noise
+
+    @classmethod
+    def of(
+        cls, problem: Problem, parts: Sequence[Part], plain: PowerModel | None, heats: bool
+    ) -> Modelled:
+        """Fit the paper's terms and some effects; `plain` is the model without any."""
+        fitted = final_fit(problem, parts)
+        if not parts and plain is not None:
+            fitted = replace(fitted, model=plain, assumed=())
+        heat = straight_heat(problem, fitted.model) if heats else None
+        if heat is not None:
+            fitted = replace(fitted, model=heat.model)
+        return cls(fitted, heat, adequacy(problem.drives, left_over(fitted.model, problem.drives)))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The effects that are named, the model with them, and what that leaves."""
+
+    effects: tuple[Part, ...]  # the effects
+    dropped: list[tuple[Effect, Why]]  # those of the explanation that are not named
+    added: Part | None  # A smooth term that the model has beside them
+    model: Modelled
     dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
     left: list[Dependence]  # those that are reasons
     first: Dependence | None  # the one that explains most, beside how drives differ
@@ -530,43 +487,64 @@ class Tested:
         """All that the model has beside the paper's terms."""
         return self.effects if self.added is None else (*self.effects, self.added)
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether effects, looked for at any time or place, may only follow a smooth dependence."""
-        # What has a searched constant is doubted where the rest still depends on a channel.
-        kinds = {part.effect.acts for part in self.effects}
-        searched = any(p.terms and p.effect.grid and not p.effect.usual for p in self.effects)
-        rest = self.first is not None and bool(self.first.knots)
-        return bool(kinds & {"change", "place"}) or (searched and rest)
+
+def doubt(part: Part, gain: Gain, fitted: Fitted, missing: float) -> tuple[float, Why]:
+    """Return how doubtful an effect is, from 1 on too much to name it, and why.
+
+    `missing` is what the model lacks, over the root mean square power.
+    """
+    effect, model = part.effect, fitted.model
+    found: list[tuple[float, Why]] = [(0.0, "size")]
+    if part.terms:
+        size, (low, high) = effect.value(model), effect.limits(model.vehicle)
+        if not low <= size <= high:
+            return np.inf, "range"
+        found.append((_ERRORS * size_error(effect, model) / max(abs(size), 1e-300), "size"))
+    # What is searched for at any time or place follows whatever else the model lacks.
+    if effect.acts in ("change", "place") or (part.terms and effect.grid and not effect.usual):
+        found.append((_MISSING * missing / max(gain.share, 1e-300), "missing"))
+    return max(found)
 
 
-def tested(
-    searched: SearchResult,
-    parts: tuple[Part, ...],
+def judged(
+    best: EffectSet,
     *,
+    choose: bool,
     plain: PowerModel | None,
-    fights: bool,
+    heats: bool,
     smooth: Callable[[Part], bool],
-) -> Tested:
-    """Fit effects of the best explanation and test what they leave."""
-    problem = searched.best.problem
+) -> Judged:
+    """Name the effects of the best explanation that are sure, and test what they leave."""
+    problem, parts, dropped = best.problem, best.parts, list[tuple[Effect, Why]]()
+    power = float(np.sqrt(np.mean(np.concatenate([d.power**2 for d in problem.drives]))))
+    now = Modelled.of(problem, parts, plain, heats)
+    while choose and parts:
+        missing = float(np.sqrt(max(now.quality.missing))) / max(power, 1e-300)
+        doubts = [
+            doubt(part, best.gains[best.parts.index(part)], now.fitted, missing) for part in parts
+        ]
+        (most, why), worst = max(zip(doubts, parts, strict=True), key=lambda one: one[0][0])
+        if most < 1.0:
+            break
+        dropped.append((worst.effect, why))
+        parts = tuple(part for part in parts if part is not worst)
+        now = Modelled.of(problem, parts, plain, heats)
     told = dependences(problem, terms_of(parts))
     left = [
         one for one in told
         if one.p_value < SIGNIFICANCE and one.explained_variance > max(_TELLING, 2 * one.std_error)
     ]  # fmt: skip
     first = next((one for one in left if one.channel != "drive"), None)
-    added = smooth_part(first) if first is not None and first.knots else None
-    if added is not None and not smooth(added):
-        added = None
-    fitted = final_fit(problem, parts if added is None else (*parts, added))
-    if not parts and added is None and plain is not None:
-        fitted = replace(fitted, model=plain, assumed=())
-    fight = straight_heat(problem, fitted.model) if fights else None
-    if fight is not None:
-        fitted = replace(fitted, model=fight.model)
-    quality = adequacy(problem.drives, left_over(fitted.model, problem.drives))
-    return Tested(parts, added, fitted, fight, quality, told, left, first)
+    added = None
+    if first is not None and first.knots:
+        term = empirical_term(
+            f"empirical_{first.carrier}_{first.channel}", first.knots, first.values
+        )
+        added = Part(Effect.of(term, planner="where it knows the channel"))
+        added = added if smooth(added) else None
+    if added is not None:
+        now = Modelled.of(problem, (*parts, added), plain, heats)
+    return Judged(parts, dropped, added, now, told, left, first)
 
 
 # -- does what was found hold on other drives? Prediction intervals of energies --------------------
@@ -575,8 +553,6 @@ _HOLDS = 1.5  # error on other drives, over that on the training drives, that is
 _GROSS = 4.0  # residual over noise from which most of it must be explained
 _EXPLAINED = 0.5  # error with what was found, over that without, that counts as most
 _LEVEL = 0.9  # of the intervals of energies
-_WITHIN = 30  # degrees of freedom of what is known from within runs
-_ASSUMED = 2  # of a spread that is assumed: robots and grounds differ much in it
 
 
 def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
@@ -599,43 +575,21 @@ def explains(quality: Adequacy, before: float, after: float) -> bool:
 
 
 def energies(
-    problem: Problem, fitted: JointFit, predictions: Sequence[Prediction]
+    problem: Problem, fitted: Fitted, predictions: Sequence[Prediction]
 ) -> tuple[EnergyPrediction, ...]:
     """Predict the energy of drives that took no part, with intervals."""
-    model = fitted.model
-    plain = problem.of_totals
-    design = plain.design(fitted.model.terms, None, by_name(model.terms, model.coefficients))
-    values = np.array(model.coefficients)
-    spread = RunSpread.of(design, values)
-    table, owner = design.longest
-    factor = np.ones(len(problem.drives)) if spread is None else 1.0 + spread.excess
-    left = table[:, -1] - (table[:, :-1] @ values) * factor[owner]
-    length = problem.drives[0].windows[-1].length
-    density = float(np.mean(left**2)) * length  # of the residual's integral, by time [W^2 s]
-    count = len(problem.drives)
-    told = 0.5 + _LEVEL / 2
-    reach = float(student.ppf(told, count - 1 if spread else _WITHIN))
-    assumed = 0.0 if spread else USUAL_RUN_SPREAD * float(student.ppf(told, _ASSUMED))
+    model, values = fitted.model, np.array(fitted.model.coefficients)
     changes = any(term.name in ("slip_change", "traction_change") for term in model.terms)
     found = []
     for one in predictions:
-        drive, weights = one.drive, one.drive.weights
-        energy = float(weights @ one.power)
+        drive, weights = replace(one.drive, between=None), one.drive.weights
         if changes and "changed" not in drive.motion.channels:
             drive = drive.with_channels(changed=np.ones(len(drive.t)))
-        alone = Problem([replace(drive, between=None)], plain.vehicle)
-        gradient = weights @ alone.tables(model.terms, values).columns[0][:, 0]
-        variance = density * float(weights.sum())
-        if model.covariance is not None:
-            variance += float(gradient @ model.covariance @ gradient)
-        if spread is not None:
-            variance += (spread.deviation * energy) ** 2
-        half = float(np.hypot(reach * np.sqrt(variance), assumed * energy))
-        if fitted.run_error is not None:
-            half = max(half, reach * fitted.run_error * abs(energy))
+        columns = linearise_drive(drive, problem.vehicle, model.terms, values).columns
+        gradient = weights @ columns[:, 0]
+        said, seconds = float(weights @ one.power), float(weights.sum())
+        told = fitted.run.energy(model, said, gradient, seconds, _LEVEL)
         found.append(
-            EnergyPrediction(
-                drive.name, energy, (energy - half, energy + half), float(weights @ drive.power),
-            )
-        )  # fmt: skip
+            EnergyPrediction(drive.name, told.mean, told[1:], float(weights @ drive.power))
+        )
     return tuple(found)

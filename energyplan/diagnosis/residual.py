@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from energyplan.fit.drive import Drive, channels_of
-from energyplan.fit.estimate import Fit, Problem, RunSpread, difference, fit
+from energyplan.fit.estimate import Fit, Problem, difference, fit
 from energyplan.fit.regressors import Design, held_forces, window_means
+from energyplan.fit.run import RunEffect
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
@@ -147,8 +148,8 @@ def dependences(
 
 def _between_drives(now: Fit, design: Design) -> list[Dependence]:
     """Test whether drives differ as a whole, each by a factor of its power."""
-    found = RunSpread.of(design, now.values)
-    if found is None:
+    found = RunEffect.between(design, now.values, 0.0)
+    if not found.compared:
         return []
     squares = [float(np.mean((rows[:, :-1] @ now.values) ** 2)) for rows in design.rows]
     share = np.mean(np.minimum(found.deviation**2 * np.array(squares) / now.errors, 1.0))

@@ -247,9 +247,7 @@ def advice_of_model(
     found: Sequence[FoundEffect],
     entries: Mapping[str, Effect],
     used: Sequence[Effect],
-    maps: Sequence[str],
-    vague: Sequence[Effect],
-    wild: Sequence[Effect],
+    dropped: Sequence[tuple[Effect, str]],
     model: PowerModel,
     quality: Adequacy,
     left: Sequence[Dependence],
@@ -269,24 +267,18 @@ def advice_of_model(
             f"no effect of the catalogue fits; look at what changes with {first.channel}: "
             f"{first.shape}"
         )
-    if maps:
-        yield (
-            f"{_listed(maps)} would fit the training drives, but is probably something else that "
-            "happened where they went, and would mislead elsewhere: it was dropped. Drive the same "
-            "places at another time, by other ways"
-        )
-    for dropped in vague:
-        yield (
-            f"{html.words(dropped.name)} was dropped: its size is less than two standard errors, "
-            "so that another one, or none, fits these drives about as well; to tell it: "
-            f"{dropped.manoeuvre}"
-        )
-    for dropped in wild:
-        low, high = dropped.limits(model.vehicle)
-        yield (
-            f"{html.words(dropped.name)} was dropped: its size would be beyond {low:.3g} to "
-            f"{high:.3g} {dropped.unit}, the range that is possible for this vehicle"
-        )
+    for entry, why in dropped:
+        low, high = entry.limits(model.vehicle)
+        reasons = {
+            "missing": "with it, the model still lacks more than half as much, so that it probably "
+            "stands for something else, and would mislead elsewhere. Drive the same places at "
+            "another time, by other ways",
+            "size": "its size is less than two standard errors, so that another one, or none, fits "
+            f"these drives about as well; to tell it: {entry.manoeuvre}",
+            "range": f"its size would be beyond {low:.3g} to {high:.3g} {entry.unit}, the range "
+            "that is possible for this vehicle",
+        }
+        yield f"{html.words(entry.name)} was dropped: {reasons[why]}"
     if not quality.adequate:
         unknown = "" if left else ", and no recorded channel explains it"
         yield (

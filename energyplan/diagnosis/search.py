@@ -19,7 +19,7 @@ from energyplan.diagnosis.candidates import (
     RARE,
     About,
     Candidate,
-    Ground,
+    Lines,
     Part,
     Proposals,
     Set,
@@ -75,7 +75,7 @@ def residuals(design: Design, values: FloatArray) -> list[FloatArray]:
 
 
 def innovations(design: Design, left: Sequence[FloatArray]) -> FloatArray:
-    """Return the share of a residual that its own past does not foretell, at each scale."""
+    """Return the share of a residual that its own past does not predict, at each scale."""
     shares = []
     for table, block, residual in zip(design.rows, design.blocks, left, strict=True):
         kept = np.any(table != 0.0, axis=1)
@@ -199,7 +199,7 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     """Move the parameters of a part to where the loss is least."""
     start = part.values
     trial, case = made(start)
-    ground = Ground(case.drives, case.vehicle) if part.effect.acts == "place" else None
+    ground = Lines(case.drives, case.vehicle) if part.effect.acts == "place" else None
     terms = terms_of(trial)
     known = by_name(terms, fit(case.design(terms, errors), errors).values)
     if ground is not None:
@@ -473,7 +473,7 @@ class Search:
         problem = now.problem.thinned(_SAMPLES)
         about = self.quick.about(now.problem, now.parts, now.errors)
         rest = [part for k, part in enumerate(parts) if k != at]
-        ground = Ground(problem.drives, problem.vehicle)
+        ground = Lines(problem.drives, problem.vehicle)
         best = [*ground.lines(parts[at].effect, fine=True), parts[at]]
         for level in range(ground.levels + 1):
             if level:
@@ -624,7 +624,7 @@ class Search:
                 ]  # fmt: skip
                 if full.sound and not poor:
                     return now
-                # Nonsense that fits: what explains least is the culprit.
+                # If the fit is beyond what is possible, the least supported effect is dropped.
                 weak = min(poor or now, key=lambda k: gains[k].weight + candidates[k].prior)
             now = tuple(k for k in now if k != weak)
         return now

@@ -16,7 +16,7 @@ from energyplan.errors import MapError
 from energyplan.io.documents import read_features
 from energyplan.io.files import atomic_write
 from energyplan.io.geojson import check_metres
-from energyplan.kinds import NO_NUMBER
+from energyplan.records import NO_NUMBER
 
 RouteGraph = Any
 """A `networkx.MultiDiGraph` whose edges are keyed by their id."""

@@ -205,9 +205,9 @@ def penalties(controls: ControlSet, cost: EnergyCost) -> Penalties:
     ahead = cells * np.where(arcs, curved, 1.0)
     reverse = max(float(ahead[moves] @ back[moves] / (ahead[moves] @ ahead[moves])), 1.0)
     rotation = float(there[~moves].mean())
-    told = np.concatenate([np.where(moves, ahead, rotation), reverse * ahead[moves]])
+    predicted = np.concatenate([np.where(moves, ahead, rotation), reverse * ahead[moves]])
     true = np.concatenate([there, back[moves]])
-    error = float(np.sqrt(np.mean((told / true - 1.0) ** 2)))
+    error = float(np.sqrt(np.mean((predicted / true - 1.0) ** 2)))
     return Penalties(curved, 0.0, reverse, rotation, error)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
@@ -32,21 +31,6 @@ class CostTable:
     half_track: float  # the C of sizes and directions [m]
     error: float  # largest relative error between two neighbouring directions, as measured
 
-    def segment_energy(self, ds: ArrayLike, dtheta: ArrayLike, speed: ArrayLike) -> FloatArray:
-        """Return energies read off the table, as a planner would."""
-        x, y, v = np.broadcast_arrays(
-            np.asarray(ds, float), self.half_track * np.asarray(dtheta, float), speed
-        )
-        angle = np.arctan2(y, x)
-        k = np.clip(np.searchsorted(self.angle, angle) - 1, 0, len(self.angle) - 2)
-        share = (angle - self.angle[k]) / (self.angle[k + 1] - self.angle[k])
-        column = np.interp(v, self.speed, np.arange(len(self.speed)))
-        j = np.minimum(column.astype(int), max(len(self.speed) - 2, 0))
-        beside = np.minimum(j + 1, len(self.speed) - 1)
-        low = (1 - share) * self.energy[k, j] + share * self.energy[k + 1, j]
-        high = (1 - share) * self.energy[k, beside] + share * self.energy[k + 1, beside]
-        return np.asarray(np.hypot(x, y) * (low + (column - j) * (high - low)))
-
 
 def tabulate(
     cost: EnergyCost, speeds: Sequence[float] | None = None, tolerance: float = 1e-3
@@ -54,10 +38,10 @@ def tabulate(
     """Return the table of a cost, as fine as it must be."""
     if not tolerance > 0:
         raise InvalidInputError(f"tolerance is {tolerance}; give a positive number")
-    asked = [cost.tread_speed] if speeds is None else sorted(set(map(float, speeds)))
-    if not asked or any(v is not None and not (np.isfinite(v) and v > 0) for v in asked):
-        raise InvalidInputError(f"speeds are {asked}; give one or more positive numbers [m/s]")
-    costs = [replace(cost, speed=v or CHEAPEST) for v in asked]
+    wanted = [cost.tread_speed] if speeds is None else sorted(set(map(float, speeds)))
+    if not wanted or any(v is not None and not (np.isfinite(v) and v > 0) for v in wanted):
+        raise InvalidInputError(f"speeds are {wanted}; give one or more positive numbers [m/s]")
+    costs = [replace(cost, speed=v or CHEAPEST) for v in wanted]
     half = cost.half_track
 
     def energies(angle: FloatArray) -> FloatArray:
@@ -81,8 +65,8 @@ def tabulate(
         where = np.flatnonzero(split) + 1
         angle = np.insert(angle, where, between)
         energy = np.insert(energy, where, energies(between), axis=0)
-    told = np.array([0.0 if v is None else v for v in asked])
-    return CostTable(angle, told, energy, half, float(error.max()))
+    listed = np.array([0.0 if v is None else v for v in wanted])
+    return CostTable(angle, listed, energy, half, float(error.max()))
 
 
 def write_cost_table(table: CostTable, path: str | Path) -> None:

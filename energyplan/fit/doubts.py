@@ -17,16 +17,15 @@ from energyplan.fit.regressors import Linear, equations_of, is_lossy, linearise_
 from energyplan.fit.solvers import (
     NORMAL_MAD,
     SensorNoise,
-    autocorrelation,
     correlation_time,
     least_squares,
+    repeats_of,
 )
 from energyplan.html import number, unit
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
-from energyplan.power.effect_terms import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT
-from energyplan.power.effects import Effect, catalogue
+from energyplan.power.effects import SLIP_CHANGE, TRACTION_CHANGE, WHEEL_FIGHT, Effect, catalogue
 from energyplan.vehicle import GRAVITY, TreadICR, Vehicle
 
 # -- what a model's prediction leaves of measured drives -------------------------------------------
@@ -414,55 +413,45 @@ def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
     return left
 
 
-@dataclass(frozen=True)
-class Beside:
-    """What further terms do to a fitted model."""
-
-    residuals: list[FloatArray]  # (n,): what is left of each drive [W]
-    moved: FloatArray  # (k,): by how much the model's own coefficients move
-    errors: FloatArray  # (k,)
-
-    def moves(self, model: PowerModel) -> list[str]:
-        """Name the coefficients that move by more than their standard errors admit."""
-        return [
-            f"{term.symbol} from {value:.4g} to {value + by:.4g}"
-            for term, value, by, error in zip(
-                model.terms, model.coefficients, self.moved, self.errors, strict=True
-            )
-            if abs(by) > _MOVED * abs(value)
-            and abs(by) > _STEADY * np.hypot(error, model.std_error(term.name) or 0.0)
-        ]
-
-
 def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
     """Return what of some effects, or of all known ones, nearly every drive shows."""
     every = catalogue().values() if entries is None else entries
     return [effect for effect in every if effect.usual and not effect.channels]
 
 
-def usual_terms(terms: Sequence[Term]) -> list[Term]:
-    """Return the terms of what nearly every drive shows, beside those of a model."""
-    names = {term.name for term in terms}
-    return [
-        replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
-        for effect in usual_effects()
-        for values in product(*effect.grid.values())
-        for term in effect.terms
-        if term.name not in names
-    ]
+@dataclass(frozen=True)
+class Wider:
+    """What a model leaves with the effects beside it that nearly every drive shows."""
 
+    residuals: list[FloatArray]  # (n,): what is left of each drive [W]
+    moves: list[str]  # coefficients of the model that move by more than their errors, in words
 
-def beside(terms: Sequence[Term], model: PowerModel, drives: Sequence[Drive]) -> Beside:
-    """Fit further terms beside those of a model."""
-    every, own = (*model.terms, *terms), len(model.terms)
-    about = np.append(model.coefficients, np.zeros(len(terms)))
-    tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
-    left = left_over(model, drives)
-    step, covariance, _ = least_squares(
-        np.concatenate(tables), np.concatenate(left), pieces_of(drives)
-    )
-    residuals = [r - table @ step for r, table in zip(left, tables, strict=True)]
-    return Beside(residuals, step[:own], np.sqrt(np.diag(covariance)[:own]))
+    @classmethod
+    def of(cls, model: PowerModel, drives: Sequence[Drive]) -> Wider:
+        """Fit usual effects beside the terms of a model."""
+        names, own = {term.name for term in model.terms}, len(model.terms)
+        every = [*model.terms] + [
+            replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
+            for effect in usual_effects()
+            for values in product(*effect.grid.values())
+            for term in effect.terms if term.name not in names
+        ]  # fmt: skip
+        about = np.append(model.coefficients, np.zeros(len(every) - own))
+        tables = [linearise_drive(d, model.vehicle, every, about).columns[:, 0] for d in drives]
+        left = left_over(model, drives)
+        step, covariance, _ = least_squares(
+            np.concatenate(tables), np.concatenate(left), pieces_of(drives)
+        )
+        residuals = [r - table @ step for r, table in zip(left, tables, strict=True)]
+        moves = [
+            f"{term.symbol} from {value:.4g} to {value + by:.4g}"
+            for term, value, by, variance in zip(
+                model.terms, model.coefficients, step[:own], np.diag(covariance)[:own], strict=True
+            )
+            if abs(by) > _MOVED * abs(value)
+            and abs(by) > _STEADY * np.hypot(np.sqrt(variance), model.std_error(term.name) or 0.0)
+        ]
+        return cls(residuals, moves)
 
 
 def _noises(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> list[SensorNoise]:
@@ -482,7 +471,7 @@ def _noises(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> list[Se
         stops = np.cumsum([len(part) for part in rests]).tolist()
         pieces = [slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
         usual = np.clip(rest, -_SIGMA * spread, _SIGMA * spread)
-        repeats = autocorrelation(usual, pieces).repeats
+        repeats = repeats_of(usual, pieces)
         found.append(SensorNoise.of_repeats(float(len(rest)), spread**2, repeats))
         if spread**2 > _LIKE * white and len(rest) > _TELLING * repeats:
             return found

@@ -15,13 +15,14 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter, savgol_filter
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.align import find_runs, time_weights
-from energyplan.logs.checks import POWERS, held_periods
+from energyplan.logs.checks import held_periods
+from energyplan.logs.consistency import POWERS
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides, Term
+from energyplan.records import checked
 from energyplan.vehicle import TreadICR, Vehicle
 
 # -- consecutive windows of a drive, whose means a fit explains ------------------------------------
@@ -75,11 +76,7 @@ _CREEP = 2e-3  # a slower tread is at rest [m/s]
 _DRIVING = 0.1  # share of the usual speed that is driving, whatever the noise
 _KEPT = 0.9  # share of the differences that noise makes, the rest being corners
 _KEPT_SQUARE = 0.6231  # mean square of that share of standard normal values
-_HARMONICS = np.arange(1.0, 9.0)  # of the rounding error, of which the higher ones are nothing
-_NOISES = np.linspace(0.0, 1.0, 101)  # over the step: more of it averages rounding out
 _LATTICE = 1e-3  # of a step, by which readings lie beside a whole number of them
-_FEWEST = 8  # readings that tell a step
-_STEADY = 0.25  # of a step, by which a steady state changes at most
 _AGREES = 0.7  # correlation of another sensor of the turn with the wheels, from which it is one
 _RESTING = 20  # samples at rest that tell an offset
 _SHORTEST = 7  # samples in a stretch below which nothing is smoothed
@@ -244,64 +241,22 @@ def speed_noise(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0))
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Steps of a sensor."""
-
-    size: float = 0.0  # between neighbouring readings
-    error: float = 0.0  # standard deviation, over steady states, of the mean of readings of one
-
-    @classmethod
-    def of(cls, values: FloatArray, expected: FloatArray | None = None) -> Steps:
-        """Return the steps of readings.
-
-        Source: Widrow and Kollar (2008), Quantization Noise, chapters 4 and 19.
-        """
-        levels = np.unique(values)
-        gaps = np.diff(levels)
-        gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
-        if len(values) < _FEWEST:
-            return cls()
-        if not len(gaps):
-            only = 0.0 if expected is None else float(np.max(np.abs(levels)))
-            return cls(only, only / np.sqrt(12.0))
-        size = float(np.min(gaps))
-        if np.any(np.abs(gaps / size - np.round(gaps / size)) > _LATTICE * gaps / size):
-            return cls()
-        # Noise and rounding make all of the readings' square error: the mean's, and their scatter.
-        damped = np.exp(-((2.0 * np.pi * np.outer(_NOISES, _HARMONICS)) ** 2))
-        square = 0.5 * damped @ (np.pi * _HARMONICS) ** -2.0
-        scatter = _NOISES**2 + square[0] - square
-        noise = reading_noise(values, None if expected is None else _steady(expected, size))
-        left = np.interp((noise / size) ** 2, scatter, square)
-        return cls(size, size * float(np.sqrt(left)))
-
-    def states(self, values: FloatArray) -> NDArray[np.int64]:
-        """Return the number of the step that each value lies in."""
-        return np.asarray(np.round(values / self.size), np.int64)
+def reading_step(values: FloatArray) -> float:
+    """Return the step of a sensor whose readings are whole numbers of it; 0 where they are not."""
+    levels = np.unique(values)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels))]
+    size = float(np.min(gaps, initial=np.inf))
+    whole = np.abs(gaps / size - np.round(gaps / size)) <= _LATTICE * gaps / size
+    return size if 0 < len(gaps) < 0.5 * len(values) and np.all(whole) else 0.0
 
 
-NO_STEPS = Steps()
-"""Of a sensor without steps."""
-
-
-def _steady(expected: FloatArray, size: float) -> NDArray[np.bool_] | None:
-    """Tell where four values in a row hardly change; None where that is nearly nowhere."""
-    if len(expected) < _FEWEST:
-        return None
-    around = np.lib.stride_tricks.sliding_window_view(expected, 4)
-    steady: NDArray[np.bool_] = np.ptp(around, axis=1) < _STEADY * size
-    return steady if np.count_nonzero(steady) >= _FEWEST else None
-
-
-def reading_noise(values: FloatArray, steady: NDArray[np.bool_] | None = None) -> float:
+def reading_noise(values: FloatArray) -> float:
     """Return the deviation of white noise on a smooth signal that is read in steps."""
     # Readings that mostly repeat flicker between two steps: the mean square of all but the largest
     # tenth counts too, up to half a step. Readings of zero alone are those of a sensor at rest.
     rest = values == 0.0
     told = ~(rest[3:] & rest[2:-1] & rest[1:-2] & rest[:-3])
-    if steady is not None:
-        told &= steady
     differences = np.abs(np.diff(values, 3)[told])
     if not len(differences) or np.ptp(values) == 0.0:
         return 0.0
@@ -537,7 +492,6 @@ class Drive:
     between: FloatArray | None = None  # (n,) [W]
     breakaway: float = 0.0  # yaw rate up to which contacts may hold [rad/s]
     hold: Hold | None = None  # readings of the power, where they stand in several rows each
-    steps: Steps = NO_STEPS  # of the speeds' sensors
     fields: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -554,7 +508,6 @@ class Drive:
             log.name, t, motion, log.power, log.battery_side,
             between=None if sides is None else np.asarray(sides.right - sides.left),
             hold=find_hold(log.channels, motion, log.power),
-            steps=Steps.of(np.concatenate([log.channel("v_left"), log.channel("v_right")])),
         )  # fmt: skip
 
     @classmethod
@@ -741,11 +694,6 @@ class Drive:
         return tuple(Windows.of(self.t, max(scale, 3 * period)) for scale in SCALES)
 
 
-def parted(total: FloatArray, between: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the power of the left side and of the right one, of their sum and difference."""
-    return 0.5 * (total - between), 0.5 * (total + between)
-
-
 def check_long_enough(*lists: Sequence[DriveLog]) -> None:
     """Refuse drives too short to be cut into blocks, each or all of a list together."""
     cases = [(log.name, [log], 0.5 * BLOCK) for logs in lists for log in logs]
@@ -760,8 +708,12 @@ def check_long_enough(*lists: Sequence[DriveLog]) -> None:
 
 
 def prepared(logs: Sequence[DriveLog], vehicle: Vehicle) -> list[Drive]:
-    """Prepare training drives; very many samples are thinned, to four a window at least."""
-    drives = [Drive.of(log, vehicle) for log in logs]
+    """Prepare training drives."""
+    return enough_of([Drive.of(log, vehicle) for log in logs])
+
+
+def enough_of(drives: list[Drive]) -> list[Drive]:
+    """Return drives, of which very many samples are thinned, to four a window at least."""
     total = sum(len(drive.t) for drive in drives)
     period = max(drive.clock.period for drive in drives)
     step = min(int(np.ceil(total / _MANY)), int(SCALES[0] / (4 * period)))

@@ -9,25 +9,24 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-from scipy.optimize import brentq
 from scipy.special import fdtrc
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from energyplan.fit.doubts import usual_effects, with_usual
-from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, Steps, columns_of, parted, prepared
+from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, columns_of, prepared, reading_step
 from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
-from energyplan.fit.solvers import least_squares
+from energyplan.fit.run import RunEffect
+from energyplan.fit.solvers import jackknife, least_squares
 from energyplan.logs import DriveLog
+from energyplan.logs.checks import find_lost_sign
 from energyplan.path import FloatArray
-from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
+from energyplan.power import SLIP, TRACTION, PowerModel, Term
 from energyplan.power.effects import Effect, most_of
 from energyplan.vehicle import Vehicle
 
 # -- fits of a sum of terms to drives, with cross-validation and jackknife -------------------------
 
 WEIGHTS = np.array([1.0, 2.0, 3.0]) / 6.0
-"""Say of each scale: what lasts adds up to energy."""
+"""Weight of each window length in the loss: slow errors matter more for energy."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +43,7 @@ class Fit:
     @property
     def reported(self) -> FloatArray:
         """Covariance whose 95 % intervals are those of Student's distribution."""
-        square = np.sum(self.deviations**2, axis=0)
-        freedom = 3.0 * square**2 / np.maximum(np.sum(self.deviations**4, axis=0), 1e-300)
-        freedom = np.clip(freedom, 3.0, len(self.deviations)) - 1.0
-        stretch = student.ppf(0.975, freedom) / norm.ppf(0.975)
-        return np.asarray(self.covariance * np.outer(stretch, stretch))
+        return jackknife(self.deviations)
 
     @property
     def errors(self) -> FloatArray:
@@ -133,47 +128,6 @@ def difference(one: FloatArray, other: FloatArray) -> tuple[float, float]:
     return float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1))
 
 
-# -- how much runs differ as a whole, each by a factor of its power --------------------------------
-
-
-@dataclass(frozen=True)
-class RunSpread:
-    """How much runs differ as a whole, each by a factor of its power."""
-
-    deviation: float
-    excess: FloatArray  # each run's own estimate of its factor, less 1
-    p_value: float  # that they do not differ
-
-    @classmethod
-    def of(cls, design: Design, values: FloatArray) -> RunSpread | None:
-        """Compare runs by their longest windows (Paule's and Mandel's estimate)."""
-        # Source: Paule and Mandel (1982), J. Res. NBS 87, 377-385.
-        table, owner = design.longest
-        count = int(owner.max()) + 1
-        if count < 3 or len(owner) == count:
-            return None
-        predicted, measured = table[:, :-1] @ values, table[:, -1]
-        square = np.bincount(owner, predicted**2, count)
-        product = np.bincount(owner, predicted * measured, count)
-        excess = product / np.maximum(square, 1e-300) - 1.0
-        scatter = measured - predicted * (1.0 + excess[owner])
-        windows = np.bincount(owner, minlength=count)
-        freedom = float(np.sum(np.maximum(windows - 1, 0)))
-        noise = float(scatter @ scatter) / freedom
-        variances = np.maximum(noise / np.maximum(square, 1e-300), 1e-12)
-
-        def misfit(between: float) -> float:
-            weight = 1.0 / (variances + between)
-            return float(weight @ (excess - weight @ excess / weight.sum()) ** 2) - (count - 1)
-
-        between = 0.0
-        if misfit(0.0) > 0.0:
-            most = 2.0 * float(np.var(excess, ddof=1)) + 1e-12
-            between = float(brentq(misfit, 0.0, most)) if misfit(most) < 0.0 else most
-        chance = fdtrc(count - 1, freedom, misfit(0.0) / (count - 1) + 1.0)
-        return cls(float(np.sqrt(between)), excess, float(chance))
-
-
 # -- drives and the terms that are to explain them: their columns, losses linearised ---------------
 
 PAPER = (SLIP, TRACTION)
@@ -193,7 +147,7 @@ FLOOR = 0.01
 ROUNDS = 20
 """Most steps of a fit with losses."""
 
-_SLIP_LAW = 0.05  # part of the sides' difference that no law of sliding friction foretells
+_SLIP_LAW = 0.05  # error of p_right - p_left, relative, that the friction law itself has
 _KEPT = 0.1  # of friction and resistance in a step, at least
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
 _SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better
@@ -441,22 +395,21 @@ class Problem:
         return errors
 
 
-# -- what the powers of both sides show, and whether their sensors know which way ------------------
+# -- what the powers of both sides show ------------------------------------------------------------
 
 _HOLDING = 0.01  # mean slip speed up to which contacts may hold [m/s]
 _CLEAR = 3.0  # noise beyond which a side should return power
 _RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
-_LITTLE = 0.4  # of the resistance, with which sides return much
-_BETTER = 0.5  # part of the loss that signs given back may leave, where sensors lack them
-_TURNS = 20  # fits in which signs settle, at most
+_ENOUGH = 20  # samples that a sign needs
 _LOST = 0.5  # misfit of the moment between the sides, over it, from which it tells nothing
 _SLIDES = 0.3  # misfit in slight turns up to which contacts slide there; simulated ones: 0.2
-_ENOUGH = 20  # samples that a sign needs
 _LEFT = 0.01  # share of the samples that must slide
 
 
 def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
-    """Return drives as they are fitted: each side an equation, where it slides."""
+    """Return drives as they are fitted: each side an equation, where it slides and has its sign."""
+    if any(find_lost_sign(log.channels) for log in logs):
+        return Problem(prepared(logs, vehicle), vehicle).of_totals
     usual = (effect for effect in usual_effects(effects) if not effect.grid)
     terms = [term for effect in usual for term in effect.terms]
     return with_sides(Problem(prepared(logs, vehicle), vehicle), terms)
@@ -496,161 +449,22 @@ def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray, most: f
 
 def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
     """Tell whether sensors show what sides return as if it were drawn."""
-    due, shown = [], []
-    faint, lowest = 0, np.inf
+    due, shown, faint, lowest = list[FloatArray](), list[FloatArray](), 0, np.inf
     for drive in problem.drives:
-        if drive.between is None:
-            continue
-        for side, measured in _sides(drive, problem, terms, values):
-            returns = (side < -_CLEAR * drive.between_noise) & (drive.slides != 0.0)
-            faint += int(np.count_nonzero(side < 0.0))
-            lowest = min(lowest, float(measured.min()))
-            due.append(-side[returns])
-            shown.append(measured[returns])
+        table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
+        total, more = (table @ values).T
+        between = np.zeros(len(total)) if drive.between is None else drive.between
+        for sign in (-1.0, 1.0):  # the left side, the right one
+            expected, seen = 0.5 * (total + sign * more), 0.5 * (drive.power + sign * between)
+            returns = (expected < -_CLEAR * drive.between_noise) & (drive.slides != 0.0)
+            faint += int(np.count_nonzero(expected < 0.0))
+            lowest = min(lowest, float(seen.min()))
+            due.append(-expected[returns])
+            shown.append(seen[returns])
     expected, seen = np.concatenate(due), np.concatenate(shown)
     if len(expected) < _ENOUGH:
-        never = lowest >= 0.0 and faint >= _ENOUGH
-        return never or _signs_lost(problem, terms, values)
+        return lowest >= 0.0 and faint >= _ENOUGH
     return float(np.polyfit(expected, seen, 1)[0]) > _RISES
-
-
-def _signs_lost(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether the drives fit better with the signs given back that their model asks for."""
-    wide = [*terms, HOTEL]
-    found = by_name(terms, values)
-    little = {TRACTION.name: _LITTLE * found[TRACTION.name]}
-    errors = problem.reference(problem.design(terms))
-    plain, back = [], []
-    for start in (found, {**found, **little}):
-        held = Problem(problem.drives, problem.vehicle)
-        for share in (0.0, 1.0):
-            about = {**start, REGENERATION_LOSS.name: share}
-            plain.append(fit(held.design([*wide, REGENERATION_LOSS], errors, about), errors).loss)
-        now = np.array([start.get(term.name, 0.0) for term in wide])
-        for _ in range(_TURNS):
-            signed = _with_signs(held, wide, now)
-            one = fit(signed.design(wide, errors), errors)
-            settled = np.allclose(one.values, now, rtol=1e-3)
-            now = one.values
-            if settled:
-                break
-        back.append(one.loss)
-    return min(back) < _BETTER * min(plain)
-
-
-def _with_signs(problem: Problem, terms: Sequence[Term], values: FloatArray) -> Problem:
-    """Return the drives, the power of each side with the sign that a model has there."""
-    drives = []
-    for drive in problem.drives:
-        left, right = (
-            np.copysign(measured, side) for side, measured in _sides(drive, problem, terms, values)
-        )
-        drives.append(replace(drive, power=left + right, between=right - left))
-    return Problem(drives, problem.vehicle)
-
-
-def _sides(
-    drive: Drive, problem: Problem, terms: Sequence[Term], values: FloatArray
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the power of the left side and of the right one: by a model, and as measured [W]."""
-    table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
-    total, more = (table @ values).T
-    between = np.zeros(len(total)) if drive.between is None else drive.between
-    return list(zip(parted(total, more), parted(drive.power, between), strict=True))
-
-
-# -- what sensors that read in steps leave uncertain of coefficients -------------------------------
-
-_SHARE = 1e-3  # step of the logarithm of a speed
-
-
-def _covariance_of(sources: Sequence[tuple[NDArray[np.int64], FloatArray]]) -> FloatArray:
-    """Return the covariance of coefficients, each state of a sensor erring alike whenever it is.
-
-    Of each drive come the states of its samples, shape (n, m), and what the standard error of its
-    state, in that sample, does to the coefficients, shape (n, k).
-    """
-    _, state = np.unique(np.concatenate([one[0] for one in sources]), axis=0, return_inverse=True)
-    moved = np.concatenate([one[1] for one in sources])
-    sums = np.stack([np.bincount(state.ravel(), column) for column in moved.T], axis=-1)
-    return np.asarray(sums.T @ sums)
-
-
-def moved_by(drives: Sequence[Drive], design: Design, errors: FloatArray) -> list[FloatArray]:
-    """Return what one watt more in a sample of each equation does to the coefficients."""
-    normal = weighted(design, errors).sum(axis=0)[:-1, :-1]
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-    unit = np.linalg.pinv(normal * np.outer(scale, scale), 1e-12, hermitian=True)
-    inverse = unit * np.outer(scale, scale)
-    found = [np.zeros((len(drive.t), drive.equations, len(normal))) for drive in drives]
-    for k, (table, error, count) in enumerate(zip(design.rows, errors, design.counts, strict=True)):
-        step, first = table[:, :-1] @ inverse / (error * count), 0
-        for drive, table_of in zip(drives, found, strict=True):
-            windows = drive.windows[k % len(SCALES)]
-            own = step[first : first + len(windows.counts)] / windows.counts[:, None]
-            table_of[:, k // len(SCALES)] += np.repeat(own, windows.counts.astype(np.intp), axis=0)
-            first += len(windows.counts)
-    return found
-
-
-def reading_covariance(
-    problem: Problem, terms: Sequence[Term], values: FloatArray, design: Design, errors: FloatArray
-) -> FloatArray:
-    """Return the covariance of coefficients that the steps of sensors leave."""
-    width = design.rows[0].shape[1] - 1
-    found = np.zeros((width, width))
-    moved = moved_by(problem.drives, design, errors)
-    expected = [
-        linearise_drive(drive, problem.vehicle, terms, values, ()).power.T
-        for drive in problem.drives
-    ]
-    for side in range(problem.drives[0].equations):
-        shown, due, by_watt = [], [], []  # by a sensor of power, and what its watt more does
-        for drive, power, by in zip(problem.drives, expected, moved, strict=True):
-            if drive.between is None:
-                own, known, does = drive.power, power[0], by[:, 0]
-            else:
-                own, known = (parted(*both)[side] for both in ((drive.power, drive.between), power))
-                does = by[:, 0] + (-1.0, 1.0)[side] * drive.slides[:, None] * by[:, 1]
-            shown.append(own)
-            due.append(known)
-            by_watt.append(does)
-        steps = Steps.of(np.concatenate(shown), np.concatenate(due))
-        if steps.error > 0.0:
-            pairs = zip(shown, by_watt, strict=True)
-            found += _covariance_of(
-                [(steps.states(p)[:, None], steps.error * by) for p, by in pairs]
-            )
-    sources = []
-    for drive, by in zip(problem.drives, moved, strict=True):
-        if drive.steps.error <= 0.0:
-            continue
-        motion = drive.motion
-        speed = np.hypot(motion.v_left, motion.v_right) / np.sqrt(2.0)
-        share = np.divide(
-            drive.steps.error, speed, out=np.zeros(len(speed)), where=speed > drive.steps.size
-        )
-        late = round(drive.late.mean / drive.clock.period)
-        at = np.clip(np.arange(len(speed)) - late, 0, len(speed) - 1)
-        states = [drive.steps.states(v)[at] for v in (motion.v_left, motion.v_right)]
-        rise = _rise_with_speed(drive, problem.vehicle, terms, values)
-        sources.append(
-            (np.column_stack(states), np.einsum("te,tek->tk", rise * share[at, None], by))
-        )
-    return found + _covariance_of(sources) if sources else found
-
-
-def _rise_with_speed(
-    drive: Drive, vehicle: Vehicle, terms: Sequence[Term], values: FloatArray
-) -> FloatArray:
-    """Return by how much the power in each equation rises with the logarithm of the speed [W]."""
-    ends = []
-    for factor in (1.0 + _SHARE, 1.0 - _SHARE):
-        motion = drive.motion
-        faster = replace(motion, v_left=factor * motion.v_left, v_right=factor * motion.v_right)
-        moved = replace(drive, motion=faster, breakaway=factor * drive.breakaway, fields={})
-        ends.append(linearise_drive(moved, vehicle, terms, values, ()).power)
-    return np.asarray((ends[0] - ends[1]) / (2.0 * _SHARE))
 
 
 # -- all coefficients of a sum of terms, fitted together to window means of drives -----------------
@@ -661,18 +475,36 @@ shape (n, equations) each."""
 
 
 @dataclass(frozen=True)
-class JointFit:
+class Fitted:
     """A sum of terms fitted to drives."""
 
     model: PowerModel  # the model with its covariance
-    run_spread: float | None  # relative standard deviation of the power between runs
+    run: RunEffect  # by how much runs differ as a whole
     assumed: tuple[str, ...]  # terms of which drives tell less than is known of any robot
     further: FloatArray  # covariance of further parameters, at whose values the terms were fitted
     errors: Mapping[str, float] = field(default_factory=dict)  # of parameters that were searched
-    run_error: float | None = None  # relative, of the energy of runs that were left out
+
+    @property
+    def run_spread(self) -> float | None:
+        """Relative standard deviation of the energy between runs; None where none were compared."""
+        return self.run.deviation if self.run.compared else None
 
 
-def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> JointFit:
+def _offset(problem: Problem, design: Design, errors: FloatArray) -> FloatArray:
+    """Return the covariance of coefficients that an offset of a sensor with steps leaves.
+
+    A sensor errs alike whenever it reads the same; a robot at rest is read the same throughout.
+    """
+    step = max(reading_step(drive.power) for drive in problem.drives)
+    rows = tuple(
+        np.column_stack([table[:, :-1], np.full(len(table), float(k < len(SCALES)))])
+        for k, table in enumerate(design.rows)
+    )
+    by_watt = solve(weighted(replace(design, rows=rows), errors).sum(axis=0))
+    return np.asarray(step**2 / 12.0 * np.outer(by_watt, by_watt))
+
+
+def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None = None) -> Fitted:
     """Fit terms together."""
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
@@ -689,18 +521,24 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
         columns = [np.stack(column, axis=-1) for column in zip(*moved, strict=True)]
         design = design.joined(window_means(problem.drives, columns))
         covariance = fit(design, errors).reported
-    covariance = covariance + reading_covariance(problem, terms, values, design, errors)
+    covariance = covariance + _offset(problem, design, errors)
     covariance, rest = covariance[:count, :count], covariance[count:, count:]
-    plain = problem.of_totals
-    spread = RunSpread.of(plain.design(terms), values)
-    if spread is not None:
+    run = run_effect(problem, terms, values)
+    if run.compared:
         # What all runs share is known no better than the mean of runs that differ.
-        level = spread.deviation**2 / len(problem.drives)
+        level = run.deviation**2 / len(problem.drives)
         covariance = covariance + level * np.outer(values, values)
     if assumed:
         covariance = usual(values, covariance)[1]
     model = PowerModel(problem.vehicle, tuple(terms), values, 0.5 * (covariance + covariance.T))
-    return JointFit(model, None if spread is None else spread.deviation, assumed, rest)
+    return Fitted(model, run, assumed, rest)
+
+
+def run_effect(problem: Problem, terms: Sequence[Term], values: FloatArray) -> RunEffect:
+    """Compare what runs took with what a sum of terms says of them."""
+    plain = problem.of_totals
+    design = plain.design(terms, None, by_name(terms, values), rounds=1)
+    return RunEffect.between(design, np.array(values), plain.drives[0].windows[-1].length)
 
 
 def _within(

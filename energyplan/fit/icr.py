@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from energyplan.errors import NotIdentifiableError
-from energyplan.fit.solvers import autocorrelation, local_scale, sum_covariance
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.vehicle import TreadICR
@@ -209,14 +208,11 @@ def _instrumented(
 
 def _variance(weight: FloatArray, residual: FloatArray, pieces: Sequence[slice]) -> float:
     """Variance of the weighted sum of an autocorrelated residual."""
-    noise = autocorrelation(residual, pieces)
-    scale = local_scale(residual, noise.repeats)
-    modelled = float(sum_covariance(weight[:, None], scale, noise.rho, pieces)[0, 0])
-    # Errors of a yaw cancel from one increment to the next, all but completely, and an
-    # autoregression may cancel them altogether. Sums over windows are positive whatever comes.
+    # Errors of a yaw cancel from one increment to the next, all but completely. Sums over windows
+    # are positive whatever comes.
     length = min(_WINDOW, max(len(residual) // 10, 1))
     sums = (np.convolve(weight[s] * residual[s], np.ones(length)) for s in pieces)
-    return max(modelled, sum(float(part @ part) for part in sums) / length)
+    return sum(float(part @ part) for part in sums) / length
 
 
 def icr_from_spin(

@@ -17,9 +17,8 @@ from energyplan import html
 from energyplan.errors import InvalidInputError, ModelError, NotIdentifiableError, UnknownNameError
 from energyplan.fit.doubts import (
     Adequacy,
-    Beside,
+    Wider,
     adequacy,
-    beside,
     check_identifiable,
     ends_in_words,
     linearise,
@@ -29,29 +28,23 @@ from energyplan.fit.doubts import (
     signal_motion,
     statistics,
     usual_effects,
-    usual_terms,
 )
-from energyplan.fit.drive import Drive, check_long_enough
+from energyplan.fit.drive import BLOCK, Drive, check_long_enough, cut, enough_of
 from energyplan.fit.estimate import Problem, joint_fit, problem_of
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
 from energyplan.fit.regressors import is_lossy
 from energyplan.fit.solvers import (
     HUBER_TUNING,
     Bounds,
-    autocorrelation,
     column_scale,
     huber,
+    jackknife,
     lad,
     least_squares,
-    local_scale,
-    normal_scores,
     robust_scale,
-    sandwich,
     simplex,
-    sum_covariance,
     weighted_least_squares,
 )
-from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_checks, find_lost_sign, refuse_one_side, without_copies
 from energyplan.logs.clean import set_aside_by_drive
@@ -59,7 +52,7 @@ from energyplan.logs.consistency import correlation, distance_ratio, lasts, yaw_
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
-from energyplan.records import ByValue
+from energyplan.records import ByValue, checked
 from energyplan.vehicle import TreadICR, Vehicle
 
 # -- the fit itself: measured power of all logs against a model that may not be linear -------------
@@ -67,26 +60,7 @@ from energyplan.vehicle import TreadICR, Vehicle
 Method = Literal["lad", "simplex", "huber", "windows"]
 Loss = Callable[[FloatArray], float]
 
-_IDLE = 0.01  # size of a regressor, over its usual one, below which a sample says nothing about it
-
-
-def telling(design: FloatArray) -> NDArray[np.bool_]:
-    """Tell which samples say something about the coefficients."""
-    size = np.abs(design)
-    usual = np.sqrt(np.einsum("ij,ij->j", size, size) / np.maximum((size > 0).sum(axis=0), 1))
-    found = np.any(size > _IDLE * usual, axis=1)
-    return found if np.count_nonzero(found) > design.shape[1] else np.ones(len(design), bool)
-
-
-def kept_pieces(pieces: Sequence[slice], kept: NDArray[np.bool_]) -> list[slice]:
-    """Return stretches without a gap among the kept samples, counted over those alone."""
-    number = np.concatenate([[0], np.cumsum(kept)])
-    edges = [0]
-    for piece in pieces:
-        steps = np.flatnonzero(np.diff(kept[piece].astype(int))) + piece.start + 1
-        edges += [*number[steps], number[piece.stop]]
-    bounds = np.unique(edges).tolist()
-    return [slice(a, b) for a, b in pairwise(bounds)]
+_BLOCKS = 16  # of the jackknife, at least: blocks are shorter where a log is short
 
 
 class PowerRegression:
@@ -182,29 +156,43 @@ class PowerRegression:
                 break
         return bounds.clip(c)
 
-    def covariance(self, model: PowerModel, method: Method) -> FloatArray:
-        """Covariance of the coefficients under autocorrelated, heteroscedastic residuals."""
+    def covariance(self, model: PowerModel, method: Method, independent: float) -> FloatArray:
+        """Covariance of the coefficients: a jackknife over blocks of time, by one step each.
+
+        `independent` is the number of samples that the residual is worth.
+        """
         target, design = self._linearise(model)
-        informative = telling(design)
-        target, design = target[informative], design[informative]
-        pieces = kept_pieces(self.pieces, informative)
         residual = target - design @ model.coefficients
-        noise = autocorrelation(normal_scores(residual), pieces, design)
-        sigma = robust_scale(residual)
+        sigma = robust_scale(residual[residual != 0.0]) if np.any(residual) else 0.0
         sigma = max(sigma, 1e-9 * float(np.max(np.abs(self._measured), initial=1e-300)))
         if method == "huber":
             edge = HUBER_TUNING * sigma
-            scale = local_scale(np.clip(residual, -edge, edge), noise.repeats)
-            rho = noise.rho
-            slope = (np.abs(residual) < edge).astype(float)
+            pull, slope = np.clip(residual, -edge, edge), (np.abs(residual) < edge).astype(float)
         else:
-            scale = np.ones(len(residual))
-            # Signs of jointly normal values are correlated by the arcsine law.
-            rho = 2 / np.pi * np.arcsin(np.clip(noise.rho, -1.0, 1.0))
-            slope = 2.0 * _density_at_zero(residual, sigma, len(residual) / noise.repeats)
-        bread = (design * slope[:, None]).T @ design
-        meat = sum_covariance(design, scale, rho, pieces)
-        return np.asarray(sandwich(bread, meat) / noise.kept)
+            pull, slope = np.sign(residual), 2.0 * _density_at_zero(residual, sigma, independent)
+        time = sum(float(drive.t[-1]) for drive in self._drives)
+        length = min(BLOCK, time / _BLOCKS)
+        first, block = 0, list[NDArray[np.intp]]()
+        for drive in self._drives:
+            block.append(first + cut(drive.t, length))
+            first = int(block[-1][-1]) + 1
+        scale = column_scale(design)
+        table = np.column_stack([design / scale, pull])
+        bread, score = np.zeros((first, len(scale), len(scale))), np.zeros((first, len(scale)))
+        edges = np.flatnonzero(np.diff(np.concatenate(block), prepend=-1))
+        for k, part in enumerate(np.split(table, edges[1:])):
+            weight = slope[edges[k] : edges[k] + len(part)]
+            bread[k] = (part[:, :-1] * weight[:, None]).T @ part[:, :-1]
+            score[k] = part[:, -1] @ part[:, :-1]
+        whole, kept = bread.sum(axis=0), np.any(score != 0.0, axis=1)
+        rest = np.linalg.pinv(whole - bread[kept], rcond=1e-12, hermitian=True)
+        moved = np.einsum("bij,bj->bi", rest, score.sum(axis=0) - score[kept]) / scale
+        if len(moved) < 2:
+            return np.full_like(whole, np.inf)
+        # Neighbouring blocks are alike: variance of a mean over one, beside that of all of them.
+        ratio = 0.5 * time / max(independent, 1.0) / length
+        alike = ratio * (1.0 - np.exp(-1.0 / max(ratio, 1e-3)))
+        return np.asarray(jackknife(moved) / (1.0 - alike))
 
     def inherited(self, model: PowerModel, estimate: ICREstimate) -> FloatArray:
         """Covariance that the coefficients take over from the tread ICRs."""
@@ -491,7 +479,7 @@ class Identification(ByValue, html.Readable):
         every drive shows are allowed for. Where that is more than noise, the model lacks something,
         and coefficients may be off by more than their standard errors.
     foretold : Foretold, optional
-        By how much energies are missed that are foretold from the other drives, or from the rest of
+        Error of energies that are predicted from the other drives, or from the rest of
         few drives; None where the drives took no energy.
     warnings : tuple of str
         What the logs do not determine, or hardly.
@@ -717,20 +705,23 @@ def identify(
         doubts = check_identifiable(model, _stacked(model, clean, ready), turning)
     warnings += doubts
 
-    covariance = problem.covariance(model, method) if model.covariance is None else model.covariance
-    if estimate is not None:
-        covariance = covariance + problem.inherited(model, estimate)
     powers = problem.powers(model)
     residual = statistics(ready, powers)
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
+    covariance = model.covariance
+    if covariance is None:
+        covariance = problem.covariance(model, method, independent)
+    if estimate is not None:
+        covariance = covariance + problem.inherited(model, estimate)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
-    usual = beside(usual_terms(terms), model, ready)
-    quality = adequacy(ready, usual.residuals)
-    told = foretold(model, ready)
-    warnings += _missing(quality, model, usual, told)
+    few = enough_of(ready)
+    wider = Wider.of(model, few)
+    quality = adequacy(few, wider.residuals)
+    told = foretold(model, few)
+    warnings += _missing(quality, wider.moves, told)
     aside = set_aside_by_drive(drives)
     return Identification(
         model, method, icr_covariance, independent, quality, told, tuple(warnings), aside
@@ -746,11 +737,8 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
 # -- parts --------------------------------------------------------------------------------------
 
 
-def _missing(
-    left: Adequacy, model: PowerModel, usual: Beside, left_out: Foretold | None
-) -> list[str]:
+def _missing(left: Adequacy, moves: Sequence[str], left_out: Foretold | None) -> list[str]:
     """Warn of a model that lacks something, and of how much: errors know of noise alone."""
-    moves = usual.moves(model)
     if moves:
         told = f"inertia and the mobilisation of friction beside it move {' and '.join(moves)}"
     elif not left.adequate:

@@ -14,11 +14,11 @@ from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit.doubts import energy_error, is_linear, linearise
 from energyplan.fit.drive import Drive
 from energyplan.fit.identification import without_each
-from energyplan.kinds import checked, described
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Sides, Term
+from energyplan.records import checked, described
 from energyplan.vehicle import Vehicle
 
 # -- one step of recursive identification: robust, forgetting, watching for change -----------------

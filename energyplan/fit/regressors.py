@@ -247,7 +247,7 @@ class Design:
 
     @property
     def comparable(self) -> bool:
-        """Whether whole drives foretell each other: four or more, none with most of the driving."""
+        """Whether whole drives predict each other: four or more, none with most of the driving."""
         share = np.bincount(self.drives) / len(self.drives)
         return len(share) >= 4 and float(share.max()) <= _MUCH
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linprog, lsq_linear
-from scipy.signal import detrend, lfilter, oaconvolve, welch
-from scipy.stats import norm, rankdata
+from scipy.signal import detrend, lfilter, welch
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from energyplan.errors import NotIdentifiableError
 from energyplan.path import FloatArray
@@ -193,15 +193,7 @@ def simplex(
 
 _LARGEST_ORDER = 30
 _LARGEST_PARTIAL = 0.9995
-_CORRECTIONS = 3
-_LEAST_KEPT = 0.2
-_NEGLIGIBLE = 1e-3
-"""Autocorrelation at which its tail is cut; share of the noise that a fit may take unseen."""
-
-
-def normal_scores(residual: FloatArray) -> FloatArray:
-    """Replace each value by the normal quantile of its rank: no outlier, the same dependence."""
-    return np.asarray(norm.ppf((rankdata(residual) - 0.5) / len(residual)))
+_NEGLIGIBLE = 1e-3  # autocorrelation at which its tail is cut
 
 
 def _padded(piece: slice, lags: int) -> int:
@@ -216,30 +208,6 @@ def _products(a: FloatArray, b: FloatArray, pieces: Sequence[slice], lags: int) 
         size = _padded(piece, lags)
         product = irfft(rfft(a[piece], size).conj() * rfft(b[piece], size), size)
         total += product[: lags + 1]
-    return total
-
-
-def _spread(columns: FloatArray, rho: FloatArray, pieces: Sequence[slice]) -> FloatArray:
-    """Multiply columns by the correlation matrix of the noise, without building it."""
-    kernel = np.concatenate([rho[:0:-1], rho])[:, None]
-    middle = len(rho) - 1
-    parts = []
-    for piece in pieces:
-        wide = oaconvolve(columns[piece], kernel, mode="full", axes=0)
-        parts.append(wide[middle : middle + piece.stop - piece.start])
-    return np.concatenate(parts)
-
-
-def _absorbed(basis: FloatArray, rho: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
-    """Products at each lag that a fit on an orthonormal basis takes out of unit noise."""
-    spread = _spread(basis, rho, pieces)
-    inner = basis.T @ spread
-    total = np.zeros(lags + 1)
-    for piece in pieces:
-        size = _padded(piece, lags)
-        whole, wide = rfft(basis[piece], size, axis=0), rfft(spread[piece], size, axis=0)
-        missing = 2.0 * (whole.conj() * wide).real - whole.conj() * (whole @ inner)
-        total += irfft(missing.sum(axis=1), size)[: lags + 1]
     return total
 
 
@@ -281,23 +249,8 @@ def _extended(covariance: FloatArray, count: int, longest: int) -> FloatArray:
     return start
 
 
-@dataclass(frozen=True)
-class Correlation:
-    """Autocorrelation of the noise behind a residual."""
-
-    rho: FloatArray  # (m,): autocorrelation at lags from 0 until it has died out
-    kept: float = 1.0  # fraction of the noise's variance that the residual still has
-
-    @property
-    def repeats(self) -> float:
-        """How many neighbouring samples make one independent sample."""
-        return max(2.0 * float(self.rho.sum()) - 1.0, 1.0)
-
-
-def autocorrelation(
-    series: FloatArray, pieces: Sequence[slice], regressors: FloatArray | None = None
-) -> Correlation:
-    """Autocorrelation of a series, or of the noise that a fit left it from."""
+def repeats_of(series: FloatArray, pieces: Sequence[slice]) -> float:
+    """Return how many neighbouring samples make one independent sample."""
     # Source: Brockwell and Davis (1991), Time Series: Theory and Methods, sections 8.1 and 9.3.
     count = len(series)
     longest = max(s.stop - s.start for s in pieces)
@@ -305,20 +258,25 @@ def autocorrelation(
     centred = series - series.mean()
     observed = _products(centred, centred, pieces, lags) / count
     if observed[0] <= 0:
-        return Correlation(np.ones(1))
+        return 1.0
     pairs = np.array([sum(max(s.stop - s.start - k, 0) for s in pieces) for k in range(lags + 1)])
-    ones = np.ones((count, 1))
-    fitted = ones if regressors is None else np.hstack([ones, regressors])
-    first = Correlation(_extended(observed * count / pairs, count, longest))
-    if first.repeats * fitted.shape[1] < _NEGLIGIBLE * count:
-        return first
-    basis, _ = np.linalg.qr(fitted)
-    rho, kept = first.rho, 1.0
-    for _ in range(_CORRECTIONS):
-        absorbed = _absorbed(basis, rho, pieces, lags) / count
-        kept = min(max(1.0 - absorbed[0], _LEAST_KEPT), 1.0)
-        rho = _extended((observed + observed[0] / kept * absorbed) * count / pairs, count, longest)
-    return Correlation(rho, kept)
+    rho = _extended(observed * count / pairs, count, longest)
+    return max(2.0 * float(rho.sum()) - 1.0, 1.0)
+
+
+def jackknife(moved: FloatArray) -> FloatArray:
+    """Return the covariance of coefficients, given those without each block, shape (b, k).
+
+    Its 95 % intervals, with a normal distribution's quantile, are those of Student's.
+    """
+    # Source: Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 11.
+    count = len(moved)
+    apart = moved - moved.mean(axis=0)
+    square = np.sum(apart**2, axis=0)
+    freedom = 3.0 * square**2 / np.maximum(np.sum(apart**4, axis=0), 1e-300)
+    freedom = np.clip(freedom, min(3.0, count), count) - 1.0
+    stretch = student.ppf(0.975, freedom) / norm.ppf(0.975)
+    return np.asarray((count - 1) / count * apart.T @ apart * np.outer(stretch, stretch))
 
 
 _SEGMENT = 4.0  # length of the segments whose spectra are compared [s]
@@ -392,7 +350,7 @@ class SensorNoise:
 
 
 def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
-    """Share of a series' variance that its own past does not foretell."""
+    """Share of a series' variance that its own past does not predict."""
     # Source: Schweppe (1965), IEEE Trans. Inf. Theory 11, 61-70. Hurvich and Tsai (1989),
     # Biometrika 76.
     count = len(series)
@@ -411,30 +369,6 @@ def innovation_share(series: FloatArray, pieces: Sequence[slice]) -> float:
     return float(best)
 
 
-def sum_covariance(
-    regressors: FloatArray, scale: FloatArray, rho: FloatArray, pieces: Sequence[slice]
-) -> FloatArray:
-    """Covariance of ``sum_t regressors[t] * e[t]`` for autocorrelated noise ``e``."""
-    loaded = regressors * scale[:, None]
-    total = loaded.T @ _spread(loaded, rho, pieces)
-    return np.asarray(0.5 * (total + total.T))
-
-
-def local_scale(series: FloatArray, repeats: float) -> FloatArray:
-    """Root mean square of a series around each sample: noise need not be the same throughout."""
-    window = min(len(series), max(100, round(20 * repeats)))
-    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(series**2, window), 0.0)))
-
-
-def sandwich(bread: FloatArray, meat: FloatArray) -> FloatArray:
-    """Covariance ``bread^-1 meat bread^-1``, computed in units that balance the bread."""
-    scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
-    unit = np.outer(scale, scale)
-    inverse = np.linalg.pinv(bread / unit, rcond=1e-13, hermitian=True)
-    covariance = inverse @ (meat / unit) @ inverse / unit
-    return np.asarray(0.5 * (covariance + covariance.T))
-
-
 def least_squares(
     X: FloatArray, y: FloatArray, pieces: Sequence[slice]
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -443,11 +377,11 @@ def least_squares(
     inverse = np.linalg.pinv((X.T @ X) / np.outer(scale, scale), 1e-10, hermitian=True)
     values = inverse @ (X.T @ y / scale) / scale
     rest = y - X @ values
-    repeats = autocorrelation(rest, pieces).repeats
+    repeats = repeats_of(rest, pieces)
     variance = float(rest @ rest) / max(len(y) - X.shape[1], 1) * repeats
     return values, variance * inverse / np.outer(scale, scale), repeats
 
 
 def correlation_time(residual: FloatArray, period: float, pieces: Sequence[slice]) -> float:
     """Integral time scale of a series: the area under its autocorrelation at positive lags [s]."""
-    return 0.5 * period * autocorrelation(residual, pieces).repeats
+    return 0.5 * period * repeats_of(residual, pieces)

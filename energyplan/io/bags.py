@@ -9,18 +9,17 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from importlib import import_module
+from itertools import islice, product
 from math import atan2, inf, isfinite, nan
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, field_validator
 
 from energyplan.errors import (
@@ -32,23 +31,17 @@ from energyplan.errors import (
 )
 from energyplan.io.documents import Document, Loc, load
 from energyplan.io.files import is_file
-from energyplan.logs import DriveLog
-from energyplan.logs.align import AS_LOGGED, Series, align, derivative, find_runs
-from energyplan.logs.clean import SetAside
+from energyplan.logs.align import Series, align, derivative, find_runs, usable
 from energyplan.logs.consistency import correlation
-from energyplan.logs.guess import guess, side_of, words
+from energyplan.logs.guess import side_of, words
 from energyplan.logs.mapping import (
     COUNTS,
     RATES,
     TOTAL,
-    UNITS,
     Column,
-    count_rate,
-    counting,
     formula,
-    parse_columns,
-    scale_of,
 )
+from energyplan.logs.tables import Recording, message_series
 from energyplan.path import FloatArray
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
@@ -89,8 +82,7 @@ def _number(message: Any, place: _Place) -> float:
     if value is None:
         return nan
     if place.heading:
-        sine = 2 * (value.w * value.z + value.x * value.y)
-        return atan2(sine, 1 - 2 * (value.y**2 + value.z**2))
+        return _heading(value)
     if place.element is None:
         return float(value)
     if place.element.isdecimal():
@@ -101,6 +93,12 @@ def _number(message: Any, place: _Place) -> float:
         index = [k for k, name in enumerate(names) if any(fnmatchcase(name, w) for w in wanted)]
     found = [float(value[k]) for k in index if k < len(value)]
     return sum(found) / len(found) if found else nan
+
+
+def _heading(turn: Any) -> float:
+    """Return the yaw of a quaternion [rad]."""
+    sine = 2 * (turn.w * turn.z + turn.x * turn.y)
+    return atan2(sine, 1 - 2 * (turn.y**2 + turn.z**2))
 
 
 def _joints(message: Any) -> list[str]:
@@ -115,18 +113,15 @@ def _readable(column: Column) -> Column:
     if column.times is not None:
         _place(column.times)
     added = column.model_copy(update={"times": None})
-    made = formula(added.written if column.plus else column.field, _NAME)
-    if made is None or made.times is not None:
+    result = formula(added.written if column.plus else column.field, _NAME)
+    if result is None or result.times is not None:
         raise ValueError(_FIELDS)
-    for name in made.names:
+    for name in result.names:
         _place(name)
-    first, *rest = made.names
-    return column.model_copy(update={"field": first, "plus": tuple(rest), "weights": made.weights})
-
-
-def source(channel: str, topic: str, field: str) -> Column:
-    """Return what serves as a channel."""
-    return _readable(Column(topic=topic, field=field, channel=channel))
+    first, *rest = result.names
+    return column.model_copy(
+        update={"field": first, "plus": tuple(rest), "weights": result.weights}
+    )
 
 
 def read_message(column: Column, message: Any) -> float:
@@ -185,79 +180,47 @@ def _below(lines: dict[Loc, int], key: str) -> dict[Loc, int]:
     return {place[1:]: line for place, line in lines.items() if place[:1] == (key,)}
 
 
-_FURTHER: dict[str, list[dict[str, Any]]] = {
-    "voltage": [
-        {"topic": "platform/bms/state", "field": "voltage"},
-        {"topic": "battery_state", "field": "voltage"},
-    ],
-    "current": [  # of a sensor_msgs/BatteryState: negative when discharging
-        {"topic": "platform/bms/state", "field": "current", "scale": -1.0},
-        {"topic": "battery_state", "field": "current", "scale": -1.0},
-    ],
-    "yaw_rate": [
-        {"topic": "sensors/imu_0/data", "field": "angular_velocity.z"},
-        {"topic": "imu/data", "field": "angular_velocity.z"},
-    ],
-    "accel_x": [
-        {"topic": "sensors/imu_0/data", "field": "linear_acceleration.x"},
-        {"topic": "imu/data", "field": "linear_acceleration.x"},
-    ],
-    **{
-        channel: [
-            {"topic": topic, "field": field}
-            for topic in ("platform/odom/filtered", "odometry/filtered")
-        ]
-        for channel, field in (
-            ("x", "pose.pose.position.x"),
-            ("y", "pose.pose.position.y"),
-            ("yaw", "yaw(pose.pose.orientation)"),
-        )
-    },
+_FURTHER = """\
+voltage  platform/bms/state|battery_state           voltage
+current  platform/bms/state|battery_state           current                      *-1.0
+yaw_rate sensors/imu_0/data|imu/data                angular_velocity.z
+accel_x  sensors/imu_0/data|imu/data                linear_acceleration.x
+x        platform/odom/filtered|odometry/filtered   pose.pose.position.x
+y        platform/odom/filtered|odometry/filtered   pose.pose.position.y
+yaw      platform/odom/filtered|odometry/filtered   yaw(pose.pose.orientation)
+"""
+"""Channel, topics, field and unit; the current of a BatteryState is negative when discharging."""
+_CLEARPATH: dict[str, tuple[float, dict[str, tuple[int, int]]]] = {
+    "husky": (0.1651, {"p_left": (1, 1), "p_right": (2, 2)}),
+    "jackal": (0.098, {"power": (0, 2)}),
+    "warthog": (0.3, {"power": (0, 0)}),
 }
+"""Wheel radius [m], and which voltage and current of the power message make which power."""
 
 
-def _wheels(radius: float) -> dict[str, list[dict[str, Any]]]:
-    """Tread speeds from the joints' rates, all wheels of a side together."""
-    return {
-        f"v_{side}": [
-            {"topic": topic, "field": f"velocity[*{side}*]", "scale": radius}
-            for topic in ("platform/joint_states", "joint_states")
+def _clearpath(name: str) -> TopicMap:
+    """Return the topic map of one of Clearpath's robots."""
+    radius, powers = _CLEARPATH[name]
+    joints = "platform/joint_states|joint_states"
+    wheels = (f"v_{side} {joints} velocity[*{side}*] *{radius}" for side in ("left", "right"))
+    found: dict[str, list[dict[str, Any]]] = {}
+    for channel, topics, field, *unit in map(str.split, (*wheels, *_FURTHER.splitlines())):
+        found[channel] = [
+            {"topic": topic, "field": field, "unit": "".join(unit)} for topic in topics.split("|")
         ]
-        for side in ("left", "right")
-    }
+    for channel, (voltage, current) in powers.items():
+        side = channel.removeprefix("p_")
+        drivers = ("husky/status", "status") if side != channel else ()
+        found[channel] = [
+            *({"topic": topic, "field": f"{side}_driver_current", "times": f"{side}_driver_voltage"}
+              for topic in drivers),
+            {"topic": "platform/mcu/status/power", "field": f"measured_currents[{current}]",
+             "times": f"measured_voltages[{voltage}]"},
+        ]  # fmt: skip
+    return TopicMap.model_validate({"name": name, "channels": found})
 
 
-def _power_message(voltage: int, current: int) -> dict[str, Any]:
-    return {
-        "topic": "platform/mcu/status/power",
-        "field": f"measured_currents[{current}]",
-        "times": f"measured_voltages[{voltage}]",
-    }
-
-
-TOPIC_MAPS = {
-    name: TopicMap.model_validate({"name": name, "channels": channels})
-    for name, channels in {
-        "husky": {
-            **_wheels(0.1651),
-            **{
-                f"p_{side}": [
-                    {
-                        "topic": topic,
-                        "field": f"{side}_driver_current",
-                        "times": f"{side}_driver_voltage",
-                    }
-                    for topic in ("husky/status", "status")
-                ]
-                + [_power_message(k, k)]
-                for k, side in ((1, "left"), (2, "right"))
-            },
-            **_FURTHER,
-        },
-        "jackal": {**_wheels(0.098), "power": [_power_message(0, 2)], **_FURTHER},
-        "warthog": {**_wheels(0.3), "power": [_power_message(0, 0)], **_FURTHER},
-    }.items()
-}
+TOPIC_MAPS = {name: _clearpath(name) for name in _CLEARPATH}
 """Ready-made topic maps of Clearpath robots, ROS 1 and ROS 2."""
 
 _PRESETS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
@@ -273,6 +236,7 @@ BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 _LARGEST_SKEW = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
 _MAGIC = b"#ROSBAG V2.0\n"
 _LARGEST_CHUNK = 1 << 26  # bytes; ROS makes them of 768 kB, or of one larger message
+_LARGEST_MESSAGE = 1 << 16  # bytes; larger ones are images and the like
 _LARGEST_METADATA = 1 << 23  # bytes; a topic takes a few hundred
 # What the packages that read bags raise when the bytes make no sense to them.
 _UNSOUND = (
@@ -290,117 +254,184 @@ def is_bag(path: str | Path) -> bool:
 
 def read_bag(
     path: str | Path,
-    topics: TopicMap | str | Path | None = None,
-    columns: Mapping[str, Column] | None = None,
-    *,
+    wanted: Callable[[str], bool] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> DriveLog:
-    """Read a drive log from a bag."""
+) -> Recording:
+    """Read all numbers of a bag's messages in one pass; of some topics, or all but images."""
     file = Path(path)
-    if topics is None:
-        raise DriveLogError(
-            f"{file.name}: the robot, and so the radius of its wheels, is not known; give "
-            f"topics={' or '.join(repr(name) for name in TOPIC_MAPS)}, or a topic map of your own: "
-            f"energyplan start {file.name} --wheel-radius M --out PROJECT.yaml writes one"
-        )
-    mapping = topics if isinstance(topics, TopicMap) else TopicMap.read(topics)
     with opened_bag(file) as bag:
-        chosen = _choose(mapping, sorted(bag.topics)) | dict(columns or {})
-        for channel in _SIDES:
-            if channel not in chosen:
-                there = ", ".join(sorted(bag.topics)) or "none"
-                raise DriveLogError(
-                    f"{file.name}: no topic serves as {channel} in the topic map {mapping.name!r}; "
-                    f"the bag has {there}; write a topic map of your own"
-                )
-        return bag.collect(chosen.values(), progress).log(chosen)
+        topics: dict[str, _Topic] = {}
+        start, span = bag.start, max(bag.duration, 1)
+        connections = [
+            one for one in bag.connections
+            if (bag.is_small(one) if wanted is None else wanted(one.topic))
+        ]  # fmt: skip
+        for number, (connection, arrival, raw) in enumerate(bag.messages(connections)):
+            name = connection.topic
+            topic = topics.setdefault(name, _Topic())
+            if name not in bag.lost:
+                try:
+                    topic.add(bag.deserialize(raw, connection.msgtype), arrival)
+                except _UNSOUND as problem:
+                    if len(topic.arrivals):
+                        raise
+                    bag.lost[name] = f"its messages cannot be read: {_said(problem)}"
+            if progress is not None and number % 1000 == 0:
+                progress((arrival - start) / span)
+        if progress is not None:
+            progress(1.0)
+        kinds = {name: bag.topics[name] for name in sorted(bag.topics) if name not in bag.lost}
+        notes = {topic: f"{topic} is left out: {why}" for topic, why in bag.lost.items()}
+    columns: dict[str, FloatArray] = {}
+    times: dict[str, FloatArray] = {}
+    written: dict[str, str] = {}
+    for name in (name for name in kinds if name in topics):
+        clock = topics[name].clock(start)
+        order = np.argsort(clock.t, kind="stable")
+        t = clock.t[order]
+        if clock.t is clock.values:
+            notes[name] = f"{name} carries no stamp to believe; its messages count at arrival"
+        for field, values in topics[name].columns.items():
+            label = message_series(f"{name}.{field}")
+            lacks = np.full(len(t) - len(values), nan)
+            columns[label] = np.append(values, lacks)[order]
+            times[label], written[label] = t, f"/{name.strip('/')}.{field}"
+    first = min((float(t[0]) for t in times.values()), default=0.0)
+    shifted = {id(t): t - first for t in times.values()}
+    return Recording(
+        file.name, columns, times={name: shifted[id(t)] for name, t in times.items()},
+        kinds=kinds, written=written, notes=notes,
+    )  # fmt: skip
 
 
-def _choose(mapping: TopicMap, names: list[str]) -> dict[str, Column]:
-    """Pick each channel's first source that the bag has; of several topics the shortest."""
-    chosen: dict[str, Column] = {}
+class _Topic:
+    """The numbers of a topic's messages, as these come."""
+
+    def __init__(self) -> None:
+        self.stamps, self.arrivals = array("q"), array("q")  # [ns]
+        self.columns: dict[str, array[float]] = {}
+        self._fields: list[tuple[str, Callable[[Any], Any]]] = []
+
+    def add(self, message: Any, arrival: int) -> None:
+        """Keep the numbers of a message; what other messages alone hold is nan in it."""
+        row = len(self.arrivals)
+        if not row:
+            self._fields = [(name, attrgetter(name)) for name in _leaves(message)]
+        header = getattr(message, "header", None)
+        stamp = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+        self.stamps.append(stamp)
+        self.arrivals.append(arrival)
+        names = _joints(message)
+        for name, value_of in self._fields:
+            value = value_of(message)
+            if isinstance(value, int | float):
+                self._keep(name, value, row)
+            elif hasattr(value, "w"):
+                self._keep(f"yaw({name})", _heading(value), row)
+            elif len(value) and (hasattr(value, "dtype") or isinstance(value[0], int | float)):
+                named = len(names) == len(value)
+                if named or len(value) <= _LONGEST:
+                    for k, one in enumerate(value):
+                        self._keep(f"{name}[{names[k] if named else k}]", float(one), row)
+
+    def _keep(self, field: str, value: float, row: int) -> None:
+        column = self.columns.setdefault(field, array("d"))
+        if len(column) <= row:
+            column.extend([nan] * (row - len(column)))
+            column.append(value)
+
+    def clock(self, start: int) -> Series:
+        """Return when each message was sent since the start of the bag [ns], and arrived [s].
+
+        Stamps far from the arrival are not believed.
+        """
+        stamps, arrivals = (np.array(part, np.int64) for part in (self.stamps, self.arrivals))
+        t, arrived = (np.asarray((part - start) * 1e-9) for part in (stamps, arrivals))
+        skew = np.abs(t - arrived)
+        stamped = bool(np.all(stamps)) and np.median(skew) <= _LARGEST_SKEW
+        return Series(t if stamped else arrived, arrived)
+
+
+def _leaves(message: Any, prefix: str = "", depth: int = 0) -> Iterator[str]:
+    """Yield the fields of a message that hold numbers, orientations or arrays."""
+    for key in getattr(message, "__dataclass_fields__", {}) if depth <= _DEEPEST else ():
+        value, field = getattr(message, key, None), f"{prefix}{key}"
+        if key.startswith("__") or key == "header" or "covariance" in key or key.isupper():
+            continue
+        if isinstance(value, bool | str | bytes) or value is None:
+            continue
+        if isinstance(value, int | float) or (hasattr(value, "w") and hasattr(value, "z")):
+            yield field
+        elif hasattr(value, "__dataclass_fields__"):
+            yield from _leaves(value, f"{field}.", depth + 1)
+        elif hasattr(value, "__len__"):
+            yield field
+
+
+NO_TOPICS = (
+    "the robot, and so the radius of its wheels, is not known; give "
+    f"topics={' or '.join(repr(name) for name in TOPIC_MAPS)}, or a topic map of your own: "
+    "energyplan start {} --wheel-radius M --out PROJECT.yaml writes one"
+)
+"""What to say of a bag without a topic map."""
+
+
+def topic_map(topics: TopicMap | str | Path) -> TopicMap:
+    """Return a topic map, by its name or file too."""
+    return topics if isinstance(topics, TopicMap) else TopicMap.read(topics)
+
+
+def columns_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
+    """Return which series of a bag serve as which channels, by a topic map.
+
+    Of several sources of a channel the first that the bag holds, of several topics the shortest.
+    """
 
     def named(topic: str) -> str | None:
-        wanted = Column(topic=topic, field="data")
-        return min((name for name in names if wanted.matches(name)), key=len, default=None)
+        meant = Column(topic=topic, field="data")
+        return min((one for one in recording.kinds if meant.matches(one)), key=len, default=None)
 
-    def moved(name: str) -> str | None:
+    def moved(name: str) -> str:
         topic, field = _apart(name)
-        return f"/{(named(topic) or '').strip('/')}.{field}" if topic and named(topic) else name
+        return f"/{(named(topic) or topic).strip('/')}.{field}" if topic else name
 
+    chosen: dict[str, Column] = {}
     for channel, sources in mapping.channels.items():
         for one in sources:
-            topic = named(one.topic)
-            if topic is not None:
-                plus = tuple(filter(None, map(moved, one.plus)))
-                times = None if one.times is None else moved(one.times)
-                chosen[channel] = one.changed(topic=topic, plus=plus, times=times)
+            plus = tuple(map(moved, one.plus))
+            times = None if one.times is None else moved(one.times)
+            topic = named(one.topic) or one.topic
+            column = one.changed(topic=topic, plus=plus, times=times).joined()
+            if all(map(recording.elements, column.names)):
+                chosen[channel] = column
                 break
+    for channel in _SIDES:
+        if channel not in chosen:
+            there = ", ".join(sorted(recording.kinds)) or "none"
+            raise DriveLogError(
+                f"{recording.source}: no topic serves as {channel} in the topic map "
+                f"{mapping.name!r}; the bag has {there}; write a topic map of your own"
+            )
     return chosen
 
 
-@dataclass(frozen=True)
-class Recording:
-    """Numbers of a bag's messages, as they came: fields by topic, on the topic's own clock."""
+def topics_of(recording: Recording, columns: Mapping[str, Column], name: str) -> TopicMap:
+    """Return the topic map that reads these series, of messages as they come, too."""
+    known = dict(recording.written)
 
-    name: str
-    clocks: Mapping[str, FloatArray]  # by topic [s]
-    fields: Mapping[tuple[str, str], FloatArray]  # by topic and field
-    warnings: tuple[str, ...] = ()
+    def written(series: str, of: str = "") -> str:
+        topic, field = _apart(known.get(series, series))
+        return field if topic == of else f"{topic}.{field}"
 
-    def series(self, column: Column) -> Series:
-        """Return a channel at the times of its first field's messages; NaN where it has no value.
-
-        What another topic adds or multiplies by is interpolated.
-        """
-        clock = self.clocks[column.topic]
-
-        def reading(name: str) -> FloatArray:
-            topic, field = _apart(name)
-            topic = topic or column.topic
-            t, values = self.clocks[topic], self.fields[topic, field]
-            if topic == column.topic:
-                return values
-            return align(_known(Series(t, values)), clock).values
-
-        kind = column.counts
-        rate = (lambda name: count_rate(clock, reading(name), kind)) if kind else None
-        return Series(clock, np.asarray(column.value(reading, rate), float))
-
-    def log(self, chosen: Mapping[str, Column]) -> DriveLog:
-        """Return the channels on the clock of the left tread speed, as a log."""
-        aside, warnings = [], [*self.warnings]
-        found: dict[str, Series] = {}
-        for channel, column in chosen.items():
-            t, y = self.series(column)
-            usable = _usable(t, y)
-            if not np.all(usable):
-                reason = f"{channel}: no value, or the time of the message before; left out"
-                where = f"from {t[int(np.argmin(usable))]:.3f} s of {self.name}"
-                aside.append(SetAside(reason, int(np.count_nonzero(~usable)), where))
-            if np.any(usable):
-                y = y[usable]
-                found[channel] = Series(t[usable], np.unwrap(y) if channel == "yaw" else y)
-        if not {*_SIDES} <= set(found):
-            raise DriveLogError(
-                f"{self.name}: the topics of the tread speeds hold no usable value; check the "
-                "joints' names in the topic map"
-            )
-        clock = found["v_left"].t
-        channels = {"t": clock - clock[0]}
-        plain = []
-        for name, one in found.items():
-            aligned = align(one, clock)
-            channels[name] = aligned.values
-            told = f"{name} is {chosen[name].topic} {chosen[name].written}"
-            if aligned.how == AS_LOGGED:
-                plain.append(told)
-            else:
-                warnings.append(f"{told}, {aligned.how}")
-        if plain:
-            warnings.append(f"{AS_LOGGED}: {', '.join(plain)}")
-        log = DriveLog.from_columns(channels, self.name)
-        return replace(log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings))
+    channels = {}
+    for channel, one in columns.items():
+        topic = _apart(known.get(one.field, one.field))[0]
+        times = None if one.times is None else written(one.times, topic)
+        channels[channel] = [one.changed(
+            topic=topic, field=written(one.field, topic),
+            plus=tuple(written(part, topic) for part in one.plus), times=times,
+        )]  # fmt: skip
+    return TopicMap(name=name, channels=channels)
 
 
 class Bag:
@@ -409,62 +440,23 @@ class Bag:
     def __init__(self, name: str, reader: Any, stores: Sequence[Any], lost: dict[str, str]) -> None:
         self.name, self._reader, self._stores, self.lost = name, reader, stores, lost
         self.connections = [c for c in reader.connections if c.topic not in lost]
-        self.topics = {c.topic: c.msgtype for c in self.connections}
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is not read, and why."""
-        return tuple(f"{topic} is left out: {why}" for topic, why in self.lost.items())
+        self.topics = {c.topic: str(c.msgtype) for c in self.connections}
+        self.start, self.duration = reader.start_time, reader.duration  # [ns]
 
     def messages(self, connections: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield connection, time of arrival [ns] and bytes of messages; of none, nothing."""
         return iter(self._reader.messages(connections=connections) if connections else ())
+
+    def is_small(self, connection: Any) -> bool:
+        """Tell by the first message whether these may be readings, and no images."""
+        return all(len(raw) <= _LARGEST_MESSAGE for _, _, raw in islice(
+            self.messages([connection]), 1))  # fmt: skip
 
     def deserialize(self, raw: bytes, kind: str) -> Any:
         """Return a message."""
         store = next((one for one in self._stores if kind in one.types), self._stores[-1])
         first = not hasattr(self._reader, "ros_distro")
         return (store.deserialize_ros1 if first else store.deserialize_cdr)(raw, kind)
-
-    def collect(
-        self, columns: Iterable[Column], progress: Callable[[float], None] | None = None
-    ) -> Recording:
-        """Stream the messages and keep the fields that columns are made of."""
-        wanted: dict[str, dict[str, array[float]]] = {}
-        for one in columns:
-            for topic, field in map(_apart, one.names):
-                wanted.setdefault(topic or one.topic, {})[field] = array("d")
-        times = {topic: (array("d"), array("d")) for topic in wanted}
-        start, span = self._reader.start_time, max(self._reader.duration, 1)
-        connections = [c for c in self.connections if c.topic in wanted]
-        for number, (connection, arrival, raw) in enumerate(self.messages(connections)):
-            message = self.deserialize(raw, connection.msgtype)
-            header = getattr(message, "header", None)
-            stamps, arrivals = times[connection.topic]
-            stamp = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
-            arrivals.append((arrival - start) * 1e-9)
-            stamps.append((stamp - start) * 1e-9 if stamp else np.nan)
-            for field, values in wanted[connection.topic].items():
-                values.append(_number(message, _place(field)))
-            if progress is not None and number % 1000 == 0:
-                progress((arrival - start) / span)
-        if progress is not None:
-            progress(1.0)
-        clocks: dict[str, FloatArray] = {}
-        fields: dict[tuple[str, str], FloatArray] = {}
-        warnings = []
-        for topic, several in wanted.items():
-            t, arrived = (np.array(part) for part in times[topic])
-            skew = np.abs(t - arrived)
-            if len(t) and (not np.all(np.isfinite(skew)) or np.median(skew) > _LARGEST_SKEW):
-                t = arrived
-                warnings.append(
-                    f"{topic} carries no stamp to believe; its messages count at arrival"
-                )
-            order = np.argsort(t, kind="stable")
-            clocks[topic] = t[order]
-            fields |= {(topic, field): np.array(values)[order] for field, values in several.items()}
-        return Recording(self.name, clocks, fields, tuple(warnings))
 
 
 @contextmanager
@@ -624,7 +616,7 @@ _MEANING: dict[str, dict[str, str]] = {
     _BATTERY: {"voltage": "voltage", "current": "current"},
     _IMU: {"yaw_rate": "angular_velocity.z", "accel_x": "linear_acceleration.x"},
     **{
-        kind: {"x": f"{at}position.x", "y": f"{at}position.y", "yaw": f"yaw({at}orientation)"}
+        kind: {"x": f"{at}position.x", "y": f"{at}position.y", "yaw": f"yaw.{at}orientation"}
         for kind, at in ((_ODOMETRY, "pose.pose."), (_POSE, "pose."))
     },
 }
@@ -636,266 +628,53 @@ _TOLD = 0.7  # correlation from which a turn rate is the robot's
 Sources = dict[str, Column]
 
 
-@dataclass(frozen=True)
-class BagFields:
-    """Fields of a bag's messages that hold numbers, by a name that tells topic and field."""
-
-    fields: dict[str, Column]
-    types: dict[str, str]  # type of each topic's messages
-
-    def parse(self, columns: str | Mapping[str, str | Column] | None) -> Sources:
-        """Return the fields that are named by hand, as in ``current=/battery.current[-A]``."""
-        known = {f"/{one.topic.strip('/')}.{one.field}": one for one in self.fields.values()}
-        known |= {f"/{name}": one for name, one in self.fields.items()} | self.fields
-        found: Sources = {}
-        for channel, one in parse_columns(columns, known).items():
-            lost = [name for name in one.names if name not in known]
-            if one.topic or not lost:
-                found[channel] = one if one.topic else self._of([known[n] for n in one.names], one)
-                continue
-            near = get_close_matches(lost[0], known, 5, 0.3)
-            raise DriveLogError(
-                f"no message has a field {lost[0]!r}; near it are {', '.join(near) or 'none'}"
-            )
-        if "t" in found:
-            raise DriveLogError("messages of a bag bear their own times; leave t out")
-        return found
-
-    def _of(self, parts: Sequence[Column], like: Column) -> Column:
-        """Return a column made of fields, of one topic or several."""
-        first = parts[0]
-        names = [
-            one.field if one.topic == first.topic else f"/{one.topic.strip('/')}.{one.field}"
-            for one in parts
-        ]
-        times = names.pop() if like.times is not None else None
-        update = {"topic": first.topic, "field": names[0], "plus": tuple(names[1:]), "times": times}
-        return like.model_copy(update=update)
-
-    def of_type(self, kind: str) -> list[Sources]:
-        """Return the channels of each topic of a type that ROS gives a meaning."""
-        found: dict[str, Sources] = {}
-        there = {(one.topic, one.field): one for one in self.fields.values()}
-        for topic in (topic for topic, one in self.types.items() if one == kind):
-            for channel, field in _MEANING[kind].items():
-                if (topic, field) in there:
-                    unit = "-A" if channel == "current" else ""
-                    found.setdefault(topic, {})[channel] = Column(
-                        topic=topic, field=field, channel=channel, unit=unit
-                    )
-        return [*found.values()]
-
-    def treads(self, track: float) -> list[Sources]:
-        """Return what may be tread speeds: rates or angles of joints, names, a body's twist."""
-        made: list[tuple[bool, Sources]] = []
-        for kind in ("velocity", "position"):
-            sides: dict[str, dict[str, list[tuple[str, str]]]] = {}
-            for label, one in self.fields.items():
-                if self.types[one.topic] == _JOINTS and one.field.startswith(f"{kind}["):
-                    joint = one.field.removeprefix(f"{kind}[")[:-1]
-                    if side := side_of(label):
-                        sides.setdefault(one.topic, {}).setdefault(side, []).append((label, joint))
-            for topic, both in sides.items():
-                found: Sources = {}
-                # Arms and steering have joints, too.
-                rolls = [_ROLLING & set(words(label)) for one in both.values() for label, _ in one]
-                for side, every in both.items():
-                    joints = [j for label, j in every if _ROLLING & set(words(label))]
-                    joints = joints or [j for _, j in every]
-                    found[f"v_{side}"] = self._joints(topic, f"v_{side}", kind, joints)
-                made.append((any(rolls), found))
-        made.sort(key=lambda one: not one[0])
-        whole = [one for _, one in made if {*_SIDES} <= set(one)]
-        parts = {c: one for _, some in reversed(made) for c, one in some.items()}
-        whole += [parts] if {*_SIDES} <= set(parts) and not whole else []
-        named = {c: one for c, one in self.named().items() if c in _SIDES}
-        return [*whole, *([named] if {*_SIDES} <= set(named) else []), *self._twists(track)]
-
-    def _joints(self, topic: str, channel: str, kind: str, joints: Sequence[str]) -> Column:
-        if kind == "velocity":
-            return Column(topic=topic, field=f"velocity[{'|'.join(joints)}]", channel=channel)
-        # An angle counts; of wheels that turn apart the mean is that of all, in each message.
-        first, *rest = (f"position[{joint}]" for joint in joints)
-        weights = (1.0 / len(joints),) * len(joints)
-        return Column(topic=topic, field=first, plus=tuple(rest), weights=weights, unit=TOTAL,
-                      ).model_copy(update={"channel": channel})  # fmt: skip
-
-    def _twists(self, track: float) -> list[Sources]:
-        """Return tread speeds made from speed and turn rate of the body, of a track [m]."""
-        ahead, turn = "twist.twist.linear.x", "twist.twist.angular.z"
-        half = 0.5 * track if isfinite(track) else 1.0
-        return [
-            {
-                channel: source(channel, one.topic, f"{ahead}{sign}{half:.6g}*{turn}")
-                for channel, sign in zip(_SIDES, "-+", strict=True)
-            }
-            for one in self.fields.values()
-            if self.types[one.topic] == _ODOMETRY and one.field == ahead
-        ]
-
-    def named(self) -> Sources:
-        """Return the channels that the names of topics and fields tell."""
-        others = [
-            label for label, one in self.fields.items()
-            if self.types[one.topic] not in (_JOINTS, _ODOMETRY, _BATTERY, _IMU, _POSE)
-        ]  # fmt: skip
-        guesses = guess(others)
-        found = {}
-        for channel, one in guesses.items():
-            if channel in UNITS and channel != "t" and not counting(channel, one.unit):
-                made = self._of([self.fields[name] for name in one.names], one)
-                count = len(one.names)
-                if channel in _SIDES and count > 1:  # of several wheels the mean
-                    made = made.model_copy(update={"weights": (1.0 / count,) * count})
-                found[channel] = made
-        for side in ("left", "right"):
-            amps, volts = (guesses.get(f"{kind}_{side}") for kind in ("current", "voltage"))
-            if f"p_{side}" in found or amps is None or volts is None:
-                continue
-            factor = scale_of("current", amps.unit).factor * scale_of("voltage", volts.unit).factor
-            unit = "" if factor == 1.0 else f"*{factor:g}"
-            like = amps.changed(channel=f"p_{side}", times=volts.field, unit=unit)
-            found[f"p_{side}"] = self._of([self.fields[name] for name in like.names], like)
-        if not {"p_left", "p_right"} <= set(found):
-            found = {k: v for k, v in found.items() if k not in ("p_left", "p_right")}
-        return found
-
-    def torques(self, sources: Mapping[str, Column]) -> str:
-        """Say how efforts of the joints that make the tread speeds make the sides' powers."""
-        made = []
-        for side in ("left", "right"):
-            one = sources.get(f"v_{side}")
-            joints = re.findall(r"\[([^\]]+)\]", one.field)[:1] if one is not None else []
-            names = joints[0].split("|") if joints and one is not None else []
-            labels = {
-                other.field: f"/{label.removeprefix('/')}" for label, other in self.fields.items()
-                if one is not None and other.topic == one.topic
-            }  # fmt: skip
-            efforts = [labels.get(f"effort[{name}]", "") for name in names]
-            if not efforts or not all(efforts) or f"velocity[{names[0]}]" not in labels:
-                return ""
-            made.append(f"p_{side}=({'+'.join(efforts)})*{labels[f'velocity[{names[0]}]']}")
-        return (
-            "; where the efforts of these joints are torques [N m], those of all wheels make the "
-            f'powers of the sides, as in --columns "{",".join(made)}"'
-        )
-
-    def wheel_rates(self, sources: Mapping[str, Column]) -> bool:
-        """Tell whether the tread speeds are rates of joints, which take a wheel radius."""
-        one = sources["v_left"]
-        rates = {"rate", "omega", "angular", "joint"}
-        named = set(words(f"{one.topic}.{one.field}")) & rates if not (one.plus or one.unit) else ()
-        of_joints = self.types[one.topic] == _JOINTS and one.unit.lstrip("-") in ("", TOTAL)
-        return of_joints or one.unit in RATES or bool(named)
-
-    def topic_map(self, sources: Mapping[str, Column], radius: float, name: str) -> TopicMap:
-        """Return the topic map that reads these fields, of wheels of a radius [m]."""
-        rolling = _SIDES if self.wheel_rates(sources) else ()
-        channels = {
-            channel: [one.changed(unit=f"{one.unit}*{radius!r}") if channel in rolling else one]
-            for channel, one in sources.items()
-        }
-        return TopicMap(name=name, channels=channels)
-
-
-def bag_fields(path: str | Path) -> BagFields:
-    """List the numbers in a bag's messages."""
-    with opened_bag(Path(path)) as bag:
-        return list_fields(bag)
-
-
-def list_fields(bag: Bag) -> BagFields:
-    """List the numbers in a bag's messages; of those that name what they hold, in all of them."""
-    fields: dict[str, Column] = {}
-    types: dict[str, str] = {}
-    for name, kind in sorted(bag.topics.items()):
-        for connection, _, raw in bag.messages([c for c in bag.connections if c.topic == name]):
-            try:
-                message = bag.deserialize(raw, connection.msgtype)
-            except _UNSOUND as problem:
-                if name not in types:
-                    bag.lost[name] = f"its messages cannot be read: {_said(problem)}"
-                break
-            types[name] = str(kind)
-            for field in _numbers(message, "", 0, _joints(message)):
-                label = re.sub(r"[\[\]()]+", ".", f"{name}.{field}").strip("/.")
-                fields.setdefault(label, Column(topic=name, field=field))
-            if not _joints(message):  # else several may publish, each what it has
-                break
-    return BagFields(fields, types)
-
-
-def _numbers(message: Any, prefix: str, depth: int, joints: Sequence[str]) -> Iterator[str]:
-    """Yield the fields of a message that hold numbers, as a topic map writes them."""
-    if depth > _DEEPEST:
-        return
-    for key in getattr(message, "__dataclass_fields__", {}):
-        value = getattr(message, key, None)
-        field = f"{prefix}{key}"
-        if key.startswith("__") or key == "header" or "covariance" in key or key.isupper():
-            continue
-        if isinstance(value, bool | str | bytes) or value is None:
-            continue
-        if isinstance(value, int | float):
-            yield field
-        elif hasattr(value, "w") and hasattr(value, "z"):
-            yield f"yaw({field})"
-        elif hasattr(value, "__dataclass_fields__"):
-            yield from _numbers(value, f"{field}.", depth + 1, joints)
-        elif hasattr(value, "__len__") and len(value):
-            if not isinstance(value[0], int | float) and not hasattr(value[0], "dtype"):
-                continue
-            named = len(joints) == len(value)
-            for k in range(len(value) if named or len(value) <= _LONGEST else 0):
-                yield f"{field}[{joints[k] if named else k}]"
-
-
-# -- which of several ---------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Which fields of a recording serve as which channels, and why these."""
+class Typed(NamedTuple):
+    """What the types of messages tell: channels whose units are known, rates of wheels, notes."""
 
     sources: Sources
+    rates: Sources
     notes: tuple[str, ...]
 
 
-def choose(fields: BagFields, recording: Recording, given: Sources, track: float) -> Choice:
-    """Choose among the topics of each kind the one that goes with the treads, and say so."""
-    found, notes = fields.named() | given, list[str]()
-    treads = [] if {*_SIDES} & set(given) else fields.treads(track)
+def of_types(recording: Recording, given: Sources, named: Sources, track: float) -> Typed:
+    """Choose among the topics of each type the one that goes with the treads, and say so."""
+    treads = []
+    if not {*_SIDES} & set(given):
+        by_name = [named] if {*_SIDES} <= set(named) else []
+        treads = [*_joints_of_sides(recording), *by_name, *_twists(recording, track)]
     moving = [one for one in treads if all(_varies(recording, column) for column in one.values())]
-    found |= next(iter(moving or treads), {}) | given
-    if not {*_SIDES} <= set(found):
-        return Choice(found, ())
+    speeds = next(iter(moving or treads), {})
+    twisted = speeds is not named and bool(speeds) and not speeds["v_left"].unit
+    found, notes = (dict(speeds) if twisted else {}), list[str]()
     if "current" in given:  # named by hand: its own topic's voltage goes with it
-        own = [one for one in fields.of_type(_BATTERY) if "voltage" in one]
-        own.sort(key=lambda one: one["voltage"].topic != given["current"].topic)
-        packs = Choice(own[0] if own else {}, ())
+        own = [one for one in _of_type(recording, _BATTERY) if "voltage" in one]
+        own.sort(key=lambda one: _topic(one["voltage"]) != _topic(given["current"]))
+        packs = Typed(own[0] if own else {}, {}, ())
     else:
-        packs = _batteries(fields, recording)
+        packs = _batteries(recording)
     if {"voltage", "current"} <= set(packs.sources):
-        found.pop("power", None)  # a battery's own readings are surer than a name
         found |= packs.sources
         notes += packs.notes
-    left, right = (_series(recording, found[name]) for name in _SIDES)
-    turning = align(right, left.t).values - left.values
+    sides = speeds | {c: one for c, one in given.items() if c in _SIDES}
+    if not {*_SIDES} <= set(sides):
+        return Typed(found, {}, tuple(notes))
+    left, right = (_series(recording, sides[name]) for name in _SIDES)
+    turning = align(usable(right), left.t).values - left.values
     rated: dict[str, list[tuple[float, Sources]]] = {"yaw_rate": [], "yaw": []}
     for kind in (_IMU, _ODOMETRY, _POSE):
         name = "yaw_rate" if kind == _IMU else "yaw"
-        for one in fields.of_type(kind):
+        for one in _of_type(recording, kind):
             if name in one and any(_varies(recording, column) for column in one.values()):
                 rated[name].append((_alike(recording, one[name], left.t, turning), one))
     if not rated["yaw"]:
         rated["yaw"] = [
-            (alike, {"yaw": one}) for one in _of_imus(fields, "yaw", ["yaw(orientation)"])
+            (alike, {"yaw": one}) for one in _of_imus(recording, "yaw", ["yaw.orientation"])
             if abs(alike := _alike(recording, one, left.t, turning)) > _TOLD
         ]  # fmt: skip
     if all(abs(alike) < _TOLD for alike, _ in rated["yaw_rate"]):  # as of a camera's, on its side
         turned = [
             (_alike(recording, one, left.t, turning), one)
-            for one in _of_imus(fields, "yaw_rate", _LYING)
+            for one in _of_imus(recording, "yaw_rate", _LYING)
         ]
         rated["yaw_rate"] += [
             (abs(alike), {"yaw_rate": one if alike > 0 else one.negative()})
@@ -907,12 +686,97 @@ def choose(fields: BagFields, recording: Recording, given: Sources, track: float
         if several:
             found |= several[0][1]
         if len(several) > 1:
-            told = [f"{one[name].topic} {one[name].field} {r:.2f}" for r, one in several]
+            said = [f"{one[name].field} {r:.2f}" for r, one in several]
             notes.append(
-                f"{name} is that of {told[0].rpartition(' ')[0]}, which goes with the treads best "
-                f"(correlation {', '.join(told)})"
+                f"{name} is that of {several[0][1][name].field}, which goes with the treads best "
+                f"(correlation {', '.join(said)})"
             )
-    return Choice(found | given, tuple(notes))
+    if twisted:  # made of the body's own turning
+        found = {c: one for c, one in found.items() if c not in ("yaw", "yaw_rate")}
+    return Typed(found, {} if twisted or speeds is named else speeds, tuple(notes))
+
+
+def _topic(column: Column) -> str:
+    return _apart(column.field)[0]
+
+
+def _named(recording: Recording, topic: str) -> dict[str, str]:
+    """Return the series of a topic's messages by the rest of their names."""
+    start = f"/{topic.strip('/')}."
+    return {n.removeprefix(start): n for n in recording.columns if n.startswith(start)}
+
+
+def _of_type(recording: Recording, kind: str) -> list[Sources]:
+    """Return the channels of each topic of a type that ROS gives a meaning."""
+    found = []
+    for topic in (topic for topic, one in recording.kinds.items() if one == kind):
+        names = _named(recording, topic)
+        found.append({
+            channel: Column(field=names[field], channel=channel,
+                            unit="-A" if channel == "current" else "")
+            for channel, field in _MEANING[kind].items() if field in names
+        })  # fmt: skip
+    return [one for one in found if one]
+
+
+def untyped(recording: Recording) -> list[str]:
+    """Return the series of messages whose types tell nothing: their names do."""
+    typed = (_JOINTS, *_MEANING)
+    return [
+        name for topic, kind in recording.kinds.items() if kind not in typed
+        for name in _named(recording, topic).values()
+    ]  # fmt: skip
+
+
+def _joints_of_sides(recording: Recording) -> list[Sources]:
+    """Return what may be tread speeds: rates or angles of joints."""
+    result: list[tuple[bool, Sources]] = []
+    joints_of = [topic for topic, one in recording.kinds.items() if one == _JOINTS]
+    for kind, topic in product(("velocity", "position"), joints_of):
+        joints = [n.removeprefix(f"{kind}.") for n in _named(recording, topic)
+                  if n.startswith(f"{kind}.")]  # fmt: skip
+        found: Sources = {}
+        rolls = False
+        for side in ("left", "right"):
+            own = [one for one in joints if side_of(f"{topic}.{one}") == side]
+            # Arms and steering have joints, too.
+            wheels = [one for one in own if _ROLLING & set(words(f"{topic}.{one}"))]
+            rolls = rolls or bool(wheels)
+            if own:
+                found[f"v_{side}"] = _of_joints(topic, f"v_{side}", kind, wheels or own)
+        if found:
+            result.append((rolls, found))
+    result.sort(key=lambda one: not one[0])
+    whole = [one for _, one in result if {*_SIDES} <= set(one)]
+    parts = {c: one for _, some in reversed(result) for c, one in some.items()}
+    whole += [parts] if {*_SIDES} <= set(parts) and not whole else []
+    return whole
+
+
+def _of_joints(topic: str, channel: str, kind: str, joints: Sequence[str]) -> Column:
+    base = f"/{topic.strip('/')}.{kind}"
+    if kind == "velocity":
+        field = f"{base}[{'|'.join(joints)}]"
+        return Column(field=field, unit="rad/s", channel=channel)
+    # An angle counts; of wheels that turn apart the mean is that of all, in each message.
+    first, *rest = (f"{base}.{joint}" for joint in joints)
+    weights = (1.0 / len(joints),) * len(joints)
+    return Column(field=first, plus=tuple(rest), weights=weights, unit=TOTAL, channel=channel)
+
+
+def _twists(recording: Recording, track: float) -> list[Sources]:
+    """Return tread speeds made from speed and turn rate of the body, of a track [m]."""
+    half = 0.5 * track if isfinite(track) else 1.0
+    parts = ("twist.twist.linear.x", "twist.twist.angular.z")
+    every = [_named(recording, t) for t, kind in recording.kinds.items() if kind == _ODOMETRY]
+    return [
+        {
+            channel: Column(field=one[parts[0]], plus=(one[parts[1]],), channel=channel,
+                            weights=(1.0, sign * float(f"{half:.6g}")))
+            for channel, sign in zip(_SIDES, (-1.0, 1.0), strict=True)
+        }
+        for one in every if {*parts} <= set(one)
+    ]  # fmt: skip
 
 
 _SURELY, _MADE_OF_TREADS = 0.9, 0.99995  # correlations
@@ -924,13 +788,13 @@ def _preferred(rated: tuple[float, Sources]) -> tuple[bool, bool, float]:
     return alike < _TOLD, alike > _MADE_OF_TREADS, -round(alike, 3)
 
 
-def _of_imus(fields: BagFields, channel: str, names: Iterable[str]) -> list[Column]:
+def _of_imus(recording: Recording, channel: str, names: Iterable[str]) -> list[Column]:
     """Return fields of inertial units beside those that usually serve."""
+    topics = [topic for topic, kind in recording.kinds.items() if kind == _IMU]
     return [
-        Column(topic=one.topic, field=one.field, channel=channel)
-        for one in fields.fields.values()
-        if fields.types[one.topic] == _IMU and one.field in names
-    ]
+        Column(field=series, channel=channel)
+        for topic in topics for name, series in _named(recording, topic).items() if name in names
+    ]  # fmt: skip
 
 
 def _series(recording: Recording, column: Column) -> Series:
@@ -948,7 +812,7 @@ def _varies(recording: Recording, column: Column) -> bool:
 
 def _alike(recording: Recording, column: Column, clock: FloatArray, turning: FloatArray) -> float:
     """Return the correlation of a turn rate, or the rate of a heading, with that of the treads."""
-    t, values = _known(recording.series(column))
+    t, values = usable(recording.series(column))
     if column.channel == "yaw":
         values = derivative(t, np.unwrap(values), find_runs(t), 0.5)
     rate = align(Series(t, values), clock).values
@@ -956,16 +820,16 @@ def _alike(recording: Recording, column: Column, clock: FloatArray, turning: Flo
     return correlation(rate[both], turning[both])
 
 
-def _batteries(fields: BagFields, recording: Recording) -> Choice:
+def _batteries(recording: Recording) -> Typed:
     """Return current and voltage of all batteries together, and say which count."""
-    every = [one for one in fields.of_type(_BATTERY) if {"voltage", "current"} <= set(one)]
+    every = [one for one in _of_type(recording, _BATTERY) if {"voltage", "current"} <= set(one)]
     packs = [one for one in every if _varies(recording, one["current"])]
     if len(packs) < 2:
-        return Choice(dict((packs or every or [{}])[0]), ())
+        return Typed(dict((packs or every or [{}])[0]), {}, ())
     clock = recording.series(packs[0]["current"]).t
-    amps = [align(_known(recording.series(one["current"])), clock).values for one in packs]
+    amps = [align(usable(recording.series(one["current"])), clock).values for one in packs]
     volts = [float(np.nanmedian(recording.series(one["voltage"]).values)) for one in packs]
-    names = [one["current"].topic for one in packs]
+    names = [_topic(one["current"]) for one in packs]
     amps = [-one if np.nansum(one) < 0 < np.nansum(amps[0]) or np.nansum(amps[0]) < 0
             < np.nansum(one) else one for one in amps]  # fmt: skip
     notes: list[str] = []
@@ -974,14 +838,14 @@ def _batteries(fields: BagFields, recording: Recording) -> Choice:
         if len(others) > 1 and _apart_by(amps[k], np.sum([amps[j] for j in others], axis=0)) < 0.05:
             listed = " and ".join(names[j] for j in others)
             notes.append(f"the current of {names[k]} is the sum of {listed}; it counts alone")
-            return Choice(packs[k], tuple(notes))
+            return Typed(packs[k], {}, tuple(notes))
     for k in range(1, len(packs)):
         alike = re.sub(r"\d+", "0", names[k]) == re.sub(r"\d+", "0", names[0])
         if not alike and _apart_by(amps[k], amps[0]) < _ONE_BATTERY:
             raise DriveLogError(
-                f"{recording.name}: {names[0]} and {names[k]} may be two batteries, or one that is "
-                f"measured twice: say --columns 'current={names[0]}.current[-A]' for one, or "
-                f"--columns 'current={names[0]}.current+{names[k]}.current[-A]' for two"
+                f"{recording.source}: {names[0]} and {names[k]} may be two batteries, or one "
+                f"that is measured twice: say --columns 'current={names[0]}.current[-A]' for one, "
+                f"or --columns 'current={names[0]}.current+{names[k]}.current[-A]' for two"
             )
     first = packs[0]
     # A share of the power is a share of the current at the first one's voltage.
@@ -993,24 +857,11 @@ def _batteries(fields: BagFields, recording: Recording) -> Choice:
         )
         for total, amp, r in zip(sums, amps, ratio, strict=True)
     )
-    plus = tuple(f"/{name.strip('/')}.current" for name in names[1:])
+    plus = tuple(one["current"].field for one in packs[1:])
     first |= {"current": first["current"].model_copy(
         update={"plus": plus, "weights": () if set(weights) == {1.0} else weights})}  # fmt: skip
     notes.append(f"the current counts {' and '.join(names)}")
-    return Choice(first, tuple(notes))
-
-
-def _usable(t: FloatArray, values: FloatArray) -> NDArray[np.bool_]:
-    """Tell which readings are numbers, and later than the number before."""
-    usable = np.isfinite(values)
-    rows = np.flatnonzero(usable)
-    usable[rows[1:][np.diff(t[rows]) <= 0]] = False
-    return usable
-
-
-def _known(series: Series) -> Series:
-    known = _usable(*series)
-    return Series(series.t[known], series.values[known])
+    return Typed(first, {}, tuple(notes))
 
 
 def _apart_by(one: FloatArray, other: FloatArray) -> float:
@@ -1018,12 +869,3 @@ def _apart_by(one: FloatArray, other: FloatArray) -> float:
     both = np.isfinite(one) & np.isfinite(other)
     size = float(np.sqrt(np.mean(other[both] ** 2))) if np.any(both) else 0.0
     return float(np.sqrt(np.mean((one - other)[both] ** 2))) / size if size > 0 else inf
-
-
-def wanted(fields: BagFields, given: Sources, track: float) -> list[Column]:
-    """Return all the fields among which `choose` chooses."""
-    every = [fields.named(), given, *fields.treads(track)]
-    for kind in _MEANING:
-        every += fields.of_type(kind)
-    found = [column for one in every for column in one.values()]
-    return [*found, *_of_imus(fields, "yaw_rate", (*_LYING, "yaw(orientation)"))]

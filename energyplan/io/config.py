@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.errors import (
     ConfigError,
@@ -19,85 +19,45 @@ from energyplan.errors import (
     InvalidInputError,
     ModelError,
     UnknownNameError,
-    VehicleError,
 )
 from energyplan.io.bags import TopicMap
 from energyplan.io.documents import Checked, Document, load
 from energyplan.io.files import atomic_write, is_file
-from energyplan.kinds import Doubts, Within, check_sizes, checked, doubts
 from energyplan.logs.mapping import Column
 from energyplan.path import FloatArray
 from energyplan.power import SLIP, TRACTION, PowerModel, Residual, Term
 from energyplan.power.effects import catalogue, term
-from energyplan.records import ReadOnly
-from energyplan.vehicle import (
-    DEFAULT_ACCELERATION,
-    MotorLimits,
-    TreadICR,
-    Vehicle,
-    layout,
-    predict_icr,
-    wheel_loads,
-)
+from energyplan.records import Doubts, Finite, ReadOnly, Within, bounds, checked, doubts
+from energyplan.vehicle import Mass, MotorLimits, Size, TreadICR, Vehicle, layout, predict_icr
 
 T = TypeVar("T")
 
 
-def _infinite(value: Any) -> Any:
-    """Read ``inf`` and ``null`` as no limit."""
-    return inf if value is None or value == "inf" else value
-
-
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Limit = Annotated[float, BeforeValidator(_infinite)]
-Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Pair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+Rows = Annotated[list[Pair], Field(min_length=3, max_length=100)]
 
 
 class _Strict(Checked, BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _ICR(_Strict):
-    left: Number
-    right: Number
-    longitudinal: Number = 0.0
-
-
-class _Motor(_Strict):
-    continuous_power: Limit = inf
-    peak_power: Limit = inf
-    thermal_time: Limit = 30.0
-    force: Limit = inf
-    speed: Limit = inf
-    acceleration: Limit = DEFAULT_ACCELERATION
-    regeneration: Limit = inf
-
-
-class _Vehicle(_Strict):
-    """A vehicle: a preset with changes, wheel by wheel, or symmetric from its dimensions."""
+class _Parts(Checked, BaseModel):
+    """What a vehicle's file may hold beside the vehicle's own values: what it is built from."""
 
     kind: Literal["vehicle"] = "vehicle"
     preset: str | None = None
-    name: str | None = None
-    contacts: Annotated[list[Pair], Field(min_length=3, max_length=100)] | None = None
-    loads: list[Number] | None = None
-    footprint: Annotated[list[Pair], Field(min_length=2, max_length=2)] | None = None
-    mass: Number | None = None
+    mass: Mass | None = None
     cog: Pair | None = None
-    wheelbase: Number | None = None
-    track: Number | None = None
-    length: Number | None = None
-    width: Number | None = None
-    icr: _ICR | None = None
-    motor: _Motor | None = None
-    drive_efficiency: Number | None = None
-    regen_efficiency: Number | None = None
-    max_yaw_rate: Limit | None = None
-    battery_power: Limit | None = None
-    battery_return: Limit | None = None
-    usual_speed: Limit | None = None
-    tracking_tolerance: Number | None = None
-    reverse: bool | None = None
+    wheelbase: Size | None = None
+    track: Size | None = None
+    length: Size | None = None
+    width: Size | None = None
+
+
+_SIZES = ("wheelbase", "track", "length", "width")
+_ENDLESS = {
+    k for one in (MotorLimits, Vehicle) for k, within in bounds(one).items() if within.endless
+}
 
 
 class ProjectFile(_Strict):
@@ -106,7 +66,7 @@ class ProjectFile(_Strict):
     kind: Literal["project"]
     name: str = "project"
     log: str | None = None
-    vehicle: _Vehicle
+    vehicle: dict[str, Any]
     columns: dict[str, Column | str] = {}
     topics: dict[str, Any] | None = None
     defaults: dict[str, Any] = {}
@@ -114,30 +74,20 @@ class ProjectFile(_Strict):
 
 class _Term(_Strict):
     name: str
-    value: Number
-    std_error: Number | None = None
+    value: Finite
+    std_error: Finite | None = None
     symbol: str | None = None
     unit: str | None = None
-    params: dict[str, Number] = {}
-
-
-class _Residual(_Strict):
-    rmse: Number
-    mae: Number
-    bias: Number
-    energy_error: Annotated[float, Field(ge=-inf)]  # infinite where no energy was measured
-    correlation_time: Number = 0.0
-    duration: Number = 0.0
-    run_spread: Number | None = None
+    params: dict[str, Finite] = {}
 
 
 class _Model(_Strict):
     kind: Literal["model"] = "model"
     name: str = "model"
-    vehicle: _Vehicle | str
+    vehicle: dict[str, Any] | str
     terms: list[_Term]
-    covariance: list[list[Number]] | None = None
-    residual: _Residual | None = None
+    covariance: list[list[Finite]] | None = None
+    residual: Residual | None = None
 
 
 @checked(ConfigError)
@@ -178,9 +128,10 @@ def read_vehicle(source: str | Path) -> Vehicle:
         return Vehicle.preset(str(source))
     document = load(source, ConfigError)
     if document.data.get("kind") == "project":
-        return _vehicle(document.check(ProjectFile).vehicle, document, ("vehicle",))
+        document.check(ProjectFile)
+        return _vehicle(document, "vehicle")
     _expect(document, "vehicle")
-    return _vehicle(document.check(_Vehicle), document, ())
+    return _vehicle(document)
 
 
 @checked(ConfigError)
@@ -219,7 +170,7 @@ def read_model(source: str | Path) -> PowerModel:
     if isinstance(spec.vehicle, str):
         vehicle = _placed(document, ("vehicle",), Vehicle.preset, spec.vehicle)
     else:
-        vehicle = _vehicle(spec.vehicle, document, ("vehicle",))
+        vehicle = _vehicle(document, "vehicle")
     terms = tuple(_placed(document, ("terms", k), _term, item) for k, item in enumerate(spec.terms))
     covariance = None if spec.covariance is None else _square(document, spec.covariance)
     errors = [item.std_error for item in spec.terms if item.std_error is not None]
@@ -231,10 +182,17 @@ def read_model(source: str | Path) -> PowerModel:
             )
         # Standard errors alone, written by hand, say nothing of correlations.
         covariance = np.diag(np.square(errors))
-    residual = None if spec.residual is None else Residual(**spec.residual.model_dump())
     values = np.array([item.value for item in spec.terms])
     model = _placed(
-        document, ("terms",), PowerModel, vehicle, terms, values, covariance, residual, spec.name
+        document,
+        ("terms",),
+        PowerModel,
+        vehicle,
+        terms,
+        values,
+        covariance,
+        spec.residual,
+        spec.name,
     )
     document.warn(_unusual_terms(model))
     return model
@@ -252,9 +210,9 @@ def _unusual_terms(model: PowerModel) -> Doubts:
             believed[effect.terms[0].name] = min(low, 0.0), high
     for k, (one, value) in enumerate(zip(model.terms, model.coefficients, strict=True)):
         usual = believed.get(one.name, (-inf, inf))
-        _, text = Within((-inf, inf), usual, one.unit).doubt(value)
+        _, text = Within((-inf, inf), usual, one.unit).unusual(value)
         if text:
-            yield ("terms", k, "value"), f"{value:.6g} is unusual; {text}"
+            yield ("terms", k, "value"), text
 
 
 def write_vehicle(vehicle: Vehicle, path: str | Path) -> Path:
@@ -312,7 +270,7 @@ def model_text(model: PowerModel) -> str:
         error = model.std_error(item.name)
         entry |= {} if error is None else {"std_error": error}
         entry |= {"symbol": item.symbol, "unit": item.unit}
-        entry |= {"params": {k: _plain(v) for k, v in item.params.items()}} if item.params else {}
+        entry |= {"params": _plain(item.params)} if item.params else {}
         terms.append(entry)
     data: dict[str, Any] = {
         "kind": "model",
@@ -323,8 +281,8 @@ def model_text(model: PowerModel) -> str:
     if model.covariance is not None:
         data["covariance"] = model.covariance.tolist()
     if model.residual is not None:
-        told = vars(model.residual).items()
-        data["residual"] = {k: float(v) for k, v in told if v is not None}
+        values = vars(model.residual).items()
+        data["residual"] = {k: float(v) for k, v in values if v is not None}
     return _text(data)
 
 
@@ -335,9 +293,9 @@ def _is_file(source: str | Path) -> bool:
 
 def _expect(document: Document, kind: str) -> None:
     """Refuse a file of another kind."""
-    told = document.data.get("kind", kind)
-    if told != kind:
-        raise document.fail(("kind",), f"this file holds a {told!r}, where a {kind} is needed")
+    stated = document.data.get("kind", kind)
+    if stated != kind:
+        raise document.fail(("kind",), f"this file holds a {stated!r}, where a {kind} is needed")
 
 
 def _placed(
@@ -350,93 +308,69 @@ def _placed(
         raise document.fail((*loc, *problem.place), str(problem)) from None
 
 
-def _vehicle(spec: _Vehicle, document: Document, loc: tuple[int | str, ...]) -> Vehicle:
-    """Build the vehicle that a file describes."""
-    given = {key for key, value in spec if value is not None} - {"kind"}
-    wheels = {"contacts", "footprint"}
-    sizes = {"wheelbase", "track", "length", "width"}
+def _vehicle(document: Document, *loc: str) -> Vehicle:
+    """Build the vehicle that a file describes: of a preset, of dimensions, or wheel by wheel."""
+    whole = document.data[loc[0]] if loc else document.data
+    given = {key: value for key, value in whole.items() if value is not None or key in _ENDLESS}
+    spec, sizes = document.check(_Parts, loc), {*_SIZES} & {*given}
+    rows = document.check(Rows, (*loc, "contacts")) if "contacts" in given else []
+    clash, need, values = set[str](), set[str](), dict[str, Any]()
     if spec.preset is not None:
-        base = _vehicle_fields(_placed(document, (*loc, "preset"), Vehicle.preset, spec.preset))
-        clash = given & sizes
-        need: set[str] = set()
-    elif given & sizes:
-        base, clash, need = {}, given & (wheels | {"loads"}), {"name", "mass", *sizes}
+        ready = _placed(document, (*loc, "preset"), Vehicle.preset, spec.preset)
+        values = {part.name: getattr(ready, part.name) for part in fields(ready)}
+        clash = sizes
+    elif sizes:
+        clash, need = {"contacts", "footprint", "loads"} & {*given}, {"name", "mass", *_SIZES}
     else:
-        weighed = {"loads"} if "mass" not in given else {"mass"}
-        base, clash, need = {}, set(), {"name", *wheels, *weighed}
-        need |= {"icr"} if len(spec.contacts or ()) != 4 else set()
-    if need - given:
+        need = {"name", "contacts", "footprint", "mass" if "mass" in given else "loads"}
+        need |= {"icr"} if len(rows) != 4 else set()
+    if lacking := sorted(need - {*given}):
         raise document.fail(
-            (*loc, sorted(need - given)[0]),
+            (*loc, lacking[0]),
             "the key is missing; a vehicle is a preset with changes, or contacts, loads (or mass "
-            "and cog) and footprint, or mass, wheelbase, track, length and width",
+            "and cog) and footprint, or mass, wheelbase, track, length and width"
+            + document.another_kind(Vehicle),
         )
-    if "loads" in given and given & {"mass", "cog"}:
-        clash = clash | {"loads"}
+    if "loads" in given and {"mass", "cog"} & {*given}:
+        clash |= {"loads"}
     if clash:
-        raise document.fail(
-            (*loc, sorted(clash)[0]), "the key contradicts the others; leave it out"
-        )
-    vehicle = _placed(document, loc, _built, spec, base)
-    document.warn(_unusual(spec), loc)
+        raise document.fail((*loc, min(clash)), "the key contradicts the others; leave it out")
+    if sizes:
+        values["contacts"], values["footprint"] = layout(*(getattr(spec, key) for key in _SIZES))
+    elif rows:
+        values["contacts"] = rows
+    contacts = np.asarray(values["contacts"])
+    if "icr" not in values and "icr" not in given:
+        reach = predict_icr(*np.ptp(contacts, axis=0))
+        values["icr"] = _placed(document, loc, TreadICR.symmetric, reach)
+    values.setdefault("loads", np.ones(len(contacts)))
+    own = {key: _endless(key, value) for key, value in given.items()}
+    if isinstance(own.get("motor"), dict):
+        own["motor"] = vars(values.get("motor", MotorLimits())) | {
+            key: _endless(key, value) for key, value in own["motor"].items()
+        }
+    values |= {key: value for key, value in own.items() if key not in _Parts.model_fields}
+    built = replace(document, data={**document.data, loc[0]: values} if loc else values)
+    vehicle = built.check(Vehicle, loc)
+    if spec.mass is not None or spec.cog is not None:
+        mass = vehicle.mass if spec.mass is None else spec.mass
+        vehicle = _placed(document, loc, vehicle.with_mass, mass, spec.cog or (0.0, 0.0))
+    document.warn(_unusual(own), loc)
     return vehicle
 
 
-_DIMENSIONS = Vehicle.from_geometry
-"""Its arguments are keys of a vehicle's file."""
+def _endless(key: str, value: Any) -> Any:
+    """Read ``inf`` and ``null`` as no limit, where there may be none."""
+    return inf if key in _ENDLESS and (value is None or value == "inf") else value
 
 
-def _unusual(spec: _Vehicle) -> Doubts:
+def _unusual(given: Mapping[str, Any]) -> Doubts:
     """Yield the unusual values of a file's vehicle."""
-    yield from doubts(_DIMENSIONS, vars(spec))
-    yield from doubts(Vehicle, vars(spec))
-    for name, part, kind in (("motor", spec.motor, MotorLimits), ("icr", spec.icr, TreadICR)):
-        if part is not None:
-            yield from (((name, *at), text) for at, text in doubts(kind, vars(part)))
-
-
-_SINGLE = (
-    "drive_efficiency", "regen_efficiency", "max_yaw_rate", "battery_power", "battery_return",
-    "usual_speed", "tracking_tolerance", "reverse",
-)  # fmt: skip
-"""Keys of a vehicle that hold one value each."""
-
-
-def _built(spec: _Vehicle, base: dict[str, Any]) -> Vehicle:
-    """Build a vehicle from a file's values upon those of its preset."""
-    told: dict[str, Any] = {
-        key: getattr(spec, key) for key in ("name", *_SINGLE) if getattr(spec, key) is not None
-    }
-    check_sizes(_DIMENSIONS, vars(spec), VehicleError)
-    if spec.icr is not None:
-        told["icr"] = _part("icr", TreadICR, spec.icr.model_dump())
-    if spec.motor is not None:
-        known = vars(base["motor"]) if "motor" in base else {}
-        values = {**known, **spec.motor.model_dump(exclude_unset=True)}
-        told["motor"] = _part("motor", MotorLimits, values)
-    cog = spec.cog or (0.0, 0.0)
-    if spec.wheelbase is not None:
-        keys = ("wheelbase", "track", "length", "width")
-        told["contacts"], told["footprint"] = layout(*(getattr(spec, key) for key in keys))
-    for key in ("contacts", "loads", "footprint"):
-        if getattr(spec, key) is not None:
-            told[key] = np.array(getattr(spec, key), float)
-    values = {**base, **told}
-    contacts = np.asarray(values["contacts"])
-    if "icr" not in values:
-        values["icr"] = TreadICR.symmetric(predict_icr(*np.ptp(contacts, axis=0)))
-    if spec.mass is None and spec.cog is None:
-        return Vehicle(**values)
-    mass = Vehicle(**values).mass if spec.mass is None else spec.mass
-    return Vehicle(**{**values, "loads": wheel_loads(contacts, mass, cog)})
-
-
-def _part(name: str, build: Callable[..., T], values: Mapping[str, Any]) -> T:
-    """Build a part of a vehicle; a complaint gets its place in it."""
-    try:
-        return build(**values)
-    except VehicleError as problem:
-        raise VehicleError(str(problem), (name, *problem.place)) from None
+    yield from doubts(Vehicle.from_geometry, given)
+    yield from doubts(Vehicle, given)
+    for name, kind in (("motor", MotorLimits), ("icr", TreadICR)):
+        for at, text in doubts(kind, given.get(name, {})):
+            yield (name, *at), text
 
 
 def _term(item: _Term) -> Term:
@@ -457,23 +391,18 @@ def _square(document: Document, rows: list[list[float]]) -> FloatArray:
     return np.array(rows)
 
 
-def _vehicle_fields(vehicle: Vehicle) -> dict[str, Any]:
-    return {field.name: getattr(vehicle, field.name) for field in fields(vehicle)}
-
-
 def _plain(value: Any) -> Any:
     """Return a value as YAML knows it; no limit is ``.inf``."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
         return [_plain(item) for item in value]
-    return value if isinstance(value, str) else float(value)
+    return value if isinstance(value, str | bool) else float(value)
 
 
 def plain_vehicle(vehicle: Vehicle) -> dict[str, Any]:
     """Return a vehicle as a YAML file holds it."""
-    found = _vehicle_fields(vehicle)
-    for key in ("icr", "motor"):
-        found[key] = {k: float(v) for k, v in vars(found[key]).items()}
-    return {k: v if isinstance(v, dict) else _plain(v) for k, v in found.items()}
+    return dict(_plain(asdict(vehicle)))
 
 
 def _dump(data: dict[str, Any], path: str | Path) -> Path:

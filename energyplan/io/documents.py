@@ -11,7 +11,6 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import reduce
-from math import isfinite, radians
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, TypeVar, get_args
 
@@ -20,8 +19,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from energyplan.errors import InvalidInputError, MapError
-from energyplan.kinds import NO_NUMBER, Doubts, in_words, warn
-from energyplan.path import Pose
+from energyplan.records import NO_NUMBER, Doubts, ImpossibleError, in_words, warn
 from energyplan.records import Checked as Checked
 
 MAX_JSON = 2**26
@@ -193,7 +191,10 @@ class Document:
                 which = min(extra, key=lambda k: len(places[k]), default=which)
             first, place = every[which], places[which]
             message = str(first["msg"]).removeprefix("Value error, ")
-            own = getattr(first.get("ctx", {}).get("error"), "place", ())
+            why = first.get("ctx", {}).get("error")
+            own, item = getattr(why, "place", ()), first["input"]
+            if isinstance(why, ImpossibleError) and own:
+                item = why.value
             if first["type"] in _EXTRA:
                 keys = _keys(schema, place)
                 near = get_close_matches(str(place[-1]), keys, 1)
@@ -214,8 +215,8 @@ class Document:
                     f"the list has {first['ctx']['actual_length']} items; give at least "
                     + str(first["ctx"]["min_length"])
                 )
-            elif not own and not isinstance(first["input"], dict | list):
-                message = f"{message}, not {str(first['input'])[:60]!r}"
+            elif isinstance(why, ImpossibleError) or not (own or isinstance(item, dict | list)):
+                message = f"{message}, not {str(item)[:60]!r}"
             raise self.fail((*loc, *place, *own), message + self.another_kind(schema)) from None
 
     def _keys_of(self, problem: ErrorDetails, here: Any) -> Loc:
@@ -337,26 +338,3 @@ class _Builder:
             self._lines[(*loc, key)] = line
             found[key] = self.build(item, (*loc, key))
         return found
-
-
-def parse_pose(text: str) -> Pose:
-    """Return the pose that ``X,Y,YAW`` stands for."""
-    parts = text.split(",")
-    try:
-        if len(parts) != 3:
-            raise ValueError(text)
-        yaw = parts[2].strip()
-        turn = radians(float(yaw[:-3])) if yaw.endswith("deg") else float(yaw)
-        pose = Pose(float(parts[0]), float(parts[1]), turn)
-        if not all(isfinite(value) for value in pose):
-            raise ValueError(text)
-    except ValueError:
-        raise InvalidInputError(
-            f"pose {text!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
-        ) from None
-    if abs(pose.yaw) > 6.3:
-        raise InvalidInputError(
-            f"the yaw of pose {text!r} is more than a full turn in radians; for degrees write "
-            f"{parts[2].strip().removesuffix('deg')}deg, up to 360"
-        )
-    return pose

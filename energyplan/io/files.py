@@ -144,9 +144,9 @@ def refuse_overwriting(outputs: Sequence[str | Path], inputs: Iterable[str | Pat
         for file in files_behind(source):
             for output in written:
                 if same_file(output, file):
-                    told = "" if same_file(file, Path(source)) else f" (it belongs to {source})"
+                    owner = "" if same_file(file, Path(source)) else f" (it belongs to {source})"
                     raise InvalidInputError(
-                        f"{str(output)!r} is read{told}, and would be lost; write to another file"
+                        f"{str(output)!r} is read{owner}, and would be lost; write to another file"
                     )
 
 

@@ -14,8 +14,8 @@ from shapely.geometry.base import BaseGeometry
 from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.documents import beside, read_features
 from energyplan.io.files import atomic_write
-from energyplan.kinds import NO_NUMBER, checked, doubts_of, warn
 from energyplan.power import PowerModel
+from energyplan.records import NO_NUMBER, checked, doubts_of, warn
 from energyplan.terrain import OccupancyGrid, SpeedLimit, Surface, SurfaceMap
 from energyplan.terrain.grid import FARTHEST
 
@@ -128,8 +128,8 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
             obstacles.append(_shape(feature["geometry"], place, (*AREAS, *LINES)))
     if not features:
         raise MapError(f"{file}: no features; draw a boundary and the obstacles within")
-    told = [feature["properties"] for feature in features]
-    if all("model" in one or one.get("surface") in KEEP_OUT for one in told):
+    drawn = [feature["properties"] for feature in features]
+    if all("model" in one or one.get("surface") in KEEP_OUT for one in drawn):
         raise MapError(
             f"{file}: every shape names a power model, so these are surfaces and no obstacles; "
             "give them beside a map"

@@ -7,6 +7,7 @@ and mostly a file ``imu_NN.csv`` with ``time``, ``wx``, ``wy``, ``wz`` [rad/s], 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
@@ -19,12 +20,12 @@ from energyplan.errors import DriveLogError
 from energyplan.io.files import is_file
 from energyplan.logs import DriveLog, SetAside
 from energyplan.logs.align import LARGEST_OFFSET, Offset, find_offset, find_runs
-from energyplan.logs.tables import Table, column_names, read_table
+from energyplan.logs.tables import Recording, read_table
 from energyplan.path import FloatArray
 
 WHEEL_COLUMNS = ("time", "curL", "curR", "velL", "velR")
 """Columns of a wheel file."""
-NOT_TOLD = (
+NOT_SAID = (
     "time, curL, curR, velL, velR may be a Husky's motor currents, from which its motors and wheel "
     "radius make a power; nothing in the file says whose they are. If they are a Husky's, give "
     "--vehicle husky_a200 (start: --like husky_a200; Python: topics='husky'); else say which "
@@ -62,8 +63,12 @@ def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -
 
     Source: LaRocque et al. (2024), arXiv 2403.16877.
     """
+    return husky_log(read_table(wheels, DriveLogError), Path(wheels), blind)
+
+
+def husky_log(table: Recording, wheels: Path, blind: Literal["keep", "drop"] = "keep") -> DriveLog:
+    """Return the drive of a wheel file, and of the file of its IMU beside it."""
     train = HuskyDrive()
-    table = read_table(wheels, DriveLogError)
     t, current_left, current_right, left, right = map(table.column, WHEEL_COLUMNS)
     channels = {"t": t, "v_left": left, "v_right": right}
     aside: list[SetAside] = []
@@ -93,13 +98,13 @@ def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -
         "the current sensors see no direction: what a motor returns while it generates or "
         "brakes is not known",
     ]
-    file = _beside(Path(wheels))
+    file = _beside(wheels)
     if file is None:
         warnings.append("there is no IMU, so the yaw rate and the tread ICRs are not known")
     else:
         readings = read_table(file, DriveLogError)
         channels |= _inertial(readings, t, right - left, warnings)
-    label = "/".join(Path(wheels).parts[-2:])
+    label = "/".join(wheels.parts[-2:])
     log = DriveLog.from_columns(channels, label, table.place)
     if blind == "drop":
         log = _without(log, t[lost])
@@ -118,7 +123,7 @@ def _without(log: DriveLog, times: FloatArray) -> DriveLog:
     return replace(log, channels={name: values[kept] for name, values in log.channels.items()})
 
 
-def _note(aside: list[SetAside], table: Table, chosen: NDArray[np.bool_], reason: str) -> None:
+def _note(aside: list[SetAside], table: Recording, chosen: NDArray[np.bool_], reason: str) -> None:
     """Count samples."""
     some = np.flatnonzero(chosen)
     if len(some):
@@ -134,7 +139,7 @@ def _beside(wheels: Path) -> Path | None:
 
 
 def _inertial(
-    imu: Table, t: FloatArray, difference: FloatArray, warnings: list[str]
+    imu: Recording, t: FloatArray, difference: FloatArray, warnings: list[str]
 ) -> dict[str, FloatArray]:
     """Yaw rate and forward acceleration at the times of the wheel samples; NaN where unknown."""
     clock, rate, forward = map(imu.column, ("time", "wz", "ax"))
@@ -191,9 +196,6 @@ def _clock_offset(
     return offset if usable else None
 
 
-def is_husky(path: str | Path) -> bool:
-    r"""Tell whether a CSV file is a wheel file of a Husky, by its line of column names."""
-    try:
-        return set(WHEEL_COLUMNS) <= set(column_names(path, DriveLogError))
-    except DriveLogError:
-        return False
+def is_husky(names: Collection[str]) -> bool:
+    r"""Tell by the names of its columns whether a table is a wheel file of a Husky."""
+    return set(WHEEL_COLUMNS) <= set(names)

@@ -9,16 +9,62 @@ from pathlib import Path
 import numpy as np
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.io.bags import TopicMap, bag_fields, is_bag, read_bag, topic_map_of
+from energyplan.io.bags import (
+    NO_TOPICS,
+    TopicMap,
+    columns_of,
+    is_bag,
+    read_bag,
+    topic_map,
+    topic_map_of,
+)
 from energyplan.io.config import read_columns
 from energyplan.io.files import same_file
-from energyplan.io.husky import NOT_TOLD, is_husky, read_husky
+from energyplan.io.husky import NOT_SAID, husky_log, is_husky
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import grows
 from energyplan.logs.guess import guess, words
-from energyplan.logs.mapping import Column, scale_of, unit_in
-from energyplan.logs.tables import Table, column_names
+from energyplan.logs.mapping import Column, parse_columns, scale_of, unit_in
+from energyplan.logs.tables import Recording, column_names, read_table
 from energyplan.path import FloatArray
+
+
+def read_recording(
+    path: str | Path,
+    columns: str | Mapping[str, str | Column] | None = None,
+    topics: TopicMap | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Read what a file of any known kind holds; of a bag, all or what a topic map needs."""
+    if not is_bag(path):
+        return read_table(path, DriveLogError, parse_columns(columns).get("t"))
+    if topics is None:
+        return read_bag(path, progress=progress)
+    sources = [one for several in topics.channels.values() for one in several]
+    others = [name for one in sources for name in one.names if name.startswith("/")]
+    named = f"{' '.join(others)} {columns}"
+
+    def wanted(topic: str) -> bool:
+        return any(one.matches(topic) for one in sources) or f"{topic.strip('/')}." in named
+
+    return read_bag(path, wanted, progress)
+
+
+def named_columns(
+    recording: Recording, columns: str | Mapping[str, str | Column] | None
+) -> dict[str, Column]:
+    """Return the columns that are named by hand, by the names of a recording's series."""
+    also = {written: name for name, written in recording.written.items()}
+    also |= {name.removeprefix("/"): name for name in recording.written}
+    result = parse_columns(columns, (*recording.columns, *recording.text, *also))
+    if recording.kinds and "t" in result:
+        raise DriveLogError("messages of a bag bear their own times; leave t out")
+    for channel, one in result.items():
+        one = one.joined()
+        first, *plus = (also.get(name, name) for name in (one.field, *one.plus))
+        times = None if one.times is None else also.get(one.times, one.times)
+        result[channel] = one.changed(field=first, plus=tuple(plus), times=times)
+    return result
 
 
 def read_log(
@@ -29,17 +75,22 @@ def read_log(
     progress: Callable[[float], None] | None = None,
 ) -> DriveLog:
     r"""Read a drive log of any known kind."""
+    of_project = isinstance(columns, str) and columns.endswith((".yaml", ".yml"))
+    file = Path(path)
     if is_bag(path):
-        of_project = isinstance(columns, str) and columns.endswith((".yaml", ".yml"))
-        named = None if columns is None or of_project else bag_fields(path).parse(columns)
-        return read_bag(path, topics, named, progress=progress)
-    if isinstance(columns, str) and columns.endswith((".yaml", ".yml")):
-        return DriveLog.read(path, read_columns(columns), others=False)
-    if columns is None and is_husky(path):
-        if not _of_husky(topics):
-            raise DriveLogError(f"{Path(path).name}: {NOT_TOLD}")
-        return read_husky(path)
-    return DriveLog.read(path, columns)
+        if topics is None:
+            raise DriveLogError(f"{file.name}: {NO_TOPICS.format(file.name)}")
+        named, mapped = None if of_project else columns, topic_map(topics)
+        recording = read_recording(path, named, mapped, progress)
+        mapping = columns_of(recording, mapped) | named_columns(recording, named)
+        return DriveLog.of(recording, mapping)
+    given = read_columns(str(columns)) if of_project else columns
+    recording = read_recording(path, given)
+    if given is None and is_husky(recording.columns):
+        if topics is None or topic_map(topics).name != "husky":
+            raise DriveLogError(f"{file.name}: {NOT_SAID}")
+        return husky_log(recording, file)
+    return DriveLog.of(recording, recording.mapping(given, others=not of_project))
 
 
 def read_drives(
@@ -86,7 +137,7 @@ def may_be_tasks(path: Path) -> bool:
     return any(_TASK_WORDS["distance"][0] & set(words(name)) for name in names)
 
 
-def tasks_of(table: Table, full: float = nan) -> dict[str, FloatArray] | None:
+def tasks_of(table: Recording, full: float = nan) -> dict[str, FloatArray] | None:
     """Return the tasks of a table with a row each, in SI units; None where a row is an instant.
 
     Without energies, `full` is what the battery holds [J], of which shares are told.
@@ -120,10 +171,3 @@ def tasks_of(table: Table, full: float = nan) -> dict[str, FloatArray] | None:
 
 _INSTANT = {"v_left", "v_right", "p_left", "p_right", "yaw_rate"}
 _ENDS = ({"start", "begin", "before", "from"}, {"end", "after", "to", "stop"})
-
-
-def _of_husky(topics: TopicMap | str | Path | None) -> bool:
-    """Tell whether a topic map is that of a Husky; a table says not whose motors these are."""
-    if topics is None:
-        return False
-    return (topics if isinstance(topics, TopicMap) else TopicMap.read(topics)).name == "husky"

@@ -15,10 +15,10 @@ from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
 from energyplan.io.sites import PARTS, SiteFile, load_site, on_site
-from energyplan.kinds import checked, described, doubts_of
 from energyplan.mission import Mission, Robot, Task
 from energyplan.mission.types import OWN, Name, Place
 from energyplan.power import PowerModel
+from energyplan.records import checked, described, doubts_of
 from energyplan.vehicle import Vehicle
 
 T = TypeVar("T")
@@ -108,8 +108,8 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     data = {k: v for k, v in given.items() if v is not None or k not in optional}
     for key, value in data.items():
         if key in ("map", "model", *optional) and not isinstance(value, str):
-            told = f"{described(value)} is no name of a file or preset; give one"
-            raise document.fail((key,), told + document.another_kind(Mission))
+            message = f"{described(value)} is no name of a file or preset; give one"
+            raise document.fail((key,), message + document.another_kind(Mission))
     places = document.check(dict[str, Place], ("places",)) if "places" in document.data else {}
     site, notes, known = None, tuple[str, ...](), set[str]()
     if "map" in data:
@@ -166,20 +166,20 @@ def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
         tasks = document.check(tuple[Task, ...], ("tasks",), {"places": places})
     for j, task in enumerate(tasks):
         if not any({*task.needs} <= {*entry.skills} for entry in entries):
-            told = f"no robot has {', '.join(task.needs)}; give it to one"
-            raise document.fail(("tasks", j, "needs"), told)
+            message = f"no robot has {', '.join(task.needs)}; give it to one"
+            raise document.fail(("tasks", j, "needs"), message)
     own = {"start", *(key for extra in extras for key in extra)} - {"vehicle"}
     if "model" in own or any("vehicle" in extra for extra in extras):
         own |= {"model", "surfaces", "heights"}  # what a model knows of the ground is laid out
     robots: list[Robot] = []
     for k, (entry, extra) in enumerate(zip(entries, extras, strict=True)):
         for key in extra.keys() - {*OWN}:
-            told = f"a robot has no such key; it may have name, skills, {', '.join(OWN)}"
-            raise document.fail(("robots", k, key), told)
+            message = f"a robot has no such key; it may have name, skills, {', '.join(OWN)}"
+            raise document.fail(("robots", k, key), message)
         able = [j for j, task in enumerate(tasks) if {*task.needs} <= {*entry.skills}]
         if tasks and not able:
-            told = f"robot {entry.name!r} has the skills for no task; leave it out"
-            raise document.fail(("robots", k), told)
+            message = f"robot {entry.name!r} has the skills for no task; leave it out"
+            raise document.fail(("robots", k), message)
         data = {"order": "free", **common, **extra, "name": entry.name}
         if tasks:
             data["tasks"] = [common["tasks"][j] for j in able]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import parse_speed
@@ -21,15 +21,15 @@ from energyplan.errors import EnergyPlanError, MapError
 from energyplan.io.documents import Checked, beside, load
 from energyplan.io.files import is_file
 from energyplan.io.geojson import read_surfaces
-from energyplan.io.maps import read_costmap, read_heights, read_keepout, read_map, read_speed_mask
-from energyplan.kinds import checked
+from energyplan.io.heights import read_heights
+from energyplan.io.maps import read_costmap, read_keepout, read_map, read_speed_mask
 from energyplan.path import Pose
 from energyplan.planning import PlanningProblem
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope, with_weight
 from energyplan.power.presets import MODEL_PRESETS
-from energyplan.records import amount_of
-from energyplan.terrain import Site, knows_ground, with_limits, with_weights
+from energyplan.records import Length, checked, warn
+from energyplan.terrain import CLEARANCE, Site, knows_ground, with_limits, with_weights
 from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class SiteFile(Checked, BaseModel):
     keepout: str | None = None  # a second map: the robot stays out of its occupied cells
     costmap: str | None = None  # a map of soft costs
     speed_mask: str | None = None  # a mask of Nav2's speed filter: see `read_speed_mask`
-    clearance: Annotated[float, amount_of("length"), Field(ge=0, allow_inf_nan=False)] = 0.0  # [m]
+    clearance: Annotated[Length, CLEARANCE] = 0.0  # [m]
 
 
 PARTS: dict[str, Callable[[Path], Any]] = {
@@ -106,10 +106,16 @@ def _with_parts(site: Site, named: SiteFile, read: Read) -> Site:
     }
     if limits := parts.pop("speed_mask", ()):
         parts["surfaces"] = with_limits(parts.get("surfaces", site.surfaces), limits)
+    if mask := parts.pop("keepout", None):
+        parts["keepout"] = mask.closed
+        if mask.weights is not None and parts.get("costmap", site.costmap) is not None:
+            warn("the weights of the keep-out mask are ignored beside the costmap")
+        elif mask.weights is not None:
+            parts["costmap"] = mask.weights
     return replace(site, **parts, clearance=named.clearance or site.clearance)
 
 
-class Ground(NamedTuple):
+class ModelOnSite(NamedTuple):
     """A model on the ground of a site, if any, and what to know of both."""
 
     model: PowerModel
@@ -121,7 +127,7 @@ class Ground(NamedTuple):
         return EnergyCost(self.model, battery, speed=parse_speed(speed, self.model.vehicle))
 
 
-def on_site(model: PowerModel, site: Site | None) -> Ground:
+def on_site(model: PowerModel, site: Site | None) -> ModelOnSite:
     """Return a model for the ground of a site: where the ground slopes, the weight counts."""
     surfaces = site.surfaces if site else None
     notes = of_another_robot(
@@ -141,10 +147,10 @@ def on_site(model: PowerModel, site: Site | None) -> Ground:
             )
         model = with_weight(model)
         site = replace(site, surfaces=with_weights(surfaces) if surfaces else None)
-    return Ground(model, site, (*notes, *(site.notes if site else ())))
+    return ModelOnSite(model, site, (*notes, *(site.notes if site else ())))
 
 
-class Asked(NamedTuple):
+class NotedProblem(NamedTuple):
     """A planning problem, and what to know of it."""
 
     problem: PlanningProblem
@@ -160,7 +166,7 @@ def problem_from(
     speed: str | None = None,
     reverse: bool | None = None,
     **options: Any,
-) -> Asked:
+) -> NotedProblem:
     """Return the planning problem of a model at a site, from one end to the other."""
     ground = on_site(model, site)
     notes = ground.notes
@@ -169,7 +175,9 @@ def problem_from(
     if reverse is not None:
         options["vehicle"] = replace(model.vehicle, reverse=reverse)
     place: Any = ground.site  # of which a problem takes the parts
-    return Asked(PlanningProblem(place, ground.cost(battery, speed), *ends, **options), notes)
+    return NotedProblem(
+        PlanningProblem(place, ground.cost(battery, speed), *ends, **options), notes
+    )
 
 
 def of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> tuple[str, ...]:
@@ -182,14 +190,14 @@ def of_another_robot(what: str, vehicle: Vehicle, others: Iterable[Vehicle]) -> 
     )
 
 
-def models_of(asked: PlanningProblem | Mission) -> tuple[PowerModel, ...]:
+def models_of(question: PlanningProblem | Mission) -> tuple[PowerModel, ...]:
     """Return the models that a question is answered by, the robot's own first."""
-    own = asked.cost.model if isinstance(asked, PlanningProblem) else asked.model
-    heavy = {} if isinstance(asked, PlanningProblem) else asked.payload_models
+    own = question.cost.model if isinstance(question, PlanningProblem) else question.model
+    heavy = {} if isinstance(question, PlanningProblem) else question.payload_models
     return (
         own,
         *(model for known in heavy.values() for model in known.values()),
-        *(surface.model for surface in (asked.surfaces.surfaces if asked.surfaces else ())),
+        *(surface.model for surface in (question.surfaces.surfaces if question.surfaces else ())),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from math import isfinite, nan, pi
 from pathlib import Path
@@ -19,25 +18,25 @@ from energyplan.errors import ConfigError, DriveLogError, InvalidInputError
 from energyplan.io.bags import (
     TOPIC_MAPS,
     TopicMap,
-    choose,
-    is_bag,
-    list_fields,
-    opened_bag,
+    Typed,
+    of_types,
     topic_map_of,
-    wanted,
+    topics_of,
+    untyped,
 )
 from energyplan.io.config import Project, read_vehicle
 from energyplan.io.documents import MAX_BYTES, load, read_bytes
-from energyplan.io.husky import is_husky
-from energyplan.io.logs import read_log, tasks_of
-from energyplan.logs import DriveLog, UnfitLogError
-from energyplan.logs.align import find_runs
-from energyplan.logs.checks import POWERS, find_checks, grows, mirrored_side, without_copies
+from energyplan.io.husky import NOT_SAID, husky_log, is_husky
+from energyplan.io.logs import named_columns, read_log, read_recording, tasks_of
+from energyplan.logs import DriveLog
+from energyplan.logs.align import Series, find_runs
+from energyplan.logs.checks import grows, mirrored_side, without_copies
 from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
+    POWERS,
     Check,
-    Drive,
     Measures,
+    Observed,
     check_consistency,
     contradictions,
     correlation,
@@ -68,13 +67,12 @@ from energyplan.logs.mapping import (
     column_from,
     counting,
     is_unit,
-    parse_columns,
     scale_of,
     split_unit,
     time_units,
     unit_in,
 )
-from energyplan.logs.tables import Table, counts_rows, find_clock, quaternions, read_table
+from energyplan.logs.tables import Recording, counts_rows, find_clock, quaternions
 from energyplan.path import FloatArray
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 
@@ -150,15 +148,15 @@ def _of_urdf(file: Path) -> dict[str, Any]:
             "--like robot.urdf"
         )
     try:
-        made = _measured(ElementTree.fromstring(content))
+        result = _measured(ElementTree.fromstring(content))
     except (ElementTree.ParseError, ValueError) as problem:
         raise ConfigError(f"{file.name} is no sound URDF: {problem}") from None
-    if not made:
+    if not result:
         raise ConfigError(
             f"{file.name}: no masses of links and no continuous joints of left and right wheels; "
             "give --track, --wheelbase and --mass"
         )
-    return made
+    return result
 
 
 def _measured(root: ElementTree.Element) -> dict[str, Any]:
@@ -172,16 +170,16 @@ def _measured(root: ElementTree.Element) -> dict[str, Any]:
         [float(part) for part in origin.get("xyz", "0 0 0").split()]
         for one in wheels if (origin := one.find("origin")) is not None
     ]  # fmt: skip
-    made: dict[str, Any] = {"mass": sum(masses)} if sum(masses) > 0 else {}
+    result: dict[str, Any] = {"mass": sum(masses)} if sum(masses) > 0 else {}
     if places:
         size = np.ptp(np.array(places), axis=0)
-        made |= {key: float(d) for key, d in zip(("wheelbase", "track"), size[:2], strict=True)
+        result |= {key: float(d) for key, d in zip(("wheelbase", "track"), size[:2], strict=True)
                  if d > 0}  # fmt: skip
     names = {child.get("link") for one in wheels if (child := one.find("child")) is not None}
     for link in (one for one in root.iterfind("link") if one.get("name") in names):
         for shape in link.iterfind("*/geometry/cylinder"):
-            made["wheel_radius"] = float(shape.get("radius", "nan"))
-    return made
+            result["wheel_radius"] = float(shape.get("radius", "nan"))
+    return result
 
 
 def known_measures(known: Given) -> Measures:
@@ -194,14 +192,14 @@ def known_measures(known: Given) -> Measures:
     return Measures(track, wheelbase, mass, known.wheel_radius)
 
 
-class Robot(NamedTuple):
+class _Built(NamedTuple):
     """A vehicle, and what of it nobody gave: what it is by what was taken for it."""
 
     vehicle: Vehicle
     assumed: dict[str, str]
 
 
-def build_vehicle(file: Path, log: DriveLog, drive: Drive, known: Given) -> Robot:
+def build_vehicle(file: Path, log: DriveLog, drive: Observed, known: Given) -> _Built:
     """Build a vehicle from what is given; the rest from the log, or as robots usually are."""
     assumed: dict[str, str] = {}
     measures = known_measures(known)
@@ -255,7 +253,7 @@ def build_vehicle(file: Path, log: DriveLog, drive: Drive, known: Given) -> Robo
         drive_efficiency=1.0 if like is None else like.drive_efficiency,
         regen_efficiency=1.0 if like is None else like.regen_efficiency,
     )  # fmt: skip
-    return Robot(vehicle, assumed)
+    return _Built(vehicle, assumed)
 
 
 def _limits(log: DriveLog, assumed: dict[str, str]) -> MotorLimits:
@@ -289,18 +287,18 @@ _CONSUMED = {
 """Words of counters of charge and of energy."""
 
 
-def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
+def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
     """Say what is missing, and why what could be it is not."""
-    text = guess(table.text)
+    text = guess(recording.text)
     for channel in needed:
         ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
         for one in (text[way] for way in ways if way in text):
-            table.column(one.field)  # says which cell is no number
-    names = (*table.columns, *table.text)
+            recording.column(one.field)  # says which cell is no number
+    names = (*recording.columns, *recording.text)
     hint = ""
-    for name, cell in table.text.items():
+    for name, cell in recording.text.items():
         if "t" in needed and re.search(r"is '\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", cell):
-            table.column(name)  # says how to write instants
+            recording.column(name)  # says how to write instants
     for name in names:
         bare, unit = split_unit(name)
         if unit and not is_unit(unit) and {*guess([bare])} & {*needed, "p_left", "p_right"}:
@@ -336,7 +334,7 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
                 "v_right=V+0.25*W with half the track, though slip is then unseen"
             )
     if "t" in needed:
-        number = next((n for n, values in table.columns.items() if counts_rows(values)), "")
+        number = next((n for n, values in recording.columns.items() if counts_rows(values)), "")
         counts = f"{number!r} counts rows: if they" if number else "where rows"
         hint += (
             f"; {counts} come at a steady rate, give the time from row to row, as in "
@@ -344,7 +342,7 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
         )
     used = [
         (name, channel, unit)
-        for name, values in table.columns.items() if grows(values)
+        for name, values in recording.columns.items() if grows(values)
         for channel, unit in (("current", "mAh"), ("power", "Wh"))
         if _CONSUMED[channel] & set(words(name))
     ]  # fmt: skip
@@ -355,7 +353,7 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
             f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
             f"{channel}={name}[{unit}]"
         )
-    amps = guess(table.columns).get("current")
+    amps = guess(recording.columns).get("current")
     if "power" in needed and amps is not None:
         hint += (
             f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
@@ -364,7 +362,7 @@ def refuse(table: Table, needed: Sequence[str]) -> NoReturn:
     if "power" in needed:
         hint += _of_torques(names)
     raise DriveLogError(
-        f"{table.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
+        f"{recording.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
         f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
     )
 
@@ -375,7 +373,7 @@ _TORQUES = {"effort", "torque"}
 def _of_torques(names: Sequence[str]) -> str:
     """Say how the torques of all wheels make the powers of the sides."""
     torques = [name for name in names if _TORQUES & set(words(name))]
-    made = []
+    result = []
     for side in ("left", "right"):
         own = [name for name in torques if side_of(name) == side]
         others = [
@@ -386,27 +384,27 @@ def _of_torques(names: Sequence[str]) -> str:
         ]  # fmt: skip
         if own:
             summed = own[0] if len(own) == 1 else f"({'+'.join(own)})"
-            made.append(f"p_{side}={summed}*{others[0] if others else 'RATE'}")
+            result.append(f"p_{side}={summed}*{others[0] if others else 'RATE'}")
     if not torques:
         return ""
-    told = ",".join(made) if len(made) == 2 else f"p_left={torques[0]}*RATE"
+    stated = ",".join(result) if len(result) == 2 else f"p_left={torques[0]}*RATE"
     return (
         f"; {torques[0]!r} seems to be a torque: those of all wheels of a side times the wheels' "
-        f'rate in rad/s make its power, as in --columns "{told}"'
+        f'rate in rad/s make its power, as in --columns "{stated}"'
     )
 
 
-def _left_out(table: Table, columns: Mapping[str, Column]) -> list[Check]:
+def _left_out(recording: Recording, columns: Mapping[str, Column]) -> list[Check]:
     """Find powers that count some of the wheels, motors or batteries alone."""
     used = {name for one in columns.values() for name in one.names}
     found = []
     for channel, one in columns.items():
         if channel not in POWERS:
             continue
-        own = np.nanmean(np.abs(table.column(one.field)))
+        own = np.nanmean(np.abs(recording.column(one.field)))
         rest = [
-            name for name in siblings(one, table.columns)
-            if name not in used and np.nanmean(np.abs(table.columns[name])) > _PART * own
+            name for name in siblings(one, recording.columns)
+            if name not in used and np.nanmean(np.abs(recording.columns[name])) > _PART * own
         ]  # fmt: skip
         if rest:
             summed = "+".join((one.field, *one.plus, *rest))
@@ -422,17 +420,17 @@ def _left_out(table: Table, columns: Mapping[str, Column]) -> list[Check]:
 _PART = 0.05  # of a power, that another one of its kind is at least
 
 
-def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str]) -> None:
+def refuse_halves(recording: Recording, found: Mapping[str, Column], channels: set[str]) -> None:
     """Refuse to take one of two columns that are named alike, and differ, for the whole power."""
     one = found.get("power" if "power" in channels else "current")
     if one is None or {"p_left", "p_right"} <= channels:
         return
     volts = found.get("voltage")
     if "power" not in channels and volts is not None and not one.plus:
-        _refuse_packs(table, volts.field)
+        _refuse_packs(recording, volts.field)
     used = {name for other in found.values() for name in other.names}
-    for name in halves(one.field, [other for other in table.columns if other not in used]):
-        pair = np.array([table.columns[each] for each in (one.field, name)], float)
+    for name in halves(one.field, [other for other in recording.columns if other not in used]):
+        pair = np.array([recording.columns[each] for each in (one.field, name)], float)
         pair = pair[:, np.isfinite(pair).all(axis=0)]
         if not pair.size or np.ptp(pair, axis=1).min() == 0.0:
             continue
@@ -441,28 +439,28 @@ def refuse_halves(table: Table, found: Mapping[str, Column], channels: set[str])
         twins = of_batteries(one.field)  # which share what is drawn
         if (alike < _ALIKE or twins) and sizes.min() > _HALF * sizes.max():
             raise DriveLogError(
-                f"{table.source}: {one.field} and {name} could each be the power or current of the "
-                "whole robot, and differ; where they are those of two sides say so, as in "
+                f"{recording.source}: {one.field} and {name} could each be the power or current of "
+                "the whole robot, and differ; where they are those of two sides say so, as in "
                 f"--columns 'p_left={one.field},p_right={name}' for powers, where they add up, as "
                 f"those of two batteries do, as in --columns '{one.channel}={one.field}+{name}', "
                 f"else name the whole, as in --columns '{one.channel}={one.field}'"
             )
 
 
-def _refuse_packs(table: Table, name: str) -> None:
+def _refuse_packs(recording: Recording, name: str) -> None:
     """Refuse to take one of several numbered voltages beside one current for the whole."""
     alike = re.sub(r"\d+", "0", name)
-    packs = [other for other in table.columns if re.sub(r"\d+", "0", other) == alike]
-    usual = [float(np.nanmedian(table.columns[pack])) for pack in packs]
+    packs = [other for other in recording.columns if re.sub(r"\d+", "0", other) == alike]
+    usual = [float(np.nanmedian(recording.columns[pack])) for pack in packs]
     if len(packs) > 1 and min(usual) > _ALIKE * max(usual):
         raise DriveLogError(
-            f"{table.source}: {' and '.join(packs[:3])} are several voltages beside one current; "
-            f"where they are in series say so, as in --columns 'voltage={'+'.join(packs)}', else "
-            f"as in --columns 'voltage={name}'"
+            f"{recording.source}: {' and '.join(packs[:3])} are several voltages beside one "
+            "current; where they are in series say so, as in --columns "
+            f"'voltage={'+'.join(packs)}', else as in --columns 'voltage={name}'"
         )
 
 
-def refuse_unlike(table: Table, found: Mapping[str, Column]) -> None:
+def refuse_unlike(recording: Recording, found: Mapping[str, Column]) -> None:
     """Refuse to take the mean of one side's wheels where these do not go alike."""
     for channel in ("v_left", "v_right"):
         one = found.get(channel)
@@ -471,12 +469,12 @@ def refuse_unlike(table: Table, found: Mapping[str, Column]) -> None:
         power = found.get(f"p_{channel[2:]}", one)
         if one.plus and not power.plus and of_one_wheel(power.field):
             raise DriveLogError(
-                f"{table.source}: {power.field} is of one wheel, and {one.written} of several; "
+                f"{recording.source}: {power.field} is of one wheel, and {one.written} of several; "
                 "name the powers of all, or of the driven one, as in --columns "
                 f"'p_{channel[2:]}={power.field}'"
             )
         for name in one.plus:
-            first, second = (table.columns[each] for each in (one.field, name))
+            first, second = (recording.columns[each] for each in (one.field, name))
             both = np.isfinite(first) & np.isfinite(second)
             if not np.any(first[both]) and not np.any(second[both]):
                 continue
@@ -484,14 +482,15 @@ def refuse_unlike(table: Table, found: Mapping[str, Column]) -> None:
             if alike < _ONE_SIDE:
                 way = "go opposite ways" if alike < -_ONE_SIDE else "do not go alike"
                 raise DriveLogError(
-                    f"{table.source}: {one.field} and {name} seem to be speeds of the same side, "
-                    f"and {way} (correlation {alike:.2f}): one is dead or counts the other way, or "
-                    "they are of two robots; name those that are right, the power among them, as "
-                    f"in --columns '{channel}={one.field}'"
+                    f"{recording.source}: {one.field} and {name} seem to be speeds of the same "
+                    f"side, and {way} (correlation {alike:.2f}): one is dead or counts the other "
+                    "way, or they are of two robots; name those that are right, the power among "
+                    f"them, as in --columns '{channel}={one.field}'"
                 )
 
 
 _SOME = 20_000  # readings that suffice to tell a unit
+_CLOSE = 0.005  # time between them below which they do not [s]
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
 _TURNS = 3 * _FULL_TURN  # beyond, they are rather degrees
@@ -501,6 +500,7 @@ _USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surpri
 _SPEEDS = ("v_left", "v_right")
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _CHARGE = {"percentage", "percent", "soc", "pct"}  # words of how full a battery is
+_ROLLING = {**RATES, **COUNTS}  # units of wheels, that take a radius
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
 _RADIUS = 0.15  # radius of wheels of which it is not known yet [m]
 
@@ -521,99 +521,150 @@ class Start:
 
 def start_all(paths: Sequence[Path], given: Given) -> Start:
     """Start from the first of a robot's drives, and hold the others against what comes of it."""
-    made = start(paths[0], given)
+    result, first = _started(paths[0], given)
     if len(paths) == 1:
-        return made
-    project, checks, notes = made.project, [*made.checks], [*made.notes]
-    drives = [read_log(paths[0], dict(project.columns) or None, topics=project.topics)]
+        return result
+    project, checks, notes = result.project, [*result.checks], [*result.notes]
+    drives = [first]
     for path in paths[1:]:
         log = read_log(path, dict(project.columns) or None, topics=project.topics)
-        found = find_checks(log.channels, log.power, log.runs)
-        wrong = [one for one in found if one.refuses] + contradictions(log, project.vehicle)
-        told = {str(one): replace(one, what=f"{log.name}: {one.what}") for one in wrong}
-        checks += told.values()
+        wrong = [one for one in log.checks if one.refuses] + contradictions(log, project.vehicle)
+        said = {str(one): replace(one, what=f"{log.name}: {one.what}") for one in wrong}
+        checks += said.values()
         notes += [f"{log.name}: {one}" for one in (*log.set_aside, *log.warnings)
-                  if str(one) not in told]  # fmt: skip
+                  if str(one) not in said]  # fmt: skip
         drives.append(log)
     notes += without_copies(drives, [])[1]
-    return replace(made, checks=tuple(checks), notes=tuple(notes))
+    return replace(result, checks=tuple(checks), notes=tuple(notes))
 
 
 def start(path: str | Path, given: Given | None = None) -> Start:
     """Guess what a log's columns or topics are, and hold them against the robot."""
-    known = given or Given()
-    if is_bag(path):
-        return _start_bag(Path(path), known)
-    if known.columns is None and is_husky(path):
-        like = "" if known.like is None else known.like.name
-        log = read_log(path, topics=topic_map_of(like))
-        return _finish(Path(path), log, known, {}, TOPIC_MAPS["husky"], {})
-    return _start_table(Path(path), known)
+    return _started(Path(path), given or Given())[0]
 
 
-# -- tables -------------------------------------------------------------------------------------
+def _started(file: Path, known: Given) -> tuple[Start, DriveLog]:
+    """Read a file once, map its series to channels, and build the vehicle."""
+    recording = read_recording(file, known.columns)
+    if known.columns is None and is_husky(recording.columns):
+        if known.like is None or topic_map_of(known.like.name) != "husky":
+            raise DriveLogError(f"{file.name}: {NOT_SAID}")
+        log = husky_log(recording, file)
+        return _finish(file, log, known, {}, TOPIC_MAPS["husky"], {}), log
+    draft = _draft(recording, known)
+    columns, assumed = _with_units(recording, draft, known)
+    log, columns, turned = _signed(recording, columns)
+    topics = topics_of(recording, columns, file.stem) if recording.kinds else None
+
+    def holds(units: Mapping[str, str]) -> bool:
+        """Tell whether a log that is read in other units contradicts nothing."""
+        changed = {c: columns[c].changed(unit=unit) for c, unit in units.items() if c in columns}
+        try:
+            other = DriveLog.of(recording, columns | changed, refuse=False)
+        except DriveLogError:  # impossible readings, as others than glitches are
+            return False
+        compared = check_consistency(other.observed, known_measures(known))
+        return not any(one.refuses == "reading" for one in other.checks) and all(
+            one.ok or one.value is None for one in compared
+        )
+
+    result = _finish(file, log, known, columns, topics, assumed, holds)
+    checks = (*result.checks, *_left_out(recording, columns))
+    notes = [*draft.notes, *turned, *result.notes]
+    used = {name for one in columns.values() for name in one.names}
+    idle = [] if recording.kinds else [name for name in recording.columns if name not in used]
+    if idle:
+        notes.insert(len(draft.notes), f"columns that serve for nothing: {', '.join(idle[:20])}")
+    return replace(result, checks=checks, notes=tuple(notes)), log
 
 
-def _start_table(file: Path, known: Given) -> Start:
-    table = read_table(file, DriveLogError, parse_columns(known.columns).get("t"))
-    columns = parse_columns(known.columns, (*table.columns, *table.text))
-    if not columns and tasks_of(table, 1.0) is not None:
+# -- which series serve as which channels --------------------------------------------------------
+
+
+class _Draft(NamedTuple):
+    """Columns that serve as channels, those whose units are to be found, and what to say."""
+
+    columns: dict[str, Column]
+    free: dict[str, Column]  # by channel, as they were guessed
+    notes: list[str]
+
+
+def _draft(recording: Recording, known: Given) -> _Draft:
+    """Guess by names, and by types of messages, which series serve as which channels."""
+    columns = named_columns(recording, known.columns)
+    if not columns and tasks_of(recording, 1.0) is not None:
         raise DriveLogError(
-            f"{table.source}: a row is a task, not an instant of a drive: energyplan identify "
-            f"{file.name} --vehicle VEHICLE learns from their distances, turning and energies"
+            f"{recording.source}: a row is a task, not an instant of a drive: energyplan identify "
+            f"{recording.source} --vehicle VEHICLE learns from their distances, turning and "
+            "energies"
         )
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
-    found = _guesses(table, taken, columns)
+    speeds, there = {*_SPEEDS}, [*recording.columns]
+    notes: list[str] = []
+    typed = Typed({}, {}, ())
+    if recording.kinds:
+        notes += [note for topic, note in recording.notes.items() if topic not in recording.kinds]
+        there = untyped(recording)
+        named = {c: one for c, one in guess(there, taken).items() if c in speeds}
+        typed = of_types(recording, columns, named, known_measures(known).track)
+        notes += typed.notes
+        if typed.sources.get("v_left", Column(field="")).plus:
+            notes.append(_of_body(known, f"those of {typed.sources['v_left'].field}"))
+        columns = typed.sources | columns
+    found = _guesses(recording, there, taken, columns)
+    if {"voltage", "current"} <= {*typed.sources}:  # surer than a name
+        found.pop("power", None)
+    if recording.times:
+        found.pop("t", None)
+    found |= {channel: one for channel, one in typed.rates.items() if channel not in columns}
     _powers(columns, found)
     found = {channel: one for channel, one in found.items() if channel not in columns}
-    if "t" not in columns and "t" not in found:
+    if not {"t"} & {*columns, *found} and not recording.times:
         used = taken.union(*(one.names for one in found.values()))
-        clock = find_clock({n: v for n, v in table.columns.items() if n not in used})
+        clock = find_clock({n: v for n, v in recording.columns.items() if n not in used})
         columns |= {} if clock is None else {"t": clock}
-    _refuse_percentages(table.source, table.columns, {*columns, *found})
-    encoders = {name: found.pop(name) for name in [*found] if found[name].unit in COUNTS}
-    speeds = {*_SPEEDS}
-    notes: list[str] = []
+    _refuse_percentages(recording.source, recording.columns, {*columns, *found})
+    encoders = {
+        name: found.pop(name) for name in [*found]
+        if found[name].unit in COUNTS and name not in typed.rates
+    }  # fmt: skip
     used = {name for one in (*columns.values(), *found.values()) for name in one.names}
-    if not speeds & {*columns, *found, *encoders}:
-        encoders = guess_encoders(name for name in table.columns if name not in used)
+    if not speeds & {*columns, *found, *encoders} and not recording.kinds:
+        encoders = guess_encoders(name for name in recording.columns if name not in used)
     if encoders:
-        columns |= _counted(table, encoders, known)
-    elif not speeds & {*columns, *found}:
-        notes = _from_twist(table, columns, found, known)
-    there = {*columns, *found}
-    needed = [name for name in ("t", "v_left", "v_right") if name not in there]
-    if not any(set(way) <= there for way in POWER_WAYS):
-        needed.append("power")
-    if needed:
-        refuse(table, needed)
-    refuse_halves(table, found, there)
-    refuse_unlike(table, found)
+        columns |= _counted(recording, encoders, known)
+    elif not speeds & {*columns, *found} and not recording.kinds:
+        notes += _from_twist(recording, columns, found, known)
+    channels = {*columns, *found} | ({"t"} if recording.times else set())
+    lacks = [name for name in ("t", *_SPEEDS) if name not in channels]
+    if not any(set(way) <= channels for way in POWER_WAYS):
+        lacks.append("power")
+    if lacks:
+        refuse(recording, lacks)
+    refuse_halves(recording, found, channels)
+    refuse_unlike(recording, found)
     for channel, one in found.items():
-        bare = one.unit in RATES and channel in speeds  # takes a radius, below
-        columns[channel] = _mean(one.model_copy(update={"unit": "" if bare else one.unit}))
+        unit = one.unit
+        if channel in speeds and unit in (*RATES, *COUNTS):  # takes a radius, below
+            unit = "" if unit in RATES else f"{unit}*1"
+        columns[channel] = one.model_copy(update={"unit": unit}).mean()
     for channel in ("slope", "temperature", "payload"):
-        if channel in table.columns and channel not in columns:
+        if channel in recording.columns and channel not in columns:
             columns[channel] = Column(field=channel, channel=channel)
-    notes += _of_compass(table, columns, found)
-    columns = _with_units(table, columns, found, known)
-    log = read_signed(partial(DriveLog.read, file, others=False), columns)
-    used = {name for one in log.columns.values() for name in one.names}
-    idle = [name for name in table.columns if name not in used]
-    notes += [f"columns that serve for nothing: {', '.join(idle[:20])}"] if idle else []
-    made = _finish(file, log.log, known, log.columns, None, {})
-    made = replace(made, checks=(*made.checks, *_left_out(table, log.columns)))
-    return replace(made, notes=(*notes, *log.notes, *made.notes))
+    notes += _of_compass(recording, columns, found)
+    return _Draft(columns, found, notes)
 
 
-def _of_compass(table: Table, columns: dict[str, Column], found: dict[str, Column]) -> list[str]:
+def _of_compass(
+    recording: Recording, columns: dict[str, Column], found: dict[str, Column]
+) -> list[str]:
     """Turn a pose of east and north, whose heading is that of a compass, to axes of its own."""
     if not {"x", "y", "yaw"} <= set(found) or "east" not in found["x"].field.lower():
         return []
-    yaw = table.column(found["yaw"].field)[:_SOME]
-    left, right = (table.column(columns[name].field)[:_SOME] for name in _SPEEDS)
-    period = 360.0 if _size(table, columns["yaw"]) > _FULL_TURN else 2 * pi
+    yaw = recording.column(found["yaw"].field)[:_SOME]
+    left, right = (recording.column(columns[name].field)[:_SOME] for name in _SPEEDS)
+    period = 360.0 if _size(recording, columns["yaw"]) > _FULL_TURN else 2 * pi
     rate = np.gradient(np.unwrap(yaw, period=period))
     known = np.isfinite(rate + left + right)
     if correlation(rate[known], (right - left)[known]) >= 0.0:
@@ -641,16 +692,18 @@ def _refuse_percentages(source: str, names: Iterable[str], there: Collection[str
             )
 
 
-def _counted(table: Table, encoders: Mapping[str, Column], known: Given) -> dict[str, Column]:
+def _counted(
+    recording: Recording, encoders: Mapping[str, Column], known: Given
+) -> dict[str, Column]:
     """Return the speeds of encoders whose way of counting and metres per count are known."""
     metres = 2 * pi * known.wheel_radius / known.counts_per_revolution
     if isfinite(metres) and all(one.unit for one in encoders.values()):
         return {
-            channel: _mean(one.changed(unit=f"{one.unit}*{metres:.8g}"))
+            channel: one.changed(unit=f"{one.unit}*{metres:.8g}").mean()
             for channel, one in encoders.items()
         }
     size = f"{metres / (1 + len(encoders['v_left'].plus)):.6g}" if isfinite(metres) else "0.0001"
-    told = ",".join(
+    stated = ",".join(
         f"{channel}={one.written}[{one.unit or TOTAL}*{size}]" for channel, one in encoders.items()
     )
     ways = "" if encoders["v_left"].unit else (
@@ -658,9 +711,10 @@ def _counted(table: Table, encoders: Mapping[str, Column], known: Given) -> dict
         "in a second"
     )  # fmt: skip
     raise DriveLogError(
-        f"{table.source}: {encoders['v_left'].field!r} is an encoder's, and how far a count goes "
-        f"is not known: give --counts-per-revolution with --wheel-radius, or the metres per count "
-        f'(1 if it counts metres) and, in brackets, how it counts, as in --columns "{told}"{ways}'
+        f"{recording.source}: {encoders['v_left'].field!r} is an encoder's, and how far a count "
+        f"goes is not known: give --counts-per-revolution with --wheel-radius, or the metres per "
+        "count (1 if it counts metres) and, in brackets, how it counts, as in "
+        f'--columns "{stated}"{ways}'
     )
 
 
@@ -668,12 +722,13 @@ _ELECTRIC = ("power", "p_left", "p_right", "current", "current_left", "current_r
 
 
 def _guesses(
-    table: Table, taken: Collection[str], columns: Mapping[str, Column]
-) -> dict[str, Column]:
+    recording: Recording, there: Iterable[str], taken: Collection[str],
+    columns: Mapping[str, Column],
+) -> dict[str, Column]:  # fmt: skip
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
-    names = [name for name in table.columns if name not in taken]
-    counters = {name for name in names if grows(table.columns[name][:_SOME])}
-    names += [name for name in quaternions(table.columns) if np.ptp(_some(table, Column(
+    names = [name for name in there if name not in taken]
+    counters = {name for name in names if grows(recording.columns[name][:_SOME])}
+    names += [name for name in quaternions(recording.columns) if np.ptp(_some(recording, Column(
         field=name, channel="yaw"))) > 0.0]  # fmt: skip
     kept: dict[str, Column] = {}
     grown = ""
@@ -696,20 +751,20 @@ def _guesses(
         found |= {c: one for c, one in kept.items() if c not in columns}
         if grown and not kept:
             raise DriveLogError(
-                f"{table.source}: {grown!r} only ever grows or falls: it counts energy or charge, "
-                "and is no power and no current; map its rate of change by its unit, as in "
+                f"{recording.source}: {grown!r} only ever grows or falls: it counts energy or "
+                "charge, and is no power and no current; map its rate of change by its unit, as in "
                 f"--columns 'current={grown}[mAh]' or --columns 'power={grown}[Wh]'"
             )
     return found
 
 
 def _from_twist(
-    table: Table, columns: dict[str, Column], found: dict[str, Column], known: Given
+    recording: Recording, columns: dict[str, Column], found: dict[str, Column], known: Given
 ) -> list[str]:
     """Make tread speeds from the speed and the turn rate of the body, where a log has no others."""
     used = {name for one in columns.values() for name in one.names}
-    ahead = next(iter(guess_ahead(name for name in table.columns if name not in used)), None)
-    turns = guess_turns(name for name in table.columns if name not in used)
+    ahead = next(iter(guess_ahead(name for name in recording.columns if name not in used)), None)
+    turns = guess_turns(name for name in recording.columns if name not in used)
     if ahead is None or not turns:
         return []
     turn = max(turns, key=lambda name: len(set(words(name)) & set(words(ahead))))
@@ -744,15 +799,6 @@ def _of_body(known: Given, what: str) -> str:
     )
 
 
-def _mean(one: Column) -> Column:
-    """Return a column; of a side's wheels the mean speed, and all that their motors draw."""
-    unit = one.unit
-    if one.plus and one.channel.startswith("v_"):
-        bare, _, factor = unit.rpartition("*") if "*" in unit else (unit, "", "1")
-        unit = f"{bare}*{float(factor) / (1 + len(one.plus)):.6g}"
-    return one.changed(unit=unit)
-
-
 def _powers(columns: dict[str, Column], guesses: dict[str, Column]) -> None:
     """Take each side's power, or its voltage times its current, or the battery's."""
     for side in ("left", "right"):
@@ -782,27 +828,27 @@ class _Choice(NamedTuple):
 
 
 def _choices(
-    table: Table, columns: Mapping[str, Column], found: Mapping[str, Column], known: Given
+    recording: Recording, columns: Mapping[str, Column], found: Mapping[str, Column], known: Given
 ) -> list[_Choice]:
     # A speed or a place that bears the channel's own name is in its unit; angles often are not.
     free = {
         channel for channel, one in found.items()
         if not one.unit and not (one.field == channel and channel in (*_SPEEDS, "x", "y"))
     }  # fmt: skip
-    size = {c: _size(table, columns[c]) for c in ("yaw_rate", "yaw", "voltage") if c in free}
-    rates = [found[name].unit for name in _SPEEDS if name in found and found[name].unit in RATES]
+    size = {c: _size(recording, columns[c]) for c in ("yaw_rate", "yaw", "voltage") if c in free}
+    rates = [found[name].unit for name in _SPEEDS if name in found and found[name].unit in _ROLLING]
     wheels = ("rad/s*", "rpm*", "rev/s*") if isfinite(known.wheel_radius) else ()
-    made = []
+    result = []
     if rates:
-        made.append(_Choice(_SPEEDS, (f"{rates[0]}*",)))
+        result.append(_Choice(_SPEEDS, (f"{rates[0]}*",)))
     elif {*_SPEEDS} <= free:
-        made.append(_Choice(_SPEEDS, ("m/s", *wheels, "km/h", "mm/s", "cm/s")))
+        result.append(_Choice(_SPEEDS, ("m/s", *wheels, "km/h", "mm/s", "cm/s")))
     if size.get("yaw_rate", 0.0) > _FASTEST_TURN:
-        made.append(_Choice(("yaw_rate",), ("rad/s", "deg/s")))
+        result.append(_Choice(("yaw_rate",), ("rad/s", "deg/s")))
     if size.get("yaw", 0.0) > _FULL_TURN:  # else these are no degrees
-        made.append(_Choice(("yaw",), ("deg", "rad") if size["yaw"] > _TURNS else ("rad", "deg")))
+        result.append(_Choice(("yaw",), ("deg", "rad") if size["yaw"] > _TURNS else ("rad", "deg")))
     if size.get("voltage", 0.0) > _HIGHEST_VOLTAGE:
-        made.append(_Choice(("voltage",), (_unit_of_voltage(table, columns["voltage"]),)))
+        result.append(_Choice(("voltage",), (_unit_of_voltage(recording, columns["voltage"]),)))
     # A thousand is more than robots' resistances differ by: their weight tells which it is.
     watts = ("W", "mW", "kW")
     for channels, units in (
@@ -810,32 +856,42 @@ def _choices(
         (("x", "y"), ("m", "mm", "cm")),
     ):  # fmt: skip
         if set(channels) <= free:
-            made.append(_Choice(channels, units))
-    return made
+            result.append(_Choice(channels, units))
+    return result
 
 
-def _readings(table: Table, columns: Mapping[str, Column]) -> dict[str, FloatArray]:
-    """Return rows that hold every channel; a mirrored side is turned, as `read_signed` does."""
-    t = _some(table, columns["t"])
-    raw = {channel: _some(table, column, t) for channel, column in columns.items()}
-    joined = join_rows(raw, [name for name in raw if name in _NEEDED])
-    raw = _whole_rows(raw if joined is None else joined.channels)
+def _readings(head: Recording, columns: Mapping[str, Column]) -> dict[str, FloatArray]:
+    """Return rows that hold every channel; a mirrored side is turned, as `_signed` does."""
+    rows = None if head.times else head.series(columns["t"]).values
+    series = {c: head.series(one, rows) for c, one in columns.items() if c != "t" or not head.times}
+    if rows is not None:
+        series["t"] = Series(rows, rows)
+    joined = join_rows(series, [name for name in series if name in _NEEDED])
+    raw = {c: one.values for c, one in series.items()} if joined is None else joined.channels
+    raw = _whole_rows(raw)
     if len(raw["t"]) >= RECORDING:
-        mirrored = mirrored_side(Drive(raw, raw["t"], find_runs(raw["t"])))
+        mirrored = mirrored_side(Observed(raw, raw["t"], find_runs(raw["t"])).averaged())
         raw |= {mirrored: -raw[mirrored]} if mirrored else {}
     return raw
 
 
 def _with_units(
-    table: Table, columns: dict[str, Column], found: Mapping[str, Column], known: Given
-) -> dict[str, Column]:
-    """Choose the units that nobody told, so that all that a log tells twice agrees."""
-    clock = columns["t"]
-    if not clock.unit:  # that in which a drive log's step is usual
-        columns = {**columns, "t": clock.changed(unit=_unit_of_time(table, columns))}
-    choices = _choices(table, columns, found, known)
-    raw = _readings(table, columns)
+    recording: Recording, draft: _Draft, known: Given
+) -> tuple[dict[str, Column], dict[str, str]]:
+    """Choose the units that nobody gave, so that all that a log tells twice agrees."""
+    columns, found = draft.columns, draft.free
+    name, whole = columns["v_left"].field, recording
+    recording = whole.head(name, _SOME)
+    if not recording.times and not columns["t"].unit:  # in which a drive log's step is usual
+        unit = _unit_of_time(recording, columns)
+        columns = {**columns, "t": columns["t"].changed(unit=unit)}
+    t = recording.clock(name) if recording.times else _some(recording, columns["t"])
+    if t is not None and np.median(np.diff(t)) < _CLOSE:
+        recording = whole.head(name, 4 * _SOME)
+    choices = _choices(recording, columns, found, known)
+    raw = _readings(recording, columns)
     measures, radius = known_measures(known), known.wheel_radius
+    assumed: dict[str, str] = {}
     chosen = {channel: one.units[0] for one in choices for channel in one.channels}
     rolling = {c for c, unit in chosen.items() if unit.endswith("*") and not isfinite(radius)}
     best, agreed = np.inf, None
@@ -846,7 +902,7 @@ def _with_units(
         sized = {c: v for c, v in trial.items() if c not in rolling}
         if len(trial["t"]) < RECORDING or not possible(sized):
             continue
-        drive = Drive(trial, total_power(trial), find_runs(trial["t"]))
+        drive = Observed(trial, total_power(trial), find_runs(trial["t"])).averaged()
         # The measures may be what is wrong: they only decide where the log alone does not.
         cost = strain(drive, Measures()) + 0.2 * strain(drive, measures)
         cost += 0.01 * sum(one.units.index(unit) for one, unit in picked)
@@ -856,60 +912,63 @@ def _with_units(
         if cost < best - 1e-9:
             best, chosen, agreed = cost, each, drive
     if agreed is not None:
-        _sure_of_current(table, columns, chosen, agreed.force / (measures.mass * GRAVITY))
+        _sure_of_current(recording, columns, chosen, agreed.force / (measures.mass * GRAVITY))
         units = next((one.units for one in choices if "v_left" in one.channels), ())
-        _sure_of_speeds(table, columns, units, chosen, agreed, known)
+        _sure_of_speeds(recording, columns, units, chosen, agreed, known)
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
         radius = nan if agreed is None else _radius_of(agreed.distance / _RADIUS)
         if not isfinite(radius):
-            raise InvalidInputError(f"{table.source}: {_no_radius(raw)}")
-    made = dict(columns)
+            raise InvalidInputError(f"{recording.source}: {_no_radius(raw)}")
+        assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
+    result = dict(columns)
     for channel, unit in chosen.items():
-        if channel in made:
+        if channel in result:
             written = f"{unit}{radius:.6g}" if unit.endswith("*") else unit
             plain = written in ("m/s", "rad", "rad/s", "m", "A", "W")
-            made[channel] = _mean(made[channel].changed(unit="" if plain else written))
-    return made
+            result[channel] = result[channel].changed(unit="" if plain else written).mean()
+    return result, assumed
 
 
-def _unit_of_time(table: Table, columns: Mapping[str, Column]) -> str:
+def _unit_of_time(recording: Recording, columns: Mapping[str, Column]) -> str:
     """Return the unit of a clock that no name tells; of rows seconds apart the speeds jump."""
-    units = time_units(table.column(columns["t"].field)[:_SOME])
+    units = time_units(recording.column(columns["t"].field))
     if len(units) < 2:
         return units[0]
     jumps = []
-    for one in (table.column(columns[name].field)[:_SOME] for name in _SPEEDS):
+    for one in (recording.column(columns[name].field) for name in _SPEEDS):
         lasting = np.median(sliding_window_view(one[np.isfinite(one)], 5), axis=-1)
         steps, size = (np.quantile(np.abs(part), 0.99) for part in (np.diff(lasting), lasting))
         jumps.append(float(steps / max(size, 1e-300)))
     jump = max(jumps)
     if _JUMP[0] < jump < _JUMP[1]:
         why = "could count seconds or milliseconds: the speeds change too little to tell"
-        _ask_unit(table, columns["t"], why, ("s", "ms"))
+        _ask_unit(recording, columns["t"], why, ("s", "ms"))
     return "s" if jump >= _JUMP[1] else units[-1]
 
 
 _JUMP = (0.08, 0.25)  # change of speed in a row, as a share of the largest, that tells no unit
 
 
-def _ask_unit(table: Table, column: Column, why: str, units: Iterable[str]) -> NoReturn:
+def _ask_unit(recording: Recording, column: Column, why: str, units: Iterable[str]) -> NoReturn:
     """Refuse to guess a unit, and say how to give it."""
     ways = " or ".join(f"{column.channel}={column.field}[{unit}]" for unit in units)
     raise DriveLogError(
-        f"{table.source}: {column.field} {why}; give its unit with --columns, and those of others "
-        f"that may have the same fault{f', as in {ways}' if ways else ''}"
+        f"{recording.source}: {column.field} {why}; give its unit with --columns, and those of "
+        f"others that may have the same fault{f', as in {ways}' if ways else ''}"
     )
 
 
-def _unit_of_voltage(table: Table, column: Column) -> str:
+def _unit_of_voltage(recording: Recording, column: Column) -> str:
     """Return the unit of a voltage that is none in volts, where it can be one alone."""
-    size = _size(table, column)
+    size = _size(recording, column)
     volts = {u: size * scale_of("voltage", u).factor for u in _VOLTS}
     could = [u for u, (low, high) in _VOLTS.items() if low <= volts[u] <= high]
     if could != ["mV"]:
-        made = f", but {' or '.join(f'{volts[u]:.3g} V in [{u}]' for u in could)}" if could else ""
-        why = f"is up to {size:.6g}, which is no voltage of a robot in V{made}"
-        _ask_unit(table, column, why, could)
+        result = (
+            f", but {' or '.join(f'{volts[u]:.3g} V in [{u}]' for u in could)}" if could else ""
+        )
+        why = f"is up to {size:.6g}, which is no voltage of a robot in V{result}"
+        _ask_unit(recording, column, why, could)
     return "mV"
 
 
@@ -918,8 +977,8 @@ _NEAR = 1.35  # ratio of two units up to which turning does not tell one from th
 
 
 def _sure_of_speeds(
-    table: Table, columns: Mapping[str, Column], units: Sequence[str],
-    chosen: Mapping[str, str], drive: Drive, known: Given,
+    recording: Recording, columns: Mapping[str, Column], units: Sequence[str],
+    chosen: Mapping[str, str], drive: Observed, known: Given,
 ) -> None:  # fmt: skip
     """Refuse a unit of speeds where another one is as likely: near it, or, by the pose, too."""
     way = abs(np.log(drive.distance)) if isfinite(drive.distance) else np.log(_NEAR)
@@ -932,23 +991,23 @@ def _sure_of_speeds(
             for u in units if abs(np.log(gone * size[u])) < np.log(_NEAR)]  # fmt: skip
     if len(near) > 1:
         why = f"could be in {' or '.join(near)}, of which nothing tells the one from the other"
-        _ask_unit(table, columns["v_left"], why, near[:1])
+        _ask_unit(recording, columns["v_left"], why, near[:1])
 
 
 def _sure_of_current(
-    table: Table, columns: Mapping[str, Column], chosen: Mapping[str, str], force: float
+    recording: Recording, columns: Mapping[str, Column], chosen: Mapping[str, str], force: float
 ) -> None:
     """Refuse a unit of current or power that its size does not tell from tenths or hundredths."""
     for channel in ("current", "power"):
         unit = chosen.get(channel, "")
         if not unit.startswith("m") or not isfinite(force):
             continue
-        readings = _some(table, columns[channel])
+        readings = _some(recording, columns[channel])
         sizes = {"*0.1": 100.0 * force, "*0.01": 10.0 * force}
         usual = any(_USUAL_FORCE[0] <= size <= _USUAL_FORCE[1] for size in sizes.values())
         if usual and not np.any(np.mod(readings[np.isfinite(readings)], 1.0)):
             why = "comes in whole numbers, whose unit their size does not tell for sure"
-            _ask_unit(table, columns[channel], why, (*sizes, unit))
+            _ask_unit(recording, columns[channel], why, (*sizes, unit))
 
 
 def _whole_rows(raw: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -963,16 +1022,16 @@ def _whole_rows(raw: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         del known[others.pop(0)]
 
 
-def _size(table: Table, column: Column) -> float:
+def _size(recording: Recording, column: Column) -> float:
     """Return how large readings get, strays left out."""
-    values = np.abs(_some(table, column))
+    values = np.abs(_some(recording, column))
     values = values[np.isfinite(values)]
     return float(np.quantile(values, 0.99)) if len(values) else 0.0
 
 
-def _some(table: Table, column: Column, t: FloatArray | None = None) -> FloatArray:
-    """Return the first readings of a column, in the library's unit as far as it is known."""
-    return column.over(t, lambda name: table.column(name)[:_SOME])
+def _some(recording: Recording, column: Column, t: FloatArray | None = None) -> FloatArray:
+    """Return readings of a column, in the library's unit as far as it is known."""
+    return recording.series(column, t).values
 
 
 def _factor(channel: str, unit: str, known: Given) -> float:
@@ -980,7 +1039,7 @@ def _factor(channel: str, unit: str, known: Given) -> float:
         return 1.0
     if unit.endswith("*"):
         radius = known.wheel_radius if isfinite(known.wheel_radius) else _RADIUS
-        return RATES[unit[:-1]] * radius
+        return _ROLLING[unit[:-1]] * radius
     return scale_of(channel, unit).factor
 
 
@@ -1003,54 +1062,6 @@ def _no_radius(channels: Collection[str]) -> str:
     )
 
 
-# -- bags ---------------------------------------------------------------------------------------
-
-
-def _start_bag(file: Path, known: Given) -> Start:
-    track = known_measures(known).track
-    with opened_bag(file) as bag:
-        fields = list_fields(bag)
-        given = fields.parse(known.columns)
-        recording = bag.collect(wanted(fields, given, track))
-        notes = [*bag.notes]
-    chosen = choose(fields, recording, given, track)
-    sources = chosen.sources
-    notes += chosen.notes
-    lacks = [name for name in _SPEEDS if name not in sources]
-    if not any(set(way) <= set(sources) for way in POWER_WAYS):
-        lacks.append("power")
-    _refuse_percentages(file.name, fields.fields, sources)
-    if lacks:
-        there = [f"/{name.removeprefix('/')}" for name in fields.fields]
-        raise DriveLogError(
-            f"{file.name}: no field of a message seems to be {' or '.join(lacks)}"
-            f"{fields.torques(sources) if lacks == ['power'] else ''}; the fields are "
-            f"{', '.join(there[:30])}; say which it is with --columns {lacks[0]}=FIELD"
-            f"{''.join(f'; {note}' for note in notes)}"
-        )
-    if sources["v_left"].field.startswith("twist."):
-        notes.append(_of_body(known, f"those of {sources['v_left'].topic}"))
-        sources = {c: one for c, one in sources.items() if c not in ("yaw", "yaw_rate")} | given
-    rates, radius = fields.wheel_rates(sources), known.wheel_radius
-
-    def read(size: float) -> Signed:
-        mapped = fields.topic_map(sources, size, file.stem).channels
-        return read_signed(recording.log, {channel: many[0] for channel, many in mapped.items()})
-
-    made = read(radius if isfinite(radius) else 1.0)
-    assumed: dict[str, str] = {}
-    if rates and not isfinite(radius):
-        drive = Drive(made.log.channels, made.log.power, made.log.runs)
-        radius = _radius_of(drive.distance)
-        if not isfinite(radius):
-            raise InvalidInputError(f"{file.name}: {_no_radius(made.log.channels)}")
-        assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
-        made = read(radius)
-    topics = TopicMap(name=file.stem, channels={c: [one] for c, one in made.columns.items()})
-    told = _finish(file, made.log, known, {}, topics, assumed)
-    return replace(told, notes=(*notes, *made.notes, *told.notes))
-
-
 # -- the answer ---------------------------------------------------------------------------------
 
 
@@ -1061,22 +1072,23 @@ def _finish(
     columns: Mapping[str, Column],
     topics: TopicMap | None,
     assumed: dict[str, str],
+    holds: Callable[[Mapping[str, str]], bool] = lambda units: True,
 ) -> Start:
     """Build the vehicle, and hold the log against it."""
-    drive = Drive(log.channels, log.power, log.runs)
+    drive = log.observed
     robot = build_vehicle(file, log, drive, known)
-    found = [one for one in find_checks(log.channels, log.power, log.runs) if one.refuses]
-    compared = check_consistency(drive, known_measures(known), columns)
-    told = {one.what for one in compared}  # with the measures, which tell more
-    doubts = [one for one in compared if not (one.ok or isfinite(one.value))]
+    compared = check_consistency(drive, known_measures(known), columns, holds)
+    rules = {one.rule for one in compared}  # with the measures, which tell more
+    doubts = [one for one in compared if not one.ok and one.value is None]
     checks = [one for one in compared if one not in doubts]
-    checks += [one for one in found if one.what not in told]
+    checks += [one for one in log.checks if one.refuses and one.rule not in rules]
     project = Project(
-        name=robot.vehicle.name, vehicle=robot.vehicle, columns=columns, topics=topics,
+        name=robot.vehicle.name, vehicle=robot.vehicle, topics=topics,
+        columns={} if topics else columns,
         log=file.name, defaults={**assumed, **robot.assumed},
     )  # fmt: skip
-    known_already = (*map(str, found), *(one.what for one in doubts))
-    warnings = (one for one in log.warnings if not one.startswith(known_already))
+    said = {str(one) for one in log.checks if one.refuses or one.rule in rules}
+    warnings = (one for one in log.warnings if one not in said)
     notes = (*map(str, log.set_aside), *map(str, doubts), *warnings)
     return Start(
         project,
@@ -1088,17 +1100,17 @@ def _finish(
 def _named(remedy: str, columns: Mapping[str, Column]) -> str:
     """Name the columns that a remedy is about, in the units that they are read in."""
 
-    def named(told: re.Match[str]) -> str:
-        channel, unit = told.groups()
+    def named(stated: re.Match[str]) -> str:
+        channel, unit = stated.groups()
         one = columns.get(channel)
         if one is None or (one.unit and unit[0] != "-"):
-            return told[0]
+            return stated[0]
         return f"{channel}={one.written}[{one.negative().unit if unit[0] == '-' else unit}]"
 
     return re.sub(r"(\w+)=NAME\[([^]]+)\]", named, remedy)
 
 
-class Signed(NamedTuple):
+class _Signed(NamedTuple):
     """A log, the columns it was read by, and what was turned to read it."""
 
     log: DriveLog
@@ -1106,25 +1118,22 @@ class Signed(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_signed(
-    read: Callable[[Mapping[str, Column]], DriveLog], columns: Mapping[str, Column]
-) -> Signed:
-    """Read a log, and turn round what counts the other way."""
+def _signed(recording: Recording, columns: Mapping[str, Column]) -> _Signed:
+    """Build a log, and turn round what counts the other way."""
     notes: list[str] = []
-    made = dict(columns)
-    done: set[str] = set()
+    result, done = dict(columns), set[str]()
     while True:
-        try:
-            log = read(made)
-        except UnfitLogError as problem:
-            turned = tuple(name for name in problem.check.turned if name in made)
-            if not turned or done & set(turned):
-                raise UnfitLogError(_named(str(problem), made), problem.check) from None
+        log = DriveLog.of(recording, result, refuse=False)
+        wrong = next((one for one in log.checks if one.refuses == "reading"), None)
+        if wrong is None:
+            side = mirrored_side(log.observed)
+            turned: tuple[str, ...] = (side,) if side and side not in done else ()
         else:
-            side = mirrored_side(Drive(log.channels, log.power, log.runs))
-            if not side or side in done:
-                return Signed(log, made, tuple(notes))
-            turned = (side,)
-        made |= {name: made[name].negative() for name in turned}
+            turned = tuple(name for name in wrong.turned if name in result)
+            if not turned or done & set(turned):
+                raise DriveLogError(_named(f"{log.name}: {wrong}", result))
+        if not turned:
+            return _Signed(log, result, tuple(notes))
+        result |= {name: result[name].negative() for name in turned}
         done |= set(turned)
         notes.append(f"{' and '.join(turned)} had the opposite sign, which was corrected")

@@ -16,7 +16,7 @@ from energyplan.errors import InvalidInputError, MapError, MissingDependencyErro
 from energyplan.io.files import atomic_write
 from energyplan.logs import DriveLog
 from energyplan.logs.guess import guess
-from energyplan.logs.tables import Table, read_table
+from energyplan.logs.tables import Recording, read_table
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path
     return read_path(file, longitudinal)
 
 
-def _check_kind(table: Table, needed: Sequence[str]) -> None:
+def _check_kind(table: Recording, needed: Sequence[str]) -> None:
     """Refuse a table without some columns, and say what it looks like instead."""
     names = [*table.columns, *table.text]
     missing = [name for name in needed if name not in names]
@@ -171,7 +171,7 @@ def _check_kind(table: Table, needed: Sequence[str]) -> None:
     raise PathError(f"{what}; the columns are {', '.join(names[:20])}{timed}")
 
 
-def _complete(table: Table, name: str) -> FloatArray:
+def _complete(table: Recording, name: str) -> FloatArray:
     """Return a column without holes or absurd values."""
     values = table.column(name)
     hole = np.flatnonzero(~np.isfinite(values))
@@ -190,15 +190,15 @@ def _complete(table: Table, name: str) -> FloatArray:
 
 
 def _agree(
-    table: Table, what: str, told: FloatArray, rate: str, expected: FloatArray, unit: str
+    table: Recording, what: str, said: FloatArray, rate: str, expected: FloatArray, unit: str
 ) -> None:
     """Refuse poses and speeds that contradict each other on the whole, as degrees would."""
-    error = np.abs(told - expected)
-    larger = max(float(np.abs(told).sum()), float(np.abs(expected).sum()))
+    error = np.abs(said - expected)
+    larger = max(float(np.abs(said).sum()), float(np.abs(expected).sum()))
     if larger > 0.1 and error.sum() > 0.5 * larger:
         k = int(np.argmax(error))
         raise PathError(
-            f"{table.source}, {table.place(k + 1)}: {what} changes by {told[k]:.3g} {unit} where "
+            f"{table.source}, {table.place(k + 1)}: {what} changes by {said[k]:.3g} {unit} where "
             f"{rate} gives {expected[k]:.3g} {unit}, and so on along the trajectory; check the "
             "units (m, rad, s) and the step between samples"
         )

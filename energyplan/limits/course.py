@@ -15,23 +15,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError
-from energyplan.path import FloatArray, Path, Trajectory
+from energyplan.path import ROUNDING, FloatArray, Path, Trajectory
 from energyplan.vehicle import TreadICR
 
 
-class Settings(NamedTuple):
+class ProfileSettings(NamedTuple):
     """Constants of the speed profiles."""
 
-    same: float = 1e-9  # difference of the treads' shares of the rate below which they are one [1]
     cells: float = 200.0  # cells of the way between two stops
     finest: float = 0.002  # least length of such a cell [m]
     rounded: float = 0.15  # longest cell where a corner is rounded [m]
-    slowest: float = 0.05  # slowest cruising rate that the least energy asks for, over the top rate
-    led: float = 0.05  # least rate through a corner, over what the runs beside it lead to
+    slowest: float = 0.05  # slowest cruising rate of the least energy, over the top rate
+    passing: float = 0.05  # slowest passage of a rounded corner, over the rates that its runs reach
     fitted: float = 0.5  # largest jump of a tread's share at which poses stand for a curve [1]
-    sloped: float = 0.5  # length of the pieces in which the slope counts as constant [m]
-    dearest: float = 1e6  # highest price of time that the search for a duration tries [W]
-    tries: int = 20  # how often limits are tightened at most until the given ones are kept
+    time_price: float = 1e6  # highest price of time that the search for a duration tries [W]
     sweeps: int = 40  # how often accelerations within power and force are found anew at most
     rungs: int = 96  # steady rates among which the cheapest is looked for
     rounds: int = 40  # how often warm windows are slowed down
@@ -39,7 +36,7 @@ class Settings(NamedTuple):
     margin: float = 1e-6  # part of the continuous power that is left where all is slowed
 
 
-SETTINGS = Settings()
+SETTINGS = ProfileSettings()
 
 
 class Points(NamedTuple):
@@ -90,15 +87,15 @@ class Course:
                 )
             columns[name] = np.broadcast_to(np.asarray(value, float), (count,))
         # What rounding leaves of a turn on a straight, or of the slower tread in a pivot, is none.
-        straight = np.abs(path.dtheta) * icr.slip_track < SETTINGS.same * np.abs(path.ds)
+        straight = np.abs(path.dtheta) * icr.slip_track < ROUNDING * np.abs(path.ds)
         dtheta = np.where(straight, 0.0, path.dtheta)
         left, right = path.ds - icr.left * dtheta, path.ds + icr.right * dtheta
         length = np.maximum(np.abs(left), np.abs(right))
         moves = length > 1e-12 * length.max()
         share = np.column_stack([left[moves], right[moves]]) / length[moves, None]
         given = np.column_stack([np.zeros(count), *columns.values()])[moves]
-        fresh = np.any(np.abs(np.diff(share, axis=0)) > SETTINGS.same, axis=1)
-        fresh |= np.any(np.diff(given, axis=0) != 0, axis=1)
+        fresh = np.any(np.abs(np.diff(share, axis=0)) > ROUNDING, axis=1)
+        fresh |= np.any(given[1:] != given[:-1], axis=1)
         begin = np.flatnonzero(np.append(True, fresh))
         ds, dtheta, length = (
             np.add.reduceat(column[moves], begin) for column in (path.ds, dtheta, length)
@@ -109,13 +106,15 @@ class Course:
         largest = np.minimum(smooth, 1.0) if tolerance > 0 else np.zeros(())
         if largest.ndim:
             largest = largest[np.flatnonzero(moves)[begin[1:]] - 1]
-        through = (jump > SETTINGS.same) & (jump <= largest + SETTINGS.same)
+        through = (jump > ROUNDING) & (jump <= largest + ROUNDING)
         reach = _rounding(length, dtheta / length, tolerance)
-        # Passed slower than what is beside it a corner is none: there a stop takes less.
-        led = SETTINGS.led * np.sqrt(2.0 * acceleration * np.maximum(length[:-1], length[1:]))
-        slow = np.minimum(SETTINGS.slowest * top, led)
+        # Passed slower than that, a corner is none: there a stop takes less.
+        reached = SETTINGS.passing * np.sqrt(
+            2.0 * acceleration * np.maximum(length[:-1], length[1:])
+        )
+        slow = np.minimum(SETTINGS.slowest * top, reached)
         through &= 2.0 * reach * acceleration >= slow**2 * jump * (1.0 + 2.0 * jump)
-        passed = (jump <= SETTINGS.same) | through
+        passed = (jump <= ROUNDING) | through
         corner = np.concatenate([ends[:1], np.where(passed, np.inf, 0.0), ends[1:]])
         known = dict(zip(columns, given.T[1:], strict=True))
         whole = Path(path.start, ds, dtheta, path.longitudinal)
@@ -152,7 +151,7 @@ class Course:
             else:
                 gap = tail[k - 1] + head[k]
                 # Where no corner is rounded, or by next to nothing, the runs share a point.
-                parts = int(np.ceil(gap / SETTINGS.rounded - 1e-9)) if gap > 0 else 0
+                parts = int(np.ceil(gap / SETTINGS.rounded - ROUNDING)) if gap > 0 else 0
                 share = np.arange(1, parts) / max(parts, 1)
                 place = gap * share - tail[k - 1]
                 run.append(np.where(place < 0, k - 1, k))
@@ -183,7 +182,7 @@ class Course:
         gain = np.diff(rate) / np.where(time > 0, time, 1.0)
         # Cells of one acceleration on one run are one phase, and no stop has two samples.
         plain = ~points.bent & (points.cell > 0)
-        near = np.abs(np.diff(gain)) <= 1e-9 * (np.abs(gain[1:]) + np.abs(gain[:-1])) + 1e-12
+        near = np.abs(np.diff(gain)) <= ROUNDING * (np.abs(gain[1:]) + np.abs(gain[:-1])) + 1e-12
         same = plain[1:] & plain[:-1] & near & (points.run[2:] == points.run[:-2])
         keep = np.flatnonzero(np.concatenate([[True], ~same, [True]]))
         clock = np.append(0.0, np.cumsum(time))
@@ -192,7 +191,7 @@ class Course:
         if not t[-1] <= 5e6 * period:
             raise InfeasibleMotionError(f"it takes {t[-1]:.3g} s, too long to sample; drive faster")
         step = np.diff(t)
-        pieces = np.where(points.bent[keep[:-1]], 1, np.ceil(step / period - 1e-9).clip(1))
+        pieces = np.where(points.bent[keep[:-1]], 1, np.ceil(step / period - ROUNDING).clip(1))
         pieces = np.where(step > 0, pieces, 0).astype(int)
         k = np.repeat(np.arange(len(step)), pieces)
         part = (np.arange(len(k)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[k]
@@ -208,12 +207,13 @@ class Course:
         t = np.append(t[k] + since, t[-1])
         on, places = np.append(on, run[-1]), np.append(places, at[-1])
         v, omega = (np.vstack([shapes, shape[-1:]]) * np.append(rates, rate[-1])[:, None]).T
-        poses = self._poses(on, np.clip(places / self.length[on], 0.0, 1.0))
+        poses = self.poses(on, places)
         return Sampled(Trajectory(t, poses[:, 0], poses[:, 1], poses[:, 2], v, omega), on)
 
-    def _poses(self, run: NDArray[np.int_], part: FloatArray) -> FloatArray:
-        """Exact poses on the arcs, a fraction `part` of the way through each."""
+    def poses(self, run: NDArray[np.int_], at: FloatArray) -> FloatArray:
+        """Exact poses on the arcs, at distances from the starts of runs [m]."""
         path, lever = self.path, self.path.longitudinal
+        part = np.clip(at / self.length[run], 0.0, 1.0)
         begin = path.vertices[run]
         turn = part * path.dtheta[run]
         yaw = begin[:, 2] + turn
@@ -247,7 +247,11 @@ def _rounding(length: FloatArray, bend: FloatArray, tolerance: float) -> FloatAr
     half = 0.5 * np.minimum(length[:-1], length[1:])
     jump = np.abs(np.diff(bend))
     wide = np.sqrt(np.divide(6 * tolerance, jump, out=np.full_like(jump, np.inf), where=jump > 0))
-    return np.minimum(half, wide)
+    reach = np.minimum(half, wide)
+    # What is left of a run is nothing or some of it: rounding would show in the speeds on less.
+    left = length - np.append(0.0, reach) - np.append(reach, 0.0)
+    narrow = (left > 0) & (left < 1e-3 * length)
+    return np.where(narrow[1:] | narrow[:-1], 0.999 * reach, reach)
 
 
 def _closer(cell: float, gather: float) -> FloatArray:
@@ -258,7 +262,7 @@ def _closer(cell: float, gather: float) -> FloatArray:
 
 def _subdivided(low: float, high: float, step: float, least: int) -> FloatArray:
     """Return points from `low` to `high`, at most `step` apart; one where they are the same."""
-    if high - low <= 1e-9 * max(abs(high), 1e-9):
+    if high - low <= ROUNDING * max(abs(high), ROUNDING):
         return np.array([0.5 * (low + high)])
-    parts = max(int(np.ceil((high - low) / step - 1e-9)), least)
+    parts = max(int(np.ceil((high - low) / step - ROUNDING)), least)
     return np.linspace(low, high, parts + 1)

@@ -18,11 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
 from energyplan.limits.motor_kernels import cut_intervals, piece_nodes
 from energyplan.motion import Motion
-from energyplan.path import FloatArray, Path, Trajectory, point_ahead
+from energyplan.path import FloatArray, Trajectory, point_ahead
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap
 
@@ -67,17 +66,6 @@ class Ground:
             return (self.model, *self.others)
         own = () if self.surfaces is None else tuple(s.model for s in self.surfaces.surfaces)
         return (self.model, *own)
-
-    def leading(self, path: Path) -> PowerModel:
-        """Return the model of the most demanding ground on a path: what asks for most energy."""
-        if self.surfaces is None:
-            return self.model
-        met = np.flatnonzero(self.surfaces.shares(path).max(axis=0) > 0)
-        if len(met) == 1:
-            return self.models[int(met[0])]
-        return max(
-            (self.models[int(k)] for k in met), key=lambda model: EnergyCost(model).energy(path)
-        )
 
     def regions(self, poses: FloatArray) -> NDArray[np.intp]:
         """Index among `models` of the one that holds at poses (..., 3)."""

@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import checked
 from energyplan.limits.drive import Drive, Ground, Pieces
-from energyplan.limits.motor import ROUNDING, UNITS, Limit, Limits, largest_within, relative
+from energyplan.limits.motor import UNITS, Limit, Limits, largest_within, relative
 from energyplan.limits.motor_kernels import intervals, shortest_window, window_mean
 from energyplan.motion import Motion
-from energyplan.path import FloatArray, Trajectory
+from energyplan.path import ROUNDING, FloatArray, Trajectory
 from energyplan.power import PowerModel
+from energyplan.records import checked
 from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import MotorLimits, Vehicle
 
@@ -80,7 +80,7 @@ class Instant(NamedTuple):
     kind, side : str
         Which limit, as in `Violation`.
     value, limit : float
-        What is asked, and what there is.
+        The load, and what limits it.
     margin : float
         What is left, as a fraction of the limit; negative where it is exceeded.
     """
@@ -152,7 +152,7 @@ class FeasibilityReport(html.Readable):
         """Largest factor on all speeds of the trajectory with which it is feasible.
 
         Above 1 the robot could go faster; another timing of its path may be faster still. 0 if no
-        speed is feasible, infinite if nothing limits it. Computed when first asked for: exact
+        speed is feasible, infinite if nothing limits it. Computed when first needed: exact
         where forces do not depend on speed; otherwise by a search downwards in steps of 10 % from
         the largest speed that the kinematic limits allow, then by bisection to 1e-9. The set of
         feasible factors need not be an interval (friction may fall with speed); a feasible band

@@ -1,4 +1,4 @@
-"""Limits at one instant: what a motion asks of the motors and the battery, against what they have.
+"""Limits at one instant: the loads of a motion on motors and battery, against what they can do.
 
 Shared by `feasibility`, which tests a given motion, and `speed`, which looks for the fastest or
 cheapest one inside the same limits. Both evaluate the whole power model, so that an effect found
@@ -13,17 +13,14 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.cost.speeds import last_within
 from energyplan.errors import InvalidInputError
 from energyplan.motion import Motion
-from energyplan.path import FloatArray
+from energyplan.path import ROUNDING, FloatArray
 from energyplan.power import PowerModel
 from energyplan.vehicle import MotorLimits, Vehicle
-
-ROUNDING = 1e-9
-"""Fraction of a limit by which a value may exceed it and still count as within."""
-
 
 UNITS = {
     "peak_power": "W",
@@ -48,6 +45,15 @@ class Limit(NamedTuple):
     side: str
     limit: float
 
+    def exceeded_by(self, value: FloatArray) -> NDArray[np.bool_]:
+        """Whether values are above the limit by more than rounding."""
+        return np.asarray(value > self.limit + self.tolerance)
+
+    @property
+    def tolerance(self) -> float:
+        """What rounding may add to a value at the limit, in its unit."""
+        return ROUNDING * max(self.limit, 1.0)
+
     def describe(self, value: float) -> str:
         """Compare a value with the limit in words, for messages."""
         what = self.kind.replace("_", " ")
@@ -65,7 +71,6 @@ class Limits:
     lateral_acceleration: float = np.inf  # largest ``|v omega|`` [m/s^2]
     battery_power: float = np.inf  # largest power that the battery delivers [W]
     battery_return: float = np.inf  # largest power that the battery accepts [W]
-    ground_speed: float = 1.0  # part of the ground's speed limits that may be driven [1]
 
     def __post_init__(self) -> None:
         for name in ("yaw_rate", "lateral_acceleration", "battery_power", "battery_return"):
@@ -116,7 +121,7 @@ class Limits:
         return tuple(bound for bound in both + whole if np.isfinite(bound.limit))
 
     def loads(self, model: PowerModel, motion: Motion) -> Loads:
-        """Evaluate what the motion asks for.
+        """Evaluate the loads of a motion.
 
         Shaft power is tread force times tread speed; losses between battery and shaft count
         towards the battery's limits, not the motor's.
@@ -157,6 +162,35 @@ class Limits:
             np.maximum(worst, relative(value, bound.limit), out=worst)
         return worst
 
+    def room(self, model: PowerModel, motion: Motion) -> Room:
+        """Return what the limits leave of the motion at each instant."""
+        steady = motion.with_channels(accel=0.0, yaw_accel=0.0)
+        room = Room(*(np.full(motion.shape, value) for value in (np.inf, 1.0)))
+        loads = (self.loads(model, one).values for one in (steady, motion))
+        for bound, before, now in zip(self.bounds, *loads, strict=True):
+            over, change, limit = bound.exceeded_by(now), now - before, bound.limit
+            left = np.maximum(limit + 0.5 * bound.tolerance - before, 0.0)
+            share = np.divide(left, change, out=np.full_like(left, np.inf), where=change > 1e-12)
+            np.minimum(room.share, share, out=room.share)
+            if over.any():
+                fast = bound.exceeded_by(before) & over
+                # before s + change s^2 = limit; a force stays as it is when the robot is slower
+                root = np.sqrt(np.maximum(before**2 + 4.0 * change * limit, 0.0))
+                scale = np.where(before > 0, 2.0 * limit, root - before)
+                scale /= np.where(before > 0, before + root, 2.0 * np.where(over, change, 1.0))
+                if bound.kind == "force":
+                    scale = np.where(fast, limit / now, np.sqrt(share))
+                np.minimum(room.scale, np.where(over, np.maximum(scale, 0.5), 1.0), out=room.scale)
+                room.share[fast] = -1.0
+        return room
+
+
+class Room(NamedTuple):
+    """What limits leave of motions."""
+
+    share: FloatArray  # part of the acceleration within limits [1]; -1 where a steady speed is not
+    scale: FloatArray  # part of the speed within limits [1], a half at least
+
 
 class Loads(NamedTuple):
     """Shaft power of each side [W] and the value that each bound limits."""
@@ -170,7 +204,7 @@ def relative(value: FloatArray, limit: float) -> FloatArray:
     """Return value over limit; for a limit of zero, infinite where the value is positive."""
     if limit > 0:
         return np.asarray(value / limit)
-    return np.where(value > 1e-9, np.inf, 0.0)
+    return np.where(value > ROUNDING, np.inf, 0.0)
 
 
 def largest_within(

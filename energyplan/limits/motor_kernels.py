@@ -7,9 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from energyplan.compilation import AnyInts, Column, Floats, Ints, inner, njit
-
-SHARE = 1e-9
-"""Fraction of a piece's middle speed below which a speed counts as none: what rounding leaves."""
+from energyplan.path import ROUNDING
 
 EDGE = 1e-12
 """Fraction of a piece's middle speed that stands for zero at its edges."""
@@ -41,7 +39,7 @@ def cut_intervals(
                 a, b = v[k] + right * omega[k], v[k + 1] + right * omega[k + 1]
             if a * b < 0.0:
                 part = a / (a - b)
-                if SHARE < part < 1.0 - SHARE:
+                if ROUNDING < part < 1.0 - ROUNDING:
                     place = count  # where it comes in order
                     while place > 0 and cuts[place - 1] > part:
                         cuts[place] = cuts[place - 1]
@@ -55,7 +53,7 @@ def cut_intervals(
         low = 0.0
         for j in range(count + 1):
             high = cuts[j] if j < count else 1.0
-            if high - low > SHARE:
+            if high - low > ROUNDING:
                 interval[total], begin[total], end[total] = k, low, high
                 total += 1
                 low = high
@@ -109,12 +107,12 @@ def piece_nodes(
         off_y = y[k + 1] - y[k] - way * np.sin(towards)
         middle = 0.5 * (begin[m] + end[m])
         v_mid, w_mid = v[k] + dv * middle, omega[k] + dw * middle
-        if abs(w_mid) * (left + right) <= SHARE * abs(v_mid):
+        if abs(w_mid) * (left + right) <= ROUNDING * abs(v_mid):
             w_mid = 0.0
         left_mid, right_mid = v_mid - left * w_mid, v_mid + right * w_mid
-        if abs(left_mid) <= SHARE * abs(right_mid):
+        if abs(left_mid) <= ROUNDING * abs(right_mid):
             left_mid = 0.0
-        if abs(right_mid) <= SHARE * abs(left_mid):
+        if abs(right_mid) <= ROUNDING * abs(left_mid):
             right_mid = 0.0
         for j in range(3):
             f = begin[m] if j == 0 else (middle if j == 1 else end[m])

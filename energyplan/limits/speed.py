@@ -9,28 +9,31 @@ Inertia counts only if the model has inertia terms; the limit of acceleration ho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PathError
-from energyplan.kinds import checked
-from energyplan.limits.course import SETTINGS, Course, Points, Sampled, times
-from energyplan.limits.drive import Drive, Ground
-from energyplan.limits.feasibility import LimitedDrive, Survey, Thermal
-from energyplan.limits.motor import ROUNDING, Limits
-from energyplan.limits.reach import UNLIMITED, Reach
-from energyplan.path import FloatArray, Path, Pose, Trajectory
+from energyplan.limits.course import SETTINGS, Course, Points, times
+from energyplan.limits.drive import Ground
+from energyplan.limits.feasibility import Thermal
+from energyplan.limits.motor import Limits
+from energyplan.limits.reach import UNLIMITED, Reach, over
+from energyplan.path import ROUNDING, FloatArray, Path, Pose, Trajectory
 from energyplan.power import PowerModel
+from energyplan.records import Within, checked
 from energyplan.terrain import HeightMap, SurfaceMap, laid_out
 from energyplan.vehicle import Vehicle
 
 GROUND_SPEED = "ground_speed"
-"""Channel that holds the speed limit of the ground under a segment [m/s]; 0 where there is none."""
+"""Channel that holds the speed limit of the ground under a segment [m/s]."""
+
+
+TreadSpeed = Annotated[float, Within((0, 50), (0, 50), "m/s")]
 
 
 class Rounding(NamedTuple):
@@ -55,19 +58,19 @@ def profile(
     model: PowerModel,
     *,
     objective: Literal["time", "energy"] = "time",
-    duration: float | None = None,
+    duration: Annotated[float, Within((1e-6, 1e9), (1e-6, 1e9), "s")] | None = None,
     vehicle: Vehicle | None = None,
     battery_power: float = np.inf,
     battery_return: float = np.inf,
     lateral_acceleration: float = np.inf,
-    start_speed: float = 0.0,
-    end_speed: float = 0.0,
+    start_speed: TreadSpeed = 0.0,
+    end_speed: TreadSpeed = 0.0,
     smooth: ArrayLike = 0.0,
-    tolerance: float = 0.02,
+    tolerance: Annotated[float, Within((0, 10), (0, 10), "m")] = 0.02,
     channels: Mapping[str, ArrayLike] | None = None,
     surfaces: SurfaceMap | None = None,
     heights: HeightMap | None = None,
-    period: float = 0.05,
+    period: Annotated[float, Within((1e-6, 1e4), (1e-6, 1e4), "s")] = 0.05,
 ) -> Trajectory:
     """Time a path: in the least time, with the least energy, or in a given duration.
 
@@ -81,7 +84,7 @@ def profile(
     objective : {"time", "energy"}
         What to minimise. With a hotel load the least energy lies between the fastest and the
         slowest; where the model is static, speed cancels and the fastest of the cheapest is
-        taken.
+        chosen.
     duration : float, optional
         Time to take [s]: the profile of least energy that takes it, whatever the `objective`.
     vehicle : Vehicle, optional
@@ -105,9 +108,9 @@ def profile(
         Further channels that the model's terms read, one value per segment of the path or one
         for all, such as the ``slope`` along each segment [rad].
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own; `model` holds elsewhere. The speed is that of the
-        most demanding ground on the path, and keeps the surfaces' speed limits: none is exceeded
-        by the speed along the heading while the reference point (see `Path`) lies in its area.
+        Grounds with power models of their own, which limit and price the speed there; `model` holds
+        elsewhere. The surfaces' speed limits hold for the speed along the heading while the
+        reference point (see `Path`) lies in their area.
     heights : HeightMap, optional
         Heights of the ground; level where not given.
     period : float
@@ -130,9 +133,10 @@ def profile(
     Notes
     -----
     The path is cut into cells; the least time follows from one pass backwards and one forwards over
-    them. The least energy is that of the cheapest steady speeds, reached with full acceleration; a
-    given duration is met by a price on time (docs/limits). Where the continuous power limit does
-    not hold, the robot drives slower in the thermal windows that are too warm.
+    them, and every limit is tested at the samples of the trajectory. The least energy is that of
+    the cheapest steady speeds, reached with full acceleration; a given duration is met by a price
+    on time (docs/limits). Where the continuous power limit does not hold, the robot drives slower
+    in the thermal windows that are too warm.
 
     Examples
     --------
@@ -147,24 +151,8 @@ def profile(
     Pham and Pham (2018), "A new approach to time-optimal path parameterization based on
     reachability analysis"; docs/theory, sections 2 and 3.
     """
-    lasting = 1.0 if duration is None else duration
-    for name, value, least in (
-        ("start_speed", start_speed, "number >= 0"), ("end_speed", end_speed, "number >= 0"),
-        ("tolerance", tolerance, "number >= 0"), ("period", period, "positive number"),
-        ("duration", lasting, "positive number"),
-    ):  # fmt: skip
-        if not (np.isfinite(value) and (value > 0 or (value == 0 and least == "number >= 0"))):
-            raise InvalidInputError(f"{name} is {value}; give a {least}")
-    rounded = np.asarray(smooth, float)
-    if rounded.shape not in ((), (max(len(path) - 1, 0),)) or not np.all(rounded >= 0):
-        raise InvalidInputError(
-            f"smooth is {rounded.tolist()}; give a number >= 0, or one for each of the path's "
-            f"{max(len(path) - 1, 0)} corners"
-        )
-    if objective not in ("time", "energy"):
-        raise InvalidInputError(f"objective is {objective!r}; give 'time' or 'energy'")
-    if not (path.ds.any() or path.dtheta.any()):
-        raise PathError("the path has no length; a speed profile needs a segment that moves")
+    corners = np.asarray(smooth, float)
+    _check_options(path, objective, corners)
     limits = Limits.of(
         vehicle or model.vehicle,
         lateral_acceleration=lateral_acceleration,
@@ -172,50 +160,62 @@ def profile(
         battery_return=battery_return,
     )
     ground = Ground(*laid_out(model, _about(path), surfaces, heights))
-    cut = _cut(path, ground, rounded, channels or {})
-    speeds = start_speed, end_speed
-    gain = min(limits.motor.acceleration, UNLIMITED)
+    cut = _cut_at_limits(path, ground, corners, channels or {})
+    ends = start_speed, end_speed
     course = Course.of(
-        cut.path, ground.model.vehicle.icr, cut.channels, cut.smooth, tolerance, speeds, gain,
-        limits.motor.speed,
+        cut.path, ground.model.vehicle.icr, cut.channels, cut.smooth, tolerance, ends,
+        min(limits.motor.acceleration, UNLIMITED), limits.motor.speed,
     )  # fmt: skip
-    top = limits.motor.speed if np.isfinite(limits.motor.speed) else 1.0
-    task = _Task(course, course.points(top**2 / (2.0 * gain)), ground.leading(cut.path), speeds)
-    known = {name: course.channels[name] for name in channels or {}}
-    if ground.heights is not None:
-        known.pop("slope", None)  # that at each instant holds instead
-
-    def survey(sampled: Sampled) -> Survey:
-        along = {name: value[sampled.run] for name, value in known.items()}
-        return LimitedDrive(Drive(sampled.trajectory, ground, along), limits).survey()
-
-    found = _within(partial(task.solved, objective, duration, period), survey, limits)
+    timing = _Timing(_reach(course, ground, limits, channels or {}, period), ends)
+    rate = timing.rates(objective, duration)
+    found = timing.reach.survey(rate)
     if found.hot:
-        found = _within(partial(task.cooled, duration, period, survey), survey, found.limits)
-    return found.sampled.trajectory
+        rate = timing.cooled(duration)
+        found = timing.reach.survey(rate)
+    if found.violations:
+        first = found.violations[0]
+        raise InfeasibleMotionError(
+            f"no profile that keeps every limit was found: {first.bound.describe(first.peak)} at "
+            f"{first.start:.3g} s; allow a little more of it"
+        )
+    return timing.reach.sampled(rate).trajectory
+
+
+def _check_options(path: Path, objective: str, corners: FloatArray) -> None:
+    """Refuse options that `profile` cannot use."""
+    count = max(len(path) - 1, 0)
+    if corners.shape not in ((), (count,)) or not np.all(corners >= 0):
+        raise InvalidInputError(
+            f"smooth is {corners.tolist()}; give a number >= 0, or one for each of the path's "
+            f"{count} corners"
+        )
+    if objective not in ("time", "energy"):
+        raise InvalidInputError(f"objective is {objective!r}; give 'time' or 'energy'")
+    if not (path.ds.any() or path.dtheta.any()):
+        raise PathError("the path has no length; a speed profile needs a segment that moves")
 
 
 class _Cut(NamedTuple):
-    """A path whose segments have each one slope and one speed limit of the ground."""
+    """A path whose segments have each one speed limit of the ground."""
 
     path: Path
     smooth: FloatArray  # () or (n - 1,): as in `profile`
-    channels: dict[str, ArrayLike]  # () or (n,): with the slope and the speed limit
+    channels: dict[str, ArrayLike]  # () or (n,): with the speed limit
 
 
-def _cut(path: Path, ground: Ground, smooth: FloatArray, channels: Mapping[str, ArrayLike]) -> _Cut:
-    """Cut the segments of a path at borders of speed limits, and so that each has one slope."""
-    surfaces, heights, known = ground.surfaces, ground.heights, dict(channels)
-    if heights is None and not ground.has_speed_limits:
+def _cut_at_limits(
+    path: Path, ground: Ground, smooth: FloatArray, channels: Mapping[str, ArrayLike]
+) -> _Cut:
+    """Cut the segments of a path at borders of speed limits."""
+    known = dict(channels)
+    if ground.surfaces is None or not ground.has_speed_limits:
         return _Cut(path, smooth, known)
-    parts = []
-    for pose, ds, turn in zip(path.vertices, path.ds, path.dtheta, strict=False):
-        part = Path(Pose(*pose), np.array([ds]), np.array([turn]), path.longitudinal)
-        if surfaces is not None and surfaces.speed_limits:
-            part = surfaces.cut_at_limits(part)
-        if heights is not None:
-            part = part.subdivide(max(SETTINGS.sloped, 0.5 * heights.resolution), 0.2)
-        parts.append(part)
+    parts = [
+        ground.surfaces.cut_at_limits(Path(Pose(*pose), ds, turn, path.longitudinal))
+        for pose, ds, turn in zip(
+            path.vertices, path.ds[:, None], path.dtheta[:, None], strict=False
+        )
+    ]
     count = [len(part) for part in parts]
     if smooth.ndim:
         corners, smooth = smooth, np.repeat(np.append(smooth, 0.0), count)[:-1]
@@ -224,14 +224,9 @@ def _cut(path: Path, ground: Ground, smooth: FloatArray, channels: Mapping[str, 
         if np.shape(value) == (len(path),):
             known[name] = np.repeat(np.asarray(value), count)
     ds, dtheta = (np.concatenate([getattr(p, of) for p in parts]) for of in ("ds", "dtheta"))
-    path = Path(path.start, ds, dtheta, path.longitudinal)
-    if heights is not None:
-        known["slope"] = heights.slopes(path)
-    if ground.has_speed_limits:
-        halves = Path(path.start, np.repeat(ds / 2, 2), np.repeat(dtheta / 2, 2), path.longitudinal)
-        top = ground.top_speed(halves.vertices[1::2])
-        known[GROUND_SPEED] = np.where(np.isfinite(top), top, 0.0)
-    return _Cut(path, smooth, known)
+    halves = Path(path.start, np.repeat(ds / 2, 2), np.repeat(dtheta / 2, 2), path.longitudinal)
+    known[GROUND_SPEED] = ground.top_speed(halves.vertices[1::2])
+    return _Cut(Path(path.start, ds, dtheta, path.longitudinal), smooth, known)
 
 
 def _about(path: Path) -> FloatArray:
@@ -239,65 +234,69 @@ def _about(path: Path) -> FloatArray:
     return np.asarray(path.start[:2]) + np.array([[-1.0], [1.0]]) * path.length
 
 
+def _reach(
+    course: Course, ground: Ground, limits: Limits, channels: Mapping[str, ArrayLike], period: float
+) -> Reach:
+    """Return points along a course with their limits; the robot is at rest where it stops."""
+    top = limits.motor.speed if np.isfinite(limits.motor.speed) else 1.0
+    points = course.points(top**2 / (2.0 * min(limits.motor.acceleration, UNLIMITED)))
+    corner = np.full(len(points.at), np.inf)
+    stops = np.flatnonzero(points.cell == 0)
+    corner[stops] = corner[stops + 1] = 0.0
+    corner[[0, -1]] = course.corner[[0, -1]]
+    if GROUND_SPEED in points.channels:
+        np.minimum(corner, _ground_rate(points), out=corner)
+    known = {name: course.channels[name] for name in channels}
+    if ground.heights is not None:
+        known.pop("slope", None)  # that at each instant holds instead
+    return Reach(course, points, ground, limits, corner, known, period)
+
+
+def _ground_rate(points: Points) -> FloatArray:
+    """Return the largest rate at each point that the ground about it allows [m/s]."""
+    here: FloatArray = points.channels[GROUND_SPEED]
+    # A cell lies on the run of its end; one that bends from run to run lies on both.
+    cell = np.where(points.bent, np.minimum(here[:-1], here[1:]), here[1:])
+    least = np.minimum(np.append(here[0], cell), np.append(cell, here[-1]))
+    return over(least, np.abs(points.forward))
+
+
 @dataclass(frozen=True)
-class _Task:
-    """Points along a path, and what counts as energy there."""
+class _Timing:
+    """Points along a path with their limits, and the objectives that choose rates there."""
 
-    course: Course
-    points: Points
-    model: PowerModel
-    ends: tuple[float, float]
-
-    def reach(self, limits: Limits) -> Reach:
-        """Return the points within limits, at rest where the robot stops."""
-        corner = np.full(len(self.points.at), np.inf)
-        stops = np.flatnonzero(self.points.cell == 0)
-        corner[stops] = corner[stops + 1] = 0.0
-        corner[[0, -1]] = self.ends
-        if GROUND_SPEED in self.points.channels:
-            np.minimum(corner, limits.ground_speed * self._ground_speed(), out=corner)
-        return Reach(self.points, self.model, limits, corner)
-
-    def _ground_speed(self) -> FloatArray:
-        """Largest rate at each point that the ground under both of its cells allows [m/s]."""
-        points = self.points
-        here = np.asarray(points.channels[GROUND_SPEED])
-        here = np.where(here > 0, here, np.inf)
-        # A cell lies on the run of its end; one that bends from run to run lies on both.
-        cell = np.where(points.bent, np.minimum(here[:-1], here[1:]), here[1:])
-        least: FloatArray = np.minimum(np.append(here[0], cell), np.append(cell, here[-1]))
-        forward = np.abs(points.forward)
-        rate: FloatArray = np.divide(
-            least, forward, out=np.full_like(least, np.inf), where=forward > 0
-        )
-        return rate
+    reach: Reach
+    ends: tuple[float, float]  # speed of the faster tread at the start and at the end [m/s]
 
     def duration(self, rate: FloatArray) -> float:
         """Time that the path takes at given rates [s]."""
-        return float(times(self.points.cell, rate).sum())
+        return float(times(self.reach.points.cell, rate).sum())
 
-    def solved(
-        self, objective: str, duration: float | None, period: float, limits: Limits
-    ) -> Sampled:
-        """Return the trajectory that meets the objective, or takes the duration."""
-        reach = self.reach(limits)
-        rate = reach.fastest(reach.top)
+    def rates(self, objective: str, duration: float | None) -> FloatArray:
+        """Return the rates that meet the objective, or take the duration [m/s]."""
+        rate = self.fast
         self._check_ends(rate)
         if duration is not None:
-            rate = self._lasting(reach, rate, duration)
-        elif objective == "energy":
-            rate = self._slowed(reach, rate, self._cheapest(reach, 0.0))
-        return self.course.timed(self.points, rate, period)
+            return self._lasting(duration)
+        if objective == "energy":
+            return self._slowed(self._cheapest(0.0))
+        return rate
 
-    def _cheapest(self, reach: Reach, price: float) -> FloatArray:
-        top = reach.limits.motor.speed
+    @cached_property
+    def fast(self) -> FloatArray:
+        """The greatest rates within all limits [m/s]."""
+        return self.reach.fastest(self.reach.top)
+
+    def _cheapest(self, price: float) -> FloatArray:
+        reach, top = self.reach, self.reach.limits.motor.speed
         top = top if np.isfinite(top) else float(reach.top.max())
         return reach.cheapest(price, SETTINGS.slowest * top)
 
-    def _slowed(self, reach: Reach, fast: FloatArray, cap: FloatArray) -> FloatArray:
+    def _slowed(self, cap: FloatArray) -> FloatArray:
         """Return the greatest rates within caps that leave the speeds at both ends as given."""
+        reach, fast = self.reach, self.fast
         if any(self.ends):
-            way = np.append(0.0, np.cumsum(self.points.cell))
+            way = np.append(0.0, np.cumsum(self.reach.points.cell))
             most = 0.9 * min(reach.limits.motor.acceleration, UNLIMITED)
             for end, along in zip(self.ends, (way, way[-1] - way), strict=True):
                 slowing = np.sqrt(np.maximum(end**2 - 2 * most * along, 0.0))
@@ -308,35 +307,35 @@ class _Task:
             cap = reach.top  # braking to the cheapest rate is beyond some limit
         return reach.fastest(cap)
 
-    def _lasting(self, reach: Reach, fast: FloatArray, duration: float) -> FloatArray:
+    def _lasting(self, duration: float) -> FloatArray:
         """Search the price of time, then slow all down, until the duration fits."""
-        least = self.duration(fast)
+        least = self.duration(self.fast)
         if duration < least * (1 - ROUNDING):
             raise InfeasibleMotionError(
                 f"the path takes {least:.6g} s at least; {duration:g} s is too short"
             )
-        best, longest = reach.top, least
+        best, longest = self.reach.top, least
 
         def excess(price: float) -> float:
             nonlocal best, longest
-            tried = self._cheapest(reach, float(np.sinh(price)))
-            taken = self.duration(self._slowed(reach, fast, tried))
-            if longest < taken <= duration:
-                best, longest = tried, taken
-            return float(np.log(taken / duration))
+            tried = self._cheapest(float(np.sinh(price)))
+            time = self.duration(self._slowed(tried))
+            if longest < time <= duration:
+                best, longest = tried, time
+            return float(np.log(time / duration))
 
         from scipy.optimize import brentq  # slow to import, and rarely needed
 
-        top = float(np.arcsinh(SETTINGS.dearest))
+        top = float(np.arcsinh(SETTINGS.time_price))
         if excess(top) < 0 < excess(-top):
             brentq(excess, -top, top, xtol=1e-2)
 
         # What remains is a jump between two choices: slow the faster one down evenly.
         if not any(self.ends):
-            return self._slowed(reach, fast, best) * longest / duration
+            return self._slowed(best) * longest / duration
 
         def capped(most: float) -> FloatArray:
-            return self._slowed(reach, fast, np.minimum(best, most))
+            return self._slowed(np.minimum(best, most))
 
         def late(most: float) -> float:
             return float(np.log(self.duration(capped(most)) / duration))
@@ -351,59 +350,53 @@ class _Task:
         for name, wanted, found in zip(
             ("start_speed", "end_speed"), self.ends, rate[[0, -1]], strict=True
         ):
-            if found < wanted * (1 - 1e-6) - 1e-9:
+            if found < wanted * (1 - 1e-6) - ROUNDING:
                 raise InfeasibleMotionError(
                     f"{name} {wanted:g} m/s is too high for this path and its limits; "
                     f"{found:.4g} m/s is the most"
                 )
 
-    def cooled(
-        self,
-        duration: float | None,
-        period: float,
-        survey: Callable[[Sampled], Survey],
-        limits: Limits,
-    ) -> Sampled:
-        """Return a trajectory within the continuous power too: slower where windows are warm.
+    def cooled(self, duration: float | None) -> FloatArray:
+        """Return rates within the continuous power too: lower where windows are warm.
 
         Each point is slowed by the warmest window over it, and quickened where that is cold,
         until the former are as warm as they may be.
         """
-        reach = self.reach(limits)
-        fast = reach.fastest(reach.top)
-        section = np.append(0, np.cumsum(self.points.cell == 0))
+        cell, limits, survey = self.reach.points.cell, self.reach.limits, self.reach.survey
+        section = np.append(0, np.cumsum(cell == 0))
         quickest = np.zeros(section[-1] + 1)
-        np.maximum.at(quickest, section, fast)
-        most = np.minimum(reach.top, quickest[section])
-        level, best, least = most, fast, np.inf
+        np.maximum.at(quickest, section, self.fast)
+        most = np.minimum(self.reach.top, quickest[section])
+        level, best, least = most, self.fast, np.inf
         for _ in range(SETTINGS.rounds):
-            rate = self._slowed(reach, fast, np.minimum(most, level))
-            clock = np.append(0.0, np.cumsum(times(self.points.cell, rate)))
-            found = survey(self.course.timed(self.points, rate, period))
+            rate = self._slowed(np.minimum(most, level))
+            clock = np.append(0.0, np.cumsum(times(cell, rate)))
+            found = survey(rate)
             share = min(1.0, found.thermal.scale(limits.motor))
             if found.hot and clock[-1] < least * share:  # all a little slower may do
                 even = rate * share * (1 - SETTINGS.margin)
-                if not survey(self.course.timed(self.points, even, period)).hot:
+                if not survey(even).hot:
                     best, least = even, self.duration(even)
             if not found.hot and clock[-1] < least:
                 best, least = rate, float(clock[-1])
             warmth = _warmth(found.thermal, limits, clock)
             warmth *= found.warmth / warmth.max()
             level = np.minimum(level * warmth**-SETTINGS.damping, most)
+        power = f"continuous power of {limits.motor.continuous_power:g} W"
         if not np.isfinite(least):
             raise InfeasibleMotionError(
-                f"the motors' continuous power of {limits.motor.continuous_power:g} W does not "
-                "suffice in any profile that was tried; allow more time or take a longer way round"
+                f"the motors' {power} does not suffice in any profile that was tried; allow more "
+                "time or take a longer way round"
             )
         self._check_ends(best)
-        if duration is not None:
-            if least > duration * (1 + ROUNDING):
-                raise InfeasibleMotionError(
-                    f"within the motors' continuous power of {limits.motor.continuous_power:g} W "
-                    f"the path takes {least:.6g} s; {duration:g} s is too short"
-                )
-            best = best * least / duration
-        return self.course.timed(self.points, best, period)
+        if duration is None:
+            return best
+        if least > duration * (1 + ROUNDING):
+            raise InfeasibleMotionError(
+                f"within the motors' {power} the path takes {least:.6g} s; {duration:g} s is too "
+                "short"
+            )
+        return best * least / duration
 
 
 def _warmth(thermal: Thermal, limits: Limits, clock: FloatArray) -> FloatArray:
@@ -423,74 +416,3 @@ def _warmth(thermal: Thermal, limits: Limits, clock: FloatArray) -> FloatArray:
         warm = np.maximum(warm, mean / (window * motor.continuous_power))
     after = maximum_filter1d(warm, size + 1, origin=-((size + 1) // 2), mode="nearest")
     return np.interp(clock, ends, after)
-
-
-class _Found(NamedTuple):
-    """A profile with the limits that it was made for, and whether the motors get too warm."""
-
-    limits: Limits
-    sampled: Sampled
-    hot: bool
-
-
-def _within(
-    solve: Callable[[Limits], Sampled], survey: Callable[[Sampled], Survey], limits: Limits
-) -> _Found:
-    """Tighten limits until `check` finds none exceeded but the continuous power.
-
-    Across smooth corners, on other grounds and on slopes that change, a limit may be exceeded a
-    little; it is tightened by as much.
-    """
-    tight, gentle = limits, 1.0
-    for k in range(SETTINGS.tries):
-        try:
-            sampled = solve(tight)
-        except InfeasibleMotionError:
-            if tight is limits or gentle < 0.2:
-                raise
-            # Within the tightened limits nothing moves: go easy on all that speed brings about.
-            gentle *= 0.9
-            tight = _gentler(limits, gentle)
-            continue
-        found = survey(sampled)
-        worst: dict[str, float] = {}
-        for one in found.violations:
-            excess = one.peak / one.limit if one.limit > 0 else np.inf
-            worst[one.kind] = max(worst.get(one.kind, 1.0), excess)
-        worst.pop("continuous_power", None)
-        if not worst:
-            return _Found(tight, sampled, found.hot)
-        if max(worst.values()) == np.inf or k >= SETTINGS.tries // 2:
-            # The limit itself, lowered, does not help: less of everything does.
-            gentle *= 0.9
-            tight = _gentler(limits, gentle)
-            continue
-        tight = _tightened(tight, worst)
-    first = found.violations[0]
-    raise InfeasibleMotionError(
-        f"no profile that keeps every limit was found: {first.bound.describe(first.peak)} at "
-        f"{first.start:.3g} s; allow a little more of it"
-    )
-
-
-def _tightened(limits: Limits, excess: Mapping[str, float]) -> Limits:
-    """Return limits that are lower by the factors by which they were exceeded."""
-    motor = limits.motor
-    for kind, factor in excess.items():
-        of = motor if hasattr(motor, kind) else limits
-        lower = {kind: getattr(of, kind) / (factor * (1 + ROUNDING))}
-        if kind == "peak_power":
-            lower["continuous_power"] = min(motor.continuous_power, lower[kind])
-        if of is motor:
-            motor = replace(motor, **lower)
-        else:
-            limits = replace(limits, **lower)
-    return replace(limits, motor=motor)
-
-
-def _gentler(limits: Limits, factor: float) -> Limits:
-    """Return limits with lower accelerations and speeds."""
-    motor = limits.motor
-    motor = replace(motor, speed=motor.speed * factor, acceleration=motor.acceleration * factor**2)
-    lateral = limits.lateral_acceleration * factor**2
-    return replace(limits, motor=motor, lateral_acceleration=lateral)

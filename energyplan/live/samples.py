@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 from energyplan.errors import DriveLogError
-from energyplan.kinds import instance
 from energyplan.logs.clean import ANY, LIMITS, needed_channels
 from energyplan.logs.mapping import Column, map_channels
 from energyplan.logs.tables import LOOKED_AT, cut, find_dialect, reads
 from energyplan.mission import MissionReport
 from energyplan.path import Pose
 from energyplan.power import PowerModel
+from energyplan.records import instance
 
 
 @dataclass(frozen=True)

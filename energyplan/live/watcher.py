@@ -12,7 +12,6 @@ import numpy as np
 
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.fit.online import OnlineIdentifier, RunMemory
-from energyplan.kinds import checked
 from energyplan.live.samples import (
     Changed,
     Done,
@@ -35,6 +34,7 @@ from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, wrap_angle
 from energyplan.power import PowerModel
+from energyplan.records import checked
 from energyplan.vehicle import Vehicle
 
 _FIRST = 20  # samples that tell the time between samples

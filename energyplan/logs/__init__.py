@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.errors import DriveLogError, MissingChannelError
-from energyplan.kinds import checked
 from energyplan.logs.align import (
+    Series,
     block_bounds,
     derivative,
     find_runs,
@@ -25,15 +25,15 @@ from energyplan.logs.align import (
     shift,
     time_weights,
 )
-from energyplan.logs.checks import find_checks
+from energyplan.logs.checks import checks_of
 from energyplan.logs.clean import Place, SetAside, clean, needed_channels, total_power
-from energyplan.logs.consistency import Check
-from energyplan.logs.mapping import Column, map_channels, parse_columns
-from energyplan.logs.tables import read_table, table_of
+from energyplan.logs.consistency import Check, Observed
+from energyplan.logs.mapping import Column, parse_columns
+from energyplan.logs.tables import Recording, read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides
-from energyplan.records import ReadOnly
+from energyplan.records import ReadOnly, checked, numbers
 from energyplan.vehicle import TreadICR
 
 if TYPE_CHECKING:
@@ -43,14 +43,6 @@ __all__ = ["DriveLog", "SetAside", "parse_columns"]
 
 _MOST_INTERVALS = 50_000_000
 _EPOCH = 1e6  # times beyond are those of a calendar, not of a drive [s]
-
-
-class UnfitLogError(DriveLogError):
-    """A log that a check refuses."""
-
-    def __init__(self, text: str, check: Check) -> None:
-        super().__init__(text)
-        self.check = check
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,6 +63,8 @@ class DriveLog(ReadOnly, html.Readable):
         Samples that were left out or mended, and why.
     warnings : tuple of str
         What is doubtful about the log.
+    checks : tuple of Check
+        What of that checks of its readings found.
     began : float, optional
         When the drive began that it was cut from [s]: what warms up does so from then on.
 
@@ -91,6 +85,7 @@ class DriveLog(ReadOnly, html.Readable):
     name: str = "log"
     set_aside: tuple[SetAside, ...] = ()
     warnings: tuple[str, ...] = ()
+    checks: tuple[Check, ...] = ()
     began: float | None = None
 
     def __post_init__(self) -> None:
@@ -121,6 +116,9 @@ class DriveLog(ReadOnly, html.Readable):
         object.__setattr__(self, "channels", MappingProxyType(arrays))
         object.__setattr__(self, "set_aside", tuple(self.set_aside))
         object.__setattr__(self, "warnings", tuple(self.warnings))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in super().__getstate__().items() if name != "observed"}
 
     def __len__(self) -> int:
         return len(self.t)
@@ -190,20 +188,49 @@ class DriveLog(ReadOnly, html.Readable):
         120.0
         """
         if isinstance(source, str | PathLike):
-            table = read_table(source, DriveLogError, parse_columns(columns).get("t"))
+            recording = read_table(source, DriveLogError, parse_columns(columns).get("t"))
         else:
-            table = table_of(source, DriveLogError)
-        names = (*table.columns, *table.text)
-        wanted = parse_columns(columns, names)
-        if others:
-            wanted = map_channels(wanted, names, table.text)
-        t = wanted["t"].value(table.column) if "t" in wanted else None
-        channels = {channel: column.over(t, table.column) for channel, column in wanted.items()}
-        log = cls.from_columns(channels, table.source, table.place)
-        used = {name for column in wanted.values() for name in column.names}
-        unread = ", ".join([name for name in table.text if others and name not in used][:10])
-        told = [f"columns of text are left out: {unread}"] if unread else []
-        return replace(log, warnings=(*log.warnings, *told))
+            recording = table_of(source, DriveLogError)
+        return cls.of(recording, recording.mapping(columns, others))
+
+    @classmethod
+    def of(
+        cls, recording: Recording, mapping: Mapping[str, Column], refuse: bool = True
+    ) -> DriveLog:
+        """Build a log from what was recorded, by which column serves as which channel.
+
+        Series with times of their own are brought to those of the left tread speed.
+
+        Parameters
+        ----------
+        recording : Recording
+            The series, as `energyplan.logs.tables.read_table` reads them from a file.
+        mapping : mapping of str to Column
+            Which column serves as which channel, and its unit.
+        refuse : bool
+            Whether to raise what `checks` says that must not be read.
+
+        Returns
+        -------
+        DriveLog
+            The log, with `set_aside`, `warnings` and `checks`.
+
+        Raises
+        ------
+        DriveLogError
+            As from `from_columns`.
+        """
+        name, place = recording.source, recording.place
+        mapping = {c: one for c, one in mapping.items() if c != "t" or not recording.times}
+        needed_channels({*mapping, *(["t"] if recording.times else [])}, name)
+        rows = None if recording.times else recording.series(mapping["t"]).values
+        series = {channel: recording.series(one, rows) for channel, one in mapping.items()}
+        clock = series["v_left"].t
+        if rows is None:
+            place = lambda row: f"{clock[row]:.3f} s"  # noqa: E731
+        else:
+            series["t"] = Series(rows, rows)
+        return _cleaned(series, name, place, recording.notes_of(mapping), refuse)
 
     @classmethod
     def from_columns(
@@ -226,21 +253,21 @@ class DriveLog(ReadOnly, html.Readable):
         Returns
         -------
         DriveLog
-            The log, with `set_aside` and `warnings`.
+            The log, with `set_aside`, `warnings` and `checks`.
 
         Raises
         ------
         DriveLogError
             If a channel is missing, mostly out of range, or contradicts others (swapped sides).
         """
-        done = clean(columns, name, place or "sample {}".format)
-        raw = cls(done.channels, name)
-        checks = find_checks(raw.channels, raw.power, raw.runs)
-        for check in checks:
-            if check.refuses == "reading":
-                raise UnfitLogError(f"{name}: {check}", check)
-        told = (*done.warnings, *map(str, checks))
-        return replace(raw, set_aside=tuple(done.set_aside), warnings=told)
+        needed_channels(columns, name)
+        read = {k: numbers(columns[k], f"{name}: {k}", DriveLogError) for k in columns}
+        shapes = {values.shape for values in read.values()}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+            raise DriveLogError(f"{name}: channels have shapes {shapes}; give rows of equal length")
+        t = read["t"]
+        series = {channel: Series(t, values) for channel, values in read.items()}
+        return _cleaned(series, name, place or "sample {}".format)
 
     # -- channels -------------------------------------------------------------------------------
 
@@ -297,6 +324,11 @@ class DriveLog(ReadOnly, html.Readable):
     def runs(self) -> tuple[slice, ...]:
         """Stretches without a gap: a gap is four times the usual time step, 0.2 s at least."""
         return tuple(find_runs(self.t))
+
+    @cached_property
+    def observed(self) -> Observed:
+        """What the channels show of the robot."""
+        return Observed(self.channels, self.power, self.runs).averaged()
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -480,10 +512,31 @@ class DriveLog(ReadOnly, html.Readable):
             reason = f"out of reach of the channels moved ({moved}); left out"
             aside = (*aside, SetAside(reason, lost, "ends of runs"))
         # What was said of these channels' clocks no longer holds.
-        stale = tuple(f"{name} l" for name in {*seconds, *moves})
+        stale = [
+            one for one in self.checks if one.rule == "late" and one.channel in {*seconds, *moves}
+        ]
+        gone = {str(one) for one in stale}
         return replace(
             self,
             channels={name: values[reached] for name, values in channels.items()},
             set_aside=aside,
-            warnings=tuple(w for w in self.warnings if not w.startswith(stale)),
+            warnings=tuple(text for text in self.warnings if text not in gone),
+            checks=tuple(one for one in self.checks if one not in stale),
         )
+
+
+def _cleaned(
+    series: Mapping[str, Series], name: str, place: Place, notes: Sequence[str] = (),
+    refuse: bool = True,
+) -> DriveLog:  # fmt: skip
+    """Build a log from series, with what was found wrong with it."""
+    done = clean(series, name, place)
+    raw = DriveLog(done.channels, name)
+    checks = tuple(checks_of(raw.observed))
+    wrong = next((one for one in checks if refuse and one.refuses == "reading"), None)
+    if wrong is not None:
+        raise DriveLogError(f"{name}: {wrong}")
+    warnings = (*done.warnings, *map(str, checks), *notes)
+    log = replace(raw, set_aside=tuple(done.set_aside), warnings=warnings, checks=checks)
+    log.__dict__["observed"] = raw.observed  # of the same channels
+    return log

@@ -28,6 +28,20 @@ class Series(NamedTuple):
     values: FloatArray
 
 
+def usable_rows(series: Series) -> NDArray[np.bool_]:
+    """Tell which readings are numbers, and later than the number before."""
+    known = np.isfinite(series.t) & np.isfinite(series.values)
+    rows = np.flatnonzero(known)
+    known[rows[1:][np.diff(series.t[rows]) <= 0]] = False
+    return known
+
+
+def usable(series: Series) -> Series:
+    """Return the readings that are numbers, and later than the number before."""
+    known = usable_rows(series)
+    return Series(series.t[known], series.values[known])
+
+
 class Aligned(NamedTuple):
     """A channel on another clock, NaN where it is unknown, and how it got there."""
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.logs.align import Offset, derivative, find_offset, gap_limit, time_weights
 from energyplan.logs.consistency import (
+    POWERS,
     Channels,
     Check,
-    Drive,
     Measures,
+    Observed,
     check_consistency,
     correlation,
     lasts,
@@ -31,8 +32,6 @@ from energyplan.path import FloatArray
 if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog
 
-POWERS = ("p_left", "p_right", "power", "current")
-"""Channels of what is drawn."""
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
@@ -47,7 +46,7 @@ class Rule(NamedTuple):
     """What holds of every drive, and how what breaks it is found."""
 
     what: str
-    find: Callable[[Drive], _Found]
+    find: Callable[[Observed], _Found]
     refuses: str = "trust"  # what a check rules out that says nothing of it
     of_two_sides: bool = False  # of a dead side, the other one seems to break it
     needs: frozenset[str] = frozenset()  # channels without which nothing can be said
@@ -55,11 +54,15 @@ class Rule(NamedTuple):
 
 def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) -> list[Check]:
     """Return what is wrong with a drive."""
-    drive = Drive(channels, power, runs)
+    return checks_of(Observed(channels, power, runs).averaged())
+
+
+def checks_of(drive: Observed) -> list[Check]:
+    """Return what is wrong with a drive, by what it shows."""
     dead = any(True for _ in _dead(drive))
     return [
-        check if check.refuses else replace(check, refuses=one.refuses)
-        for one in RULES if one.needs <= set(channels) and not (dead and one.of_two_sides)
+        replace(check, refuses=check.refuses or one.refuses, rule=check.rule or one.what)
+        for one in RULES if one.needs <= set(drive.channels) and not (dead and one.of_two_sides)
         for check in one.find(drive)
     ]  # fmt: skip
 
@@ -67,7 +70,7 @@ def find_checks(channels: Channels, power: FloatArray, runs: Sequence[slice]) ->
 def refuse_one_side(logs: Sequence[DriveLog]) -> None:
     """Refuse logs that lack a side: what is identified from the other one is half of what is."""
     for log in logs:
-        drive = Drive(log.channels, log.power, log.runs)
+        drive = Observed(log.channels, log.power, log.runs)
         rules = (_dead, _false_speeds, *((_unlike,) if drive.sides else ()))
         for check in (one for rule in rules for one in rule(drive)):
             raise NotIdentifiableError(f"{log.name}: {check}")
@@ -76,8 +79,9 @@ def refuse_one_side(logs: Sequence[DriveLog]) -> None:
 # -- time ---------------------------------------------------------------------------------------
 
 
-def _time(drive: Drive) -> _Found:
+def _time(drive: Observed) -> _Found:
     """Time in another unit; rows in bursts; gaps."""
+    drive = drive.rows
     t, step = drive.t, drive.usual_step
     if step > LONGEST_STEP and dated(t):
         yield Check(
@@ -135,7 +139,7 @@ def grows(values: FloatArray, share: float = _GROWS) -> int:
     return int(np.sign(net)) if counted else 0
 
 
-def _counters(drive: Drive) -> _Found:
+def _counters(drive: Observed) -> _Found:
     """Energy or charge for power or current: it only grows, though the robot slows down, too."""
     steps = np.diff(drive.effort)
     total = float(np.abs(steps).sum())
@@ -159,22 +163,13 @@ def _counters(drive: Drive) -> _Found:
 # -- turning and pose ---------------------------------------------------------------------------
 
 
-def _some(runs: Sequence[slice], most: int = 200_000) -> list[slice]:
-    """Stretches that suffice to find a time offset: the first hours of a long log."""
-    ends = np.cumsum([0, *(run.stop - run.start for run in runs)])
-    return [
-        slice(run.start, min(run.stop, run.start + most - int(end)))
-        for run, end in zip(runs, ends, strict=False) if end < most
-    ]  # fmt: skip
-
-
-def _offset(drive: Drive, name: str, rate: FloatArray) -> Offset | None:
-    return find_offset(name, drive.t, rate, [drive.difference], _some(drive.runs), centred=False)
+def _offset(drive: Observed, name: str, rate: FloatArray) -> Offset | None:
+    return find_offset(name, drive.t, rate, [drive.difference], drive.runs, centred=False)
 
 
 def yaw_rate_offset(log: DriveLog) -> Offset | None:
     """Return the time offset of a log's yaw rate against its tread speeds, if the drive tells."""
-    return _offset(Drive(log.channels, log.power, log.runs), "yaw_rate", log.channel("yaw_rate"))
+    return _offset(Observed(log.channels, log.power, log.runs), "yaw_rate", log.channel("yaw_rate"))
 
 
 def _late(offset: Offset) -> Check:
@@ -183,8 +178,8 @@ def _late(offset: Offset) -> Check:
         f"{offset.channel} {way} the tread speeds by {abs(offset.seconds):.3f} s (explained "
         f"variance {offset.before:.3f} as logged, {offset.explained:.3f} once shifted)",
         f"diagnose allows for it, and DriveLog.shifted({offset.channel}={-offset.seconds:.3f}) "
-        "puts it right",
-    )
+        "puts it right", rule="late", channel=offset.channel,
+    )  # fmt: skip
 
 
 class _Relation(NamedTuple):
@@ -196,7 +191,7 @@ class _Relation(NamedTuple):
     sign: int  # -1 where it goes against them, 0 where nothing tells
 
 
-def _relations(drive: Drive) -> dict[str, _Relation]:
+def _relations(drive: Observed) -> dict[str, _Relation]:
     """Return how the yaw rates go with the treads, where the robot turns at all."""
     found = {}
     difference = drive.difference
@@ -210,12 +205,12 @@ def _relations(drive: Drive) -> dict[str, _Relation]:
         alike, offset = correlation(rate, difference), _offset(drive, name, rate)
         late = offset if offset is not None and offset.certain else None
         sign = late.sign if late is not None and abs(alike) < 0.5 else int(np.sign(alike))
-        told = late is not None or abs(alike) > 0.3
-        found[name] = _Relation(rate, alike, late, sign if told else 0)
+        said = late is not None or abs(alike) > 0.3
+        found[name] = _Relation(rate, alike, late, sign if said else 0)
     return found
 
 
-def _turning(drive: Drive) -> _Found:
+def _turning(drive: Observed) -> _Found:
     """Measured turning and pose against the tread speeds."""
     relations = _relations(drive)
     yield from _frames(drive, relations)
@@ -253,7 +248,7 @@ def _frame(what: str, remedy: str, undone: str) -> _Frame:
     """Read a mistake whose remedy is to take other channels, or their negatives."""
     pairs = [entry.split("=") for entry in undone.split(",")]
 
-    def made(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    def result(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         return {
             name: -channels[other[1:]] if other.startswith("-") else channels[other]
             for name, other in pairs if name in channels
@@ -261,7 +256,7 @@ def _frame(what: str, remedy: str, undone: str) -> _Frame:
 
     alone = len(pairs) == 1 and pairs[0][0] not in "xy"
     needs = frozenset(name for name, _ in pairs if len(pairs) < 3 or name != "yaw_rate")
-    return _Frame(what, remedy, made, needs, (pairs[0][0],) if alone else ())
+    return _Frame(what, remedy, result, needs, (pairs[0][0],) if alone else ())
 
 
 _MIRROR = "{0} counts the other way, as of a motor mounted in the mirror"
@@ -287,7 +282,7 @@ _FRAMES = (
 """Mistakes of signs and sides."""
 
 
-def _faults(drive: Drive, relations: Mapping[str, _Relation], sure: bool = False) -> list[str]:
+def _faults(drive: Observed, relations: Mapping[str, _Relation], sure: bool = False) -> list[str]:
     """Say where turning, treads and pose contradict each other; if `sure`, or do not agree."""
     found = [
         f"{name} falls while v_right exceeds v_left (correlation {one.alike:.2f})"
@@ -309,7 +304,7 @@ def _faults(drive: Drive, relations: Mapping[str, _Relation], sure: bool = False
     return found
 
 
-def _frames(drive: Drive, relations: Mapping[str, _Relation]) -> _Found:
+def _frames(drive: Observed, relations: Mapping[str, _Relation]) -> _Found:
     """Whether turning, treads and pose have the signs and sides of one robot; if not, why."""
     faults = _faults(drive, relations)
     if not faults:
@@ -326,7 +321,7 @@ def _frames(drive: Drive, relations: Mapping[str, _Relation]) -> _Found:
     left = {}
     for one in frames:
         channels = {**drive.channels, **one.undone(drive.channels)}
-        undone = Drive(channels, drive.power, drive.runs)
+        undone = Observed(channels, drive.power, drive.runs)
         left[one] = len(_faults(undone, _relations(undone), sure=True))
     least, before = min(left.values()), len(_faults(drive, relations, sure=True))
     best = [one for one in frames if left[one] == least < before]
@@ -338,7 +333,7 @@ def _frames(drive: Drive, relations: Mapping[str, _Relation]) -> _Found:
     )  # fmt: skip
 
 
-def _factors(drive: Drive) -> Iterator[tuple[float, float]]:
+def _factors(drive: Observed) -> Iterator[tuple[float, float]]:
     """Return the sides' factors of each yaw rate that their difference makes worse [1/m]."""
     speeds = np.stack([drive.left, drive.right])
     gram = speeds @ speeds.T
@@ -361,7 +356,7 @@ def _factors(drive: Drive) -> Iterator[tuple[float, float]]:
             yield float(factors[0]), float(factors[1])
 
 
-def mirrored_side(drive: Drive) -> str:
+def mirrored_side(drive: Observed) -> str:
     """Name the side whose speed counts the other way, as of a motor mounted in the mirror."""
     return next(
         ("v_right" if right < 0 else "v_left" for left, right in _factors(drive)
@@ -369,7 +364,7 @@ def mirrored_side(drive: Drive) -> str:
     )  # fmt: skip
 
 
-def _counting(drive: Drive) -> _Found:
+def _counting(drive: Observed) -> _Found:
     """Whether the sides' speeds count alike: the yaw rate must be that of their difference."""
     scale = np.sqrt([np.sum(speed**2) for speed in (drive.left, drive.right)])
     for left, right in _factors(drive):
@@ -395,7 +390,7 @@ def _counting(drive: Drive) -> _Found:
 _OPPOSED = 0.7  # share of the driving in which no drive turns on the spot
 
 
-def _opposed(drive: Drive) -> _Found:
+def _opposed(drive: Observed) -> _Found:
     """Without a heading, sides that go against each other as no drive does: one is mirrored."""
     if drive.rates or np.count_nonzero(drive.moving) < _ENOUGH:  # rates tell more
         return
@@ -432,7 +427,7 @@ class _Way(NamedTuple):
     alike: float  # how well one follows the other, at most 1
 
 
-def _way(drive: Drive, mirrored: bool = False) -> _Way:
+def _way(drive: Observed, mirrored: bool = False) -> _Way:
     """Compare the pose with the treads' way, or with that way's mirror image in the x axis."""
     t, speed = drive.t, 0.5 * (drive.left + drive.right)
     heading = np.unwrap(drive.channels["yaw"]) * (-1.0 if mirrored else 1.0)
@@ -451,7 +446,7 @@ def _way(drive: Drive, mirrored: bool = False) -> _Way:
     return _Way(float(np.angle(product)) if alike >= 0.7 else np.nan, alike)
 
 
-def _measured_twice(drive: Drive) -> _Found:
+def _measured_twice(drive: Observed) -> _Found:
     """Ways, turns and powers that a log tells twice, whatever the robot."""
     return (one for one in check_consistency(drive, Measures()) if not one.ok)
 
@@ -473,7 +468,7 @@ def _ahead(left: FloatArray, right: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(np.abs(left - right) < 0.1 * np.abs(left + right))
 
 
-def _dead(drive: Drive) -> _Found:
+def _dead(drive: Observed) -> _Found:
     """Find a side that shows nothing while the robot drives."""
     for side, other in _EACH_SIDE:
         speed, theirs = drive.channels[f"v_{side}"], drive.channels[f"v_{other}"]
@@ -498,8 +493,9 @@ def _dead(drive: Drive) -> _Found:
             )  # fmt: skip
 
 
-def _dying(drive: Drive) -> _Found:
+def _dying(drive: Observed) -> _Found:
     """Find a sensor that shows the same for a while, though what it measures changes."""
+    drive = drive.rows
     time = time_weights(drive.t, drive.runs)
     size = np.abs(drive.difference)
     turns = size > 0.4 * float(np.quantile(size, 0.95))
@@ -536,7 +532,7 @@ def _dying(drive: Drive) -> _Found:
                 break
 
 
-def _false_speeds(drive: Drive) -> _Found:
+def _false_speeds(drive: Observed) -> _Found:
     """Speeds that are not those of two sides: one column twice, or without signs."""
     left, right, difference = drive.left, drive.right, drive.difference
     if np.array_equal(left, right):
@@ -569,7 +565,7 @@ def _false_speeds(drive: Drive) -> _Found:
             return
 
 
-def _on_the_spot(drive: Drive) -> _Found:
+def _on_the_spot(drive: Observed) -> _Found:
     """Find, without a heading, that both sides forwards as fast take one of two forces."""
     left, right, effort = drive.left, drive.right, drive.effort
     top = float(np.quantile(effort, 0.99))
@@ -606,7 +602,7 @@ def _turns_by(
     return here > 0.5 * there
 
 
-def _unlike(drive: Drive) -> _Found:
+def _unlike(drive: Observed) -> _Found:
     """Both sides' powers that are not two powers, or not in one unit."""
     p_left, p_right = drive.channels["p_left"], drive.channels["p_right"]
     apart = np.abs(np.abs(drive.left) - np.abs(drive.right))
@@ -638,11 +634,11 @@ def _unlike(drive: Drive) -> _Found:
 
 def find_lost_sign(channels: Channels) -> str:
     """Tell whether the sides' powers, or that of one side, lost their sign."""
-    drive = Drive(channels, channels["t"], ())
+    drive = Observed(channels, channels["t"], ())
     return "".join(str(one) for one in _lost_sign(drive)) if drive.sides else ""
 
 
-def _lost_sign(drive: Drive) -> _Found:
+def _lost_sign(drive: Observed) -> _Found:
     """Powers of the sides, or of one side, that lost their sign.
 
     In arcs a force of slip F and a resistance K give the outer side (F + K) v, the inner one
@@ -692,7 +688,7 @@ def _lost_sign(drive: Drive) -> _Found:
 # -- power --------------------------------------------------------------------------------------
 
 
-def _powers(drive: Drive) -> _Found:
+def _powers(drive: Observed) -> _Found:
     """Power against the tread speeds: its digits, its sign, its side, its time."""
     channels, effort = drive.channels, drive.effort
     moving = effort > 2 * _MOVING
@@ -708,8 +704,8 @@ def _powers(drive: Drive) -> _Found:
     if not np.any(drive.power):
         yield Check("power is zero all along")
         return
-    yield from _steps(drive, moving)
-    held = held_periods(channels)
+    yield from _steps(drive.rows)
+    held = drive.rows.held
     together: dict[str, list[str]] = {}
     for name, period in held.items():
         together.setdefault(f"{period:.2g}", []).append(name)
@@ -740,8 +736,8 @@ def _powers(drive: Drive) -> _Found:
                 "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
                 "the more", refuses="trust",
             )  # fmt: skip
-    some = _some(drive.runs)
-    offset = find_offset("power", drive.t, drive.power, power_regressors(channels, some), some)
+    shapes = power_regressors(channels, drive.runs)
+    offset = find_offset("power", drive.t, drive.power, shapes, drive.runs)
     # Readings that are held are late by up to the time between them, which is told already.
     longest = max(held.values(), default=0.0)
     certain = offset is not None and offset.certain and offset.explained > 0.75
@@ -769,8 +765,9 @@ def _step(values: FloatArray, usual: float) -> float:
     return step if coarse else 0.0
 
 
-def _steps(drive: Drive, moving: NDArray[np.bool_]) -> _Found:
+def _steps(drive: Observed) -> _Found:
     """Find readings with so few digits that a steady one is not known, however long it lasts."""
+    moving = drive.effort > 2 * _MOVING
     speeds = np.abs(np.concatenate([drive.left, drive.right]))
     read = {"the tread speeds": (speeds[speeds > _MOVING], "m/s")}
     for name in drive.electric_names:
@@ -788,28 +785,10 @@ def _steps(drive: Drive, moving: NDArray[np.bool_]) -> _Found:
 
 def held_periods(channels: Channels) -> dict[str, float]:
     """Return the powers that are held, and the time after which they are read again [s]."""
-    drive = Drive(channels, channels["t"], ())
-    changing = np.append(False, np.diff(drive.effort) != 0.0)
-    found = {}
-    for name in (name for name in POWERS if name in channels):
-        starts, counts = drive.stretches(name)
-        drives = np.logical_and.reduceat(drive.moving, starts)
-        counts, driving = counts[:-1], drives[:-1] & drives[1:]
-        if np.count_nonzero(driving) < 8:
-            continue
-        usual = float(np.median(counts[driving]))
-        rows = np.flatnonzero(np.repeat(driving, counts))
-        if usual < 3 or np.mean(changing[rows]) < 0.1:
-            continue
-        # A reading that is the one before by chance makes two of one; and one may be a row late.
-        times = counts[driving] / usual
-        regular = np.abs(times - np.clip(np.round(times), 1, 3)) * usual <= 1.0
-        if np.mean(regular) > 0.9:
-            found[name] = float(np.median(np.diff(drive.t[starts])[driving]))
-    return found
+    return Observed(channels, channels["t"], ()).held
 
 
-def _flipped(drive: Drive, side: str) -> bool:
+def _flipped(drive: Observed, side: str) -> bool:
     """Whether a side's power is negative where the side can only draw.
 
     On the outside of an arc and on the spot it works against slip and resistance at once. The inner
@@ -836,7 +815,7 @@ def _flipped(drive: Drive, side: str) -> bool:
     return _wrong_sign(power) and bool(0.5 < -opposite.mean() / power.mean() < 2.0)
 
 
-def _directed(drive: Drive) -> _Found:
+def _directed(drive: Observed) -> _Found:
     """Find a power that counts backwards where the robot goes so, as torques and currents may."""
     found = []
     for name in drive.electric_names:
@@ -863,7 +842,7 @@ def _wrong_sign(power: FloatArray) -> bool:
     return bool(len(power) and power.mean() < -0.3 * np.abs(power).mean() and np.median(power) < 0)
 
 
-def _descends(drive: Drive) -> bool:
+def _descends(drive: Observed) -> bool:
     """Whether the drive goes downhill on the whole, as far as the log tells."""
     forward = drive.left + drive.right
     slope = drive.channels.get("slope", np.zeros(1))
@@ -873,8 +852,9 @@ def _descends(drive: Drive) -> bool:
 _CHOPPED = 1.2  # times as many zeros while it drives slowly, of pulses
 
 
-def _repeats(drive: Drive) -> _Found:
+def _repeats(drive: Observed) -> _Found:
     """Find a power that changes with every sample, but stays the same for a while in driving."""
+    drive = drive.rows
     t, moving = drive.t, drive.moving
     least = max(5, round(0.3 / drive.usual_step))
     turned = np.append(False, np.diff(drive.effort) != 0.0)
@@ -882,7 +862,7 @@ def _repeats(drive: Drive) -> _Found:
     change = np.abs(np.diff(speeds, prepend=speeds[:, :1])).sum(axis=0)
     calm = float(np.quantile(change[moving], 0.33)) if np.any(moving) else 0.0
     steady = moving & (change <= calm)
-    seldom = held_periods(drive.channels)
+    seldom = drive.held
     for name in (name for name in POWERS if name in drive.channels and name not in seldom):
         values = drive.channels[name]
         starts, counts = drive.stretches(name)
@@ -937,14 +917,14 @@ _FAR = 24 * 3600.0  # time by which a clock may be off [s]
 _ZONE = 900.0  # which it then is by some whole quarters of an hour [s]
 
 
-def _unmoved(drive: Drive) -> _Found:
+def _unmoved(drive: Observed) -> _Found:
     """Find a power that does not rise when the robot drives: of another time, or another thing."""
-    t, some = drive.t, _some(drive.runs)
+    t = drive.t
     shapes = power_regressors(drive.channels, drive.runs)
     rest = regress([*shapes, np.ones(len(t))], drive.power).rest
     if rest.var() < (1.0 - _FOLLOWS) * drive.power.var() or _descends(drive):
         return
-    offset = find_offset("power", t, drive.power, shapes, some)
+    offset = find_offset("power", t, drive.power, shapes, drive.runs)
     if offset is not None and offset.certain:
         return  # which is said already
     span = min(float(t[-1] - t[0]), _FAR)
@@ -992,7 +972,7 @@ def _rise(t: FloatArray, effort: FloatArray, power: FloatArray) -> float | None:
     return float((driving.mean() - standing.mean()) / max(error, 1e-300))
 
 
-def _motor_current(drive: Drive) -> _Found:
+def _motor_current(drive: Observed) -> _Found:
     """Find a current that is that of the motors, which follows torque and not power."""
     top = float(np.quantile(drive.effort, 0.95))
     rest, moving = drive.effort < 0.02 * top, drive.effort > 0.15 * top
@@ -1046,8 +1026,6 @@ RULES = (
 
 # -- drives that are the same -------------------------------------------------------------------
 
-_COMPARED = 16  # samples of which all must be found before all others are compared
-
 
 def without_copies(
     train: Sequence[DriveLog], holdout: Sequence[DriveLog]
@@ -1067,8 +1045,8 @@ def without_copies(
                 f"{train[k].name} holds the same readings as {known}; they were learned from once"
             )
     learned = [log for k, log in enumerate(train) if k not in left_out]
-    told = [left_out[k] for k in sorted(left_out)]
-    told += [
+    said = [left_out[k] for k in sorted(left_out)]
+    said += [
         f"{one.name} and {other.name} hold the same {shared} samples, which count twice: "
         "standard errors are too small; give each sample once"
         for one, other in combinations(learned, 2) if (shared := _shared(one, other))
@@ -1076,29 +1054,23 @@ def without_copies(
     for log in holdout:
         known = next((other.name for other in learned if _alike(log, other)), None)
         if known is not None:
-            told.append(
+            said.append(
                 f"{log.name} holds the same readings as {known}, which was learned from: errors on "
                 "it say nothing of other drives; hold out another one"
             )
             continue
-        told += [
+        said += [
             f"{log.name} holds {shared} samples of {other.name}, which were learned from: "
             "errors on them say nothing of other drives; hold out others"
             for other in learned if (shared := _shared(log, other))
         ]  # fmt: skip
-    return learned, told
+    return learned, said
 
 
 def _alike(one: DriveLog, other: DriveLog) -> bool:
     """Tell whether the shorter of two drives is part of the longer one."""
-    short, long = (_readings(log) for log in sorted((one, other), key=len))
-    if not np.any(short[0]):
-        return False
-    count = short.shape[1]
-    firsts = np.arange(long.shape[1] - count + 1)
-    for place in np.linspace(0, count - 1, _COMPARED).astype(int):
-        firsts = firsts[np.all(long[:, firsts + place] == short[:, [place]], axis=0)]
-    return any(np.array_equal(short, long[:, first : first + count]) for first in firsts)
+    short, long = (_readings(log) + 0.0 for log in sorted((one, other), key=len))  # no zero is -0
+    return bool(np.any(short[0])) and short.T.tobytes() in long.T.tobytes()
 
 
 def _shared(one: DriveLog, other: DriveLog) -> int:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from energyplan.errors import DriveLogError
-from energyplan.kinds import described, numbers
-from energyplan.logs.align import Series, align, gap_limit
+from energyplan.logs.align import AS_LOGGED, Series, align, gap_limit, usable, usable_rows
 from energyplan.logs.mapping import ROW
 from energyplan.path import FloatArray
+from energyplan.records import described
 
 if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog
@@ -110,29 +110,42 @@ class Joined(NamedTuple):
     how: dict[str, str]  # how channels came that had rows of their own
 
 
-def join_rows(channels: Mapping[str, FloatArray], needed: Collection[str]) -> Joined | None:
-    """Join rows that hold a part of the channels each, as of messages from several sources."""
-    known = {name: np.isfinite(values) for name, values in channels.items()}
-    clock = np.flatnonzero(known["t"] & known["v_left"])
-    fewest = min(np.count_nonzero(known[name]) for name in needed)
-    whole = np.count_nonzero(np.all([known[name] for name in needed], axis=0))
-    t = channels["t"][clock]
-    apart = whole < _TOGETHER * fewest
-    if fewest < RECORDING or not apart or len(t) < 2 or np.any(np.diff(t) <= 0):
-        return None
-    found, how = {"t": t}, {}
-    for name, values in channels.items():
-        there = np.flatnonzero(known["t"] & known[name])
-        if name == "t" or np.count_nonzero(known[name][clock]) > _TOGETHER * len(clock):
-            found.setdefault(name, values[clock])
-            continue
-        own, readings = channels["t"][there], values[there]
-        later = np.append(True, np.diff(own) > 0)
-        if not np.all(np.diff(own) >= 0) or np.count_nonzero(later) < 2:
+def join_rows(series: Mapping[str, Series], needed: Collection[str]) -> Joined | None:
+    """Bring channels to the times of the left tread speed; None where all stand in its rows."""
+    own = series["v_left"].t
+    known = {name: np.isfinite(one.values) for name, one in series.items()}
+    clock = np.flatnonzero(np.isfinite(own) & known["v_left"])
+    table = all(one.t is own for one in series.values())
+    if table:
+        fewest = min(np.count_nonzero(known[name]) for name in needed)
+        whole = np.count_nonzero(np.all([known[name] for name in needed], axis=0))
+        steps = np.diff(own[clock])
+        if (
+            fewest < RECORDING
+            or whole >= _TOGETHER * fewest
+            or np.any(steps <= 0)
+            or not len(steps)
+        ):
             return None
-        readings = np.unwrap(readings) if name == "yaw" else readings
-        aligned = align(Series(own[later], readings[later]), t)
-        found[name], how[name] = aligned.values, aligned.how
+    else:  # of messages with one time the first counts
+        clock = clock[np.append(True, np.diff(own[clock]) > 0)[: len(clock)]]
+    t = own[clock]
+    found, how = {"t": t}, {}
+    for name, one in series.items():
+        if name == "t":
+            continue
+        if one.t is own and np.count_nonzero(known[name][clock]) > _TOGETHER * len(clock):
+            found[name] = one.values[clock]
+            continue
+        times = one.t[np.isfinite(one.t) & known[name]]
+        there = usable(one)
+        if table and (np.any(np.diff(times) < 0) or len(there.t) < 2):
+            return None
+        values = np.unwrap(there.values) if name == "yaw" else there.values
+        aligned = align(Series(there.t, values), t)
+        found[name] = aligned.values
+        if aligned.how != AS_LOGGED:
+            how[name] = aligned.how
     return Joined(found, clock, how)
 
 
@@ -217,15 +230,11 @@ def needed_channels(names: Collection[str], label: str) -> tuple[str, ...]:
     )
 
 
-def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned:
+def clean(series: Mapping[str, Series], label: str, place: Place) -> Cleaned:
     """Set aside what cannot be used, and refuse what cannot be mended."""
-    needed = needed_channels(columns, label)
-    channels = {k: np.array(numbers(columns[k], f"{label}: {k}", DriveLogError)) for k in columns}
-    shapes = {values.shape for values in channels.values()}
-    if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-        raise DriveLogError(f"{label}: channels have shapes {shapes}; give rows of equal length")
-    cleaner = _Cleaner(channels, label, place)
-    for name in channels:
+    needed = needed_channels({"t", *series}, label)
+    cleaner = _Cleaner(series, label, place)
+    for name in [*cleaner.channels]:
         cleaner.hold(name)
         if cleaner.many_strays(name):
             cleaner.blank_glitches(name)  # several in a short log are no other unit
@@ -237,13 +246,13 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
             ~np.isfinite(cleaner.channels[name]), f"{name} has no usable reading; left out"
         )
     cleaner.order()
-    for name in [name for name in channels if name not in needed]:
+    for name in [name for name in cleaner.channels if name not in needed]:
         cleaner.bridge(name)
     cleaner.follow_heading()
     if len(cleaner.rows) < 2:
-        told = "".join(f"; {item}" for item in cleaner.aside)
+        said = "".join(f"; {item}" for item in cleaner.aside)
         raise DriveLogError(
-            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed{told}"
+            f"{label}: {len(cleaner.rows)} usable samples are left, two are needed{said}"
         )
     return Cleaned(cleaner.channels, cleaner.rows, cleaner.aside, cleaner.warnings)
 
@@ -251,22 +260,29 @@ def clean(columns: Mapping[str, ArrayLike], label: str, place: Place) -> Cleaned
 class _Cleaner:
     """Channels on their way to a log; each step keeps count of what it takes away."""
 
-    def __init__(self, channels: dict[str, FloatArray], label: str, place: Place) -> None:
-        self.channels, self.label, self.place = channels, label, place
-        self.rows = np.arange(len(channels["t"]))
+    def __init__(self, series: Mapping[str, Series], label: str, place: Place) -> None:
+        own = series["v_left"].t
+        self.apart = {name: one.t for name, one in series.items() if one.t is not own}
+        self.channels = {} if "t" in series else {"t": np.array(own, float)}
+        self.channels |= {name: np.array(one.values, float) for name, one in series.items()}
+        self.label, self.place = label, place
+        self.rows = np.arange(len(own))
         self.aside: list[SetAside] = []
         self.warnings: list[str] = []
 
-    def note(self, lost: NDArray[np.bool_], reason: str) -> None:
+    def note(self, lost: NDArray[np.bool_], reason: str, name: str = "") -> None:
         """Count samples."""
         if np.any(lost):
-            where = self.where(lost)
+            where = self.where(lost, name)
             self.aside.append(SetAside(reason, int(np.count_nonzero(lost)), where))
 
-    def where(self, chosen: NDArray[np.bool_]) -> str:
+    def where(self, chosen: NDArray[np.bool_], name: str = "") -> str:
         """Name the first few of the chosen samples."""
-        some = self.rows[np.flatnonzero(chosen)[:4]]
-        names = ", ".join(self.place(int(row)) for row in some[:3])
+        some = np.flatnonzero(chosen)[:4]
+        t = self.apart.get(name)
+        names = ", ".join(
+            self.place(int(self.rows[k])) if t is None else f"{t[k]:.3f} s" for k in some[:3]
+        )
         return f"{names}, ..." if len(some) > 3 else names
 
     def drop(self, lost: NDArray[np.bool_], reason: str) -> None:
@@ -297,18 +313,18 @@ class _Cleaner:
             other = _OTHER_UNITS.get(unit, "*0.001")
             blank = f"; where {value:g} stands for no reading, leave the cell empty"
             raise DriveLogError(
-                f"{self.label}, {self.where(stray)}: {name} is {value:g} {unit}, which no robot "
-                f"reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
+                f"{self.label}, {self.where(stray, name)}: {name} is {value:g} {unit}, which no "
+                f"robot reaches; {count} of {len(values)} readings are outside {low:g} to {high:g} "
                 f"{unit}; name its unit, as in {name}=NAME[{other}]"
                 f"{blank if len(kinds) == 1 and count < len(values) else ''}"
             )
-        self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked")
+        self.note(stray, f"{name} is outside {low:g} to {high:g} {unit}; blanked", name)
         values[stray] = np.nan
 
     def blank_glitches(self, name: str) -> None:
         """Blank readings that stand out."""
         lost = find_glitches(name, self.channels[name])
-        self.note(lost, f"{name} stands out for one reading or two; blanked")
+        self.note(lost, f"{name} stands out for one reading or two; blanked", name)
         self.channels[name][lost] = np.nan
 
     def hold(self, name: str) -> None:
@@ -317,17 +333,28 @@ class _Cleaner:
         if name == "t" or not writes_changes(values):
             return
         last = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(len(values))))
-        self.note(np.isnan(values) & (last >= 0), f"{name} is blank, as what does not change; held")
+        blank = np.isnan(values) & (last >= 0)
+        self.note(blank, f"{name} is blank, as what does not change; held", name)
         self.channels[name] = np.where(last >= 0, values[last], np.nan)
 
     def join(self, needed: Collection[str]) -> None:
         """Bring channels that stand in rows of their own to those of the left tread speed."""
-        joined = join_rows(self.channels, needed)
+        own = self.channels["t"]
+        joined = join_rows(
+            {name: Series(self.apart.get(name, own), v) for name, v in self.channels.items()},
+            needed,
+        )
         if joined is None:
             return
+        if self.apart:
+            for name, values in self.channels.items():
+                lost = ~usable_rows(Series(self.apart.get(name, own), values))
+                self.note(lost, f"{name}: no value, or the time of that before; left out", name)
         self.channels, self.rows = joined.channels, self.rows[joined.rows]
-        told = ", ".join(f"{name} {how}" for name, how in joined.how.items())
-        self.warnings.append(f"each row holds some of the channels; at the times of v_left: {told}")
+        said = ", ".join(f"{name} {how}" for name, how in joined.how.items())
+        rows = "" if self.apart else "each row holds some of the channels; "
+        if said:
+            self.warnings.append(f"{rows}at the times of v_left: {said}")
 
     def order(self) -> None:
         """Sort a few late rows, average those of one time, and refuse what is out of order."""

@@ -8,9 +8,10 @@ it, and nothing else, brings every ratio back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from math import inf, isfinite, log, nan
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -37,18 +38,21 @@ if TYPE_CHECKING:
 _WINDOW = 3.0  # length of the stretches over which distances are compared [s]
 _ENOUGH = 20  # samples or windows below which nothing is concluded
 _JITTER = 6.0  # least displacement of a pose, over the noise of its readings, that tells a length
+_CLOSE, _FAR_APART = 0.01, 0.1  # time between means of rows, at least and at most [s]
+_MANY_ROWS = 100_000  # rows that suffice to compare channels
 _CHANCE = 4.0  # standard errors beyond which a mean power is none by chance
 _ALIKE = 0.9  # correlation from which the turning tells a slip track
 _FEW_NUMBERS = 25  # whole numbers beyond which they may be of a finer unit
-_DRAWN = frozenset({"current", "power", "p_left", "p_right"})
+POWERS = ("p_left", "p_right", "power", "current")
+"""Channels of what is drawn."""
 _INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
 
 
 Channels = Mapping[str, FloatArray]
 
 
-class Drive:
-    """A drive and what it shows of a robot, each computed when it is asked for; NaN if unseen."""
+class Observed:
+    """What a drive shows of a robot, each computed when it is needed; NaN if unseen."""
 
     def __init__(self, channels: Channels, power: FloatArray, runs: Sequence[slice]) -> None:
         self.channels, self.power, self.runs = channels, power, runs
@@ -64,10 +68,65 @@ class Drive:
             ("p_left", "p_right") if self.sides else ("current",) if battery else ("power",)
         )
 
+    @cached_property
+    def rows(self) -> Observed:
+        """The same of every row, where this is of their means."""
+        return self
+
+    def averaged(self) -> Observed:
+        """Return what means show, where rows are so close, or so many, that means suffice."""
+        close = _CLOSE / self.usual_step if self.usual_step < 0.5 * _CLOSE else 1.0
+        many = min(len(self.t) / _MANY_ROWS, _FAR_APART / self.usual_step)
+        count = int(max(close, many, 1.0))
+        runs = [run for run in self.runs if run.stop - run.start >= 100 * count]
+        if count < 2 or sum(run.stop - run.start for run in runs) < 0.9 * len(self.t):
+            return self
+        sizes = [(run.stop - run.start) // count for run in runs]
+        ends = np.cumsum(sizes)
+
+        def means(values: FloatArray) -> FloatArray:
+            return np.concatenate([
+                values[run.start : run.start + size * count].reshape(size, count).mean(axis=1)
+                for run, size in zip(runs, sizes, strict=True)
+            ])  # fmt: skip
+
+        channels = {
+            name: means(np.unwrap(values) if name == "yaw" else values)
+            for name, values in self.channels.items()
+        }
+        result = Observed(
+            channels, means(self.power),
+            [slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True)],
+        )  # fmt: skip
+        result.__dict__ |= {"rows": self, "step": self.step, "whole": self.whole}
+        return result
+
     def stretches(self, name: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Where a channel's readings change, and how many samples each lasts."""
         starts = np.flatnonzero(np.append(True, np.diff(self.channels[name]) != 0.0))
         return starts, np.diff(np.append(starts, len(self.t)))
+
+    @cached_property
+    def held(self) -> dict[str, float]:
+        """Powers that repeat their reading, by the time after which they are read again [s]."""
+        changing = np.append(False, np.diff(self.effort) != 0.0)
+        found = {}
+        for name in (name for name in POWERS if name in self.channels):
+            starts, counts = self.stretches(name)
+            drives = np.logical_and.reduceat(self.moving, starts)
+            counts, driving = counts[:-1], drives[:-1] & drives[1:]
+            if np.count_nonzero(driving) < 8:
+                continue
+            usual = float(np.median(counts[driving]))
+            rows = np.flatnonzero(np.repeat(driving, counts))
+            if usual < 3 or np.mean(changing[rows]) < 0.1:
+                continue
+            # A reading that is the one before by chance makes two of one; and one may be late.
+            times = counts[driving] / usual
+            regular = np.abs(times - np.clip(np.round(times), 1, 3)) * usual <= 1.0
+            if np.mean(regular) > 0.9:
+                found[name] = float(np.median(np.diff(self.t[starts])[driving]))
+        return found
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
@@ -176,7 +235,7 @@ class Drive:
     @cached_property
     def whole(self) -> frozenset[str]:
         """Electric channels that come in many whole numbers."""
-        return frozenset(n for n in (*_DRAWN, "voltage") if _whole(self.channels.get(n)))
+        return frozenset(n for n in (*POWERS, "voltage") if _whole(self.channels.get(n)))
 
 
 def _whole(values: FloatArray | None) -> bool:
@@ -280,23 +339,13 @@ def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
 
 
-_MANY = 20_000  # samples from which a Fourier transform is quicker than lag by lag
-
-
 def _repeats(residual: FloatArray) -> float:
     """How many neighbouring samples repeat each other: the sum of the autocorrelation."""
     size = float(residual @ residual)
-    total, many = 1.0, len(residual) > _MANY
-    if many:  # all lags at once
-        spectrum = np.fft.rfft(residual, 2 * len(residual))
-        product = np.fft.irfft(np.abs(spectrum) ** 2)
-    for lag in range(1, len(residual) // 4):
-        shared = product[lag] if many else residual[lag:] @ residual[:-lag]
-        alike = float(shared) / size if size > 0 else 0.0
-        if alike < 0.05:
-            break
-        total += 2 * alike
-    return total
+    spectrum = np.fft.rfft(residual, 2 * len(residual))
+    alike = np.fft.irfft(np.abs(spectrum) ** 2)[1 : len(residual) // 4] / max(size, 1e-300)
+    apart = np.flatnonzero(alike < 0.05)
+    return 1.0 + 2.0 * float(alike[: apart[0] if len(apart) else None].sum())
 
 
 _WHEEL_RADII = (0.02, 0.45)  # of skid-steer robots [m]
@@ -316,12 +365,14 @@ class Check:
     remedy: str = ""  # what to do if it is wrong
     refuses: str = ""  # what it rules out: "reading" the log, "fitting" anything to it, or "trust"
     turned: tuple[str, ...] = ()  # channels that count the other way
-    value: float = nan  # what came out
+    value: float | None = None  # what came out
     expected: str = ""  # what was expected
     ok: bool = False  # whether it came out so
+    rule: str = ""  # which rule it is of
+    channel: str = ""  # the channel that it is about, where it is about one alone
 
     def __str__(self) -> str:
-        compared = f": {self.value:.3g}, expected {self.expected}" if isfinite(self.value) else ""
+        compared = f": {self.value:.3g}, expected {self.expected}" if self.value is not None else ""
         return f"{self.what}{compared}" + (f"; {self.remedy}" if self.remedy else "")
 
 
@@ -383,11 +434,11 @@ _ROUGH_FORCE = replace(_FORCE, low=8e-4, high=40.0, why="resistance of wheels, w
 _WHOLE_VOLTAGE = replace(_VOLTAGE, high=100.0, why="batteries of robots, read in whole numbers")
 
 
-def _ratios(seen: Mapping[str, float], drive: Drive) -> list[tuple[_Range, float]]:
+def _ratios(seen: Mapping[str, float], drive: Observed) -> list[tuple[_Range, float]]:
     """Return the known ratios that drive and measures make."""
     track, wheelbase, mass = (seen[key] for key in ("track", "wheelbase", "mass"))
     geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else nan
-    force = _WHOLE_FORCE if drive.whole & _DRAWN else _FORCE
+    force = _WHOLE_FORCE if drive.whole & set(POWERS) else _FORCE
     weight = mass * GRAVITY
     if not isfinite(mass):
         force = _ROUGH_FORCE
@@ -433,7 +484,7 @@ class _Mistake(NamedTuple):
     rarity: float = 0.0
     instead: str = ""  # what to do, where that is not to map the channels in the unit
 
-    def undo(self, seen: Mapping[str, float], drive: Drive, factor: float) -> dict[str, float]:
+    def undo(self, seen: Mapping[str, float], drive: Observed, factor: float) -> dict[str, float]:
         """Return what would be seen without the mistake."""
         acts = dict(_ACTS[self.channels])
         if self.channels[0] in ("t", "yaw", "yaw_rate"):  # of what the slip track is told by
@@ -513,7 +564,7 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     mapped = columns.get("v_left")
     unit = "" if mapped is None else mapped.unit.lstrip("-").partition("*")[0]
     rolls = mapped is None or known_unit("v_left", unit) in RATES
-    scale = 1.0 if mapped is None else abs(mapped.conversion.factor)
+    scale = _scale(mapped)
     for unit, rate in RATES.items():
         radius = wanted * scale / rate
         as_given = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < 0.1
@@ -543,39 +594,60 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
 
 
 def check_consistency(
-    drive: Drive, known: Measures, columns: _Columns = MappingProxyType({})
+    drive: Observed,
+    known: Measures,
+    columns: _Columns = MappingProxyType({}),
+    holds: Callable[[Mapping[str, str]], bool] = lambda units: True,
 ) -> list[Check]:
-    """Compare the quantities of a log with each other and with the robot's measures."""
+    """Compare the quantities of a log with each other and with the robot's measures.
+
+    A remedy is offered if a log that is read in its units `holds`.
+    """
     seen = _seen(drive, known)
     ratios = _ratios(seen, drive)
     wrong = [span for span, value in ratios if not span.holds(value)]
-    remedies = _explain(seen, drive, known, columns, bool(wrong))
-    remedy = "; or ".join(text for _, text in remedies[:_NAMED]) if wrong else ""
+    found = _explain(seen, drive, known, columns, bool(wrong))
+    remedy = "; or ".join(_sound(found, holds)) if wrong else ""
     if wrong and not remedy:
         remedy = (
             "no single mistake explains it: check that the vehicle is this robot, the units, the "
             "wheel radius and the measures"
         )
-    made = [
+    result = [
         Check(span.what, remedy if span in wrong[:1] else "", value=value, expected=span.expected,
-              ok=span not in wrong)
+              ok=span not in wrong, rule=span.what)
         for span, value in ratios
     ]  # fmt: skip
     weighed = any(span.what == _FORCE.what for span, _ in ratios)
     cost = sum(span.strain(value) for span, value in ratios)
-    unusual = [text for saved, text in remedies if saved < cost - _DOUBT]
-    if weighed and unusual and not wrong:
-        made.append(Check(_UNUSUAL, "; or ".join(unusual[:_NAMED])))
-    return made
+    unusual = [one for one in found if one.strain < cost - _DOUBT]
+    if weighed and not wrong and (remedies := _sound(unusual, holds)):
+        result.append(Check(_UNUSUAL, "; or ".join(remedies), rule=_UNUSUAL))
+    return result
+
+
+class _Mended(NamedTuple):
+    """What would explain a log, how unusual it leaves it, and the units to read it in."""
+
+    strain: float
+    text: str
+    units: dict[str, str]
+
+
+def _sound(remedies: Sequence[_Mended], holds: Callable[[Mapping[str, str]], bool]) -> list[str]:
+    """Return the first remedies that help where they are applied."""
+    return [
+        one.text
+        for one in islice((one for one in remedies if not one.units or holds(one.units)), _NAMED)
+    ]
 
 
 def contradictions(log: DriveLog, vehicle: Vehicle) -> list[Check]:
     """Return what of a drive contradicts the vehicle, and what mistake would explain it."""
-    drive = Drive(log.channels, log.power, log.runs)
-    return [one for one in check_consistency(drive, Measures.of(vehicle)) if not one.ok]
+    return [one for one in check_consistency(log.observed, Measures.of(vehicle)) if not one.ok]
 
 
-def _seen(drive: Drive, known: Measures) -> dict[str, float]:
+def _seen(drive: Observed, known: Measures) -> dict[str, float]:
     """Return what is seen of log and robot, by name."""
     quantities = ["slip_track", "distance", "rotation", "top_speed", "force", "electric", "step",
                   "voltage", *(["inertia"] if isfinite(known.mass) else [])]  # fmt: skip
@@ -584,47 +656,68 @@ def _seen(drive: Drive, known: Measures) -> dict[str, float]:
     }  # fmt: skip
 
 
-def strain(drive: Drive, known: Measures) -> float:
+def strain(drive: Observed, known: Measures) -> float:
     """How far drive and measures are from what is usual: the sum of squares over the ratios."""
     return sum(span.strain(value) for span, value in _ratios(_seen(drive, known), drive))
 
 
 def _explain(
-    seen: Mapping[str, float], drive: Drive, known: Measures, columns: _Columns, wrong: bool
-) -> list[tuple[float, str]]:
+    seen: Mapping[str, float], drive: Observed, known: Measures, columns: _Columns, wrong: bool
+) -> list[_Mended]:
     """Name the mistakes without which all ratios hold, by how unusual they leave them."""
     # Where nothing is wrong, measures and batteries of any size are believed.
     there, tried = {*drive.channels} - {"voltage", "t"}, []
+    no_units: dict[str, str] = {}
     if wrong:
         there = {*drive.channels, "track", "wheelbase", "mass"}
         swapped = {**seen, "track": seen["wheelbase"], "wheelbase": seen["track"]}
-        tried.append((0.1, "track and wheelbase are swapped: swap them", swapped))
+        tried.append((0.1, "track and wheelbase are swapped: swap them", swapped, no_units))
     for one in [*_MISTAKES, *_of_speeds(seen, known, columns)]:
         mapped = columns.get(one.channels[0])
-        scale = 1.0 if mapped is None or one not in _MISTAKES else mapped.conversion.factor
-        factor = one.factor / abs(scale)
+        factor = one.factor / (_scale(mapped) if one in _MISTAKES else 1.0)
         if one.channels == ("t",) and (dated(drive.t) or (mapped is not None and mapped.unit)):
             continue  # a calendar's time, or a clock whose unit is known
         if there.issuperset(one.channels) and abs(log(factor)) > 0.1:  # else it is read so
-            text = f"{one.name}: {_remedy(one, columns)}"
-            tried.append((one.rarity, text, one.undo(seen, drive, factor)))
-    fitting: list[tuple[float, str]] = []
-    for rarity, text, undone in tried:
+            units = _units_of(one, columns)
+            text = f"{one.name}: {_remedy(one, units, columns)}"
+            tried.append((one.rarity, text, one.undo(seen, drive, factor), units))
+    fitting: list[_Mended] = []
+    for rarity, text, undone, units in tried:
         ratios = _ratios(undone, drive)
         if all(span.holds(value) for span, value in ratios):
             cost = sum(span.strain(value) for span, value in ratios) + rarity
-            fitting.append((cost, f"perhaps {text}"))
-    return sorted(fitting)
+            fitting.append(_Mended(cost, f"perhaps {text}", units))
+    return sorted(fitting, key=lambda one: one[:2])
 
 
-def _remedy(one: _Mistake, columns: _Columns) -> str:
-    """Say how to map the readings."""
+def _scale(mapped: Column | None) -> float:
+    """Return the factor that a column's readings have; of a mean of wheels, that of each."""
+    if mapped is None:
+        return 1.0
+    return abs(mapped.conversion.factor / mapped.changed(unit="").mean().conversion.factor)
+
+
+def _units_of(one: _Mistake, columns: _Columns) -> dict[str, str]:
+    """Return the units to map the readings in, by channel; none of a robot's measures."""
     if one.instead or one.channels[0] in ("track", "wheelbase", "mass"):
-        return one.instead or f"give {one.unit}"
-    entries = []
+        return {}
+    units = {}
     for channel in one.channels:
         mapped = columns.get(channel)
         sign = "-" if mapped is not None and mapped.conversion.factor < 0 else ""
-        name = "NAME" if mapped is None else mapped.written
-        entries.append(f"{channel}={name}[{sign}{one.unit}]")
-    return f"map {','.join(entries)}"
+        units[channel] = f"{sign}{one.unit}"
+        if mapped is not None:
+            units[channel] = mapped.changed(unit=units[channel]).mean().unit
+    return units
+
+
+def _remedy(one: _Mistake, units: Mapping[str, str], columns: _Columns) -> str:
+    """Say how to map the readings."""
+    if not units:
+        return one.instead or f"give {one.unit}"
+    names = {
+        channel: columns[channel].written if channel in columns else "NAME" for channel in units
+    }
+    return (
+        f"map {','.join(f'{channel}={names[channel]}[{unit}]' for channel, unit in units.items())}"
+    )

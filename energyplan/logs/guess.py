@@ -91,25 +91,25 @@ def _groups(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Return names that differ in nothing but the wheel or the number of the motor."""
     alike: dict[object, list[str]] = {}
     for name in names:
-        told, unit = words(name), split_unit(name)[1]
+        stated, unit = words(name), split_unit(name)[1]
         number = re.search(r"(?<![.\d])\d+", split_unit(name)[0])
-        if number is None and not set(told) & set(_PLACES):
+        if number is None and not set(stated) & set(_PLACES):
             continue
-        key = tuple(word for word in (_PLACES.get(word, word) for word in told) if word)
+        key = tuple(word for word in (_PLACES.get(word, word) for word in stated) if word)
         alike.setdefault((key, unit, number is None), []).append(name)
     return {name: tuple(group) for group in alike.values() for name in group}
 
 
 def _score(channel: str, name: str) -> float:
     """How well a name fits a channel; 0 if not at all."""
-    told = words(name)
-    said = set(told)
+    stated = words(name)
+    said = set(stated)
     has = {kind: bool(said & names) for kind, names in _WORDS.items()}
-    last = told[-1:]
+    last = stated[-1:]
     for quantity, kind in _TOLD_BY_UNIT.items():
         unit = unit_in(quantity, name).unit
         has[kind] = has[kind] or unit != ""
-        last = told[-2:-1] if [unit.lower()] == told[-1:] else last
+        last = stated[-2:-1] if [unit.lower()] == stated[-1:] else last
     if "v" in said and said & _BATTERY:
         has["voltage"], has["speed"] = True, bool(said & (_WORDS["speed"] - {"v", "w"}))
     # Of several quantities, as where topics are named for one, the name ends with its own.
@@ -119,13 +119,13 @@ def _score(channel: str, name: str) -> float:
     if name.strip() == channel:
         return 10.0
     other = _NOT_MEASURED - {"position"} if channel in ("x", "y") else _NOT_MEASURED
-    asked = bool(said & other) or told[-1:] == ["status"]
-    asked = asked or ("input" in said and not (has["voltage"] or has["current"]))
+    wanted = bool(said & other) or stated[-1:] == ["status"]
+    wanted = wanted or ("input" in said and not (has["voltage"] or has["current"]))
     quantity, _, side = channel.partition("_")
     sided = has["left"] != has["right"]
     if channel == "t":
-        return (3.0 if told and told[-1] in _WORDS["time"] else 2.0) * has["time"]
-    if asked and channel != "temperature":
+        return (3.0 if stated and stated[-1] in _WORDS["time"] else 2.0) * has["time"]
+    if wanted and channel != "temperature":
         return 0.0
     if side in ("left", "right"):
         if not (sided and has[side]):
@@ -150,7 +150,7 @@ def _score(channel: str, name: str) -> float:
             return 1.5
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
         vector = has["turn"] or has["accel"] or bool(said & _NO_PLACE)
-        return (1.0 + bool(place)) * (told[-1:] == [channel]) * (not vector)
+        return (1.0 + bool(place)) * (stated[-1:] == [channel]) * (not vector)
     if channel == "yaw":
         return 2.0 * has["yaw"] * (not (said & {"rate", "vel", "velocity", "speed", "dot"}))
     if channel == "yaw_rate":
@@ -177,9 +177,9 @@ def _quaternions(names: Collection[str]) -> set[str]:
 
 def guess_encoders(names: Iterable[str]) -> dict[str, Column]:
     """Guess which names are encoders' of the left and right wheels; none where one is missing."""
-    asked = {"cmd", "command", "set", "setpoint", "target", "desired", "ref", "goal", "err",
+    wanted = {"cmd", "command", "set", "setpoint", "target", "desired", "ref", "goal", "err",
              "error", "cov", "covariance", "temp"}  # fmt: skip
-    counted = [n for n in names if ENCODER & set(words(n)) and not asked & set(words(n))]
+    counted = [n for n in names if ENCODER & set(words(n)) and not wanted & set(words(n))]
     groups = _groups(counted)
     found: dict[str, Column] = {}
     for side in ("left", "right"):
@@ -208,16 +208,16 @@ def of_one_wheel(name: str) -> bool:
 
 def halves(name: str, others: Iterable[str]) -> list[str]:
     """Return powers or currents named like one but for a word: of another side, it may be."""
-    told = _tokens(name)
-    if "total" in told:
+    stated = _tokens(name)
+    if "total" in stated:
         return []
     found = []
     for other in others:
-        pairs = list(zip(told, _tokens(other), strict=False))
+        pairs = list(zip(stated, _tokens(other), strict=False))
         same = {one for one, twin in pairs if one == twin}
-        alike = len(told) == len(_tokens(other)) == len(pairs) == len(same) + 1
+        alike = len(stated) == len(_tokens(other)) == len(pairs) == len(same) + 1
         # A battery's is the whole of what is no battery's.
-        packs = bool(set(told) & _BATTERY) == bool({*_tokens(other)} & _BATTERY)
+        packs = bool(set(stated) & _BATTERY) == bool({*_tokens(other)} & _BATTERY)
         if alike and packs and same & (_WORDS["power"] | _WORDS["current"]):
             found.append(other)
     return found

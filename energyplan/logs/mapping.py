@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError
-from energyplan.kinds import described
-from energyplan.logs.align import Series, align, derivative, gap_limit
+from energyplan.logs.align import derivative, gap_limit
 from energyplan.path import FloatArray
-from energyplan.records import Checked
+from energyplan.records import Checked, described
 
 ROW = "row"
 """Stands for the number of a row in a mapping: the time, of rows that come at a steady rate."""
@@ -199,11 +198,12 @@ class NamedUnit(NamedTuple):
     unit: str = ""
 
 
+@lru_cache(maxsize=4096)
 def unit_in(channel: str, name: str) -> NamedUnit:
     """Return the unit that a column's name tells, if the channel can be in it."""
-    bare, told = split_unit(name)
-    if told:
-        return NamedUnit(bare, known_unit(channel, told) or "")
+    bare, stated = split_unit(name)
+    if stated:
+        return NamedUnit(bare, known_unit(channel, stated) or "")
     scaled = _SCALED.fullmatch(bare)
     spelt = known_unit(channel, scaled[3]) if scaled else None
     if scaled and spelt is not None and spelt not in _OF_WHEELS:
@@ -402,25 +402,18 @@ class Column(Checked):
         """How the column counts; empty where its readings are the channel's, but for a factor."""
         return counting(self.channel, self.unit)
 
-    def over(self, t: FloatArray | None, reading: Callable[[str], FloatArray]) -> FloatArray:
-        """Return the channel over time [s], as `value`; of a counter, its rate."""
-        if t is None:
-            return np.asarray(self.value(reading))
-        kind = self.counts
+    def joined(self) -> Column:
+        """Return a field of messages as a recording names it, ``/topic.field``."""
+        if not self.topic:
+            return self
 
-        def beside(name: str) -> FloatArray:
-            """Bring what stands in other rows than the first column, as of another file, there."""
-            values = reading(name)
-            own, rows = (np.isfinite(t) & np.isfinite(one) for one in (values, reading(self.field)))
-            few = min(np.count_nonzero(own), np.count_nonzero(rows)) < 2
-            if few or np.any(own & rows) or np.any(np.diff(t[own]) < 0):
-                return values
-            found = np.full(len(t), np.nan)
-            found[rows] = align(Series(t[own], values[own]), t[rows]).values
-            return found
+        def full(name: str) -> str:
+            return name if name.startswith("/") else f"/{self.topic.strip('/')}.{name}"
 
-        rate = (lambda name: count_rate(t, beside(name), kind)) if kind else None
-        return np.asarray(self.value(beside, rate))
+        times = None if self.times is None else full(self.times)
+        return self.changed(
+            topic="", field=full(self.field), plus=tuple(map(full, self.plus)), times=times
+        )
 
     def matches(self, topic: str) -> bool:
         """Tell whether a bag's topic is meant."""
@@ -439,9 +432,16 @@ class Column(Checked):
 
     def changed(self, **parts: Any) -> Column:
         """Return the column with other parts; its unit is checked."""
-        made = self.model_copy(update=parts)
-        _ = made.conversion
-        return made
+        result = self.model_copy(update=parts)
+        _ = result.conversion
+        return result
+
+    def mean(self) -> Column:
+        """Return a column whose speeds of a side's wheels are averaged, not summed."""
+        if not self.plus or self.weights or not self.channel.startswith("v_"):
+            return self.changed()
+        bare, _, factor = self.unit.rpartition("*") if "*" in self.unit else (self.unit, "", "1")
+        return self.changed(unit=f"{bare}*{float(factor) / (1 + len(self.plus)):.6g}")
 
     def negative(self) -> Column:
         """Return the column with the opposite sign."""
@@ -458,10 +458,10 @@ def column_from(
     weights: Sequence[float] = (),
 ) -> Column:
     """Return the column of a name that serves as a channel."""
-    made = Column(field=column, unit=unit or "", times=times, plus=tuple(plus),
+    result = Column(field=column, unit=unit or "", times=times, plus=tuple(plus),
                   weights=tuple(weights), channel=channel)  # fmt: skip
-    _ = made.conversion  # refuses an unknown unit
-    return made
+    _ = result.conversion  # refuses an unknown unit
+    return result
 
 
 def _unreadable(entry: str) -> DriveLogError:
@@ -509,11 +509,13 @@ def _resolve(channel: str, text: str, names: Collection[str]) -> Column:
     if source.count("[") != source.count("]"):
         raise _unreadable(f"{channel}={text}")
     known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True) if name)
-    made = None if source in names or not known else formula(source, known)
-    if made is None:
+    result = None if source in names or not known else formula(source, known)
+    if result is None:
         return column_from(channel, source, unit)
-    written = unit or _unit_of(channel, made.names, made.times)
-    return column_from(channel, made.names[0], written, made.times, made.names[1:], made.weights)
+    written = unit or _unit_of(channel, result.names, result.times)
+    return column_from(
+        channel, result.names[0], written, result.times, result.names[1:], result.weights
+    )
 
 
 _NUMBER = r"\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+"
@@ -555,9 +557,9 @@ def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:
         )
     factor = 1.0
     kinds = ("current", "voltage", "yaw_rate")
-    told = [next(((k, u) for k in kinds if (u := unit_in(k, name).unit)), ("current", ""))
+    stated = [next(((k, u) for k in kinds if (u := unit_in(k, name).unit)), ("current", ""))
             for name in (*names, times)]  # fmt: skip
-    for kind, unit in (*dict.fromkeys(told[:-1]), told[-1]):
+    for kind, unit in (*dict.fromkeys(stated[:-1]), stated[-1]):
         factor *= UNITS[kind].get(unit, 1.0)
     return "" if factor == 1.0 else f"*{factor:.10g}"
 
@@ -574,17 +576,17 @@ def parse_columns(
             if not isinstance(item, str | Column):
                 raise DriveLogError(f"the column of {key!r} is {described(item)}; give its name")
         pairs = [(name, f"={item}") for name, item in columns.items() if isinstance(item, str)]
-    made = {} if columns is None or isinstance(columns, str) else {
+    result = {} if columns is None or isinstance(columns, str) else {
         key: item for key, item in columns.items() if isinstance(item, Column)
     }  # fmt: skip
     for name, text in pairs:
         channel, source = name.strip(), text[1:].strip()
         if not text or not channel or not source or re.search(r"[\[\]\"']", channel):
             raise _unreadable(f"{name}{text}")
-        if channel in made:
+        if channel in result:
             raise DriveLogError(f"column mapping names the channel {channel!r} twice; drop one")
-        made[channel] = _resolve(channel, source, names)
-    return made
+        result[channel] = _resolve(channel, source, names)
+    return result
 
 
 def map_channels(
@@ -598,10 +600,10 @@ def map_channels(
     left = [name for name in names if name and name not in taken]
     found = {n: Column(field=n, channel=n) for n in left if n in UNITS and n not in wanted}
     for name in left:
-        told = {c: unit_in(c, name) for c in UNITS if name.startswith(c) and name != c}
-        channel = next((c for c, one in told.items() if one.unit and one.bare == c), "")
+        stated = {c: unit_in(c, name) for c in UNITS if name.startswith(c) and name != c}
+        channel = next((c for c, one in stated.items() if one.unit and one.bare == c), "")
         if channel and channel not in {**wanted, **found}:
-            found[channel] = column_from(channel, name, told[channel].unit)
+            found[channel] = column_from(channel, name, stated[channel].unit)
         elif name not in {*wanted, *found, *text}:
             found[name] = Column(field=name, channel=name)
     return {**wanted, **found}

@@ -12,7 +12,9 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,12 +22,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.errors import InvalidInputError, MissingDependencyError
-from energyplan.kinds import NO_NUMBER
+from energyplan.errors import DriveLogError, InvalidInputError, MissingDependencyError
+from energyplan.logs.align import Series, align, usable
 from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess
-from energyplan.logs.mapping import ROW, Column, is_unit, scale_of, split_unit, time_units
+from energyplan.logs.mapping import (
+    ROW,
+    Column,
+    count_rate,
+    is_unit,
+    map_channels,
+    parse_columns,
+    scale_of,
+    split_unit,
+    time_units,
+)
 from energyplan.path import FloatArray
+from energyplan.records import NO_NUMBER
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd
@@ -170,14 +183,14 @@ def reads(line: str) -> bool:
 
 def _names_row(rows: list[list[str]], width: int) -> int | None:
     """Return the row that names the columns: the last of words alone before the readings."""
-    told = [(k, row) for k, row in enumerate(rows) if len(_uncommented(row)) == width]
-    reading = next((k for k, row in told if not _is_comment(row) and _reads(row)), len(rows))
-    before = [(k, row) for k, row in told if k < reading and not any(map(_is_value, row))
+    stated = [(k, row) for k, row in enumerate(rows) if len(_uncommented(row)) == width]
+    reading = next((k for k, row in stated if not _is_comment(row) and _reads(row)), len(rows))
+    before = [(k, row) for k, row in stated if k < reading and not any(map(_is_value, row))
               and not all(cell.strip().lower() in _NO_NUMBER for cell in row)]  # fmt: skip
     plain = [(k, row) for k, row in before if not _is_comment(row)]
     some = plain or before
     if not some:
-        return told[0][0] if told and told[0][0] == 0 else None
+        return stated[0][0] if stated and stated[0][0] == 0 else None
     if reading == len(rows):  # nothing but words: the readings are, too
         return some[0][0]
     last = some[-1]
@@ -286,22 +299,26 @@ _REMEDIES = (
 
 
 @dataclass(frozen=True)
-class Table:
-    """Columns of numbers, and where they came from."""
+class Recording:
+    """Named series of numbers, with their times where these are known, and their source."""
 
     source: str  # name of the file, for messages
-    columns: Mapping[str, FloatArray]  # (n,): the columns that hold numbers
-    text: Mapping[str, str]
-    first: int  # number of the first row of data
-    unit: str  # what that number counts
-    error: type[InvalidInputError]  # error to raise for bad content
+    columns: Mapping[str, FloatArray]  # the series that hold numbers
+    text: Mapping[str, str] = field(default_factory=dict)  # where others do not, by name
+    times: Mapping[str, FloatArray] = field(default_factory=dict)  # [s]; of rows none: map them
+    kinds: Mapping[str, str] = field(default_factory=dict)  # type of the messages of each topic
+    written: Mapping[str, str] = field(default_factory=dict)  # field of a message, by series
+    notes: Mapping[str, str] = field(default_factory=dict)  # what is doubtful of a topic
+    first: int = 1  # number of the first row of data
+    unit: str = "row"  # what that number counts
+    error: type[InvalidInputError] = DriveLogError  # error to raise for bad content
 
     def place(self, row: int) -> str:
         """Name the place of a row, such as ``"line 12"``."""
         return f"{self.unit} {self.first + row}"
 
     def column(self, name: str) -> FloatArray:
-        """Return a column; `ROW` is the number of each row."""
+        """Return a series; `ROW` is the number of each row, NAME[A|B*] the mean of elements."""
         if name in self.columns:
             return self.columns[name]
         if name in (turns := quaternions(self.columns)):
@@ -310,14 +327,110 @@ class Table:
             return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         if name == ROW and self.columns:
             return np.arange(len(next(iter(self.columns.values()))), dtype=float)
+        if self.kinds and (parts := self.elements(name)):
+            return _mean_of([self.columns[part] for part in parts])
         if name in self.text:
             cell = self.text[name]
             remedy = next((text for kind, text in _REMEDIES if kind.search(cell)), "")
             if cell.endswith(f" is {name!r}"):
                 remedy = "the names stand there again: give each recording a file of its own"
             raise self.error(f"{self.source}, {cell}, which is no number; {remedy}")
-        there = ", ".join([*self.columns, *self.text][:20])
-        raise self.error(f"{self.source}: there is no column {name!r}; the columns are {there}")
+        near = get_close_matches(name, self.columns, 5, 0.5) if self.kinds else []
+        there = ", ".join(near or [*self.columns, *self.text][:20])
+        raise self.error(
+            f"{self.source}: there is no column {name!r}; "
+            f"{'near it' if near else 'the columns'} are {there}"
+        )
+
+    def elements(self, name: str) -> list[str]:
+        """Return the series of an array of messages that a field such as ``/a.b[*left*]`` means."""
+        label = message_series(name)
+        if label in self.columns:
+            return [label]
+        base, _, element = name.rstrip("]").partition("[")
+        every = {one: one[len(base) + 1 :] for one in self.columns if one.startswith(f"{base}.")}
+        if element.isdecimal():
+            return [*every][int(element) :][:1]
+        wanted = element.split("|")
+        return [one for one, part in every.items() if any(fnmatchcase(part, w) for w in wanted)]
+
+    def mapping(
+        self, columns: str | Mapping[str, str | Column] | None, others: bool = True
+    ) -> dict[str, Column]:
+        """Return which column serves as which channel: as given, and others by their own names."""
+        names = (*self.columns, *self.text)
+        given = parse_columns(columns, names)
+        return map_channels(given, names, self.text) if others else given
+
+    def notes_of(self, mapping: Mapping[str, Column]) -> list[str]:
+        """Return what is said of the messages that serve as channels, or of text that does not."""
+        names = {name for one in mapping.values() for name in one.names}
+        if self.kinds:
+            served = ", ".join(f"{channel} is {one.written}" for channel, one in mapping.items())
+            starts = {topic: f"/{topic.strip('/')}." for topic in self.notes}
+            return [f"read: {served}"] + [
+                note for topic, note in self.notes.items()
+                if any(name.startswith(starts[topic]) for name in names)
+            ]  # fmt: skip
+        unread = [name for name in self.text if name not in names][:10]
+        whole = unread and names.issuperset(self.columns)
+        return [f"columns of text are left out: {', '.join(unread)}"] if whole else []
+
+    def clock(self, name: str, rows: FloatArray | None = None) -> FloatArray | None:
+        """Return the times of a series; of a table, those of its rows."""
+        if not self.times or name in self.times:
+            return self.times.get(name, rows)
+        return self.times.get(next(iter(self.elements(name)), ""), rows)
+
+    def series(self, column: Column, rows: FloatArray | None = None) -> Series:
+        """Return a channel at the times of its first column; NaN where it has no reading.
+
+        What has other times, or stands in other rows, is brought to these; a counter gives rates.
+        """
+        t = self.clock(column.field, rows)
+        if t is None:
+            return Series(np.zeros(0), np.asarray(column.value(self.column)))
+
+        def nearby(name: str) -> FloatArray:
+            values, own = self.column(name), self.clock(name, rows)
+            if own is t:
+                there, first = (np.isfinite(t) & np.isfinite(one)
+                                for one in (values, self.column(column.field)))  # fmt: skip
+                few = min(np.count_nonzero(there), np.count_nonzero(first)) < 2
+                if few or np.any(there & first) or np.any(np.diff(t[there]) < 0):
+                    return values
+            found = np.full(len(t), np.nan)
+            known = np.isfinite(t) & np.isfinite(self.column(column.field))
+            found[known] = align(usable(Series(t if own is None else own, values)), t[known]).values
+            return found
+
+        kind = column.counts
+        rate = (lambda name: count_rate(t, nearby(name), kind)) if kind else None
+        return Series(t, np.asarray(column.value(nearby, rate)))
+
+    def head(self, name: str, rows: int) -> Recording:
+        """Return the first rows of a series, and what was recorded until then."""
+        if not self.times:
+            return replace(self, columns={n: v[:rows] for n, v in self.columns.items()})
+        t = self.clock(name)
+        end = np.inf if t is None or len(t) <= rows else t[rows]
+        cut = {id(one): one[: np.searchsorted(one, end)] for one in self.times.values()}
+        times = {name: cut[id(one)] for name, one in self.times.items()}
+        return replace(
+            self, times=times, columns={n: v[: len(times[n])] for n, v in self.columns.items()}
+        )
+
+
+def _mean_of(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return the mean of those that are known in each row."""
+    known = sum(np.isfinite(part).astype(int) for part in parts)
+    total = sum(np.where(np.isfinite(part), part, 0.0) for part in parts)
+    return np.asarray(np.where(known > 0, total / np.maximum(known, 1), np.nan))
+
+
+def message_series(name: str) -> str:
+    """Return the name of the series of a message's field: ``/a.b.c`` of ``/a.b[c]``."""
+    return f"/{re.sub(r'[][()]+', '.', name).strip('/.')}"
 
 
 def quaternions(names: Collection[str]) -> dict[str, tuple[str, ...]]:
@@ -374,7 +487,7 @@ class Columns:
                 self._numbers[label].append(np.where(np.abs(values) < ANY[1], values, np.nan))
         self.rows += len(frame)
 
-    def table(self, file: Path, error: type[InvalidInputError]) -> Table:
+    def table(self, file: Path, error: type[InvalidInputError]) -> Recording:
         """Return what was read."""
         numbers = {
             name: np.concatenate(parts) if parts else np.zeros(0)
@@ -389,7 +502,9 @@ class Columns:
             for name, values in numbers.items()
             if not name.startswith(_UNNAMED) or np.isfinite(values).any()
         }
-        return Table(file.name, numbers, self._text, self._first, self._unit, error)
+        return Recording(
+            file.name, numbers, self._text, first=self._first, unit=self._unit, error=error
+        )
 
 
 _ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
@@ -455,14 +570,14 @@ _OTHERS = {
 
 def read_table(
     path: str | Path, error: type[InvalidInputError], clock: Column | None = None
-) -> Table:
+) -> Recording:
     """Read a table of numbers with one row of column names, or several, as ``a.csv+b.csv``."""
     parts = parts_of(path)
     if len(parts) > 1:
         split = [_SHIFTED.fullmatch(part) for part in parts]
         files = [part if one is None else one[1] for part, one in zip(parts, split, strict=True)]
         shifts = [0.0 if one is None else float(one[2]) * _SHIFTS[one[3]] for one in split]
-        return _join([read_table(file, error) for file in files], shifts, clock, error)
+        return join([read_table(file, error) for file in files], shifts, clock)
     file = Path(path)
     with _reading(file, error):
         if _suffix(file, error) == ".parquet":
@@ -496,68 +611,63 @@ def find_clock(columns: Mapping[str, FloatArray]) -> Column | None:
     return None
 
 
-def _join(
-    tables: list[Table], shifts: list[float], given: Column | None, error: type[InvalidInputError]
-) -> Table:
-    """Put the rows of several tables in one, by one clock; cells of others are blank."""
-    name = "+".join(table.source for table in tables)
-    stems = [Path(table.source).name.partition(".")[0] for table in tables]
+def join(
+    parts: Sequence[Recording], shifts: Sequence[float] = (), given: Column | None = None
+) -> Recording:
+    """Put recordings in one, each with its times by one clock; names begin with the file's."""
+    name, error = "+".join(part.source for part in parts), parts[0].error
+    stems = [Path(part.source).name.partition(".")[0] for part in parts]
     if len(set(stems)) < len(stems):
         raise error(f"{name}: files that are joined must differ in name; rename one")
     ways: list[list[FloatArray]] = []
-    names = []
-    for table, stem, late in zip(tables, stems, shifts, strict=True):
-        there = table.columns
-        field = "" if given is None else given.field.removeprefix(f"{stem}.")
-        found = given.changed(field=field) if given is not None and field in there else None
+    clocks: list[Column] = []
+    for part, stem, late in zip(parts, stems, shifts or [0.0] * len(parts), strict=True):
+        there = part.columns
+        label = "" if given is None else given.field.removeprefix(f"{stem}.")
+        found = given.changed(field=label) if given is not None and label in there else None
         found = found or guess(there).get("t") or find_clock(there)
         if found is None:
             raise error(
-                f"{table.source}: no column seems to be the time: say which it is with --columns "
+                f"{part.source}: no column seems to be the time: say which it is with --columns "
                 "t=NAME[UNIT]"
             )
-        times = found.value(table.column)
-        names.append(found.names)
+        times = found.value(part.column)
+        clocks.append(found)
         units = ("s",) if found.unit else time_units(times)
         ways.append([scale_of("t", unit).factor * times + late for unit in units])
-    best = (-np.inf, tuple(way[0] for way in ways))
-    for clocks in product(*ways):  # of units that may be, those in which the clocks agree
-        spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
-        shared = min(end for _, end in spans) - max(start for start, _ in spans)
-        share = shared / max(min(end - start for start, end in spans), 1e-9)
-        best = max(best, (share, clocks), key=lambda one: one[0])
-    share, clocks = best
-    if not share > 0.5:
-        spans = [(float(np.nanmin(t)), float(np.nanmax(t))) for t in clocks]
-        told = ", ".join(
-            f"{one.source} {a:.6g} to {b:.6g} s" for one, (a, b) in zip(tables, spans, strict=True)
+    spans = [[(float(np.nanmin(t)), float(np.nanmax(t))) for t in way] for way in ways]
+    best = (-np.inf, (0,) * len(parts))
+    for units_of in product(*(range(len(way)) for way in ways)):
+        chosen = [span[k] for span, k in zip(spans, units_of, strict=True)]
+        shared = min(end for _, end in chosen) - max(start for start, _ in chosen)
+        share = shared / max(min(end - start for start, end in chosen), 1e-9)
+        best = max(best, (share, units_of), key=lambda one: one[0])
+    if not best[0] > 0.5:
+        said = ", ".join(
+            "{} {:.6g} to {:.6g} s".format(part.source, *span[k])
+            for part, span, k in zip(parts, spans, best[1], strict=True)
         )
-        alike = len({tuple(table.columns) for table in tables}) == 1
+        alike = len({tuple(part.columns) for part in parts}) == 1
         raise error(
-            f"{name}: the clocks do not overlap ({told}); "
+            f"{name}: the clocks do not overlap ({said}); "
             + ("these seem to be drives of their own: give them one after the other, as in "
                "a.csv b.csv" if alike else
                "log all with one clock, or shift one, as in a.csv+b.csv@-1h")
         )  # fmt: skip
-    order = np.argsort(np.concatenate(clocks), kind="stable")
-    ends = np.cumsum([len(t) for t in clocks])
-    own = given is not None and any(given.field in clock for clock in names)
-    label, factor = ("t [s]", 1.0) if given is None or not own else (
-        given.field, given.conversion.factor)  # fmt: skip
-    columns = {label: np.concatenate(clocks)[order] / factor}
+    columns: dict[str, FloatArray] = {}
+    times_of: dict[str, FloatArray] = {}
     text: dict[str, str] = {}
-    for stem, clock, table, end in zip(stems, names, tables, ends, strict=True):
-        for label, values in table.columns.items():
-            if label in clock:
-                continue
-            whole = np.full(len(order), np.nan)
-            whole[end - len(values) : end] = values
-            columns[f"{stem}.{label}"] = whole[order]
-        text |= {f"{stem}.{label}": f"{table.source}: {why}" for label, why in table.text.items()}
-    return Table(name, columns, text, 1, "joined row", error)
+    for part, stem, clock, way, k in zip(parts, stems, clocks, ways, best[1], strict=True):
+        order = np.argsort(way[k], kind="stable")[: np.count_nonzero(np.isfinite(way[k]))]
+        t = way[k][order]
+        for label, values in part.columns.items():
+            if label not in clock.names:
+                columns[f"{stem}.{label}"], times_of[f"{stem}.{label}"] = values[order], t
+        text |= {f"{stem}.{label}": f"{part.source}: {why}" for label, why in part.text.items()}
+    return Recording(name, columns, text, times_of, error=error)
 
 
-def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
+def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:
     """Take a pandas DataFrame as a table."""
     names = [str(label) for label in getattr(frame, "columns", ())]
     if not names or not hasattr(frame, "iloc"):
@@ -565,9 +675,9 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Table:
     if len(set(names)) < len(names):
         twice = next(one for one in names if names.count(one) > 1)
         raise error(f"the DataFrame: two columns are named {twice!r}; rename one")
-    made = Columns(names, 0, "row")
-    made.add(frame.set_axis(names, axis=1))
-    return made.table(Path("DataFrame"), error)
+    result = Columns(names, 0, "row")
+    result.add(frame.set_axis(names, axis=1))
+    return result.table(Path("DataFrame"), error)
 
 
 def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
@@ -622,21 +732,26 @@ def _bytes(file: Path, error: type[InvalidInputError], most: int = -1) -> bytes:
     return data
 
 
-def _short(data: bytes, separator: str, cells: int) -> NDArray[np.intp]:
-    """Return which rows have fewer cells, though some: the parser does not tell."""
-    mark = separator.encode()
-    counts = np.fromiter((line.count(mark) for line in io.BytesIO(data)), np.int32)
-    return np.flatnonzero((counts > 0) & (counts < cells - 1))
+def _cells(data: bytes, mark: str) -> NDArray[np.intp]:
+    """Return how many marks stand in each line."""
+    letters = np.frombuffer(data, np.uint8)
+    ends = letters == ord("\n")
+    places = np.flatnonzero(ends | (letters == ord(mark)))
+    lines = np.flatnonzero(ends[places])
+    if len(data) and not ends[-1]:
+        lines = np.append(lines, len(places))
+    return np.diff(lines, prepend=-1) - 1
 
 
-def _read_csv(file: Path, error: type[InvalidInputError]) -> Table:
+def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     import pandas as pd
 
     data = _bytes(file, error)
     dialect = find_dialect(data[:_AHEAD], len(data) < _AHEAD, file, error)
     # Zeros at the end are what a file system leaves that lost its power.
     data, names = data[dialect.start :].rstrip(b"\0"), dialect.names
-    if max(map(len, io.BytesIO(data)), default=0) > MAX_LINE:
+    ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord("\n"))
+    if np.max(np.diff(ends, prepend=-1, append=len(data)), initial=0) > MAX_LINE + 1:
         raise error(
             f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"
         )
@@ -693,9 +808,10 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Table:
         columns.add(wide)
         return columns.table(file, error)
     table = columns.table(file, error)
+    # Which rows have fewer cells, though some, the parser does not tell.
     one = len(dialect.separator) == 1
-    short = _short(data, dialect.separator, dialect.named) if one else np.zeros(0, int)
-    short = short[short < columns.rows]
+    cells = (_cells(data, dialect.separator) if one else np.zeros(0, int))[: columns.rows]
+    short = np.flatnonzero((cells > 0) & (cells < dialect.named - 1))
     if len(short) > max(1.0, _STRAY_ROWS * columns.rows):
         raise error(
             f"{file}, line {dialect.line + int(short[0])}: the row has fewer cells than the "
@@ -720,8 +836,8 @@ def _wide(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | None:
     if not times or not words:
         return None
     # What each name has but one of is of the name: its unit, or its number.
-    told = frame.groupby(words[0]).nunique().max()
-    readings = [name for name in varied if name not in (*words, *times) and told[name] > 1]
+    stated = frame.groupby(words[0]).nunique().max()
+    readings = [name for name in varied if name not in (*words, *times) and stated[name] > 1]
     if len(readings) != 1:
         return None
     for name in (n for n in varied if n not in (*words, *times, *readings)):
@@ -730,8 +846,8 @@ def _wide(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | None:
                                                        strict=True)]  # fmt: skip
             frame = frame.assign(**{words[0]: units})
     frame = frame.assign(**{readings[0]: _numeric(frame[readings[0]])})
-    made = frame.pivot_table(readings[0], times[0], words[0], aggfunc="last", sort=False)
-    return made.reset_index()
+    result = frame.pivot_table(readings[0], times[0], words[0], aggfunc="last", sort=False)
+    return result.reset_index()
 
 
 def _with_line(problem: str, first: int) -> str:
@@ -744,7 +860,7 @@ def _with_line(problem: str, first: int) -> str:
     )
 
 
-def _read_parquet(file: Path, error: type[InvalidInputError]) -> Table:
+def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -1,8 +1,8 @@
 """One search for an order: labels over stages and places, and what the rest of an order takes.
 
-A stage tells which tasks may come next: of a free order it is the set of tasks that are done, of a
+A stage says which tasks may come next: of a free order it is the set of tasks that are done, of a
 given order the last one of them (see `energyplan.mission.order`). A label is one way of having come
-to a stage and a place: the energy that it took, the charge that is left, the time, the worth of
+to a stage and a place: the energy that it took, the charge that is left, the time, the prize of
 what was done and the payload. Where time matters charging may stop early. Such a label is a
 segment: after `time` with `left` on board, each further second, up to `slack`, adds `rate`; how
 much of it is used shows later. Waiting for a window is time to charge first, and takes the power of
@@ -10,18 +10,20 @@ standing still once nothing more can be charged. Of the labels of
 a stage and place only those are kept that no other one beats in every respect, and only those that
 can still lead to a better order than the best one known.
 
-What the rest takes at least is told by a programme over stages without the battery: the least
-energy of doing what reaches a worth and ending, with at least so many visits to chargers on the
-way. Every charge that the battery needs is such a visit, so the fewest visits that a charge can do
-with tell what the rest takes (`energy_left`). The same programme over times tells when to leave at
-the latest for no window to be missed.
+A bound of the rest comes from a dynamic programme over stages without the battery: the least energy
+of what reaches a prize and ends, with at least so many visits to chargers on the way. Every charge
+that the battery needs is such a visit, so the number of charges still needed bounds the remaining
+energy (`energy_left`). The same programme over times gives the latest time to leave at which no
+window is missed.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from energyplan.compilation import (
     Flags,
@@ -36,7 +38,7 @@ from energyplan.compilation import (
     njit,
 )
 
-_GRAM, _MILLIGRAM = 1e-3, 1e-6
+GRAM, _MILLIGRAM = 1e-3, 1e-6
 _EPSILON = 1e-9
 _FEW = 4096
 _FIELDS = 8
@@ -49,38 +51,72 @@ _CLOSED = 0.5
 _APART = 8
 
 _FAR = 1e15
-"""Rank of labels that do not lead to the worth that is known, beyond their energy [J]."""
+"""Rank of labels that do not lead to the prize that is known, beyond their energy [J]."""
 
 
-class Table(NamedTuple):
-    """An order problem as arrays; n tasks, m chargers, N places, L loads, M ways of driving."""
+class OrderProblem(NamedTuple):
+    """Which tasks to do in which order; n tasks, m chargers, L payloads, M ways of driving.
 
-    energy: WideBlock  # (L + 1, M, N, N): energies from place to place [J], last the least
-    finish: FloatTable  # (L + 1, N): energy to where the mission may end [J], last the least
+    Of its N places, the first is the start, the next n are the tasks, and the others the chargers.
+    """
+
+    loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
+    energy: WideBlock  # (L, M, N, N): energies from place to place [J]
+    finish: FloatTable  # (L, N): energy to where the mission may end [J]
     time: FloatBlock  # (M, N, N): travel times [s]
     finish_time: Floats  # (N,): time to where the mission may end [s]
     service: Floats  # (n,): energy of each task [J]
     service_time: Floats  # (n,): time of each task [s]
     window: FloatTable  # (n, 2): earliest and latest begin [s]
-    idle: Floats  # (n + 1,): power of waiting at each task [W], last none
-    worth: Floats  # (n,): what each task is worth
+    idle: Floats  # (n,): power of waiting at each task [W]
+    prize: Floats  # (n,): prize of each task; any required one exceeds all optional ones together
     change: Floats  # (n,): change of the payload by each task [kg]
-    loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
+    capacity: Floats  # (m,): energy on leaving each charger when full, the reserve taken off [J]
+    charge_power: Floats  # (m,): energy stored per second at each charger [W]
+    budget: float  # energy at the start, the reserve taken off [J]
+    payload: float = 0.0  # payload at the start [kg]
+    full: float = np.inf  # energy of a full battery, the reserve taken off [J]
+    start_time: float = 0.0  # time at the start [s]
+    given: bool = False  # whether no task may come before one of a lower number
+
+    @property
+    def tasks(self) -> int:
+        """Number of tasks."""
+        return len(self.prize)
+
+    def at(self, load: ArrayLike) -> Any:
+        """Return which of the payloads that energies are known for stands for a payload."""
+        found = np.searchsorted(self.loads, np.asarray(load) - _MILLIGRAM)
+        return np.minimum(found, len(self.loads) - 1)
+
+    def some(self, tasks: Sequence[int]) -> OrderProblem:
+        """Return the problem of some of the tasks, in another sequence."""
+        n, mine = self.tasks, np.asarray(tasks, int)
+        nodes = np.array([0, *(mine + 1), *range(1 + n, self.time.shape[1])])
+        return self._replace(
+            energy=self.energy[..., nodes[:, None], nodes], finish=self.finish[:, nodes],
+            time=self.time[..., nodes[:, None], nodes], finish_time=self.finish_time[nodes],
+            service=self.service[mine], service_time=self.service_time[mine],
+            window=self.window[mine], idle=self.idle[mine], prize=self.prize[mine],
+            change=self.change[mine],
+        )  # fmt: skip
+
+
+class Stages(NamedTuple):
+    """The S stages of a problem, and what its search reads of them."""
+
     after: IntTable  # (S, n): stage after each task, later ones being higher; -1 if out of turn
     there: FlagTable  # (S, N): whether the robot may be at a place
-    done: Floats  # (S,): what is worth at most what was done until a stage
-    ahead: Floats  # (S,): what is worth at most what may still be done
+    done: Floats  # (S,): largest prize of what was done until a stage
+    ahead: Floats  # (S,): largest prize of what may still be done
     load: Floats  # (S,): payload of a stage [kg], infinite if the stage does not tell it
     load_index: Ints  # (S,): which of the L loads that is, or L
     pressing: Flags  # (S,): whether a window of the tasks that may still be done ends
     opening: Floats  # (S,): when the last window of those for which waiting takes power opens [s]
     need: Floats  # (N,): charge without which no charger and no end is reached from a place [J]
-    capacity: Floats  # (m,): energy on leaving each charger when full [J]
-    charge_power: Floats  # (m,): energy stored per second at each charger [W]
-    budget: float  # energy at the start [J]
-    full: float  # energy of a full battery [J]
-    start_time: float  # time at the start [s]
-    payload: float  # payload at the start [kg]
+    energy: FloatBlock  # (M, N, N): least energies with any payload [J]
+    finish: Floats  # (N,): least energy to where the mission may end [J]
+    idle: float  # largest power of waiting [W]
     visits: int  # most visits to chargers that the bound distinguishes
     most: int  # most labels to keep
     width: int  # most labels to keep of a stage and place
@@ -112,31 +148,32 @@ def energy_left(rest: Rest, bucket: int, charge: float) -> float:
 
 
 @njit
-def completions(table: Table, worth: float) -> Rest:
+def completions(problem: OrderProblem, stages: Stages, prize: float) -> Rest:
     """Bound what is left to do from each bucket on."""
-    n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
-    places = 1 + n + m
-    visits = table.visits if m > 0 else 0
-    stages = len(table.after)
-    least = np.full((stages * places, visits + 1), np.inf)
-    latest = np.full(stages * places, -np.inf)
-    quickest = table.time[0].copy()
+    n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
+    places, count = 1 + n + m, len(stages.after)
+    visits = stages.visits if m > 0 else 0
+    least = np.full((count * places, visits + 1), np.inf)
+    latest = np.full(count * places, -np.inf)
+    quickest = problem.time[0].copy()
     for way in range(1, ways):
-        quickest = np.minimum(quickest, table.time[way])
-    for stage in range(stages - 1, -1, -1):
-        enough = table.done[stage] >= worth - _EPSILON
-        load = table.load_index[stage]
-        energy, finish = table.energy[load], table.finish[load]
+        quickest = np.minimum(quickest, problem.time[way])
+    for stage in range(count - 1, -1, -1):
+        enough = stages.done[stage] >= prize - _EPSILON
+        load = stages.load_index[stage]
+        energy, finish = stages.energy, stages.finish
+        if load < len(problem.loads):
+            energy, finish = problem.energy[load], problem.finish[load]
         for p in range(places):
-            if not table.there[stage, p]:
+            if not stages.there[stage, p]:
                 continue
             bucket = stage * places + p
             if enough and np.isfinite(finish[p]):
                 least[bucket, 0] = finish[p]
                 latest[bucket] = np.inf
             for t in range(n):
-                then = table.after[stage, t]
-                if then < 0 or table.load[stage] + table.change[t] < -_GRAM:
+                then = stages.after[stage, t]
+                if then < 0 or stages.load[stage] + problem.change[t] < -GRAM:
                     continue
                 way = energy[0, p, 1 + t]
                 for other in range(1, ways):
@@ -145,16 +182,16 @@ def completions(table: Table, worth: float) -> Rest:
                     continue
                 after = then * places + 1 + t
                 for k in range(visits + 1):
-                    through = way + table.service[t] + least[after, k]
+                    through = way + problem.service[t] + least[after, k]
                     least[bucket, k] = min(least[bucket, k], through)
-                begin = min(table.window[t, 1], latest[after] - table.service_time[t])
-                if begin >= table.window[t, 0]:
+                begin = min(problem.window[t, 1], latest[after] - problem.service_time[t])
+                if begin >= problem.window[t, 0]:
                     latest[bucket] = max(latest[bucket], begin - quickest[p, 1 + t])
         # over chargers, which may lead to chargers
         for turn in range(m + 1 if m > 0 else 0):
             last = turn == m
             for p in range(places):
-                if (p > n) == last or not table.there[stage, p]:
+                if (p > n) == last or not stages.there[stage, p]:
                     continue
                 for c in range(m):
                     if 1 + n + c == p:
@@ -170,32 +207,32 @@ def completions(table: Table, worth: float) -> Rest:
                         through = way + least[there, k - 1]
                         least[bucket, k] = min(least[bucket, k], through)
                     latest[bucket] = max(latest[bucket], latest[there] - quickest[p, 1 + n + c])
-    most = table.budget
+    most = problem.budget
     for c in range(m):
-        most = max(most, table.capacity[c])
+        most = max(most, problem.capacity[c])
     return Rest(least, latest, most if m > 0 else 0.0)
 
 
 class Known(NamedTuple):
-    """An order that is known, and what is asked of a better one."""
+    """An order that is known, and what a better one must reach."""
 
-    worth: float  # its worth
+    prize: float  # its prize
     energy: float  # energy that it takes [J]
     time: float  # when it ends [s]
-    same: Rest  # what it takes at least to reach its worth
+    same: Rest  # what it takes at least to reach its prize
     more: Rest  # what it takes at least to reach `beyond`
     beyond: float
 
 
-class Found(NamedTuple):
+class BestOrder(NamedTuple):
     """What the search found."""
 
     better: bool  # whether it is better than what was known
-    worth: float  # worth of the best order
+    prize: float  # prize of the best order
     energy: float  # energy of the best order, to where the mission ends [J]
     time: float  # when the best order ends [s]
-    bound: float  # energy that no order of this worth undercuts [J]
-    open: bool  # whether an order of greater worth may have been left out
+    bound: float  # energy that no order of this prize undercuts [J]
+    open: bool  # whether an order of greater prize may have been left out
     stops: Ints  # numbers of places in the order of their visits
     ways: Ints  # the way of driving to each of them
 
@@ -208,7 +245,7 @@ class Label(NamedTuple):
     time: float
     rate: float
     slack: float
-    worth: float
+    prize: float
     load: float
 
 
@@ -218,7 +255,7 @@ class Store(NamedTuple):
     value: FloatTable  # each label's fields, and the least energy of an order that it leads to [J]
     link: IntTable  # (n, 4): label before, place, way of driving, next label of the bucket
     head: Ints  # (S * N,): first label of each bucket
-    lost: Floats  # (2,): least energy that what was left out leads to [J]; 1 if to more worth
+    lost: Floats  # (2,): least energy that what was left out leads to [J]; 1 if to a greater prize
 
 
 @inner
@@ -238,12 +275,12 @@ def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
         left, time, slack = left + label.rate * more, time + more, slack - more
         if left > -_EPSILON * max(label.left, 1.0):
             left = max(left, 0.0)
-    return Label(label.energy + energy, left, time, label.rate, slack, label.worth, label.load)
+    return Label(label.energy + energy, left, time, label.rate, slack, label.prize, label.load)
 
 
 @inner
 def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
-    """Wait for a window, charging meanwhile what may be charged; the time tells a miss."""
+    """Wait for a window, charging meanwhile; a time after the window is a miss."""
     energy, left, time, slack = label.energy, label.left, label.time, label.slack
     if time < earliest:
         more = min(slack, earliest - time)
@@ -251,7 +288,7 @@ def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
         energy, left = energy + drawn, left + label.rate * more - drawn
         slack, time = slack - more, earliest
     slack = max(min(slack, latest - time), 0.0)
-    return Label(energy, left, time, label.rate, slack, label.worth, label.load)
+    return Label(energy, left, time, label.rate, slack, label.prize, label.load)
 
 
 @inner
@@ -259,7 +296,7 @@ def _charged(label: Label) -> Label:
     """Charge as long as may be."""
     left = label.left + label.rate * label.slack
     time = label.time + label.slack
-    return Label(label.energy, left, time, 0.0, 0.0, label.worth, label.load)
+    return Label(label.energy, left, time, 0.0, 0.0, label.prize, label.load)
 
 
 @inner
@@ -275,7 +312,7 @@ def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float)
     """
     ready, end = one.time + one.slack, other.time + other.slack
     wait = idle * max(min(end, opening) - ready, 0.0) - _EPSILON
-    if one.energy + wait > other.energy or one.worth < other.worth - _EPSILON:
+    if one.energy + wait > other.energy or one.prize < other.prize - _EPSILON:
         return False
     if abs(one.load - other.load) > _MILLIGRAM:
         return False
@@ -321,16 +358,16 @@ def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
 
 @inner
 def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[float, bool]:
-    """Return the least energy of an order of the worth known that a label leads to [J], or more."""
-    worth, most = label.worth + ahead, label.left + label.rate * label.slack
-    if worth < known.worth - _EPSILON:
+    """Return the least energy of an order of the known prize that a label leads to [J], or more."""
+    prize, most = label.prize + ahead, label.left + label.rate * label.slack
+    if prize < known.prize - _EPSILON:
         return np.inf, False
     least, more = np.inf, False
     if label.time <= loosely(known.same.latest[bucket]):
         least = label.energy + energy_left(known.same, bucket, most)
     if (
         len(known.more.latest) > 0
-        and worth >= known.beyond - _EPSILON
+        and prize >= known.beyond - _EPSILON
         and label.time <= loosely(known.more.latest[bucket])
     ):
         more = energy_left(known.more, bucket, most) < np.inf
@@ -348,19 +385,19 @@ def _lose(store: Store, promise: tuple[float, bool]) -> None:
 @inner
 def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
     """Tell whether a label promises less than another."""
-    if abs(one.worth - other.worth) > _EPSILON:
-        return one.worth < other.worth
+    if abs(one.prize - other.prize) > _EPSILON:
+        return one.prize < other.prize
     mine = least if np.isfinite(least) else _FAR + one.energy
     return mine > (other_least if np.isfinite(other_least) else _FAR + other.energy)
 
 
 @inner
 def _keep(
-    store: Store, table: Table, known: Known, stage: int, place: int, new: Label, count: int
+    store: Store, stages: Stages, known: Known, stage: int, place: int, new: Label, count: int
 ) -> bool:
     """Add a label to its bucket; not where one there is as good, or where nothing comes of it."""
-    bucket, ahead = stage * len(table.need) + place, table.ahead[stage]
-    timed, opening, idle = table.pressing[stage], table.opening[stage], table.idle.max()
+    bucket, ahead = stage * len(stages.need) + place, stages.ahead[stage]
+    timed, opening, idle = stages.pressing[stage], stages.opening[stage], stages.idle
     least, more = _promise(known, bucket, new, ahead)
     if not (more or least <= loosely(known.energy)):
         return False
@@ -384,7 +421,7 @@ def _keep(
                 last, last_least, worst, before_worst = old, store.value[k, 7], k, before
             before = k
         k = after
-    if there >= table.width:
+    if there >= stages.width:
         # as many labels as there may be: the one that promises least goes
         if worst < 0:
             _lose(store, (least, more))
@@ -393,7 +430,7 @@ def _keep(
         _take_out(store, bucket, worst, before_worst)
     value = store.value
     value[count, 0], value[count, 1], value[count, 2] = new.energy, new.left, new.time
-    value[count, 3], value[count, 4], value[count, 5] = new.rate, new.slack, new.worth
+    value[count, 3], value[count, 4], value[count, 5] = new.rate, new.slack, new.prize
     value[count, 6], value[count, 7] = new.load, least
     store.link[count, 3] = store.head[bucket]
     store.head[bucket] = count
@@ -401,45 +438,45 @@ def _keep(
 
 
 @inner
-def _docked(table: Table, here: Label, charger: int, kind: int) -> Label:
+def _docked(problem: OrderProblem, here: Label, charger: int, kind: int) -> Label:
     """Begin to charge; after another charger: here only (0), there first (1), or not here (2)."""
-    power, full = table.charge_power[charger], table.capacity[charger]
+    power, full = problem.charge_power[charger], problem.capacity[charger]
     new = _charged(here) if kind == 1 else here
     if kind == 2:
         return new
     room = max(full - new.left, 0.0) / power
-    return Label(new.energy, new.left, new.time, power, room, new.worth, new.load)
+    return Label(new.energy, new.left, new.time, power, room, new.prize, new.load)
 
 
 @inner
-def _priced(table: Table, load: float) -> int:
+def _priced(problem: OrderProblem, load: float) -> int:
     """Return which of the payloads that energies are known for stands for a payload."""
-    return min(int(np.searchsorted(table.loads, load - _MILLIGRAM)), len(table.loads) - 1)
+    return min(int(np.searchsorted(problem.loads, load - _MILLIGRAM)), len(problem.loads) - 1)
 
 
 @njit
-def search(table: Table, known: Known) -> Found:
-    """Find an order of greater worth than the one known, or of the same and less energy.
+def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
+    """Find an order of greater prize than the one known, or of the same and less energy.
 
     Of orders of the same energy the quickest is taken.
     """
-    n, m, ways = len(table.worth), len(table.capacity), table.energy.shape[1]
-    places, stages = 1 + n + m, len(table.after)
+    n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
+    places = 1 + n + m
     store = Store(
-        np.empty((min(_FEW, table.most), _FIELDS)),
-        np.empty((min(_FEW, table.most), 4), np.int64),
-        np.full(stages * places, -1, np.int64),
+        np.empty((min(_FEW, stages.most), _FIELDS)),
+        np.empty((min(_FEW, stages.most), 4), np.int64),
+        np.full(len(stages.after) * places, -1, np.int64),
         np.array([np.inf, 0.0]),
     )
-    best, best_worth, best_energy, best_time = -1, known.worth, known.energy, known.time
+    best, best_prize, best_energy, best_time = -1, known.prize, known.energy, known.time
     count = 0
-    start = Label(0.0, table.budget, table.start_time, 0.0, 0.0, 0.0, table.payload)
-    if _keep(store, table, known, 0, 0, start, 0):
+    start = Label(0.0, problem.budget, problem.start_time, 0.0, 0.0, 0.0, problem.payload)
+    if _keep(store, stages, known, 0, 0, start, 0):
         store.link[0, 0], store.link[0, 1], store.link[0, 2] = -1, 0, 0
         count = 1
     queue = np.empty(256, np.int64)
-    for stage in range(stages):
-        first, timed = stage * places, table.pressing[stage]
+    for stage in range(len(stages.after)):
+        first, timed = stage * places, stages.pressing[stage]
         # chargers may lead to chargers: their labels stay within the stage
         waiting = 0
         for place in range(places if m > 0 else 0):
@@ -456,7 +493,7 @@ def search(table: Table, known: Known) -> Found:
             if store.link[k, 3] == _GONE:
                 continue
             here, at = _label(store, k), store.link[k, 1]
-            energy = table.energy[_priced(table, here.load)]
+            energy = problem.energy[_priced(problem, here.load)]
             for c in range(m):
                 place = 1 + n + c
                 if place == at:
@@ -465,16 +502,16 @@ def search(table: Table, known: Known) -> Found:
                     spent = energy[way, at, place]
                     if not np.isfinite(spent):
                         continue
-                    there = _spend(here, spent, table.time[way, at, place], table.full)
+                    there = _spend(here, spent, problem.time[way, at, place], problem.full)
                     if there.left < 0.0:
                         continue
-                    quicker = timed and there.slack > 0.0 and there.rate > table.charge_power[c]
+                    quicker = timed and there.slack > 0.0 and there.rate > problem.charge_power[c]
                     for kind in range(3 if quicker else 1):
-                        new = _docked(table, there, c, kind)
+                        new = _docked(problem, there, c, kind)
                         if not timed:
                             new = _charged(new)
-                        store = _with_room(store, count, table.most)
-                        if _keep(store, table, known, stage, place, new, count):
+                        store = _with_room(store, count, stages.most)
+                        if _keep(store, stages, known, stage, place, new, count):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, place, way
                             if waiting == len(queue):
@@ -486,48 +523,49 @@ def search(table: Table, known: Known) -> Found:
             k = store.head[first + place]
             while k >= 0:
                 here = _label(store, k)
-                worth, load = here.worth, _priced(table, here.load)
-                energy, finish = table.energy[load], table.finish[load]
-                last = _spend(here, finish[place], table.finish_time[place], table.full)
+                prize, load = here.prize, _priced(problem, here.load)
+                energy, finish = problem.energy[load], problem.finish[load]
+                last = _spend(here, finish[place], problem.finish_time[place], problem.full)
                 if last.left >= 0.0 and np.isfinite(last.energy):
-                    better = worth > best_worth + _EPSILON
-                    if not better and worth > best_worth - _EPSILON:
+                    better = prize > best_prize + _EPSILON
+                    if not better and prize > best_prize - _EPSILON:
                         rounding = loosely(best_energy) - best_energy
                         better = last.energy < best_energy - rounding or (
                             last.energy <= best_energy + rounding and loosely(last.time) < best_time
                         )
                     if better:
-                        best, best_worth = k, worth
+                        best, best_prize = k, prize
                         best_energy, best_time = last.energy, last.time
                         known = Known(
-                            best_worth, best_energy, best_time, known.same, known.more,
+                            best_prize, best_energy, best_time, known.same, known.more,
                             known.beyond,
                         )  # fmt: skip
                 for t in range(n):
-                    after, carried = table.after[stage, t], here.load + table.change[t]
-                    if after < 0 or carried < -_GRAM:
+                    after, carried = stages.after[stage, t], here.load + problem.change[t]
+                    if after < 0 or carried < -GRAM:
                         continue
+                    opens, closes = problem.window[t, 0], problem.window[t, 1]
                     for way in range(ways):
                         spent = energy[way, place, 1 + t]
                         if not np.isfinite(spent):
                             continue
-                        there = _spend(here, spent, table.time[way, place, 1 + t], table.full)
-                        if there.left < 0.0 or there.time > table.window[t, 1] + _EPSILON:
+                        there = _spend(here, spent, problem.time[way, place, 1 + t], problem.full)
+                        if there.left < 0.0 or there.time > closes + _EPSILON:
                             continue
-                        begun = _begin(there, table.window[t, 0], table.window[t, 1], table.idle[t])
-                        done = _spend(begun, table.service[t], 0.0, table.full)
-                        if done.left < 0.0 or done.time > table.window[t, 1] + _EPSILON:
+                        begun = _begin(there, opens, closes, problem.idle[t])
+                        done = _spend(begun, problem.service[t], 0.0, problem.full)
+                        if done.left < 0.0 or done.time > closes + _EPSILON:
                             continue
                         done = Label(
-                            done.energy, done.left, done.time + table.service_time[t], done.rate,
-                            done.slack, done.worth + table.worth[t], carried,
+                            done.energy, done.left, done.time + problem.service_time[t], done.rate,
+                            done.slack, done.prize + problem.prize[t], carried,
                         )  # fmt: skip
-                        if not table.pressing[after]:
+                        if not stages.pressing[after]:
                             done = _charged(done)
-                        if done.left + done.rate * done.slack < table.need[1 + t] - _EPSILON:
+                        if done.left + done.rate * done.slack < stages.need[1 + t] - _EPSILON:
                             continue
-                        store = _with_room(store, count, table.most)
-                        if _keep(store, table, known, after, 1 + t, done, count):
+                        store = _with_room(store, count, stages.most)
+                        if _keep(store, stages, known, after, 1 + t, done, count):
                             link = store.link
                             link[count, 0], link[count, 1], link[count, 2] = k, 1 + t, way
                             count += 1
@@ -542,8 +580,8 @@ def search(table: Table, known: Known) -> Found:
         stops[length], driven[length] = store.link[k, 1], store.link[k, 2]
         k = store.link[k, 0]
     bound = min(best_energy, store.lost[0])
-    return Found(
-        best >= 0, best_worth, best_energy, best_time, bound, store.lost[1] > 0.0, stops, driven,
+    return BestOrder(
+        best >= 0, best_prize, best_energy, best_time, bound, store.lost[1] > 0.0, stops, driven,
     )  # fmt: skip
 
 
@@ -560,7 +598,7 @@ class Tours(NamedTuple):
     window: FloatTable  # (n, 2): earliest and latest begin [s]
     idle: FloatTable  # (R, n): power of waiting at each task [W]
     change: Floats  # (n,): change of the payload by each task [kg]
-    worth: Floats  # (n,): energy that doing a task is worth [J]
+    prize: Floats  # (n,): prize of each task as an energy, above that of any sequence [J]
     budget: Floats  # (R,): energy at the start [J]
     capacity: Floats  # (R,): energy on leaving the best charger when full [J]
     start_time: Floats  # (R,): time at the start [s]
@@ -574,7 +612,7 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
     Each charge that the battery needs is counted as the least detour over a charger. Infinite
     where the sequence cannot be.
     """
-    n, places = len(tours.worth), tours.energy.shape[1]
+    n, places = len(tours.prize), tours.energy.shape[1]
     energy, time, load, here = 0.0, tours.start_time[r], tours.payload[r], 0
     detour = np.inf if places > 1 + n else 0.0
     length = count + (1 if extra >= 0 else 0)
@@ -594,7 +632,7 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
         wait = max(tours.window[goal - 1, 0] - time, 0.0)
         energy, time = energy + tours.idle[r, goal - 1] * wait, time + wait
         load += tours.change[goal - 1]
-        if time > tours.window[goal - 1, 1] + _EPSILON or load < -_GRAM:
+        if time > tours.window[goal - 1, 1] + _EPSILON or load < -GRAM:
             return np.inf
         time += tours.service_time[r, goal - 1]
         here = goal
@@ -621,7 +659,7 @@ def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tup
 def _insert_all(
     tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags, closed: Flags
 ) -> None:
-    """Put in what is left out where it pays, first what would be dearer anywhere else (regret).
+    """Insert the tasks left out where it pays, in the order of regret.
 
     Robots that are closed get nothing.
     """
@@ -647,9 +685,9 @@ def _insert_all(
                     first, second, best = more, first, r
                 elif more < second:
                     second = more
-            if best < 0 or first >= tours.worth[t]:
+            if best < 0 or first >= tours.prize[t]:
                 continue
-            regret = min(second, tours.worth[t]) - first
+            regret = min(second, tours.prize[t]) - first
             if regret > most:
                 chosen, robot, most = t, best, regret
         if chosen < 0:
@@ -674,7 +712,7 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
     (ruin and recreate, Pisinger and Ropke 2007).
     """
     rounds = len(chances)
-    robots, n = len(tours.budget), len(tours.worth)
+    robots, n = len(tours.budget), len(tours.prize)
     stops, counts = np.zeros((robots, n), np.int64), np.zeros(robots, np.int64)
     open_tasks = np.ones(n, np.bool_)
     energies = np.array([tour_energy(tours, r, stops[r], 0, -1, 0) for r in range(robots)])
@@ -684,7 +722,7 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
         near[t] = np.argsort(tours.energy[:, 1 + t, 1 : 1 + n].sum(axis=0))
     nobody = np.zeros(robots, np.bool_)
     _insert_all(tours, stops, counts, energies, open_tasks, nobody)
-    now = energies.sum() + tours.worth[open_tasks].sum()
+    now = energies.sum() + tours.prize[open_tasks].sum()
     best, best_stops, best_counts = now, stops.copy(), counts.copy()
     for turn in range(rounds):
         new_stops, new_counts, new_energies = stops.copy(), counts.copy(), energies.copy()
@@ -713,7 +751,7 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
             closed = drawn[3 + n :] < _CLOSED
             _insert_all(tours, new_stops, new_counts, new_energies, out, closed)
         _insert_all(tours, new_stops, new_counts, new_energies, out, nobody)
-        then = new_energies.sum() + tours.worth[out].sum()
+        then = new_energies.sum() + tours.prize[out].sum()
         heat = 0.01 * (1.0 - (turn + 1) / rounds) * abs(best) / max(n, 1)
         if then < now - heat * np.log(max(drawn[2], 1e-12)):
             now, stops, counts, energies = then, new_stops, new_counts, new_energies

@@ -3,9 +3,9 @@
 Every unknown of a mission is written as a standard normal coordinate: the principal directions of
 each model's covariance, the spread of its coefficients from day to day, the error that it made on
 drives held out from its identification, what differs from run to run, the power of each tool, the
-duration of each task, and what the battery holds (see `energyplan.mission.energy`). An energy
-carries its sensitivity to each of them. Legs that share a model share its unknowns, so that their
-errors add up instead of averaging out; only the noise of the drive itself is each leg's own.
+duration of each task, and what the battery holds. An energy carries its sensitivity to each of
+them. Legs that share a model share its unknowns, so that their errors add up instead of averaging
+out; only the noise of the drive itself is each leg's own.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
 
 _USUAL_SPEED = 1.0
-"""Speed of robots of this kind, where nothing tells theirs [m/s]."""
+"""Speed of robots of this kind, where theirs is not known [m/s]."""
 
 _RUN, _SPEED, _GAUGE = "difference from run to run", "speed of driving", "state of charge"
 _TOOLS, _DWELLS, _WAITS = "power of tools", "duration of tasks", "waiting"
@@ -109,17 +109,17 @@ def gauge_of(battery: BatteryModel, spreads: Spreads, power: float) -> Gauge:
         for sign in (1.0, -1.0)
     )
     # one that delivers nothing at all has nothing to lose
-    told = max(stored, 1.0)
+    most = max(stored, 1.0)
     # a battery cannot be healthier than new, nor older than nothing
     fresh = min(battery.health + spreads.health, 1.0)
     aged = max(battery.health - spreads.health, 0.1 * battery.health)
     better, worse = (usable(replace(battery, health=h)) for h in (fresh, aged))
     steps = (fresh - aged) / spreads.health if spreads.health else 1.0
-    health, temperature = (better - worse) / told / steps, (warm - cold) / told / 2.0
+    health, temperature = (better - worse) / most / steps, (warm - cold) / most / 2.0
     return Gauge((spreads.capacity, health, temperature), soc)
 
 
-class Priced(NamedTuple):
+class Consumption(NamedTuple):
     """What a drive takes."""
 
     power: FloatArray  # (n,): mean power of each interval of its trajectory [W]
@@ -130,7 +130,7 @@ class Priced(NamedTuple):
 
 
 @dataclass(eq=False)
-class Grounds(ByValue):
+class Models(ByValue):
     """The power models of a mission, by surface and payload, with their unknowns.
 
     What a mission has under the same names decides them, and nothing else.
@@ -147,8 +147,8 @@ class Grounds(ByValue):
     waiting: float
 
     @classmethod
-    def of(cls, mission: Mission) -> Grounds:
-        """Return the grounds of a mission."""
+    def of(cls, mission: Mission) -> Models:
+        """Return the models of a mission."""
         return cls(**{part.name: getattr(mission, part.name) for part in fields(cls)})
 
     def __post_init__(self) -> None:
@@ -273,14 +273,14 @@ class Grounds(ByValue):
         return replace(self.surfaces, surfaces=tuple(laden), keep_out=())
 
     def drive(self, trajectory: Trajectory, payload: float) -> Drive:
-        """Return a trajectory over the grounds with a payload [kg], as the battery feels it."""
+        """Return a trajectory over the surfaces with a payload [kg], as the battery feels it."""
         first, *others = (
             self.model_of(k, payload).battery_side() for k in range(len(self._source_of))
         )
         ground = Ground(first, self.surfaces, self.heights, tuple(others))
         return Drive(trajectory, ground)
 
-    def priced(self, trajectory: Trajectory, payload: float) -> Priced:
+    def priced(self, trajectory: Trajectory, payload: float) -> Consumption:
         """Return what a trajectory takes with a payload [kg], at the battery."""
         total, joules = self.nothing, np.zeros(len(trajectory) - 1)
         drive = self.drive(trajectory, payload)
@@ -291,7 +291,7 @@ class Grounds(ByValue):
             np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
         duration = np.diff(trajectory.t)
         power = np.asarray(drive.interval_energies() / duration)
-        return Priced(power, np.asarray(joules / duration), total)
+        return Consumption(power, np.asarray(joules / duration), total)
 
     def _run_spread(self, region: int) -> float:
         """Return how far a model's power differs from run to run, as a fraction."""
@@ -325,12 +325,12 @@ class Grounds(ByValue):
 
     def work(self, region: int, task: int, payload: float) -> Estimate:
         """Return the energy of doing a task, standing still with its tool."""
-        asked, spreads = self.tasks[task], self.spreads
-        idle = self.idle(region, asked.dwell, payload)
-        drawn = asked.power + self.idle(region, 1.0, payload).mean
-        tool = spreads.power * asked.power if asked.power_spread is None else asked.power_spread
-        done = replace(idle, mean=idle.mean + asked.power * asked.dwell)
-        done = done + self._unknown(_TOOLS, tool * asked.dwell, (asked.power, asked.power_spread))
+        job, spreads = self.tasks[task], self.spreads
+        idle = self.idle(region, job.dwell, payload)
+        drawn = job.power + self.idle(region, 1.0, payload).mean
+        tool = spreads.power * job.power if job.power_spread is None else job.power_spread
+        done = replace(idle, mean=idle.mean + job.power * job.dwell)
+        done = done + self._unknown(_TOOLS, tool * job.dwell, (job.power, job.power_spread))
         return done + self._unknown(_DWELLS, self._dwell_spread(task) * drawn, task)
 
     def waited(self, region: int, task: int, payload: float) -> Estimate:
@@ -355,9 +355,9 @@ class Grounds(ByValue):
         return self._sensitivity(_DWELLS, self._dwell_spread(task), task)
 
     def _dwell_spread(self, task: int) -> float:
-        asked = self.tasks[task]
-        told = asked.dwell_spread
-        return self.spreads.dwell * asked.dwell if told is None else told
+        job = self.tasks[task]
+        own = job.dwell_spread
+        return self.spreads.dwell * job.dwell if own is None else own
 
     def _sensitivity(self, label: str, value: float, which: object = None) -> FloatArray:
         sensitivity = np.zeros(self.size)
@@ -374,7 +374,7 @@ class Grounds(ByValue):
         """Return an energy as the battery's charge feels it.
 
         A battery that holds less than it should is emptied by a drive as one that holds what it
-        should is by a dearer drive.
+        should is by a drive that takes more.
         """
         sensitivity = energy.sensitivity.copy()
         for label, share in zip(_OF_BATTERY, gauge.shares, strict=True):

@@ -1,7 +1,7 @@
 """Battery budget missions: what can be done, with what certainty, and why not.
 
 A task is reachable only if the robot can do it and still get to where it started or to a charger
-with its reserve, at the confidence asked. Energies carry their uncertainty along (see
+with its reserve, at the confidence wanted. Energies carry their uncertainty along (see
 `energyplan.mission.energy`); the battery is run twice, with the energy as expected and with the
 energy at its bound.
 """
@@ -9,7 +9,7 @@ energy at its bound.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,21 +18,21 @@ import numpy as np
 
 from energyplan.battery import Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
-from energyplan.kinds import checked
-from energyplan.mission.legs import SAGS, Attempt, Legs, Routes, Scene, State, Walk
-from energyplan.mission.order import attempt, best_stops, finish
-from energyplan.mission.report import Doubt, MissionReport, Reason, TaskReport
-from energyplan.mission.trip import stops
-from energyplan.mission.types import Mission, Remedy
+from energyplan.mission.drive import SAGS, Attempt, Simulation, Status
+from energyplan.mission.order import Order, attempt, best_stops, finish
+from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport, stops
+from energyplan.mission.routes import Legs, Progress, Routes, Scene
+from energyplan.mission.types import ROUNDING, Mission, Remedy
+from energyplan.records import checked
 
 
-def doubts(walk: Walk, end: State) -> tuple[Doubt, ...]:
-    """Tell what each unknown costs between the charges where the most is held back."""
+def contributions(sim: Simulation, end: Status) -> tuple[Contribution, ...]:
+    """Return what each unknown costs between the charges where the margin is largest."""
     spent = max((*end.stretches, end.spent), key=lambda stretch: stretch.std)
-    whole, quantile = spent.std, walk.quantile
+    whole, quantile = spent.std, sim.quantile
     return tuple(
-        Doubt(source, std, quantile * (whole - float(np.sqrt(max(whole**2 - std**2, 0.0)))))
-        for source, std in walk.legs.grounds.by_source(spent).items()
+        Contribution(source, std, quantile * (whole - float(np.sqrt(max(whole**2 - std**2, 0.0)))))
+        for source, std in sim.legs.models.by_source(spent).items()
     )
 
 
@@ -41,6 +41,9 @@ _CANDIDATES = 5
 
 _CONFIRMED = 8
 """Remedies of a free order of so many tasks are confirmed by solving it anew."""
+
+_MINUTE = 60.0
+"""Least time that a remedy saves [s]."""
 
 _FINER = 0.01
 """Steps in which strings are added, in units of those that the battery has."""
@@ -51,7 +54,7 @@ _MOST = 10.0
 
 @checked(MissionError)
 def evaluate(
-    mission: Mission, progress: Callable[[str], None] | None = None, *, routes: Routes | None = None
+    mission: Mission, progress: Progress = None, *, routes: Routes | None = None
 ) -> MissionReport:
     """Find which tasks of a mission can be done, and the energy that they take.
 
@@ -72,7 +75,7 @@ def evaluate(
     Raises
     ------
     MissionError
-        If a bound is asked of models without a known uncertainty, or a payload leaves the range
+        If a bound is wanted of models without a known uncertainty, or a payload leaves the range
         of its models.
 
     References
@@ -98,7 +101,7 @@ def evaluate(
 class _Try(NamedTuple):
     """A task's attempt, the condition before it, and the tasks done until then."""
 
-    before: State
+    before: Status
     attempt: Attempt
     earlier: tuple[int, ...]
 
@@ -107,78 +110,79 @@ class Evaluation:
     """One mission on its way to a report."""
 
     def __init__(
-        self,
-        mission: Mission,
-        progress: Callable[[str], None] | None,
-        legs: Legs,
-        taken: Mapping[int, Sequence[tuple[float, float]]] | None = None,
+        self, mission: Mission, progress: Progress, legs: Legs,
+        occupied: Mapping[int, Sequence[tuple[float, float]]] | None = None,
         tasks: Sequence[int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.mission = mission
         self.shared = tasks is not None
         self.tasks = range(len(mission.tasks)) if tasks is None else tasks
         self.legs = legs
-        self.walk = Walk(self.legs, taken)
+        self.sim = Simulation(self.legs, occupied)
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
         self.done: list[int] = []
-        self.proven, self.gap = False, float(np.nan)
-        self.end = self.walk.start
+        self.found = Order()
+        self.end = self.sim.start
 
     def report(self) -> MissionReport:
         """Do the tasks, find the way home, and explain what is left out."""
-        state = self.go()
-        last = finish(self.walk, state)
-        self.end = state if last is None else last
+        self.go()
+        last = finish(self.sim, self.end)
+        self.end = self.end if last is None else last
         # a robot's share has no remedies: what it cannot do is offered to the others
         shown = self.done if self.shared else self.tasks
         tasks = tuple(self._task(k) for k in shown)
         required = {task.name for task in self.mission.tasks if task.required}
         missed = [one for one in tasks if one.verdict == "unreachable" and one.name in required]
         end = self.end
+        remedies, time_saved = ((), 0.0) if last is None or self.shared else self._less_charge(last)
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
-            trip=self.walk.mark(end, "end").trip,
+            trip=self.sim.mark(end, "end").trip,
             energy=end.total.mean,
-            energy_upper=end.total.upper(self.walk.quantile),
+            energy_upper=end.total.upper(self.sim.quantile),
             feasible=last is not None and not missed,
-            proven=self.proven,
-            gap=self.gap,
-            uncertainty=doubts(self.walk, end),
+            proven=self.found.proven,
+            gap=self.found.gap,
+            uncertainty=contributions(self.sim, end),
             warnings=self._warnings(),
+            remedies=remedies,
+            time_saved=time_saved,
         )
 
     # -- the way ----------------------------------------------------------------------------------
 
-    def go(self) -> State:
+    def go(self) -> None:
         """Do the tasks that can be done."""
-        walk, state = self.walk, self.walk.start
+        sim, state = self.sim, self.sim.start
         given = self.mission.order == "given"
-        found = best_stops(walk, tasks=self.tasks, progress=self.progress)
-        self.proven, self.gap = found.proven, found.gap
+        found = best_stops(sim, tasks=self.tasks, progress=self.progress)
+        self.found = found
         turns = [state] * len(self.mission.tasks)  # where the robot is when a task has its turn
-        for at, (stop, hurried) in enumerate(zip(found.stops, found.hurried, strict=True)):
-            if stop in self.legs.chargers:
-                docked = walk.dock(state, stop, hurried)
-                if docked is not None:
-                    rest = found.stops[at + 1 :], found.hurried[at + 1 :]
-                    state = walk.charge(docked, walk.leave_by(docked, *rest))
-            else:
-                state = self._do(state, stop - 1, hurried)
+        for at, stop in enumerate(found.stops):
+            visit = (
+                found.visits[at] if found.visits
+                else sim.visit(state, found.stops[at:], found.hurried[at:])
+            )  # fmt: skip
+            if visit.attempt is not None:
+                state = self._done(state, stop - 1, visit.attempt)
                 turns[stop:] = [state] * len(turns[stop:])
+            elif visit.after is not None:
+                state = visit.after
         for k in self.tasks:
             if k not in self.attempts and given:
                 earlier = tuple(d for d in self.done if d < k)
-                self.attempts[k] = _Try(turns[k], attempt(walk, turns[k], k), earlier)
+                self.attempts[k] = _Try(turns[k], attempt(sim, turns[k], k), earlier)
             elif k not in self.attempts:
-                state = self._do(state, k)
-        return state
+                state = self._done(state, k, sim.attempt(state, k))
+        self.end = state
 
-    def _do(self, state: State, task: int, hurried: bool = False) -> State:
-        tried = self.walk.attempt(state, task, hurried)
+    def _done(self, state: Status, task: int, tried: Attempt) -> Status:
+        """Return the state after a task that was tried; if need be after charging or in a hurry."""
         if tried.reason != "none":
-            tried = attempt(self.walk, state, task)
+            tried = attempt(self.sim, state, task)
         self.attempts[task] = _Try(state, tried, tuple(self.done))
         if tried.reason != "none":
             return state
@@ -211,17 +215,17 @@ class Evaluation:
     def _task(self, k: int) -> TaskReport:
         task = self.mission.tasks[k]
         before, tried, earlier = self.attempts[k]
-        quantile = self.walk.quantile
+        quantile = self.sim.quantile
         if tried.reason == "none":
             used, after = tried.after.total.since(before.total), tried.after
-            told = TaskReport(
+            found = TaskReport(
                 task.name, "reachable", "none", True, used.mean, used.upper(quantile),
                 after.expected.soc,
             )  # fmt: skip
             if k in self.done:
                 stop = stops(after.trip)[-1]
                 return replace(
-                    told, start=after.time - task.dwell, arrival=stop.arrival,
+                    found, start=after.time - task.dwell, arrival=stop.arrival,
                     departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
                 )  # fmt: skip
             # it could be done, but a later one could then not be
@@ -230,57 +234,54 @@ class Evaluation:
             remedies, remedy = self._remedy(k, "blocked_by_earlier", tried)
             detail = f"left out, since with it the battery would not last for {names}"
             return replace(
-                told, verdict="unreachable", reason="blocked_by_earlier", remedy=remedy,
+                found, verdict="unreachable", reason="blocked_by_earlier", remedy=remedy,
                 detail=detail, remedies=remedies,
             )  # fmt: skip
-        alone = tried if not self.done else attempt(self.walk, self.walk.start, k)
+        alone = tried if not self.done else attempt(self.sim, self.sim.start, k)
         blocked = alone.reason == "none"
         # What a task leaves another one may have to bring; alone it cannot be judged.
         failed = tried if blocked or alone.reason == "payload" else alone
         reason: Reason = "blocked_by_earlier" if blocked else _REASONS[failed.reason]
         lacking = failed.reason == "battery"
-        used = failed.after.total.since((before if blocked else self.walk.start).total)
+        used = failed.after.total.since((before if blocked else self.sim.start).total)
         remedies, remedy = self._remedy(k, reason, failed)
         return TaskReport(
             task.name, "unreachable", reason, blocked,
             energy=used.mean if lacking else np.nan,
             energy_upper=used.upper(quantile) if lacking else np.nan,
             soc_after=failed.after.expected.soc if lacking else np.nan,
-            shortfall=self.walk.shortfall(failed.safe) if lacking else 0.0,
+            shortfall=self.sim.shortfall(failed.safe) if lacking else 0.0,
             remedy=remedy, detail=failed.detail, remedies=remedies,
         )  # fmt: skip
 
-    def _remedy(self, k: int, reason: Reason, told: Attempt) -> tuple[tuple[Remedy, ...], str]:
+    def _remedy(self, k: int, reason: Reason, tried: Attempt) -> tuple[tuple[Remedy, ...], str]:
         """Return what makes a task reachable, and the sentence that says so."""
         if reason == "no_path":
-            return (), f"clear the route or move the task: {told.detail}"
+            return (), f"clear the route or move the task: {tried.detail}"
         remedies, advice = self._drop(k) if reason == "blocked_by_earlier" else [], ""
-        if told.reason == "late":
-            remedies += self._sooner(k, told)
-        elif told.reason == "time":
+        if tried.reason == "late":
+            remedies += self._sooner(k, tried)
+        elif tried.reason == "time":
             advice = "give more planning_time or planning_effort"
-        elif told.reason == "payload":
+        elif tried.reason == "payload":
             advice = "put a task before it that takes the payload on board"
-        elif told.reason == "motor":
-            advice = f"take another route or a stronger drive: {told.detail}"
+        elif tried.reason == "motor":
+            advice = f"take another route or a stronger drive: {tried.detail}"
             if self.mission.payload > 0:
                 advice += ", or leave payload behind"
-        elif told.reason == "no_path":
-            advice = f"clear the route back: {told.detail}"
+        elif tried.reason == "no_path":
+            advice = f"clear the route back: {tried.detail}"
         else:
             earlier = self.attempts[k].earlier if reason == "blocked_by_earlier" else ()
             tasks = (*earlier, k)
             remedies += [
-                *self._indoors(tasks),
-                *self._slower(tasks, told.safe),
-                *self._charge_first(tasks),
-                *self._larger_battery(tasks, told.safe),
-                *self._smaller_reserve(tasks),
-            ]
+                *self._indoors(tasks), *self._slower(tasks, tried.safe), *self._charge_first(tasks),
+                *self._larger_battery(tasks, tried.safe), *self._smaller_reserve(tasks),
+            ]  # fmt: skip
         hints = [*map(str, remedies), *([advice] if advice else [])]
-        return tuple(remedies), ", or ".join(hints) or told.detail
+        return tuple(remedies), ", or ".join(hints) or tried.detail
 
-    def _sooner(self, k: int, told: Attempt) -> list[Remedy]:
+    def _sooner(self, k: int, tried: Attempt) -> list[Remedy]:
         """Tell what brings the robot there in time: speed, or a wider window."""
         task, tasks = self.mission.tasks[k], (*self.attempts[k].earlier, k)
         top = float(self.mission.vehicle.motor.speed)
@@ -288,13 +289,13 @@ class Evaluation:
         faster = np.isfinite(top) and (now is None or now < top)
         speeds = [Remedy("speed", top, "m/s")] if faster else []
         in_turn = self.attempts[k].attempt
-        times = [self.walk.latest(a.after) for a in (told, in_turn) if a.reason == "late"]
+        times = [self.sim.latest(a.after) for a in (tried, in_turn) if a.reason == "late"]
         late = sorted({float(np.ceil(time - task.window[1])) for time in times})
         windows = [Remedy("window", s, "s", task.name) for s in (*late, 2 * late[-1])]
         return [*self._first(tasks, speeds), *self._first(tasks, windows)]
 
     def _drop(self, k: int) -> list[Remedy]:
-        """Name a task without which this one can be done, the least worth first."""
+        """Name a task without which this one can be done, the one of least prize first."""
         tasks, (_, tried, earlier) = self.mission.tasks, self.attempts[k]
         others = self.done if tried.reason == "none" else earlier
         ranked = sorted(others, key=lambda d: (tasks[d].required, tasks[d].prize, -d))
@@ -303,14 +304,14 @@ class Evaluation:
             remedy = Remedy("drop", task=tasks[dropped].name)
             if tasks[dropped].required and not tasks[k].required:
                 continue
-            if self._follow(self.walk, [*rest, k]) and self._holds(k, remedy):
+            if self._follow(self.sim, [*rest, k]) and self._holds(k, remedy):
                 return [remedy]
         return []
 
-    def _follow(self, walk: Walk, tasks: Sequence[int]) -> bool:
-        state = walk.start
+    def _follow(self, sim: Simulation, tasks: Sequence[int]) -> bool:
+        state = sim.start
         for task in tasks:
-            tried = attempt(walk, state, task)
+            tried = attempt(sim, state, task)
             if tried.reason != "none":
                 return False
             state = tried.after
@@ -326,20 +327,20 @@ class Evaluation:
         least = bisect_left(remedies, True, 0, last, key=lambda remedy: self._works(tasks, remedy))
         return [remedies[least]]
 
-    def _larger_battery(self, tasks: Sequence[int], safe: State) -> list[Remedy]:
+    def _larger_battery(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
         """Tell how much more the battery has to hold, in whole watt-hours, or to deliver.
 
         It has to hold more than is missing: part of it is reserve, and the load draws charge too.
         Where no energy is missing, what limits is its power: that of its strings.
         """
-        full, powerless = self.mission.battery.full_energy, self.walk.lacks_power(safe)
+        full, powerless = self.mission.battery.full_energy, self.sim.lacks_power(safe)
         step = _FINER * full if powerless else 3600.0
 
         def remedy(n: int) -> Remedy:
             strings = Remedy("strings", 1.0 + _FINER * n, "1")
             return strings if powerless else Remedy("capacity", step * n, "J")
 
-        low, high = 0, max(int(np.ceil(self.walk.shortfall(safe) / step)), 1)
+        low, high = 0, max(int(np.ceil(self.sim.shortfall(safe) / step)), 1)
         while not self._works(tasks, remedy(high)):
             low, high = high, 2 * high
             if step * high > _MOST * full:
@@ -354,7 +355,7 @@ class Evaluation:
         reserves = [max(round(share * now, 3), least) for share in (0.75, 0.5, 0.25)]
         return self._first(tasks, [Remedy("reserve", r, "1") for r in reserves if r < now])
 
-    def _slower(self, tasks: Sequence[int], safe: State) -> list[Remedy]:
+    def _slower(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
         """Tell whether another speed helps: that of least energy, or one of less power."""
         given, top = self.mission.tread_speed, float(self.mission.vehicle.motor.speed)
         remedies = [] if given is None else [Remedy("cheapest_speed")]
@@ -374,6 +375,32 @@ class Evaluation:
         remedy = Remedy("warm", low, "degC") if cold else Remedy("cool", high, "degC")
         return self._first(tasks, [remedy])
 
+    def _less_charge(self, end: Status) -> tuple[tuple[Remedy, ...], float]:
+        """Return the least charge to leave chargers with, and the time that it saves [s]."""
+        found, most = self.found, end.total.mean + ROUNDING * abs(end.total.mean)
+        visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
+        levels = [one.until for one in self.mission.chargers if one.name in visited]
+        if not levels or self.done != [s - 1 for s in found.stops if s <= len(self.mission.tasks)]:
+            return (), 0.0
+
+        def last(remedy: Remedy) -> Status | None:
+            sim = Simulation(self.legs.under(self.mission.with_remedy(remedy)), self.sim.occupied)
+            then = sim.arrives(sim.follow(sim.start, found.stops, found.hurried)[0])
+            return None if then is None or then.total.mean > most else then
+
+        low, high = int(100 * self.mission.reserve + ROUNDING) + 1, int(100 * max(levels))
+        remedies = [Remedy("until", percent / 100, "1") for percent in range(low, high + 1)]
+        least = bisect_left(remedies, True, key=lambda remedy: last(remedy) is not None)
+        for remedy in remedies[least : least + _CANDIDATES]:
+            then = last(remedy)
+            if self._confirms:
+                again = self._anew(remedy)
+                same = sorted(again.done) == sorted(self.done)
+                then = finish(again.sim, again.end) if same else None
+            if then is not None and end.time - then.time >= _MINUTE:
+                return (remedy,), end.time - then.time
+        return (), 0.0
+
     def _first(self, tasks: Sequence[int], remedies: Sequence[Remedy]) -> list[Remedy]:
         """Return the first of some remedies that works, if any does."""
         return next(([remedy] for remedy in remedies if self._works(tasks, remedy)), [])
@@ -384,33 +411,35 @@ class Evaluation:
             changed = self.mission.with_remedy(remedy)
         except BatteryError:  # beyond any battery
             return False
-        walk = Walk(self.legs.under(changed))
-        return self._follow(walk, tasks) and self._holds(tasks[-1], remedy)
+        sim = Simulation(self.legs.under(changed))
+        return self._follow(sim, tasks) and self._holds(tasks[-1], remedy)
 
     def _holds(self, k: int, remedy: Remedy) -> bool:
-        """Tell whether the whole mission with a remedy does the task.
-
-        Others that it makes possible must not take what it gains; at another speed routes change.
-        """
-        if self.mission.order == "free" and len(self.mission.tasks) > _CONFIRMED:
+        """Tell whether a remedy lets the whole mission do a task; others may take what it gains."""
+        if not self._confirms:
             return True
+        again = self._anew(remedy)
+        name = self.mission.tasks[k].name
+        return any(again.mission.tasks[d].name == name for d in again.done)
+
+    @property
+    def _confirms(self) -> bool:
+        """Whether a remedy is tried on the whole mission, order included."""
+        return self.mission.order == "given" or len(self.mission.tasks) <= _CONFIRMED
+
+    def _anew(self, remedy: Remedy) -> Evaluation:
+        """Return the whole mission with a remedy, driven; at another speed routes change."""
         changed = self.mission.with_remedy(remedy)
         anew = remedy.kind in ("drop", "speed", "cheapest_speed")
-        legs = self.legs.under(changed, anew=anew)
-        again = Evaluation(changed, None, legs)
+        again = Evaluation(changed, None, self.legs.under(changed, anew=anew), self.sim.occupied)
         again.go()
-        name = self.mission.tasks[k].name
-        return any(changed.tasks[d].name == name for d in again.done)
+        return again
 
 
 _REASONS: dict[str, Reason] = {
-    "no_path": "no_path",
-    "motor": "motor",
-    "battery": "battery",
-    "late": "late",
-    "time": "time_limit",
-    "payload": "blocked_by_earlier",
-}
+    "no_path": "no_path", "motor": "motor", "battery": "battery", "late": "late",
+    "time": "time_limit", "payload": "blocked_by_earlier",
+}  # fmt: skip
 
 
 # -- many missions -------------------------------------------------------------------------------
@@ -431,7 +460,7 @@ def evaluate_many(
     """Evaluate many missions over an executor; yield each result when it is ready.
 
     Of missions that share their map, costs and planner one is evaluated first, and the routes that
-    it needed are handed to the others. A mission that fails is told with its error.
+    it needed are handed to the others. A mission that fails yields its error.
 
     Parameters
     ----------

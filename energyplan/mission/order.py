@@ -15,25 +15,31 @@ in which no task overtakes another: its stages are the last tasks done.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 
 from energyplan.mission._order_kernel import (
     Known,
+    OrderProblem,
     Rest,
-    Table,
+    Stages,
     Tours,
     completions,
     search,
     share,
 )
+from energyplan.mission.drive import Attempt, Simulation, Status, Visit
 from energyplan.mission.energy import Estimate
-from energyplan.mission.legs import Attempt, State, Walk
+from energyplan.mission.routes import Progress
+from energyplan.mission.types import ROUNDING, Task
 from energyplan.path import FloatArray
+
+Record = TypeVar("Record", OrderProblem, Stages)
 
 EXACT = 15
 """Largest number of tasks whose free order is proven."""
@@ -49,17 +55,16 @@ _STAGES = 2**19
 """Most stages times tasks squared, beyond `EXACT` tasks."""
 
 _VISITS = 6
-"""Visits to chargers that bounds tell apart."""
+"""Visits to chargers that bounds distinguish."""
 
 _LEAST = 1e-8
-"""Least difference of worth."""
+"""Least difference of prizes."""
 
 _EARLIER = 1e-5
-"""What the first of all tasks in a given order is worth beyond the last one."""
+"""Prize that the first task of a given order has beyond the last one."""
 
-_ROUNDING = 1e-9
 _NO_REST = Rest(np.empty((0, 1)), np.empty(0), 0.0)
-"""What it takes to be worth more than everything."""
+"""Bound for a prize above that of all tasks: nothing reaches it."""
 
 _ROUNDS = 25
 """Most rounds of solving and planning."""
@@ -81,79 +86,20 @@ _LATE = 0.5
 """Share of the bounds of single times that is held back first: they seldom all come together."""
 
 _LEVELS = 3
-_MOST_LOADS = 64
+_MOST_LOADS = 1024
+_EACH = 64
+"""Most payloads of a problem, and most that each leg is priced with."""
+
 _SAME = 1e-6
 _LOSSLESS = 1.0
 """Power so small that a battery loses nothing to its resistance [W]."""
 
 
-@dataclass(frozen=True)
-class OrderProblem:
-    """Which tasks to do in which order.
-
-    Node 0 is the start, nodes 1 to n the tasks, the others the chargers.
-    """
-
-    energy: Callable[[float], FloatArray]
-    finish: Callable[[float], FloatArray]  # [J]
-    time: FloatArray  # (N, N): travel times [s]
-    finish_time: FloatArray  # (N,): time from each node to that place [s]
-    service: FloatArray  # (n,): energy that each task takes [J]
-    service_time: FloatArray  # (n,): time that each task takes [s]
-    payload: float  # payload at the start [kg]
-    payload_change: FloatArray  # (n,): change of the payload by each task [kg]
-    prize: FloatArray  # (n,): prizes
-    required: np.ndarray  # (n,): tasks that must be done
-    window: FloatArray  # (n, 2): earliest and latest start of each task [s]
-    budget: float  # energy at the start, the reserve taken off [J]
-    capacity: FloatArray  # (m,): energy on leaving each charger, the reserve taken off [J]
-    charge_power: FloatArray  # (m,): energy stored per second at each charger [W]
-    start_time: float = 0.0  # time at the start [s]
-    full: float = np.inf  # energy of a full battery, the reserve taken off [J]
-    idle: FloatArray | None = None  # (n,): power of waiting at each task [W]; None for no power
-    hurried_energy: Callable[[float], FloatArray] | None = None
-    hurried_time: FloatArray | None = None
-    given: bool = False  # whether no task may come before one of a lower number
-
-    @property
-    def tasks(self) -> int:
-        """Number of tasks."""
-        return len(self.prize)
-
-    @property
-    def worth(self) -> FloatArray:
-        """Prizes, with those of required tasks above the sum of all others."""
-        return self.prize + np.where(self.required, 1.0 + self.prize.sum(), 0.0)
-
-    @property
-    def waiting(self) -> FloatArray:
-        """Power of waiting at each task [W]."""
-        return np.zeros(self.tasks) if self.idle is None else np.asarray(self.idle, float)
-
-    def in_turn(self, tasks: Sequence[int]) -> OrderProblem:
-        """Return the problem of some of the tasks, numbered in another way."""
-        n, mine = self.tasks, np.asarray(tasks, int)
-        nodes = np.array([0, *(mine + 1), *range(1 + n, 1 + n + len(self.capacity))])
-
-        def between(known: Callable[[float], FloatArray], load: float) -> FloatArray:
-            return np.asarray(known(load)[np.ix_(nodes, nodes)])
-
-        quick = self.hurried_energy, self.hurried_time
-        return replace(
-            self,
-            energy=partial(between, self.energy),
-            finish=lambda load: self.finish(load)[nodes],
-            time=self.time[np.ix_(nodes, nodes)],
-            finish_time=self.finish_time[nodes],
-            hurried_energy=None if quick[0] is None else partial(between, quick[0]),
-            hurried_time=None if quick[1] is None else quick[1][np.ix_(nodes, nodes)],
-            idle=self.waiting[mine],
-            **{
-                name: getattr(self, name)[mine]
-                for name in ("service", "service_time", "payload_change", "prize", "required",
-                             "window")
-            },
-        )  # fmt: skip
+def prizes(tasks: Sequence[Task]) -> FloatArray:
+    """Return the prizes of tasks; that of any required one exceeds all optional ones together."""
+    prize = np.array([task.prize for task in tasks], float)
+    required = np.array([task.required for task in tasks], bool)
+    return prize + np.where(required, 1.0 + prize.sum(), 0.0)
 
 
 @dataclass(frozen=True)
@@ -164,44 +110,46 @@ class Order:
     hurried: tuple[bool, ...] = ()  # whether the way to each stop is driven as quickly as may be
     energy: float = np.inf  # energy of the whole tour [J]
     proven: bool = False  # whether no better order exists on the routes known
-    bound: float = np.nan  # energy that no order of this worth undercuts [J]
+    bound: float = np.nan  # energy that no order of this prize undercuts [J]
     gap: float = np.nan  # by which fraction of its energy a better order may exist at most
+    visits: tuple[Visit, ...] = field(default=(), compare=False)  # as simulated; none if it fails
+    end: Status | None = field(default=None, compare=False)  # None where the battery does not last
+    true: bool = False  # whether the search took energies and times of each leg at its payload
+
+    def answer(self, gap: float = np.nan) -> Order:
+        """Return the order with its gap."""
+        return replace(self, proven=bool(gap <= _SAME), gap=gap)
 
 
 def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
-    """Find the order of greatest worth, and of least energy among those."""
+    """Find the order of greatest prize, and of least energy among those."""
     n = problem.tasks
     if problem.given or n <= EXACT:
         return _searched(problem, widths, 1 if problem.given else n)
     reach = max(int(np.log2(_STAGES / n**2)), 1) + 1
-    (sequence,), left = shared([problem], np.asarray(problem.worth, float))
-    best, worth = Order(), -1.0
+    (sequence,), left = shared([problem], problem.prize)
+    best, prize = Order(), -1.0
     while True:
         turn = _with_left(problem, sequence, left)
-        found = _searched(problem.in_turn(turn), _NARROW, reach)
+        found = _searched(problem.some(turn), _NARROW, reach)
         stops = tuple(turn[s - 1] + 1 if s <= n else s for s in found.stops)
         done = [s - 1 for s in stops if s <= n]
-        gained = float(problem.worth[done].sum())
-        if gained < worth - _LEAST or (
-            gained < worth + _LEAST and found.energy >= best.energy * (1 - _SAME)
+        gained = float(problem.prize[done].sum())
+        if gained < prize - _LEAST or (
+            gained < prize + _LEAST and found.energy >= best.energy * (1 - _SAME)
         ):
             return best
-        worth, best = gained, replace(found, stops=stops, proven=False, bound=np.nan)
+        prize, best = gained, replace(found, stops=stops, proven=False, bound=np.nan)
         sequence, left = done, sorted(set(range(n)) - set(done))
 
 
 def shared(
-    problems: Sequence[OrderProblem],
-    worth: FloatArray,
-    own: Sequence[Sequence[int]] | None = None,
+    problems: Sequence[OrderProblem], prize: FloatArray, own: Sequence[Sequence[int]] | None = None
 ) -> tuple[list[list[int]], list[int]]:
-    """Give tasks to robots by insertion; return each one's in their sequence, and what is left.
-
-    Each robot's problem has its own tasks alone: their numbers among all are `own`.
-    """
-    n = len(worth)
+    """Give tasks to robots by insertion; `own` are the numbers of each one's tasks among all."""
+    n = len(prize)
     own = [range(n)] * len(problems) if own is None else own
-    tours = _tours(problems, worth, own)
+    tours = _tours(problems, prize, own)
     chances = np.random.default_rng(0).random((_SHARES, 3 + n + len(problems)))
     open_to_all = chances.copy()
     open_to_all[:, 3 + n :] = 1.0
@@ -210,10 +158,10 @@ def shared(
         """Price what is given by the search for each robot's order, with its charges."""
         energy, done = 0.0, 0.0
         for problem, mine, tasks in zip(problems, given, own, strict=True):
-            part = problem.in_turn([list(tasks).index(task) for task in mine])
-            found = solve(replace(part, given=len(mine) > EXACT), _NARROW)
+            part = problem.some([list(tasks).index(task) for task in mine])
+            found = solve(part._replace(given=len(mine) > EXACT), _NARROW)
             energy += found.energy
-            done += float(sum(worth[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
+            done += float(sum(prize[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
         return round(-done, 6), energy
 
     tried = [
@@ -225,10 +173,10 @@ def shared(
 
 
 def _tours(
-    problems: Sequence[OrderProblem], worth: FloatArray, own: Sequence[Sequence[int]]
+    problems: Sequence[OrderProblem], prize: FloatArray, own: Sequence[Sequence[int]]
 ) -> Tours:
     """Return robots as the insertion reads them; payloads are priced as at the start."""
-    n, m, robots = len(worth), len(problems[0].capacity), len(problems)
+    n, m, robots = len(prize), len(problems[0].capacity), len(problems)
     size = 1 + n + m
     energy, time = np.full((2, robots, size, size), np.inf)
     finish = np.full((robots, size), np.inf)
@@ -237,17 +185,15 @@ def _tours(
     for r, (one, numbers) in enumerate(zip(problems, own, strict=True)):
         mine = np.array(numbers, int)
         nodes = np.array([0, *(mine + 1), *range(1 + n, size)])
-        k = len(nodes)
-        spent = np.array(one.energy(one.payload), float)[:k, :k]
-        spent[:, 1 : 1 + len(mine)] += one.service
-        energy[r][np.ix_(nodes, nodes)] = spent
-        time[r][np.ix_(nodes, nodes)] = one.time[:k, :k]
-        finish[r, nodes] = one.finish(one.payload)[:k]
-        service[r, mine], idle[r, mine] = one.service_time, one.waiting
-        window[mine], change[mine] = one.window, one.payload_change
-    # what a task is worth is more than all that any sequence takes
-    dearest = np.where(np.isfinite(energy), np.abs(energy), 0.0).max(axis=(0, 1)).sum()
-    least = float(worth[worth > 0].min()) if np.any(worth > 0) else 1.0
+        load, between = one.at(one.payload), np.ix_(nodes, nodes)
+        energy[r][between], time[r][between] = one.energy[load, 0], one.time[0]
+        energy[r][:, mine + 1] += one.service
+        finish[r, nodes] = one.finish[load]
+        service[r, mine], idle[r, mine] = one.service_time, one.idle
+        window[mine], change[mine] = one.window, one.change
+    # the prize of a task is more than all that any sequence takes
+    largest = np.where(np.isfinite(energy), np.abs(energy), 0.0).max(axis=(0, 1)).sum()
+    least = float(prize[prize > 0].min()) if np.any(prize > 0) else 1.0
     return Tours(
         energy=energy,
         time=time,
@@ -256,7 +202,7 @@ def _tours(
         window=window,
         idle=idle,
         change=change,
-        worth=2.0 * max(float(dearest), 1.0) / least * np.asarray(worth, float),
+        prize=2.0 * max(float(largest), 1.0) / least * np.asarray(prize, float),
         budget=np.array([one.budget for one in problems], float),
         capacity=np.array([one.capacity.max(initial=0.0) for one in problems], float),
         start_time=np.array([one.start_time for one in problems], float),
@@ -266,7 +212,7 @@ def _tours(
 
 def _with_left(problem: OrderProblem, sequence: Sequence[int], left: Sequence[int]) -> list[int]:
     """Return a sequence with the tasks that are left out put in where they add least."""
-    energy = problem.energy(problem.payload)
+    energy = problem.energy[problem.at(problem.payload), 0]
     whole = list(sequence)
     for task in left:
         nodes = np.array([0, *(k + 1 for k in whole)])
@@ -280,32 +226,33 @@ def _with_left(problem: OrderProblem, sequence: Sequence[int], left: Sequence[in
 
 def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order:
     """Find the best order in which a task overtakes fewer than `reach` others."""
-    table = _table(problem, reach)
-    tasks = slice(1, 1 + problem.tasks)
-    nearest = table.energy.min(axis=(0, 1, 2))[tasks]
-    whole = float(table.worth[np.isfinite(nearest)].sum())
+    problem, stages = _staged(problem, reach)
+    nearest = stages.energy.min(axis=(0, 1))[1 : 1 + problem.tasks]
+    whole = float(problem.prize[np.isfinite(nearest)].sum())
     # the first search looks for an order that does everything, and takes what it finds
-    more = completions(table, -1.0)
-    known = Known(-1.0, np.inf, np.inf, completions(table, whole), more, -1.0)
+    more = completions(problem, stages, -1.0)
+    known = Known(-1.0, np.inf, np.inf, completions(problem, stages, whole), more, -1.0)
     best, proven, bound = known, False, np.nan
     stops, hurried = np.empty(0, int), np.empty(0, int)
     for width in widths:
-        found = search(table._replace(width=width), known)
+        found = search(problem, stages._replace(width=width), known)
         if found.better:
-            bound = bound if found.worth < best.worth + _LEAST else np.nan
-            best = best._replace(worth=found.worth, energy=found.energy, time=found.time)
+            bound = bound if found.prize < best.prize + _LEAST else np.nan
+            best = best._replace(prize=found.prize, energy=found.energy, time=found.time)
             stops, hurried = found.stops, found.ways
-        if not found.open or best.worth > whole - _LEAST:
+        if not found.open or best.prize > whole - _LEAST:
             bound = np.nanmax([found.bound, bound])
-        proven = bool(bound >= best.energy - _ROUNDING * abs(best.energy))
+        proven = bool(bound >= best.energy - ROUNDING * abs(best.energy))
         if proven:
             break
-        if best.worth >= 0:
-            all_of_it = best.worth >= whole - _LEAST
-            beyond = best.worth + _LEAST
-            more = _NO_REST if all_of_it else completions(table, beyond)
-            known = best._replace(same=completions(table, best.worth), more=more, beyond=beyond)
-    energy = best.energy if best.worth >= 0 else 0.0
+        if best.prize >= 0:
+            all_of_it = best.prize >= whole - _LEAST
+            beyond = best.prize + _LEAST
+            more = _NO_REST if all_of_it else completions(problem, stages, beyond)
+            known = best._replace(
+                same=completions(problem, stages, best.prize), more=more, beyond=beyond
+            )
+    energy = best.energy if best.prize >= 0 else 0.0
     nodes, ways = tuple(map(int, stops)), tuple(map(bool, hurried))
     return Order(nodes, ways, energy, proven, bound)
 
@@ -338,81 +285,63 @@ def _near(n: int, reach: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return after, done, done | passed
 
 
-def _table(problem: OrderProblem, reach: int) -> Table:
-    """Return the problem as the kernel reads it."""
+def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
+    """Return the problem without ways that no battery lasts for, and its stages."""
     n, m = problem.tasks, len(problem.capacity)
     free = reach >= n and not problem.given
     after, there, done = _sets(n) if free else _near(n, reach)
-    worth = np.asarray(problem.worth, float)
+    prize, change, service = problem.prize, problem.change, problem.service
     if problem.given:
-        worth = worth + _EARLIER * (1.0 - np.arange(n) / max(n, 1))
-    change = np.asarray(problem.payload_change, float)
-    told = free or not change.any()
-    if told:
+        prize = prize + _EARLIER * (1.0 - np.arange(n) / max(n, 1))
+    loads = np.full(len(after), np.inf)
+    index = np.full(len(after), len(problem.loads))
+    if free or not change.any():
         loads = problem.payload + done @ change
-        known, index = np.unique(np.round(loads, 9), return_inverse=True)
-    else:
-        known = _reached(problem.payload, change)
-        loads, index = np.full(len(after), np.inf), np.full(len(after), len(known))
-    # what cannot be carried is never reached; its energies are not asked for
-    can = [float(max(load, 0.0)) for load in known]
-    ways = [problem.energy] if problem.hurried_energy is None else [
-        problem.energy, problem.hurried_energy
-    ]  # fmt: skip
-    times = [problem.time] if problem.hurried_time is None else [
-        problem.time, problem.hurried_time
-    ]  # fmt: skip
-    size = 1 + n + m
-    energy = np.array([[np.asarray(way(load), float) for way in ways] for load in can])
-    energy = energy[..., :size, :size].copy()
-    finish = np.array([np.asarray(problem.finish(load), float)[:size] for load in can])
-    service = np.asarray(problem.service, float)
-    energy[..., np.arange(size), np.arange(size)] = np.inf
+        index = problem.at(loads)
+    energy = problem.energy.copy()
+    places = np.arange(1 + n + m)
+    energy[..., places, places] = np.inf
     least = energy.min(axis=(0, 1))
     closed = _closed(least)
-    need, left = _need(closed, finish.min(axis=0), n), _most_left(problem, closed, size)
+    need, left = _need(closed, problem.finish.min(axis=0), n), _most_left(problem, closed)
     # no battery lasts for a way from which nothing can be reached
-    asked = least + (need + np.concatenate([[0.0], service, np.zeros(m)]))[None, :]
-    room = _ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
-    energy[:, :, asked > (left + room)[:, None]] = np.inf
+    needed = least + (need + np.concatenate([[0.0], service, np.zeros(m)]))[None, :]
+    room = ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
+    energy[:, :, needed > (left + room)[:, None]] = np.inf
     ends = np.isfinite(problem.window[:, 1])
-    opens = np.where(problem.waiting > 0, problem.window[:, 0], -np.inf)
-    places = np.column_stack([np.arange(len(after)) == 0, there, np.ones((len(after), m), bool)])
-    return Table(
-        energy=np.concatenate([energy, energy.min(axis=0, keepdims=True)]),
-        finish=np.concatenate([finish, finish.min(axis=0, keepdims=True)]),
-        time=np.array([one[:size, :size] for one in times], float),
-        finish_time=np.asarray(problem.finish_time, float)[:size].copy(),
-        service=service,
-        service_time=np.asarray(problem.service_time, float),
-        window=np.ascontiguousarray(problem.window, float).reshape(n, 2),
-        idle=np.append(problem.waiting, 0.0),
-        worth=worth,
-        change=change,
-        loads=np.asarray(known, float),
-        after=np.ascontiguousarray(after, np.int64).reshape(len(after), n),
-        there=np.ascontiguousarray(places),
-        done=done @ worth,
-        ahead=~done @ worth,
+    opens = np.where(problem.idle > 0, problem.window[:, 0], -np.inf)
+    reached = np.column_stack([np.arange(len(after)) == 0, there, np.ones((len(after), m), bool)])
+    stages = Stages(
+        after=after.reshape(len(after), n),
+        there=reached,
+        done=done @ prize,
+        ahead=~done @ prize,
         load=loads,
-        load_index=index.ravel().astype(np.int64),
+        load_index=index,
         pressing=np.any(~done & ends, axis=1),
         opening=np.where(done, -np.inf, opens).max(axis=1, initial=-np.inf),
         need=need,
-        capacity=np.asarray(problem.capacity, float),
-        charge_power=np.asarray(problem.charge_power, float),
-        budget=float(problem.budget),
-        full=float(problem.full),
-        start_time=float(problem.start_time),
-        payload=float(problem.payload),
+        energy=energy.min(axis=0),
+        finish=problem.finish.min(axis=0),
+        idle=float(problem.idle.max(initial=0.0)),
         visits=_VISITS,
         most=_MOST_LABELS,
         width=_MOST_LABELS,
     )
+    return _contiguous(problem._replace(energy=energy, prize=prize)), _contiguous(stages)
 
 
-def _reached(payload: float, change: FloatArray) -> FloatArray:
-    """Return the payloads that there may be, or levels between them where they are many."""
+def _contiguous(record: Record) -> Record:
+    """Return a record whose arrays are as the kernels read them."""
+    values: list[Any] = [
+        np.require(value, requirements=["C", "W"]) if isinstance(value, np.ndarray) else value
+        for value in record
+    ]
+    return type(record)(*values)
+
+
+def loads_of(payload: float, change: FloatArray) -> FloatArray:
+    """Return the payloads that there may be [kg], or levels between them where they are many."""
     loads = {round(payload, 9)}
     for step in change[change != 0]:
         loads |= {round(load + step, 9) for load in loads}
@@ -442,8 +371,9 @@ def _need(ways: FloatArray | None, finish: FloatArray, tasks: int) -> FloatArray
     return np.asarray(np.maximum((ways + last[None, :]).min(axis=1), 0.0))
 
 
-def _most_left(problem: OrderProblem, ways: FloatArray | None, size: int) -> FloatArray:
+def _most_left(problem: OrderProblem, ways: FloatArray | None) -> FloatArray:
     """Return the charge with which each place can be left at most [J]."""
+    size = problem.time.shape[1]
     if ways is None:
         return np.full(size, np.inf)
     full = np.concatenate([[problem.budget], problem.capacity])
@@ -456,108 +386,87 @@ def _most_left(problem: OrderProblem, ways: FloatArray | None, size: int) -> Flo
 
 
 def best_stops(
-    walk: Walk,
-    state: State | None = None,
-    tasks: Sequence[int] | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> Order:
+    sim: Simulation, state: Status | None = None, tasks: Sequence[int] | None = None,
+    progress: Progress = None,
+) -> Order:  # fmt: skip
     """Find which of some tasks to do in which order from a state on, and where to charge."""
-    state = walk.start if state is None else state
-    tasks = range(len(walk.mission.tasks)) if tasks is None else tasks
-    if walk.mission.order == "given":
+    state = sim.start if state is None else state
+    tasks = range(len(sim.mission.tasks)) if tasks is None else tasks
+    if sim.mission.order == "given":
         stops = tuple(task + 1 for task in tasks)
         straight = (False,) * len(stops)
-        if walk.arrives(walk.follow(state, stops, straight)):
-            return Order(stops, straight, proven=True, gap=0.0)
-    asked = _Search(walk, state, tuple(tasks), progress)
-    if not asked.exact:
-        return asked.at_bounds().told()
-    hope = asked.tried(0.0, ideal=True)
+        last, visits = sim.follow(state, stops, straight)
+        if sim.arrives(last):
+            return Order(stops, straight, proven=True, gap=0.0, visits=visits)
+    trials = OrderSearch(sim, state, tuple(tasks), progress)
+    if not trials.exact:
+        return trials.at_bounds().answer()
+    hope = trials.tried(0.0, ideal=True)
     found, low, high = hope, 0.0, 1.0
-    if not asked.gap(hope, hope) <= _SAME:
-        found = min(hope, asked.at_bounds(), key=asked.rank)
-    for _ in range(_HALVES if walk.quantile > 0 else 0):
-        if asked.gap(found, hope) <= _SAME:
+    if not trials.gap(hope, hope) <= _SAME:
+        found = min(hope, trials.at_bounds(), key=trials.rank)
+    for _ in range(_HALVES if sim.quantile > 0 else 0):
+        if trials.gap(found, hope) <= _SAME:
             break
         middle = 0.5 * (low + high)
-        tried = asked.tried(middle)
+        tried = trials.tried(middle)
         low, high = (middle, high) if tried.end is None else (low, middle)
-        found = min(found, tried, key=asked.rank)
-    return found.told(asked.gap(found, hope))
+        found = min(found, tried, key=trials.rank)
+    return found.answer(trials.gap(found, hope))
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """An order that the search found, and where the simulation ends with it."""
-
-    order: Order
-    end: State | None  # None if the battery does not last, or a window is missed
-    true: bool  # whether the search took energies and times of each leg at its payload
-
-    def told(self, gap: float = np.nan) -> Order:
-        """Return the answer."""
-        return replace(self.order, proven=bool(gap <= _SAME), gap=gap)
-
-
-class _Search:
+class OrderSearch:
     """Tries of one search at several cautions, each checked by the simulation."""
 
     def __init__(
-        self,
-        walk: Walk,
-        state: State,
-        tasks: tuple[int, ...],
-        progress: Callable[[str], None] | None,
+        self, sim: Simulation, state: Status, tasks: tuple[int, ...], progress: Progress
     ) -> None:
-        self.walk, self.state, self.tasks, self.progress = walk, state, tasks, progress
-        given = walk.mission.order == "given"
+        self.sim, self.state, self.tasks, self.progress = sim, state, tasks, progress
+        given = sim.mission.order == "given"
         self.exact = given or len(tasks) <= EXACT
-        chosen = [walk.mission.tasks[k] for k in tasks]
-        whole = 1.0 + sum(task.prize for task in chosen)
-        self._worth = {
-            k + 1: t.prize + whole * t.required for k, t in zip(tasks, chosen, strict=True)
-        }
+        prize = prizes([sim.mission.tasks[k] for k in tasks])
+        self._prizes = {k + 1: float(one) for k, one in zip(tasks, prize, strict=True)}
 
     def tried(
         self, caution: float, scale: float = 1.0, late: float | None = None, ideal: bool = False
-    ) -> _Trial:
+    ) -> Order:
         """Solve at a caution, plan what is used, and drive what was found."""
-        matrix = Matrix(self.walk, self.state, self.tasks, caution, scale, late, ideal)
-        order = matrix.settled(self.progress)
-        end = self.walk.arrives(self.walk.follow(self.state, order.stops, order.hurried))
-        return _Trial(order, end, matrix.true)
+        matrix = Matrix(self.sim, self.state, self.tasks, caution, scale, late, ideal)
+        order = matrix.solved(self.progress)
+        last, visits = self.sim.follow(self.state, order.stops, order.hurried)
+        return replace(order, visits=visits, end=self.sim.arrives(last), true=matrix.true)
 
-    def at_bounds(self) -> _Trial:
+    def at_bounds(self) -> Order:
         """Return what is found at the bounds of all energies; less battery while it does not last.
 
         The order is found on energies that add up; the battery holds less at high power.
         """
-        scale, found = 1.0, self.tried(1.0, late=_LATE if self.walk.timed else None)
-        if found.end is None and self.walk.timed:
+        scale, found = 1.0, self.tried(1.0, late=_LATE if self.sim.timed else None)
+        if found.end is None and self.sim.timed:
             found = self.tried(1.0)
-        while found.end is None and found.order.stops and scale > _LEAST_SCALE:
+        while found.end is None and found.stops and scale > _LEAST_SCALE:
             scale *= _SMALLER
             found = self.tried(1.0, scale)
         return found
 
-    def worth(self, trial: _Trial) -> float:
-        """Return what an order is worth."""
-        return float(sum(self._worth.get(stop, 0.0) for stop in trial.order.stops))
+    def prize(self, order: Order) -> float:
+        """Return the prize of an order."""
+        return float(sum(self._prizes.get(stop, 0.0) for stop in order.stops))
 
-    def rank(self, trial: _Trial) -> tuple[bool, float, float]:
-        """Sort what can be driven by its worth and energy."""
-        if trial.end is None:
+    def rank(self, order: Order) -> tuple[bool, float, float]:
+        """Sort what can be driven by its prize and energy."""
+        if order.end is None:
             return True, 0.0, 0.0
-        return False, -round(self.worth(trial), 6), trial.end.total.mean
+        return False, -round(self.prize(order), 6), order.end.total.mean
 
-    def gap(self, found: _Trial, hope: _Trial) -> float:
+    def gap(self, found: Order, hope: Order) -> float:
         """Return by which fraction of an order's energy a better one may exist at most."""
-        if found.end is None or not hope.true or self.worth(found) < self.worth(hope) - _SAME:
+        if found.end is None or not hope.true or self.prize(found) < self.prize(hope) - _SAME:
             return float(np.nan)
         spent = found.end.total.mean - self.state.total.mean
         if spent <= 0:
-            return 0.0 if spent <= hope.order.bound + _SAME else float(np.nan)
-        return max(1.0 - hope.order.bound / spent, 0.0)
+            return 0.0 if spent <= hope.bound + _SAME else float(np.nan)
+        return max(1.0 - hope.bound / spent, 0.0)
 
 
 class Matrix:
@@ -569,60 +478,54 @@ class Matrix:
     """
 
     def __init__(
-        self,
-        walk: Walk,
-        state: State,
-        tasks: Sequence[int],
-        caution: float,
-        scale: float = 1.0,
-        late: float | None = None,
-        ideal: bool = False,
-    ) -> None:
-        self._walk, self._state, self._tasks = walk, state, tuple(tasks)
+        self, sim: Simulation, state: Status, tasks: Sequence[int], caution: float,
+        scale: float = 1.0, late: float | None = None, ideal: bool = False,
+    ) -> None:  # fmt: skip
+        self._sim, self._state, self._tasks = sim, state, tuple(tasks)
         self._caution, self._scale, self._ideal = caution, scale, ideal
         self._late = caution if late is None else late
-        self.nodes = [state.node, *(task + 1 for task in tasks), *walk.stations]
-        self._ends = walk.ends
-        mission = walk.mission
+        self.nodes = [state.node, *(task + 1 for task in tasks), *sim.stations]
+        self._ends = sim.ends
+        mission = sim.mission
         change = np.array([mission.tasks[task].payload for task in tasks])
         low = max(state.payload + float(change[change < 0].sum()), 0.0)
         high = state.payload + float(change[change > 0].sum())
         self.exact = mission.order == "given" or len(tasks) <= EXACT
-        loads = _reached(state.payload, change)
+        loads = loads_of(state.payload, change)
         # few loads are priced each for itself; of many, some are, and the others lie in between
-        self._each = self.exact and len(loads) < _MOST_LOADS
+        self._each = self.exact and len(loads) < _EACH
         self._levels = np.linspace(low, high, 1 if low == high else _LEVELS)
         self._inflation = 1.0
-        self._power = walk.legs.driving_power
+        self._power = sim.legs.driving_power
         self._cache: dict[tuple[float, bool], FloatArray] = {}
 
     @property
     def true(self) -> bool:
         """Whether energies and times of an order are those of its legs at each payload."""
-        return len(self._levels) == 1 or (self._each and not self._walk.timed)
+        return len(self._levels) == 1 or (self._each and not self._sim.timed)
 
     # -- energies ---------------------------------------------------------------------------------
 
     def _known(self, payload: float, hurried: bool) -> FloatArray:
         """Energies with one payload: those of the legs where planned, from below where not."""
         if (payload, hurried) not in self._cache:
-            legs = self._walk.legs
+            legs = self._sim.legs
             matrix = legs.lower_bounds(payload) * self._inflation
             for i in {*self.nodes}:
                 for j in {*self.nodes, *self._ends}:
                     # a route of least time takes no less than that of least energy
                     for quick in (False, True) if hurried else (False,):
                         if legs.planned(i, j, quick):
-                            matrix[i, j] = self._counted(legs.leg(i, j, payload, quick).energy)
+                            matrix[i, j] = self._priced(legs.leg(i, j, payload, quick).energy)
             self._cache[payload, hurried] = matrix
         return self._cache[payload, hurried]
 
-    def _counted(self, energy: Estimate) -> float:
+    def _priced(self, energy: Estimate) -> float:
         """Return what an energy counts, as the battery feels it."""
         if not self._caution or not np.isfinite(energy.mean):
             return energy.mean
-        felt = self._walk.legs.from_battery(energy)
-        return felt.upper(self._caution * self._walk.quantile)
+        felt = self._sim.legs.from_battery(energy)
+        return felt.upper(self._caution * self._sim.quantile)
 
     def _all(self, payload: float, hurried: bool = False) -> FloatArray:
         """Energies with any payload, interpolated between the levels."""
@@ -648,16 +551,16 @@ class Matrix:
 
     def _times(self, hurried: bool = False) -> FloatArray:
         """Tell the times between places: straight on at full speed where no route is planned."""
-        legs, payload = self._walk.legs, self._state.payload
+        legs, payload = self._sim.legs, self._state.payload
         speed = legs.scene(payload).cost.admissible_speed(0.0)
         poses = np.array(legs.poses)[:, :2]
-        apart = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
-        times: FloatArray = np.asarray(apart / float(speed), float)
+        distance = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
+        times: FloatArray = np.asarray(distance / float(speed), float)
         for i in {*self.nodes}:
             for j in {*self.nodes, *self._ends}:
                 if legs.planned(i, j, hurried):
                     times[i, j] = legs.leg(i, j, payload, hurried).duration
-        slower = self._walk.quantile * self._walk.mission.spreads.speed
+        slower = self._sim.quantile * self._sim.mission.spreads.speed
         return np.asarray(times * (1.0 + self._late * slower))
 
     # -- the problem ------------------------------------------------------------------------------
@@ -665,51 +568,51 @@ class Matrix:
     @cached_property
     def _fixed(self) -> dict[str, FloatArray]:
         """What no route changes: energies and times of the tasks."""
-        walk, mission, payload = self._walk, self._walk.mission, self._state.payload
-        grounds, service, lasting, idle = walk.legs.grounds, [], [], []
+        sim, mission, payload = self._sim, self._sim.mission, self._state.payload
+        models, service, lasting, idle = sim.legs.models, [], [], []
         for k in self._tasks:
-            region = walk.legs.region(k + 1)
-            done = grounds.waited(region, k, payload) + grounds.work(region, k, payload)
-            service.append(self._counted(done))
-            spread = np.linalg.norm(grounds.waiting_time(k) + grounds.dwell_time(k))
-            more = self._late * walk.quantile * float(spread)
+            region = sim.legs.region(k + 1)
+            done = models.waited(region, k, payload) + models.work(region, k, payload)
+            service.append(self._priced(done))
+            spread = np.linalg.norm(models.waiting_time(k) + models.dwell_time(k))
+            more = self._late * sim.quantile * float(spread)
             lasting.append(mission.waiting + mission.tasks[k].dwell + more)
-            idle.append(0.0 if self._ideal else self._counted(grounds.idle(region, 1.0, payload)))
+            idle.append(0.0 if self._ideal else self._priced(models.idle(region, 1.0, payload)))
         return {"service": np.array(service, float), "service_time": np.array(lasting, float),
                 "idle": np.array(idle, float)}  # fmt: skip
 
     def problem(self) -> OrderProblem:
         """Return the order problem on what is known now."""
-        walk, mission, state = self._walk, self._walk.mission, self._state
+        sim, mission, state = self._sim, self._sim.mission, self._state
         tasks = [mission.tasks[k] for k in self._tasks]
-        times = self._times()
         kept = 1.0 if self._ideal else mission.battery.charge_efficiency
-        stations = [mission.chargers[node - walk.legs.chargers.start] for node in walk.stations]
+        stations = [mission.chargers[node - sim.legs.chargers.start] for node in sim.stations]
         reserve = self._stored(mission.reserve, mission.reserve)
-        hurry = True in walk.ways
         inner = np.ix_(self.nodes, self.nodes)
-        late = self._late * walk.quantile * state.time_spread
+        late = self._late * sim.quantile * state.time_spread
+        change = np.array([task.payload for task in tasks], float)
+        loads = loads_of(state.payload, change)
+        # what cannot be carried is never reached
+        able = np.maximum(loads, 0.0).tolist()
         return OrderProblem(
             **self._fixed,
-            energy=self._energy,
-            finish=self._finish,
-            time=times[inner],
-            finish_time=times[np.ix_(self.nodes, self._ends)].min(axis=1),
+            loads=loads,
+            energy=np.array([[self._energy(load, way) for way in sim.ways] for load in able]),
+            finish=np.array([self._finish(load) for load in able]),
+            time=np.array([self._times(way)[inner] for way in sim.ways]),
+            finish_time=self._times()[np.ix_(self.nodes, self._ends)].min(axis=1),
             payload=state.payload,
-            payload_change=np.array([task.payload for task in tasks], float),
-            prize=np.array([task.prize for task in tasks], float),
-            required=np.array([task.required for task in tasks], bool),
+            change=change,
+            prize=prizes(tasks),
             window=np.array([task.window for task in tasks], float).reshape(-1, 2),
             budget=self._scale * (self._stored(state.expected.soc, state.worst.soc) - reserve),
             capacity=np.array([
-                self._scale * (self._stored(c.until, walk.at_least(c.until)) - reserve)
+                self._scale * (self._stored(c.until, sim.at_least(c.until)) - reserve)
                 for c in stations
             ]),
             charge_power=np.array([c.power for c in stations]) * kept,
             start_time=state.time + late,
             full=self._scale * (self._stored(1.0, 1.0) - reserve),
-            hurried_energy=partial(self._energy, hurried=True) if hurry else None,
-            hurried_time=self._times(hurried=True)[inner] if hurry else None,
             given=mission.order == "given",
         )  # fmt: skip
 
@@ -717,14 +620,14 @@ class Matrix:
         """Return the energy that the battery gives from a state of charge to empty [J]."""
         power = _LOSSLESS if self._ideal else self._power
         soc = expected + self._caution * (least - expected)
-        return float(self._walk.mission.battery.usable_energy(power, soc))
+        return float(self._sim.mission.battery.usable_energy(power, soc))
 
     # -- routes -----------------------------------------------------------------------------------
 
     def used(self, order: Order) -> list[tuple[int, int, bool]]:
         """Routes that an order uses and whether in a hurry, the way to its end included."""
         here, n = [0, *order.stops], len(self._tasks)
-        carried = sum(self._walk.mission.tasks[self._tasks[s - 1]].payload
+        carried = sum(self._sim.mission.tasks[self._tasks[s - 1]].payload
                       for s in order.stops if s <= n)  # fmt: skip
         payload = float(np.clip(self._state.payload + carried, *self._levels[[0, -1]]))
         finish = self._all(payload)[self.nodes[here[-1]], self._ends]
@@ -736,12 +639,12 @@ class Matrix:
 
     def plan(self, wanted: Sequence[tuple[int, int, bool]]) -> None:
         """Plan some routes."""
-        legs, payload, ratios = self._walk.legs, float(self._levels[-1]), []
+        legs, payload, ratios = self._sim.legs, float(self._levels[-1]), []
         bounds = legs.lower_bounds(payload)
         for i, j, quick in wanted:
             leg = legs.leg(i, j, payload, quick)
             if np.isfinite(leg.energy.mean) and bounds[i, j] > 0:
-                ratios.append(self._counted(leg.energy) / bounds[i, j])
+                ratios.append(self._priced(leg.energy) / bounds[i, j])
         if not self.exact and ratios:
             # a search cannot wait for all bounds to become true: let them be typical instead
             self._inflation = float(np.median(ratios))
@@ -749,9 +652,9 @@ class Matrix:
 
     def missing(self, order: Order) -> list[tuple[int, int, bool]]:
         """Return the routes of an order that are not planned."""
-        return [one for one in self.used(order) if not self._walk.legs.planned(*one)]
+        return [one for one in self.used(order) if not self._sim.legs.planned(*one)]
 
-    def settled(self, progress: Callable[[str], None] | None) -> Order:
+    def solved(self, progress: Progress) -> Order:
         """Solve and plan the routes of the answer until it uses planned routes only.
 
         The answer is proven where that point is reached with an exact order. Its stops are nodes.
@@ -772,34 +675,34 @@ class Matrix:
         return replace(order, stops=nodes, proven=order.proven and not missing)
 
 
-def attempt(walk: Walk, state: State, task: int) -> Attempt:
+def attempt(sim: Simulation, state: Status, task: int) -> Attempt:
     """Try a task, in a hurry or after charging where it cannot be done otherwise."""
-    best = walk.attempt(state, task)
+    best = sim.attempt(state, task)
     if best.reason == "late":
-        hurried = walk.attempt(state, task, hurried=True)
+        hurried = sim.attempt(state, task, hurried=True)
         best = best if hurried.reason == "late" else hurried
-    if best.reason != "battery" or not walk.stations:
+    if best.reason != "battery" or not sim.stations:
         return best
-    found = best_stops(walk, state, (task,))
+    found = best_stops(sim, state, (task,))
     if task + 1 in found.stops:
         at = found.stops.index(task + 1)
-        ready = walk.follow(state, found.stops[:at], found.hurried[:at], task + 1)
-        done = best if ready is None else walk.attempt(ready, task, found.hurried[at])
+        ready, _ = sim.follow(state, found.stops[:at], found.hurried[:at], task + 1)
+        done = best if ready is None else sim.attempt(ready, task, found.hurried[at])
         if done.reason == "none":
             return done
-    # what is missing is told from where the least is
-    for charger in walk.stations:
-        docked = walk.dock(state, charger)
+    # what is missing is reported from where the least is
+    for charger in sim.stations:
+        docked = sim.dock(state, charger)
         if docked is not None:
-            tried = walk.attempt(walk.charge(docked), task)
-            best = min(best, tried, key=walk.missing)
+            tried = sim.attempt(sim.charge(docked), task)
+            best = min(best, tried, key=sim.missing)
     return best
 
 
-def finish(walk: Walk, state: State) -> State | None:
+def finish(sim: Simulation, state: Status) -> Status | None:
     """Drive to where the mission may end, charging on the way if need be; None if it cannot."""
-    last = walk.arrives(state)
-    if last is not None or not walk.stations:
+    last = sim.arrives(state)
+    if last is not None or not sim.stations:
         return last
-    found = best_stops(walk, state, ())
-    return walk.arrives(walk.follow(state, found.stops, found.hurried))
+    found = best_stops(sim, state, ())
+    return sim.arrives(sim.follow(state, found.stops, found.hurried)[0])

@@ -2,30 +2,79 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
 
 from energyplan import html
 from energyplan.errors import MissionError, UnknownNameError
-from energyplan.mission.trip import (
-    Activity,
-    ChargerReport,
-    Segment,
-    Stop,
-    Timeline,
-    activities,
-    stops,
-    timeline,
-    uses,
-)
+from energyplan.mission.drive import Kind, Segment
 from energyplan.mission.types import Mission, Remedy, RobotState
-from energyplan.path import Path, Pose
+from energyplan.path import FloatArray, Path, Pose
 
+StopKind = Literal["start", "task", "charge", "end"]
 Verdict = Literal["reachable", "unreachable"]
 Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
+
+_INSTANT = 0.5
+"""Shortest wait that the timetable lists [s]."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place at which the robot stops, and when."""
+
+    name: str  # the place
+    kind: StopKind  # purpose of the stop
+    pose: Pose  # where [m], [rad]
+    arrival: float  # when it gets there [s]
+    departure: float  # when it leaves [s]
+    soc: float  # state of charge on leaving, as expected
+    soc_lower: float  # the same at the bound
+
+
+@dataclass(frozen=True)
+class Activity:
+    """A line of a mission's timetable."""
+
+    start: float  # when it begins [s]
+    end: float  # when it ends [s]
+    kind: Kind  # what the robot does
+    place: str  # where; of a drive, from where to where
+    soc_start: float  # state of charge before it, as expected
+    soc_end: float  # state of charge after it, as expected
+
+
+@dataclass(frozen=True)
+class ChargerReport:
+    """How a charger is used."""
+
+    name: str  # the charger
+    visits: int  # how often the robot charges there
+    duration: float  # how long in all [s]
+    energy: float  # energy that it supplies, as expected [J]
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The mission over time; arrays of one shape."""
+
+    t: FloatArray  # (n,): time [s]
+    x: FloatArray  # (n,): x of the pose [m]
+    y: FloatArray  # (n,): y of the pose [m]
+    yaw: FloatArray  # (n,): heading of the pose [rad]
+    power: FloatArray  # (n,): power at the battery from each time to the next [W]
+    soc: FloatArray  # (n,): state of charge, as expected
+    soc_lower: FloatArray  # (n,): the same at the bound
+
+    @property
+    def soc_upper(self) -> FloatArray:
+        """As far above the expected state of charge as the bound is below."""
+        return np.minimum(2 * self.soc - self.soc_lower, 1.0)
 
 
 @dataclass(frozen=True)
@@ -47,12 +96,12 @@ class TaskReport:
     arrival: float = np.nan  # when the robot gets there [s]
     departure: float = np.nan  # when it leaves [s]
     soc_lower: float = np.nan  # state of charge at the bound when it is done
-    start_upper: float = np.nan  # when it begins at the latest, at the confidence asked [s]
+    start_upper: float = np.nan  # when it begins at the latest, at the confidence wanted [s]
     reasons: tuple[str, ...] = ()  # of several robots, why each that has the skills cannot do it
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Contribution:
     """What one unknown costs."""
 
     source: str  # what is not known
@@ -74,8 +123,10 @@ class MissionReport(html.Readable):
     gap: float = np.nan  # fraction of the energy that a better order could save; nan: not known
     # Largest first, between the charges where the largest margin is needed; without charges
     # that is the whole mission. The squares add up to the variance.
-    uncertainty: tuple[Doubt, ...] = ()
+    uncertainty: tuple[Contribution, ...] = ()
     warnings: tuple[str, ...] = ()  # what to know before trusting the figures
+    remedies: tuple[Remedy, ...] = ()  # changes with which the same is done in less time
+    time_saved: float = 0.0  # by the remedies [s]
     # Of several robots, what each does; its tasks are those that it does, in this order. The whole
     # has no trip of its own.
     robots: tuple[MissionReport, ...] = ()
@@ -143,7 +194,14 @@ class MissionReport(html.Readable):
     @property
     def chargers(self) -> tuple[ChargerReport, ...]:
         """How each charger is used."""
-        return uses(self.charges, [charger.name for charger in self.mission.chargers])
+        return tuple(
+            ChargerReport(
+                name, len(here), sum(part.arrival - part.departure for part in here),
+                -sum(part.energy for part in here),
+            )
+            for name in [charger.name for charger in self.mission.chargers]
+            for here in [[part for part in self.charges if part.goal == name]]
+        )  # fmt: skip
 
     @property
     def waiting(self) -> float:
@@ -160,12 +218,28 @@ class MissionReport(html.Readable):
     @property
     def timetable(self) -> tuple[Activity, ...]:
         """What the robot does from when to when, in the order of time."""
-        return activities(self.trip)
+        found = []
+        for kind, group in groupby(self.trip, lambda part: part.kind):
+            parts = list(group)
+            waited = parts[-1].arrival - parts[0].departure
+            if kind in ("start", "end") or (kind == "wait" and waited <= _INSTANT):
+                continue
+            spans = [(parts[0], parts[-1])] if kind == "wait" else [(part, part) for part in parts]
+            for first, last in spans:
+                place = f"{first.start} to {first.goal}" if kind == "drive" else first.goal
+                soc = float(first.soc[0]), float(last.soc[-1])
+                found.append(Activity(first.departure, last.arrival, kind, place, *soc))
+        return tuple(found)
 
     @cached_property
     def timeline(self) -> Timeline:
         """The mission over time."""
-        return timeline(self.trip)
+        x, y, yaw = np.concatenate([part.poses for part in self.trip]).T
+        t, power, soc, low = (
+            np.concatenate([getattr(part, name) for part in self.trip])
+            for name in ("t", "power", "soc", "soc_lower")
+        )
+        return Timeline(t, x, y, yaw, power, soc, low)
 
     @property
     def headline(self) -> str:
@@ -190,12 +264,14 @@ class MissionReport(html.Readable):
 
     @property
     def sentence(self) -> str:
-        """The headline, how long what can be done takes, and how much of that is charging."""
+        """The headline, how long what can be done takes, and what would make it shorter."""
         charging = sum(one.duration for one in self.chargers)
-        told = f"{self.duration / 60:.0f} min"
-        told += f", {charging / 60:.0f} min of which charging" if charging else ""
+        text = f"{self.duration / 60:.0f} min"
+        text += f", {charging / 60:.0f} min of which charging" if charging else ""
+        for remedy in self.remedies:
+            text += f"; {remedy}: {self.time_saved / 60:.0f} min less"
         subject = "" if self.feasible else " what can be done takes"
-        return f"{self.headline};{subject} {told}" if self.duration else self.headline
+        return f"{self.headline};{subject} {text}" if self.duration else self.headline
 
     @property
     def tables(self) -> tuple[html.Summary, ...]:
@@ -323,6 +399,22 @@ class MissionReport(html.Readable):
         return sorted(
             self.tasks, key=lambda t: (t.verdict == "reachable", rank.get(t.name, len(rank)))
         )
+
+
+def stops(trip: Sequence[Segment]) -> tuple[Stop, ...]:
+    """Return the start, the tasks and charges in the order of their times, and the end."""
+    kinds: dict[Kind, StopKind] = {
+        "start": "start", "work": "task", "charge": "charge", "end": "end"
+    }  # fmt: skip
+    found = []
+    for _, parts in groupby(trip, lambda part: (part.goal, part.kind in ("start", "end"))):
+        stays = [part for part in parts if part.kind != "drive"]
+        for part in stays:
+            if kind := kinds.get(part.kind):
+                begin = stays[0].departure if kind == "task" else part.departure
+                soc = float(part.soc[-1]), float(part.soc_lower[-1])
+                found.append(Stop(part.goal, kind, part.pose, begin, part.arrival, *soc))
+    return tuple(found)
 
 
 def clock(seconds: float) -> str:

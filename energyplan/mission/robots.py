@@ -8,40 +8,36 @@ What a robot turns out not to be able to do is offered to the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from energyplan.mission.drive import Segment, Simulation
 from energyplan.mission.evaluation import Evaluation
-from energyplan.mission.legs import Legs, Routes, Walk
-from energyplan.mission.order import EXACT, Matrix, Order, attempt, shared
+from energyplan.mission.order import EXACT, Matrix, Order, attempt, prizes, shared
 from energyplan.mission.report import MissionReport, TaskReport
-from energyplan.mission.trip import Segment
+from energyplan.mission.routes import Legs, Progress, Routes
 from energyplan.mission.types import Mission, Task
 
 _ROUNDS = 4
 """Rounds of sharing and planning."""
 
 _Stays = Mapping[str, Sequence[tuple[float, float]]]
-"""When all places of each charger are taken [s]."""
+"""When all places of each charger are occupied [s]."""
 
 
 class Sharing:
     """The tasks of a mission on their way to the robots that do them."""
 
-    def __init__(
-        self, mission: Mission, progress: Callable[[str], None] | None, routes: Routes | None
-    ) -> None:
+    def __init__(self, mission: Mission, progress: Progress, routes: Routes | None) -> None:
         self.mission, self.progress = mission, progress
         known = Routes() if routes is None else routes
-        self.walks = [Walk(Legs(part, progress, known)) for part in mission.parts]
+        self.sims = [Simulation(Legs(part, progress, known)) for part in mission.parts]
         names = [task.name for task in mission.tasks]
         self.own = [[names.index(task.name) for task in part.tasks] for part in mission.parts]
-        prizes = np.array([task.prize for task in mission.tasks])
-        required = np.array([task.required for task in mission.tasks])
-        self.worth = prizes + np.where(required, 1.0 + prizes.sum(), 0.0)
+        self.prize = prizes(mission.tasks)
         self._done: dict[tuple[object, ...], MissionReport] = {}
 
     def report(self) -> MissionReport:
@@ -58,7 +54,7 @@ class Sharing:
                         lost = True
             if not lost:
                 break
-        done = {told.name: told for robot in robots for told in robot.tasks}
+        done = {task.name: task for robot in robots for task in robot.tasks}
         tasks = [done.get(task.name) or self._left_out(k, task)
                  for k, task in enumerate(self.mission.tasks)]  # fmt: skip
         left = [task for task in self.mission.tasks if task.name not in done]
@@ -81,10 +77,10 @@ class Sharing:
         given: list[list[int]] = []
         for turn in range(_ROUNDS):
             matrices = []
-            for walk, own, mine in zip(self.walks, self.own, able, strict=True):
+            for sim, own, mine in zip(self.sims, self.own, able, strict=True):
                 tasks = [own.index(task) for task in mine]
-                matrices.append(Matrix(walk, walk.start, tasks, 1.0))
-            given, _ = shared([one.problem() for one in matrices], self.worth, able)
+                matrices.append(Matrix(sim, sim.start, tasks, 1.0))
+            given, _ = shared([one.problem() for one in matrices], self.prize, able)
             missing = 0
             for matrix, mine, tasks in zip(matrices, able, given, strict=True):
                 stops = tuple(1 + mine.index(task) for task in tasks)
@@ -122,31 +118,33 @@ class Sharing:
         """Evaluate what one robot does, as a mission of its own."""
         key = r, tuple(tasks), tuple((name, tuple(stays)) for name, stays in sorted(full.items()))
         if key not in self._done:
-            walk, own = self.walks[r], self.own[r]
+            sim, own = self.sims[r], self.own[r]
             exact = len(tasks) <= EXACT
-            legs = walk.legs.under(replace(walk.mission, order="free" if exact else "given"))
+            legs = sim.legs.under(replace(sim.mission, order="free" if exact else "given"))
             chargers = zip(legs.chargers, self.mission.chargers, strict=True)
-            taken = {node: full.get(charger.name, ()) for node, charger in chargers}
+            occupied = {node: full.get(charger.name, ()) for node, charger in chargers}
             numbers = [own.index(task) for task in tasks]
-            self._done[key] = Evaluation(legs.mission, self.progress, legs, taken, numbers).report()
+            self._done[key] = Evaluation(
+                legs.mission, self.progress, legs, occupied, numbers
+            ).report()
         return self._done[key]
 
     def _left_out(self, number: int, task: Task) -> TaskReport:
         """Say why no robot could do a task, were it the only task."""
         reasons = {
-            part.name: attempt(walk, walk.start, own.index(number)).reason
-            for part, walk, own in zip(self.mission.parts, self.walks, self.own, strict=True)
+            part.name: attempt(sim, sim.start, own.index(number)).reason
+            for part, sim, own in zip(self.mission.parts, self.sims, self.own, strict=True)
             if number in own
         }
-        told = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
+        detail = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
         return TaskReport(
             task.name, "unreachable", "blocked_by_earlier", False, np.nan, np.nan, np.nan,
-            detail=told or "no robot has the skills", reasons=tuple(reasons.values()),
+            detail=detail or "no robot has the skills", reasons=tuple(reasons.values()),
         )  # fmt: skip
 
 
 def _full(charges: Sequence[Segment], places: int) -> list[tuple[float, float]]:
-    """Return when all places of a charger are taken [s]."""
+    """Return when all places of a charger are occupied [s]."""
     stays = [(one.departure, one.arrival) for one in charges]
     return [
         (begin, end)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import inf, isfinite, sqrt
@@ -19,12 +19,12 @@ from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError
-from energyplan.kinds import NO_NUMBER, Within, checked, described, doubts_of, in_words
-from energyplan.path import Pose, as_pose
+from energyplan.path import Pose, as_pose, parse_pose
 from energyplan.planning.problem import free_beside, nearest_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
 from energyplan.records import (
+    NO_NUMBER,
     Fraction,
     Length,
     Mass,
@@ -32,12 +32,18 @@ from energyplan.records import (
     Power,
     ReadOnly,
     Time,
+    Within,
     amount,
     amount_of,
+    checked,
+    described,
+    doubts_of,
+    in_words,
     instance_of,
     record,
 )
 from energyplan.terrain import (
+    CLEARANCE,
     HeightMap,
     OccupancyGrid,
     Site,
@@ -50,7 +56,7 @@ from energyplan.vehicle import Vehicle
 
 RemedyKind = Literal[
     "warm", "cool", "charge", "capacity", "strings", "reserve", "speed", "cheapest_speed", "window",
-    "drop",
+    "drop", "until",
 ]  # fmt: skip
 
 _SENTENCES: dict[RemedyKind, str] = {
@@ -65,12 +71,13 @@ _SENTENCES: dict[RemedyKind, str] = {
     "cheapest_speed": "drive at the speed of least energy",
     "window": "let it begin {amount:.0f} s later",
     "drop": "drop {task!r}",
+    "until": "leave the chargers at {percent:.0f} %",
 }
 
 
 @dataclass(frozen=True)
 class Remedy:
-    """A change of a mission that makes a task reachable; `Mission.with_remedy` applies it."""
+    """A change that makes a task reachable or a mission shorter; see `Mission.with_remedy`."""
 
     kind: RemedyKind  # what to change
     amount: float | None = None  # how much, in `unit`
@@ -99,8 +106,8 @@ def uncertain(kind: str, value: Any) -> tuple[float, float | None]:
         try:
             return float(amount(kind, value)), None
         except (TypeError, OverflowError):
-            told = "give a number, {mean: ..., std: ...} or {low: ..., high: ...}"
-            raise ValueError(told) from None
+            message = "give a number, {mean: ..., std: ...} or {low: ..., high: ...}"
+            raise ValueError(message) from None
     parts = {key: uncertain(kind, part)[0] for key, part in value.items()}
     if parts.keys() == {"mean", "std"}:
         mean, spread = parts["mean"], parts["std"]
@@ -115,6 +122,17 @@ def uncertain(kind: str, value: Any) -> tuple[float, float | None]:
     return mean, spread
 
 
+def _part(values: dict[str, Any], key: str, kind: str, *place: str) -> float | None:
+    """Put the mean of a distribution in its place; return its standard deviation."""
+    if not isinstance(values.get(key), dict | list):
+        return None
+    try:
+        values[key], spread = uncertain(kind, values[key])
+    except ValueError as problem:
+        raise MissionError(f"{key}: {problem}", (*place, key)) from None
+    return spread
+
+
 def _pose(value: Any, info: ValidationInfo) -> Pose:
     """Read a pose: numbers, ``x,y,90deg``, or the name of one of the places of a mission."""
     places: Mapping[str, Any] = (info.context or {}).get("places", {})
@@ -123,18 +141,10 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
             known = ", ".join(sorted(places)) or "none"
             raise ValueError(f"there is no place {value!r}; the places are {known}")
         value = places[value]
-    if isinstance(value, str):
-        value = value.split(",")
-    if isinstance(value, list) and any(isinstance(part, str) for part in value):
-        try:
-            if len(value) != 3:
-                raise ValueError(f"{len(value)} numbers")
-            value = float(value[0]), float(value[1]), float(amount("angle", value[2]))
-        except NO_NUMBER as problem:
-            why = f" ({problem})" if isinstance(problem, ValueError) else ""
-            raise ValueError(
-                f"{value} is no pose{why}; give x, y [m] and yaw [rad] or as 90deg"
-            ) from None
+    if isinstance(value, str) or (
+        isinstance(value, list) and any(isinstance(part, str) for part in value)
+    ):
+        return parse_pose(value)
     return as_pose(value, "the pose")
 
 
@@ -143,6 +153,9 @@ Place = Annotated[Pose, PlainValidator(_pose)]
 
 LARGEST = 1e12
 """Largest instant [s] or prize of a task."""
+
+ROUNDING = 1e-9
+"""Relative difference of numbers that are the same but for rounding."""
 
 Name = Annotated[str, Field(min_length=1)]
 Duration = Annotated[Time, Within((0, 1e8), (0, 86400), "s")]
@@ -171,7 +184,7 @@ class Task:
     payload : float
         What is taken on board (positive) or left behind (negative) when it is done [kg].
     prize : float
-        What it is worth, where not all tasks fit.
+        Prize for doing it, where not all tasks fit.
     required : bool
         Whether the mission fails without it.
     window : tuple of float
@@ -211,14 +224,11 @@ class Task:
         """Part what is given as a distribution into its mean and its standard deviation."""
         if not isinstance(given, dict | ArgsKwargs):
             return given  # pydantic refuses it by its kind
-        values = given if isinstance(given, dict) else dict(given.kwargs or {})
+        values = dict(given if isinstance(given, dict) else given.kwargs or {})
         for key, kind in (("dwell", "time"), ("power", "power")):
-            if isinstance(values.get(key), dict | list):
-                try:
-                    value, spread = uncertain(kind, values[key])
-                except ValueError as problem:
-                    raise MissionError(f"{key}: {problem}", (key,)) from None
-                values = {**values, key: value, f"{key}_spread": spread}
+            spread = _part(values, key, kind)
+            if spread is not None:
+                values[f"{key}_spread"] = spread
         return values if isinstance(given, dict) else ArgsKwargs(given.args, values)
 
     def __post_init__(self) -> None:
@@ -243,7 +253,8 @@ class Charger:
     power : float
         Power at the battery's terminals [W].
     until : float
-        State of charge at which the robot leaves.
+        State of charge at which the robot leaves, earlier where a window presses. Less saves time
+        where the rest of the mission needs less; `MissionReport.remedies` says how much.
     temperature : float, optional
         Temperature of the battery while it charges there [degC]; that on the way where not given.
     places : int
@@ -521,7 +532,7 @@ class Mission(ReadOnly, html.Readable):
     heights: Annotated[HeightMap | None, instance_of(HeightMap, NoneType)] = None
     spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)
     waiting: Duration = 0.0
-    clearance: Annotated[Length, Within((0, 100), (0, 2), "m")] = 0.0
+    clearance: Annotated[Length, CLEARANCE] = 0.0
     robots: Annotated[tuple[Robot, ...], Field(max_length=100)] = ()
     notes: tuple[str, ...] = field(default=(), init=False, compare=False)
 
@@ -538,18 +549,14 @@ class Mission(ReadOnly, html.Readable):
         if isinstance(battery, dict):
             battery = given["battery"] = dict(battery)
         for key, (kind, relative, inside) in _OPEN.items():
-            where = battery if inside else given
-            if not isinstance(where, dict) or not isinstance(where.get(key), dict):
+            where, place = (battery, ("battery",)) if inside else (given, ())
+            spread = _part(where, key, kind, *place) if isinstance(where, dict) else None
+            if spread is None:
                 continue
-            place = ("battery", key) if inside else (key,)
-            try:
-                where[key], spread = uncertain(kind, where[key])
-            except ValueError as problem:
-                raise MissionError(str(problem), place) from None
             if relative and where[key] <= 0:
-                told = f"a {key} of {where[key]:g} has no spread; give a mean above 0"
-                raise MissionError(told, place)
-            spreads[key] = (spread or 0.0) / (where[key] if relative else 1.0)
+                message = f"a {key} of {where[key]:g} has no spread; give a mean above 0"
+                raise MissionError(message, (*place, key))
+            spreads[key] = spread / (where[key] if relative else 1.0)
         known = given.get("spreads", {})
         if spreads and (known == "none" or isinstance(known, dict)):
             known = vars(Spreads.none()) if known == "none" else known
@@ -566,13 +573,13 @@ class Mission(ReadOnly, html.Readable):
         most = self.payload + sum(max(task.payload, 0.0) for task in self.tasks)
         for k, task in enumerate(self.tasks):
             if -task.payload > most:
-                told = f"it leaves {-task.payload:g} kg, and at most {most:g} kg are ever on board"
-                found.append((("tasks", k, "payload"), told))
+                note = f"it leaves {-task.payload:g} kg, and at most {most:g} kg are ever on board"
+                found.append((("tasks", k, "payload"), note))
             for name in ("dwell", "power"):
                 mean, spread = getattr(task, name), getattr(task, f"{name}_spread")
                 if spread is not None and spread > mean:
-                    told = f"a standard deviation of {spread:g} is more than the mean of {mean:g}"
-                    found.append((("tasks", k, name), told))
+                    note = f"a standard deviation of {spread:g} is more than the mean of {mean:g}"
+                    found.append((("tasks", k, name), note))
         notes = (f"{where(place)}: {text}" for place, text in found)
         known = (info.context or {}).get("notes", ())
         object.__setattr__(self, "notes", (*self.notes, *known, *notes))
@@ -583,8 +590,8 @@ class Mission(ReadOnly, html.Readable):
         if isinstance(place, Site):
             place.fill(self)
             if place.costmap is not None:
-                told = "the costmap of the site does not count: routes are those of least energy"
-                object.__setattr__(self, "notes", (told,))
+                note = "the costmap of the site does not count: routes are those of least energy"
+                object.__setattr__(self, "notes", (note,))
         if self.robots:
             require(self.tasks, "the mission has no task; list at least one", "tasks")
             self._check_names()
@@ -614,8 +621,8 @@ class Mission(ReadOnly, html.Readable):
                 name: {payload: on_laid_ground(model, ground) for payload, model in known.items()}
                 for name, known in self.payload_models.items()
             }
-            told = {**ground._asdict(), "payload_models": models}
-            for name, value in told.items():
+            laid = {**ground._asdict(), "payload_models": models}
+            for name, value in laid.items():
                 object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, object]:
@@ -624,15 +631,19 @@ class Mission(ReadOnly, html.Readable):
             state.pop(name, None)
         return state
 
+    @property
+    def _stops(self) -> Iterator[tuple[str, str, Pose, tuple[str | int, ...]]]:
+        """What each task and charger is, its name, where it is, and its place in the mission."""
+        for k, task in enumerate(self.tasks):
+            yield "task", task.name, task.pose, ("tasks", k)
+        for k, charger in enumerate(self.chargers):
+            yield "charger", charger.name, charger.pose, ("chargers", k)
+
     def _check_names(self) -> None:
         seen = {"start"}
-        named = [("tasks", k, task.name) for k, task in enumerate(self.tasks)]
-        named += [("chargers", k, charger.name) for k, charger in enumerate(self.chargers)]
-        for kind, k, name in named:
-            require(
-                name not in seen, f"the name {name!r} stands twice; give each place its own",
-                kind, k, "name",
-            )  # fmt: skip
+        for _, name, _, place in self._stops:
+            message = f"the name {name!r} stands twice; give each place its own"
+            require(name not in seen, message, *place, "name")
             seen.add(name)
         for k, robot in enumerate(self.robots):
             require(
@@ -670,8 +681,8 @@ class Mission(ReadOnly, html.Readable):
     def _check_models(self) -> None:
         if self.heights is None:
             return
-        grounds = self.surfaces.surfaces if self.surfaces is not None else ()
-        for model in (self.model, *(surface.model for surface in grounds)):
+        surfaces = self.surfaces.surfaces if self.surfaces is not None else ()
+        for model in (self.model, *(surface.model for surface in surfaces)):
             require(
                 reads_slope(model),
                 f"no term of the model {model.name!r} reads the slope; add the weight with "
@@ -681,24 +692,19 @@ class Mission(ReadOnly, html.Readable):
 
     def _move_start(self) -> None:
         """Move a start that just touches an obstacle to the nearest free pose."""
-        beside = free_beside(self.free_map, self.vehicle, self.start)
-        if beside is not None:
+        moved = free_beside(self.free_map, self.vehicle, self.start)
+        if moved is not None:
             if self.home == self.start:
-                object.__setattr__(self, "home", beside.pose)
-            object.__setattr__(self, "start", beside.pose)
-            object.__setattr__(self, "notes", (*self.notes, beside.note))
+                object.__setattr__(self, "home", moved.pose)
+            object.__setattr__(self, "start", moved.pose)
+            object.__setattr__(self, "notes", (*self.notes, moved.note))
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]
         if self.home is not None and self.home != self.start:
             places.append(("home", self.home, ("home",)))
-        places += [
-            (f"task {t.name!r}", t.pose, ("tasks", k, "pose")) for k, t in enumerate(self.tasks)
-        ]
-        places += [
-            (f"charger {c.name!r}", c.pose, ("chargers", k, "pose"))
-            for k, c in enumerate(self.chargers)
-        ]
+        places += [(f"{kind} {name!r}", pose, (*place, "pose"))
+                   for kind, name, pose, place in self._stops]  # fmt: skip
         free = self.free_map.footprint_free([pose for _, pose, _ in places], self.vehicle)
         faults: list[tuple[str, tuple[str | int, ...]]] = []
         for (label, pose, place), good in zip(places, free, strict=True):
@@ -711,10 +717,10 @@ class Mission(ReadOnly, html.Readable):
                     f"; the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
                     f"{np.degrees(near.yaw):.0f} deg)"
                 )  # fmt: skip
-                told = f"{label}: the robot at {where} touches an obstacle{hint}"
-                faults.append((told, place))
+                fault = f"{label}: the robot at {where} touches an obstacle{hint}"
+                faults.append((fault, place))
         if faults:
-            raise MissionError("; ".join(told for told, _ in faults), faults[0][1])
+            raise MissionError("; ".join(fault for fault, _ in faults), faults[0][1])
 
     def _may_fail(self, place: tuple[str | int, ...]) -> bool:
         """Tell whether a pose is that of an optional task, which is then unreachable."""
@@ -766,8 +772,8 @@ class Mission(ReadOnly, html.Readable):
         found = []
         for k, robot in enumerate(self.robots):
             able = [j for j, task in enumerate(self.tasks) if {*task.needs} <= {*robot.skills}]
-            told = f"robot {robot.name!r} has the skills for no task; leave it out"
-            require(able, told, "robots", k)
+            message = f"robot {robot.name!r} has the skills for no task; leave it out"
+            require(able, message, "robots", k)
             try:
                 tasks = tuple(self.tasks[j] for j in able)
                 changes: dict[str, Any] = {"order": "free", "name": robot.name, **robot.changes}
@@ -868,6 +874,9 @@ class Mission(ReadOnly, html.Readable):
                 for one in self.chargers
             )
             return replace(self, chargers=moved)
+        if remedy.kind == "until":
+            less = tuple(replace(one, until=min(one.until, amount)) for one in self.chargers)
+            return replace(self, chargers=less)
         if remedy.kind == "window":
             k = names.index(remedy.task)
             first, last = self.tasks[k].window

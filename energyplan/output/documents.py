@@ -46,7 +46,7 @@ SHOWN = {
     "ICREstimate": "turning source",
     "Identification": "residual adequacy foretold set_aside warnings",
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
-    "feasible chargers timetable proven gap warnings uncertainty",
+    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty",
     "NoPathError": "certainty resolution",
     "Plan": "energy length turning lower_bound gap planning_time planner potential effort "
     "effort_limit cost soft_cost breakdown notes",

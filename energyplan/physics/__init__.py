@@ -9,7 +9,15 @@ installs the engine.
 from energyplan.physics.driving import Driven, Sensors, Tracking, drive, energy_predicted
 from energyplan.physics.engine import Engine, Run, State
 from energyplan.physics.loop import EngineDrives, Loop, Round, close_loop
-from energyplan.physics.robot import EFFECTS, Border, Effect, Ground, Robot, draw_effects, switch_on
+from energyplan.physics.robot import (
+    EFFECTS,
+    Border,
+    Effect,
+    EngineGround,
+    Robot,
+    draw_effects,
+    switch_on,
+)
 
 __all__ = [
     "EFFECTS",
@@ -18,7 +26,7 @@ __all__ = [
     "Effect",
     "Engine",
     "EngineDrives",
-    "Ground",
+    "EngineGround",
     "Loop",
     "Robot",
     "Round",

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.kinds import NO_NUMBER
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 from energyplan.power import PowerModel, Sides, Term
 from energyplan.power.effects import catalogue
 from energyplan.power.effects import term as known_term
+from energyplan.records import NO_NUMBER
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, UnknownNameError
@@ -16,44 +16,30 @@ from energyplan.limits.drive import Ground as ModelledGround
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray, Pose, Trajectory, wrap_angle
 from energyplan.physics.engine import PERIOD, Engine, Run, State
-from energyplan.physics.robot import Ground, Robot
+from energyplan.physics.robot import Amount, EngineGround, Positive, Robot
 from energyplan.power import PowerModel
+from energyplan.records import in_words, record
 from energyplan.terrain import laid_out
 from energyplan.vehicle import Vehicle
 
 
-@dataclass(frozen=True)
+@record(InvalidInputError, whose="sensors: ")
 class Sensors:
     """How a drive is recorded."""
 
-    rate: float = 20.0  # samples per second [Hz]
-    power_noise: float = 2.0  # standard deviation of each side's power [W]
-    speed_noise: float = 0.002  # standard deviation of each tread speed [m/s]
-    speed_step: float = 0.0  # resolution of each tread speed; 0 for none [m/s]
-    current_step: float = 0.0  # resolution of the battery current; 0 for none [A]
-    pose_noise: float = 0.0
-    yaw_noise: float = 0.0
-    delay: float = 0.0  # by how much power is logged later than speed [s]
+    rate: Positive = 20.0  # samples per second [Hz]
+    power_noise: Amount = 2.0  # standard deviation of each side's power [W]
+    speed_noise: Amount = 0.002  # standard deviation of each tread speed [m/s]
+    speed_step: Amount = 0.0  # resolution of each tread speed; 0 for none [m/s]
+    current_step: Amount = 0.0  # resolution of the battery current; 0 for none [A]
+    pose_noise: Amount = 0.0  # standard deviation of x and of y [m]
+    yaw_noise: Amount = 0.0  # standard deviation of the heading [rad] and of the yaw rate [rad/s]
+    delay: Amount = 0.0  # by how much power is logged later than speed [s]
     unsigned: bool = False  # whether the sensors of the sides lose the sign of the power
     measured: Literal["sides", "total", "battery"] = "sides"
-    voltage: float = 24.0  # battery voltage [V]
+    voltage: Positive = 24.0  # battery voltage [V]
     without: tuple[str, ...] = ()  # channels that the log does not have
-    seed: int = 0  # seed of the noise
-
-    def __post_init__(self) -> None:
-        if self.measured not in ("sides", "total", "battery"):
-            raise UnknownNameError(
-                "way to measure power", str(self.measured), ("sides", "total", "battery")
-            )
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, float | int) and not isinstance(value, bool):
-                positive = item.name in ("rate", "voltage")
-                if not np.isfinite(value) or value < 0 or (positive and value == 0):
-                    raise InvalidInputError(
-                        f"{item.name} is {value}; give a {'positive ' * positive}number"
-                        f"{'' if positive else ' >= 0'}"
-                    )
+    seed: Annotated[int, Field(ge=0)] = 0  # seed of the noise
 
     @classmethod
     def parse(cls, text: str) -> Sensors:
@@ -66,12 +52,12 @@ class Sensors:
                 raise UnknownNameError("property of sensors", name, known)
             given[name] = value
         try:
-            return TypeAdapter(cls).validate_python(given)
+            return TypeAdapter(cls).validate_python(given, context={})
         except ValidationError as problem:
             wrong = problem.errors(include_url=False)[0]
-            place = ".".join(map(str, wrong["loc"]))
+            place, message = in_words(wrong["loc"]), wrong["msg"].removeprefix("Value error, ")
             raise InvalidInputError(
-                f"sensors {text!r}: {place + ': ' * bool(place)}{wrong['msg']}; write NAME=VALUE, "
+                f"sensors {text!r}: {place} is {wrong['input']}; {message}; write NAME=VALUE, "
                 "like rate=50,measured=battery"
             ) from None
 
@@ -147,7 +133,7 @@ LEAST = 0.03
 """Least tread speed with which the robot turns there [m/s]: the wheels have to break away."""
 
 
-@dataclass(frozen=True)
+@record(InvalidInputError, whose="tracking: ")
 class Tracking:
     """Gains of the tracking controller, and when it has arrived."""
 
@@ -155,18 +141,13 @@ class Tracking:
     # robots"; Kanayama et al. (1990), "A stable tracking control method for an autonomous mobile
     # robot".
 
-    along: float = 2.0  # speed per distance that the robot is behind the reference [1/s]
-    across: float = 6.0  # yaw rate per speed and distance to the side of it [1/m^2]
-    heading: float = 3.0  # yaw rate per heading error [1/s]
-    slack: float = 0.02  # [1]
-    settle: float = 0.5  # time after the trajectory's end in which the robot may still close up [s]
-    position: float = 0.1  # distance to the goal that counts as arrived [m]
-    angle: float = 0.1  # heading error that counts as arrived [rad]
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0):
-                raise InvalidInputError(f"tracking: {name} is {value}; give a number >= 0")
+    along: Amount = 2.0  # speed per distance that the robot is behind the reference [1/s]
+    across: Amount = 6.0  # yaw rate per speed and distance to the side of it [1/m^2]
+    heading: Amount = 3.0  # yaw rate per heading error [1/s]
+    slack: Amount = 0.02  # error beside a straight reference that is left alone [1]
+    settle: Amount = 0.5  # time after the trajectory's end to close up [s]
+    position: Amount = 0.1  # distance to the goal that counts as arrived [m]
+    angle: Amount = 0.1  # heading error that counts as arrived [rad]
 
 
 class Tracker:
@@ -179,7 +160,7 @@ class Tracker:
         turns = wrap_angle(np.diff(trajectory.yaw))
         yaw = trajectory.yaw[0] + np.concatenate([[0.0], np.cumsum(turns)])
         columns = (trajectory.x, trajectory.y, yaw, trajectory.v, trajectory.omega)
-        self._rows = np.column_stack(columns).tolist()  # one is asked for at a time
+        self._rows = np.column_stack(columns).tolist()  # read one at a time
 
     def reference(self, t: float) -> tuple[float, ...]:
         """Return x, y, yaw, v, omega of the reference at a time since the start [s]."""
@@ -232,14 +213,10 @@ class Tracker:
 class Driven(html.Readable):
     """A trajectory as it was driven."""
 
-    trajectory: Trajectory  # what was asked
+    trajectory: Trajectory  # the reference
     run: Run  # what happened
-    predicted: dict[
-        str, float
-    ]  # energy that the power model predicts for the trajectory, by term [J]
-    measured: dict[
-        str, float
-    ]  # energy that the battery delivered, by the term that stands for it [J]
+    predicted: dict[str, float]  # what the power model predicts, by term [J]
+    measured: dict[str, float]  # what the battery delivered, by the term that stands for it [J]
     arrived: bool  # whether the robot stands at the end of the trajectory
     tracking_error: float
     heading_error: float
@@ -289,13 +266,13 @@ class Driven(html.Readable):
 
 
 def energy_predicted(
-    trajectory: Trajectory, model: PowerModel, ground: Ground | None = None
+    trajectory: Trajectory, model: PowerModel, ground: EngineGround | None = None
 ) -> dict[str, float]:
     """Return the energy of a trajectory by term, as a power model predicts it [J]."""
-    here = ground or Ground()
+    here = ground or EngineGround()
     law, surfaces, heights = laid_out(model, trajectory.poses[:, :2], here.surfaces, here.heights)
-    grounds = () if surfaces is None else surfaces.surfaces
-    others = tuple(surface.model.battery_side() for surface in grounds)
+    regions = () if surfaces is None else surfaces.surfaces
+    others = tuple(surface.model.battery_side() for surface in regions)
     driven_on = ModelledGround(law.battery_side(), surfaces, heights, others)
     return Drive(trajectory, driven_on).breakdown()
 
@@ -305,7 +282,7 @@ def drive(
     robot: Robot,
     model: PowerModel,
     *,
-    ground: Ground | None = None,
+    ground: EngineGround | None = None,
     tracking: Tracking | None = None,
 ) -> Driven:
     """Drive a trajectory in the engine."""
@@ -315,10 +292,10 @@ def drive(
     predicted = energy_predicted(trajectory, model, ground)
     run = Engine(robot, ground, start).drive(tracker, longest=2 * trajectory.duration + 60.0)
     wanted = np.array([tracker.reference(float(t))[:3] for t in run.t])
-    apart = np.hypot(run.x - wanted[:, 0], run.y - wanted[:, 1])
-    turned = np.abs(wrap_angle(run.yaw - wanted[:, 2]))
+    offset = np.hypot(run.x - wanted[:, 0], run.y - wanted[:, 1])
+    misaligned = np.abs(wrap_angle(run.yaw - wanted[:, 2]))
     return Driven(
         trajectory, run, predicted, run.energy,
-        bool(apart[-1] <= gains.position and turned[-1] <= gains.angle),
-        float(apart.max()), float(turned.max()), float(apart[-1]),
+        bool(offset[-1] <= gains.position and misaligned[-1] <= gains.angle),
+        float(offset.max()), float(misaligned.max()), float(offset[-1]),
     )  # fmt: skip

@@ -36,7 +36,7 @@ from scipy.linalg import eigh
 
 from energyplan.errors import InvalidInputError, MissingDependencyError, PhysicsError
 from energyplan.path import FloatArray, Pose
-from energyplan.physics.robot import Ground, Robot
+from energyplan.physics.robot import EngineGround, Robot
 from energyplan.vehicle import GRAVITY
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Run:
     shaft_right: FloatArray  # (n,): shaft power of the right motor [W]
     battery_left: FloatArray  # (n,): power that the left side draws from the battery [W]
     battery_right: FloatArray  # (n,): power that the right side draws from the battery [W]
-    hotel: float  # what is drawn beside them [W]
+    hotel: float  # constant draw in addition [W]
     accel_x: FloatArray  # (n,): forward reading of an accelerometer, gravity included [m/s^2]
     slope: FloatArray  # (n,): slope of the ground along the heading [rad]
     energy: dict[str, float]  # [J]
@@ -93,7 +93,7 @@ class Run:
 
 @dataclass(frozen=True)
 class State:
-    """What a controller is told: time [s], pose [m], [rad], and tread speeds [m/s]."""
+    """Input of a controller: time [s], pose [m], [rad], and tread speeds [m/s]."""
 
     t: float
     pose: Pose
@@ -416,10 +416,10 @@ class Engine:
     """A robot on its ground in MuJoCo."""
 
     def __init__(
-        self, robot: Robot, ground: Ground | None = None, start: Pose | None = None
+        self, robot: Robot, ground: EngineGround | None = None, start: Pose | None = None
     ) -> None:
         self.mujoco = require_mujoco()
-        self.robot, self.ground = robot, ground or Ground()
+        self.robot, self.ground = robot, ground or EngineGround()
         self.start = start or Pose(0.0, 0.0, 0.0)
         vehicle = robot.vehicle
         left = vehicle.contacts[:, 1] > 0
@@ -509,13 +509,13 @@ class Engine:
         while (command := controller(book.state())) is not None:
             if book.t >= longest:
                 raise PhysicsError(f"the drive is not over after {longest:g} s")
-            asked = np.asarray(command, float)
-            if asked.shape != (2,) or not np.all(np.isfinite(asked)):
+            speeds = np.asarray(command, float)
+            if speeds.shape != (2,) or not np.all(np.isfinite(speeds)):
                 raise InvalidInputError(
                     f"the controller asked for tread speeds {command} at {book.t:.2f} s; "
                     "give two finite numbers, or None to end the drive"
                 )
-            book.tick(asked, book.t)
+            book.tick(speeds, book.t)
         return book.close()
 
 

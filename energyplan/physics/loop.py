@@ -8,7 +8,6 @@ from dataclasses import astuple, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 from energyplan import html
 from energyplan.diagnosis import diagnose, result
@@ -21,6 +20,8 @@ from energyplan.errors import (
     NotIdentifiableError,
 )
 from energyplan.fit import identify
+from energyplan.fit.doubts import linearise
+from energyplan.fit.run import Energy, RunEffect
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
@@ -28,41 +29,18 @@ from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.design import Explanation, design
 from energyplan.physics.driving import Driven, Sensors, drive, energy_predicted
 from energyplan.physics.engine import require_mujoco
-from energyplan.physics.robot import Ground, Robot
+from energyplan.physics.robot import EngineGround, Robot
 from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.power import PowerModel, Sides
+from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope, with_weight
 from energyplan.terrain import HeightMap
 from energyplan.vehicle import TreadICR, Vehicle
 
-NORMAL = 1.96
-"""Half width of a 95 % interval in standard deviations."""
-
-USUAL = 0.005
-"""Relative error of energies told by a model that lacks nothing: that of the engine's drives."""
-PRIOR = 4
-"""Drives that count for it beside those made."""
 ALIKE = 0.02
 """How far tread ICRs may differ for controllers to steer alike, over half the slip track [1]."""
 
 
-class Overhead(NamedTuple):
-    """What drives take beyond what a model says of the routes that were asked."""
-
-    share: float  # what they took more, over what the model says
-    deviation: float  # how much that differs from drive to drive, relative
-
-
-def overhead(ratios: Sequence[float]) -> Overhead:
-    """Learn from drives made what the next one takes beyond what a model says of its route."""
-    share = float(np.mean(ratios)) - 1.0 if len(ratios) else 0.0
-    freedom = PRIOR + max(len(ratios) - 1, 0)
-    scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - share)))
-    variance = (PRIOR * USUAL**2 + scatter) / freedom * (1.0 + 1.0 / max(len(ratios), 1))
-    return Overhead(share, float(np.sqrt(variance) * student.ppf(0.975, freedom) / NORMAL))
-
-
-def retold(model: PowerModel, log: DriveLog) -> float:
+def replayed_energy(model: PowerModel, log: DriveLog) -> float:
     """Return the energy that a model predicts for the motion of a log [J]."""
     return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
 
@@ -70,53 +48,51 @@ def retold(model: PowerModel, log: DriveLog) -> float:
 class Steered(NamedTuple):
     """A drive that followed a trajectory, and the tread ICRs that its controller believed in."""
 
-    asked: Trajectory  # what was to be driven
+    reference: Trajectory  # what was to be driven
     log: DriveLog  # what was driven
     icr: TreadICR  # the tread ICRs
 
 
-def asked_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
+def predicted_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
     """Return what the model and the ground of a problem say that a trajectory takes [J]."""
-    ground = Ground(problem.surfaces, problem.heights)
+    ground = EngineGround(problem.surfaces, problem.heights)
     return sum(energy_predicted(trajectory, problem.cost.model, ground).values())
 
 
 def ratio(
-    drive: Steered, model: PowerModel, asked: PlanningProblem, heights: HeightMap | None
+    drive: Steered, model: PowerModel, priced: PlanningProblem, heights: HeightMap | None
 ) -> float:
     """Return the energy that a drive took, over what a model says of it; at least one."""
     icr = model.vehicle.icr
     apart = np.subtract(astuple(icr), astuple(drive.icr))
-    told = asked_energy(drive.asked, asked)
+    predicted = predicted_energy(drive.reference, priced)
     if np.abs(apart).max() > ALIKE * icr.half_track:
         on_slopes = model if heights is None else with_weight(model)
         with suppress(MissingChannelError):  # a sensor less than the model asks for
-            told = retold(on_slopes, drive.log)
-    return max(drive.log.energy / told, 1.0)
+            predicted = replayed_energy(on_slopes, drive.log)
+    return max(drive.log.energy / predicted, 1.0)
 
 
-def interval(
-    energy: float, model: PowerModel, motion: Motion, weights: FloatArray, share: float
-) -> tuple[float, float] | None:
-    """Return the 95 % interval of an energy."""
+LEVEL = 0.95
+"""Probability of the interval of an energy."""
+
+
+def with_interval(
+    energy: float, run: RunEffect, model: PowerModel, motion: Motion, weights: FloatArray
+) -> Energy | None:
+    """Return an energy with what drives took beyond a model, and its interval if there is one."""
+    misfit, density = model.residual, 0.0
+    if misfit is not None:
+        density = misfit.rmse**2 * 2.0 * max(misfit.correlation_time, 0.05)
+        density += misfit.bias**2 * float(weights.sum())
     if model.covariance is None:
         return None
-
-    def total(column: Sides | FloatArray) -> float:
-        power = column.total if isinstance(column, Sides) else column
-        return float(weights @ np.broadcast_to(power, weights.shape))
-
     try:
-        gradient = np.array([total(column) for column in model.regressors(motion)])
+        gradient = weights @ linearise(model, motion).columns[:, 0]
     except MissingChannelError:
         return None
-    variance = float(gradient @ model.covariance @ gradient)
-    if model.residual is not None:
-        misfit, duration = model.residual, float(weights.sum())
-        correlated = 2.0 * max(misfit.correlation_time, 0.05) * duration
-        variance += misfit.rmse**2 * correlated + (misfit.bias * duration) ** 2
-    half = NORMAL * float(np.sqrt(variance + (share * energy) ** 2))
-    return energy - half, energy + half
+    run = replace(run, density=density)
+    return run.energy(model, energy, gradient, float(weights.sum()), LEVEL)
 
 
 SHORTEST = 16.0
@@ -128,7 +104,7 @@ LIKELY = 0.02
 
 
 @dataclass(frozen=True)
-class Found:
+class LearnedEffect:
     """An effect in the model of the next round: its name, size, standard error and unit."""
 
     name: str
@@ -141,7 +117,7 @@ class Learned(NamedTuple):
     """A model of all drives so far, the effects in it, and what else may explain them."""
 
     model: PowerModel | None
-    effects: tuple[Found, ...]
+    effects: tuple[LearnedEffect, ...]
     explanations: tuple[Explanation, ...] = ()
     note: str = ""
 
@@ -164,11 +140,11 @@ def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
             "resistance and friction alone were identified"
         )
         return Learned(model, (), note=note)
-    told = diagnose(long, [log.segment(float(log.t[0]), np.inf) for log in long], vehicle)
-    found = tuple(Found(e.name, e.value, e.std_error, e.unit) for e in told.effects)
-    most = told.explanations[0].probability
-    likely = [e for e in told.explanations if e.probability > LIKELY * most]
-    return Learned(told.model, found, tuple(map(_explanation, likely)))
+    outcome = diagnose(long, [log.segment(float(log.t[0]), np.inf) for log in long], vehicle)
+    found = tuple(LearnedEffect(e.name, e.value, e.std_error, e.unit) for e in outcome.effects)
+    most = outcome.explanations[0].probability
+    likely = [e for e in outcome.explanations if e.probability > LIKELY * most]
+    return Learned(outcome.model, found, tuple(map(_explanation, likely)))
 
 
 def _explanation(found: result.Explanation) -> Explanation:
@@ -178,7 +154,7 @@ def _explanation(found: result.Explanation) -> Explanation:
 
 
 SPEED_SHARE = 0.6
-"""Share of the largest tread speed that is driven where none is usual: the controller has room."""
+"""Share of the largest tread speed at which a vehicle without a default is driven."""
 SHARP = 0.1
 """Width of an interval over its energy beyond which being within it proves nothing."""
 Progress = Callable[[float, str], None]
@@ -193,10 +169,12 @@ class Round:
     energy_measured: float  # energy that was measured [J]
     plan: Plan  # the route of this round
     model: PowerModel  # the model that predicted
-    effects: tuple[Found, ...]  # what the diagnosis of all drives so far found, this one included
+    effects: tuple[
+        LearnedEffect, ...
+    ]  # what the diagnosis of all drives so far found, this one included
     log: DriveLog  # the drive
     driven: Driven | None = None  # the drive in the engine
-    survey: Driven | None = None  # the designed drive that was made after it, to learn from
+    survey: Driven | None = None  # the designed drive after it, to learn from
     note: str = ""  # why nothing was learned, if so
     overhead: float = 0.0  # share of the prediction that the model's terms do not give
 
@@ -271,7 +249,7 @@ class EngineDrives:
     """Drives in the engine: each round's route, followed by the tracking controller."""
 
     robot: Robot  # what is true
-    ground: Ground | None = None  # the true ground
+    ground: EngineGround | None = None  # the true ground
     sensors: Sensors | None = None  # how drives are recorded
 
     def __post_init__(self) -> None:
@@ -329,10 +307,10 @@ def close_loop(
         report(k / count, f"round {k + 1}: planning")
         driven = None
         try:
-            asked = believed(problem, model, limit)
-            made = plan(asked, planner, time_limit, effort=effort)
+            priced = believed(problem, model, limit)
+            planned = plan(priced, planner, time_limit, effort=effort)
             if isinstance(source, EngineDrives):
-                trajectory = timed(made, asked, limit)
+                trajectory = timed(planned, priced, limit)
         except (InfeasibleMotionError, ModelError) as reason:
             if not done:
                 raise
@@ -342,24 +320,27 @@ def close_loop(
             break
         report((k + 0.3) / count, f"round {k + 1}: driving")
         if isinstance(source, EngineDrives):
-            driven = source(trajectory, asked.cost.model, k + 1)
+            driven = source(trajectory, priced.cost.model, k + 1)
             log = source.log(driven, k + 1)
-            energy = asked_energy(trajectory, asked)
+            energy = predicted_energy(trajectory, priced)
             motion = _followed(trajectory, model, problem.heights)
             weights = np.diff(trajectory.t)
-            known = [ratio(one, model, asked, problem.heights) for one in steered]
+            known = [ratio(one, model, priced, problem.heights) for one in steered]
             steered.append(Steered(trajectory, log, model.vehicle.icr))
         else:
             log = source[k]
             motion, weights = log.motion(model.vehicle.icr), log.weights
-            energy = retold(model, log)
-            known = [one.energy / retold(model, one) for one in logs]
+            energy = replayed_energy(model, log)
+            known = [one.energy / replayed_energy(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
-        beyond = overhead(known if model is not problem.cost.model else ())
-        energy *= 1.0 + beyond.share
-        within = interval(energy, model, motion, weights, beyond.deviation)
+        beyond = RunEffect.of(known if model is not problem.cost.model else ())
+        told = with_interval(energy, beyond, model, motion, weights)
+        energy *= 1.0 + beyond.mean
+        within = None if told is None else told[1:]
         logs.append(log)
-        now = Round(energy, within, log.energy, made, model, (), log, driven, overhead=beyond.share)
+        now = Round(
+            energy, within, log.energy, planned, model, (), log, driven, overhead=beyond.mean
+        )
         right = now.within or abs(now.error) <= tolerance
         if right:
             done.append(now)
@@ -370,10 +351,10 @@ def close_loop(
             report((k + 0.7) / count, f"round {k + 1}: a designed drive")
             wanted = _survey(learned.explanations, model, problem, limit, survey)
             if wanted is not None:
-                made_next = source(wanted, asked.cost.model, k + 1)
-                logs.append(source.log(made_next, count + 1))
+                surveyed = source(wanted, priced.cost.model, k + 1)
+                logs.append(source.log(surveyed, count + 1))
                 steered.append(Steered(wanted, logs[-1], model.vehicle.icr))
-                now = replace(now, survey=made_next)
+                now = replace(now, survey=surveyed)
                 report((k + 0.85) / count, f"round {k + 1}: diagnosing")
                 learned = learn(logs, base)
         model = learned.model or model
@@ -388,7 +369,7 @@ def _survey(
     speed: float,
     duration: float,
 ) -> Trajectory | None:
-    """Return the drive that tells most of what is open; None where the map has no room for one."""
+    """Return the most informative drive; None where the map has no room for one."""
     try:
         return design(
             model, explanations, grid=problem.map, duration=duration, speed=speed, screen=True
@@ -418,16 +399,16 @@ def believed(problem: PlanningProblem, model: PowerModel, speed: float) -> Plann
     return replace(problem, cost=cost, vehicle=problem.vehicle or problem.cost.vehicle)
 
 
-def timed(made: Plan, asked: PlanningProblem, speed: float) -> Trajectory:
+def timed(planned: Plan, priced: PlanningProblem, speed: float) -> Trajectory:
     """Time a plan to tread speeds [m/s] that leave the controller room."""
-    law = asked.cost.model
+    law = priced.cost.model
     acceleration = min(0.5 * law.vehicle.motor.acceleration, 0.5)
     motor = replace(law.vehicle.motor, speed=speed, acceleration=acceleration)
     slope: dict[str, FloatArray | float] = {"slope": 0.0}
-    path = made.path
-    if asked.heights is not None:
-        path = asked.heights.cut(path)
-        slope["slope"] = asked.heights.slopes(path)
+    path = planned.path
+    if priced.heights is not None:
+        path = priced.heights.cut(path)
+        slope["slope"] = priced.heights.slopes(path)
     vehicle = replace(law.vehicle, motor=motor)
     return profile(path, law, vehicle=vehicle, channels=slope, smooth=0.0)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from energyplan.errors import InvalidInputError, ModelError, UnknownNameError
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
-from energyplan.records import ReadOnly
+from energyplan.records import ReadOnly, Scalar, Within, record
 from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import GRAVITY, Vehicle
 
@@ -22,12 +23,6 @@ _OF_ITSELF = (
 )  # fmt: skip
 """Terms whose cause the engine has in any case."""
 
-_FIELDS = {
-    "viscous_loss": "viscous", "air_drag": "drag", "towing_force": "towing",
-    "slip_speed_friction": "slip_speed", "drive_efficiency": "drive_loss",
-    "regeneration_efficiency": "regeneration_loss", "copper_loss": "copper",
-    "hotel_load": "hotel", "warm_up": "warm_up",
-}  # fmt: skip
 _ON_SIDES = {"dragging_wheel_left": (1.0, 0.0)}
 _TILTS = ("tilt_x", "tilt_y")
 """What a term of a power model is in the engine."""
@@ -48,53 +43,37 @@ class Border:
         return np.asarray(points @ normal > self.offset)
 
 
-@dataclass(frozen=True)
+Amount = Annotated[Scalar, Within((0, 1e6), (0, 1e6))]
+Positive = Annotated[Scalar, Within((1e-6, 1e6), (1e-6, 1e6))]
+Time = Annotated[Scalar, Within((1e-6, 1e6), (1e-6, 1e6), "s", endless=True)]
+Signed = Annotated[Scalar, Within((-1e6, 1e6), (-1e6, 1e6))]
+Share = Annotated[Scalar, Within((0, 1), (0, 1))]
+
+
+@record(InvalidInputError, whose="")
 class Robot:
     """A skid-steer robot as the engine knows it: wheels, Coulomb friction, two motors."""
 
     vehicle: Vehicle  # contacts, loads, footprint (for the inertia), motor limits
-    friction: float  # coulomb friction coefficient of every contact [1]
-    traction: tuple[float, float]  # traction resistance of the left and of the right side [N]
-    rolling_share: float = 0.5  # share of the traction resistance that grows with the load [1]
-    viscous: float = 0.0  # force per tread speed of each side [N s/m]
-    drag: float = 0.0  # force per square of the body's speed [N s^2/m^2]
-    towing: float = 0.0  # constant force along the body's x axis that a motor must overcome [N]
-    tilt: tuple[float, float] = (0.0, 0.0)  # gradient of the ground towards world x and y [1]
-    warm_up: float = 0.0  # further traction resistance of each side when cold [N]
-    warm_up_time: float = 60.0  # time constant in which that vanishes [s]
-    slip_speed: float = 0.0  # growth of the friction coefficient with a contact's slip speed [s/m]
+    friction: Positive  # coulomb friction coefficient of every contact [1]
+    traction: tuple[Amount, Amount]  # traction resistance of the left and of the right side [N]
+    rolling_share: Share = 0.5  # share of the traction resistance that grows with the load [1]
+    viscous: Amount = 0.0  # force per tread speed of each side [N s/m]
+    drag: Amount = 0.0  # force per square of the body's speed [N s^2/m^2]
+    towing: Signed = 0.0  # constant force along the body's x axis that a motor must overcome [N]
+    tilt: tuple[Signed, Signed] = (0.0, 0.0)  # gradient of the ground towards world x and y [1]
+    warm_up: Amount = 0.0  # further traction resistance of each side when cold [N]
+    warm_up_time: Positive = 60.0  # time constant in which that vanishes [s]
+    slip_speed: Signed = 0.0  # growth of the friction coefficient with the slip speed [s/m]
     border: Border | None = None  # where the ground changes
-    drive_loss: float = 0.0  # power drawn beyond the shaft power, ``1/eta - 1`` of it [1]
-    regeneration_loss: float = 0.0  # share of returned shaft power that is lost, ``1 - eta_r`` [1]
-    copper: float = 0.0  # power lost per square of a side's force [W/N^2]
-    hotel: float = 0.0  # constant draw [W]
-    sharing: float = 0.1  # [s]
-    height: float | None = None  # height of the centre of mass [m]
+    drive_loss: Amount = 0.0  # power drawn beyond the shaft power, ``1/eta - 1`` of it [1]
+    regeneration_loss: Share = 0.0  # share of returned shaft power that is lost, ``1 - eta_r`` [1]
+    copper: Amount = 0.0  # power lost per square of a side's force [W/N^2]
+    hotel: Amount = 0.0  # constant draw [W]
+    sharing: Time = 0.1  # in which sides that go straight come to share the load [s]
+    height: Positive | None = None  # height of the centre of mass [m]
 
     def __post_init__(self) -> None:
-        for name in ("friction", "height", "warm_up_time"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise InvalidInputError(f"{name} is {value}; give a positive number")
-        if not self.sharing > 0:
-            raise InvalidInputError(f"sharing is {self.sharing}; give a positive time")
-        ranges = {
-            "rolling_share": 1.0, "viscous": np.inf, "drag": np.inf, "warm_up": np.inf,
-            "drive_loss": np.inf, "regeneration_loss": 1.0, "copper": np.inf, "hotel": np.inf,
-        }  # fmt: skip
-        for name, most in ranges.items():
-            value = getattr(self, name)
-            if not (np.isfinite(value) and 0 <= value <= most):
-                raise InvalidInputError(f"{name} is {value}; give a number from 0 to {most:g}")
-        for name in ("traction", "tilt"):
-            pair = np.asarray(getattr(self, name), float)
-            if pair.shape != (2,) or not np.all(np.isfinite(pair)):
-                raise InvalidInputError(f"{name} is {getattr(self, name)}; give two numbers")
-            object.__setattr__(self, name, tuple(float(v) for v in pair))
-        if min(self.traction) < 0:
-            raise InvalidInputError(f"traction is {self.traction}; a side cannot have less than 0")
-        if not np.all(np.isfinite([self.towing, self.slip_speed])):
-            raise InvalidInputError("towing and slip_speed must be finite numbers")
         if np.hypot(*self.tilt) > 1.0:
             raise InvalidInputError(f"tilt is {self.tilt}; beyond 45 degrees no robot stands")
         points = self.vehicle.contacts[self.vehicle.loads > 0]
@@ -124,16 +103,18 @@ class Robot:
         resistance = model.coefficient("traction_resistance")
         traction, tilt = (resistance, resistance), [0.0, 0.0]
         values: dict[str, float] = {}
+        named = {"warm_up": "warm_up"}
+        named |= {name: k.apply for name, k in _EFFECTS.items() if isinstance(k.apply, str)}
         for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
-            if term.name in _FIELDS:
-                values[_FIELDS[term.name]] = value
+            if term.name in named:
+                values[named[term.name]] = value
             elif term.name in _ON_SIDES:
                 left, right = _ON_SIDES[term.name]
                 traction = (traction[0] + left * value, traction[1] + right * value)
             elif term.name in _TILTS:
                 tilt[_TILTS.index(term.name)] = value / model.vehicle.mass
             elif term.name not in _OF_ITSELF:
-                known = sorted({*_FIELDS, *_ON_SIDES, *_TILTS, *_OF_ITSELF})
+                known = sorted({*named, *_ON_SIDES, *_TILTS, *_OF_ITSELF})
                 raise ModelError(
                     f"the term {term.name!r} of model {model.name!r} has no counterpart in the "
                     f"engine; it knows {', '.join(known)}"
@@ -155,7 +136,7 @@ class Robot:
 
 
 @dataclass(frozen=True)
-class Ground:
+class EngineGround:
     """Where friction, resistance and slope change on the way."""
 
     surfaces: SurfaceMap | None = None  # surfaces
@@ -194,16 +175,6 @@ FULL_EFFORT = 0.5
 
 _Apply = Callable[[Robot, float, Mapping[str, float]], Robot]
 _Draw = Callable[[Robot, np.random.Generator], float]
-
-
-def _grows(name: str) -> _Apply:
-    """Return the change that adds the size to one value."""
-
-    def apply(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
-        changes: dict[str, float] = {name: getattr(robot, name) + size}
-        return replace(robot, **changes)  # type: ignore[arg-type]
-
-    return apply
 
 
 def _drags(left: float, right: float) -> _Apply:
@@ -264,10 +235,10 @@ def _borders(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
 
 
 @dataclass(frozen=True)
-class Kind:
+class EffectKind:
     """A kind of effect."""
 
-    apply: _Apply  # ``apply(robot, size, details) -> Robot``
+    apply: _Apply | str  # ``apply(robot, size, details) -> Robot``, or the value that grows by it
     unit: str  # unit of the size
     meaning: str  # one line
     draw: _Draw  # ``draw(robot, rng) -> float``, a size worth finding
@@ -292,70 +263,70 @@ def _one(robot: Robot) -> float:
     return 1.0
 
 
-_EFFECTS: dict[str, Kind] = {
-    "viscous_loss": Kind(
-        _grows("viscous"), "N s/m", "resistance of each side that rises with its speed",
+_EFFECTS: dict[str, EffectKind] = {
+    "viscous_loss": EffectKind(
+        "viscous", "N s/m", "resistance of each side that rises with its speed",
         _times(0.25, 0.8, lambda r: _resistance(r) / FULL_EFFORT),
     ),
-    "air_drag": Kind(
-        _grows("drag"), "N s^2/m^2", "resistance that rises with the square of the speed",
+    "air_drag": EffectKind(
+        "drag", "N s^2/m^2", "resistance that rises with the square of the speed",
         _times(0.25, 0.8, lambda r: 2 * _resistance(r) / FULL_EFFORT**2),
     ),
-    "tilted_plane": Kind(
+    "tilted_plane": EffectKind(
         _tilts, "rad", "ground that is one tilted plane", _times(0.02, 0.07, _one),
         details=("direction",),
     ),
-    "dragging_wheel_left": Kind(
+    "dragging_wheel_left": EffectKind(
         _drags(1.0, 0.0), "N", "more resistance on the left side",
         _times(0.3, 1.0, _resistance),
     ),
-    "dragging_wheel_right": Kind(
+    "dragging_wheel_right": EffectKind(
         _drags(0.0, 1.0), "N", "more resistance on the right side",
         _times(0.3, 1.0, _resistance),
     ),
-    "centre_of_mass": Kind(
+    "centre_of_mass": EffectKind(
         _shifts, "m", "centre of mass off centre",
         _times(0.1, 0.3, lambda r: float(np.abs(r.vehicle.contacts).min())), ("direction",),
     ),
-    "towing_force": Kind(
-        _grows("towing"), "N", "a constant force along the body, against forward motion",
+    "towing_force": EffectKind(
+        "towing", "N", "a constant force along the body, against forward motion",
         _times(0.3, 0.8, lambda r: 2 * _resistance(r), sign=True),
     ),
-    "payload": Kind(
+    "payload": EffectKind(
         _loads, "kg", "further mass, spread like the robot's own",
         _times(0.1, 0.35, lambda r: r.vehicle.mass),
     ),
-    "surface_border": Kind(
+    "surface_border": EffectKind(
         _borders, "1", "more friction, and as many times more resistance, beyond a line",
         _times(0.15, 0.4, lambda r: r.friction, sign=True), ("direction", "offset"),
     ),
-    "slip_speed_friction": Kind(
-        _grows("slip_speed"), "s/m", "friction that grows with the slip speed",
+    "slip_speed_friction": EffectKind(
+        "slip_speed", "s/m", "friction that grows with the slip speed",
         _times(0.3, 0.8, lambda r: r.friction),
     ),
-    "warm_up": Kind(
+    "warm_up": EffectKind(
         _warms, "N", "further resistance of each side when cold",
         _times(0.4, 1.0, _resistance), ("time_constant",),
     ),
-    "hotel_load": Kind(
-        _grows("hotel"), "W", "constant draw",
+    "hotel_load": EffectKind(
+        "hotel", "W", "constant draw",
         _times(0.2, 0.8, lambda r: 2 * _resistance(r) * FULL_EFFORT),
     ),
-    "drive_efficiency": Kind(
-        _grows("drive_loss"), "1", "1/eta - 1: power lost while drawing",
+    "drive_efficiency": EffectKind(
+        "drive_loss", "1", "1/eta - 1: power lost while drawing",
         _times(0.1, 0.35, _one),
     ),
-    "regeneration_efficiency": Kind(
-        _grows("regeneration_loss"), "1", "1 - eta_r: power lost while returning",
+    "regeneration_efficiency": EffectKind(
+        "regeneration_loss", "1", "1 - eta_r: power lost while returning",
         _times(0.3, 1.0, _one),
     ),
-    "copper_loss": Kind(
-        _grows("copper"), "W/N^2", "heat in the windings",
+    "copper_loss": EffectKind(
+        "copper", "W/N^2", "heat in the windings",
         _times(0.1, 0.35, lambda r: FULL_EFFORT / _resistance(r)),
     ),
 }  # fmt: skip
 
-EFFECTS: Mapping[str, Kind] = MappingProxyType(_EFFECTS)
+EFFECTS: Mapping[str, EffectKind] = MappingProxyType(_EFFECTS)
 """Effects that the engine can switch on, by name."""
 
 
@@ -381,7 +352,11 @@ class Effect(ReadOnly):
 
     def on(self, robot: Robot) -> Robot:
         """Return a robot with this effect switched on."""
-        return _EFFECTS[self.name].apply(robot, self.size, self.details)
+        apply = _EFFECTS[self.name].apply
+        if isinstance(apply, str):
+            changes: dict[str, Any] = {apply: getattr(robot, apply) + self.size}
+            return replace(robot, **changes)
+        return apply(robot, self.size, self.details)
 
     @classmethod
     def parse(cls, text: str) -> Effect:

@@ -16,7 +16,7 @@ from math import inf, isfinite
 from typing import Any, NamedTuple, TypeVar
 
 from energyplan.errors import CancelledError, InvalidInputError, TimeLimitError
-from energyplan.kinds import checked
+from energyplan.records import checked
 
 Result = TypeVar("Result")
 

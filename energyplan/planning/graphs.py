@@ -31,7 +31,6 @@ from energyplan.errors import (
     StartInCollisionError,
     TimeLimitError,
 )
-from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray, Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import Budget
 from energyplan.planning.problem import PlanningProblem
@@ -39,6 +38,7 @@ from energyplan.planning.search import planner as lattice
 from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.space.compiled import compiled
 from energyplan.planning.space.prices import Prices
+from energyplan.records import NO_NUMBER
 from energyplan.terrain import SurfaceMap, path_price
 
 Graph = Any

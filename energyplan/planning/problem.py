@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from energyplan.errors import (
     OutsideMapError,
     StartInCollisionError,
 )
-from energyplan.kinds import check_fields, numbers
 from energyplan.path import FloatArray, Path, Pose, as_pose, wrap_angle
+from energyplan.records import check_fields, numbers
 from energyplan.terrain import (
+    CLEARANCE,
     CostMap,
     HeightMap,
     OccupancyGrid,
@@ -50,9 +51,6 @@ KEPT = (0.9, 0.5, 0.0)
 
 MOVED = 0.05
 """How far a start that touches an obstacle is moved at most [m]: what localisation is off by."""
-
-LARGEST_CLEARANCE = 20.0
-"""Largest distance that can be kept from obstacles [m]."""
 
 _RINGS = 0.005  # between the rings of poses that it is moved to [m]
 _HALVINGS = 12  # of the clearance, until what there is of it at an end is known well enough
@@ -141,7 +139,7 @@ class PlanningProblem:
     objective: str | Mapping[str, float] = "energy"
     vehicle: Vehicle | None = None
     heights: HeightMap | None = None
-    clearance: float = 0.0
+    clearance: Annotated[float, CLEARANCE] = 0.0
     costmap: CostMap | None = None
     costmap_weight: float = 0.0
     turning: str | float = "any"
@@ -161,10 +159,6 @@ class PlanningProblem:
         if not 0.0 <= self.costmap_weight < np.inf:
             raise InvalidInputError(
                 f"the weight of the costmap is {self.costmap_weight}; give a number of 0 or more"
-            )
-        if not 0.0 <= self.clearance <= LARGEST_CLEARANCE:
-            raise InvalidInputError(
-                f"the clearance is {self.clearance} m; give 0 to {LARGEST_CLEARANCE:g} m"
             )
         object.__setattr__(self, "start", as_pose(self.start, "start"))
         object.__setattr__(self, "goal", as_pose(self.goal, "goal"))

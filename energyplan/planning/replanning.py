@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 from energyplan import steering
 from energyplan.errors import EnergyPlanError, InvalidInputError
-from energyplan.kinds import checked
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget, plan_budget
 from energyplan.planning.ends import between_clear_ends, checked_ends
@@ -29,6 +28,7 @@ from energyplan.planning.search import planner as lattice
 from energyplan.planning.search.planner import compile_planning
 from energyplan.planning.settings import REJOINING
 from energyplan.planning.space.compiled import Segments, compiled, merged
+from energyplan.records import checked
 from energyplan.terrain import OccupancyGrid
 
 

@@ -16,14 +16,14 @@ more. Three kinds of term exist, told apart by what they act on:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from energyplan import html
 from energyplan.errors import ModelError, UnknownNameError
-from energyplan.kinds import check_fields, checked, instance, numbers
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power.terms import (
@@ -37,7 +37,7 @@ from energyplan.power.terms import (
     Term,
     tread_forces,
 )
-from energyplan.records import ByValue
+from energyplan.records import ByValue, Finite, check_fields, checked, instance, numbers, record
 from energyplan.vehicle import Vehicle
 
 __all__ = [
@@ -63,7 +63,7 @@ USUAL_RUN_SPREAD = 0.05
 a Husky was 2 to 6 % on five grounds, and 24 % on snow (docs/model_card)."""
 
 
-@dataclass(frozen=True)
+@record(ModelError)
 class Residual:
     """Measured minus predicted power on a set of drives.
 
@@ -87,13 +87,13 @@ class Residual:
     12.0
     """
 
-    rmse: float
-    mae: float
-    bias: float
-    energy_error: float
-    correlation_time: float = 0.0
-    duration: float = 0.0
-    run_spread: float | None = None
+    rmse: Finite
+    mae: Finite
+    bias: Finite
+    energy_error: Annotated[float, Field(ge=-np.inf)]  # infinite where no energy was measured
+    correlation_time: Finite = 0.0
+    duration: Finite = 0.0
+    run_spread: Finite | None = None
 
 
 @dataclass(frozen=True, eq=False)

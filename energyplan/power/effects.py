@@ -5,6 +5,10 @@ plausible range, channels needed, the manoeuvre that separates it from its rival
 planner can use it. A plugin adds its own through the entry-point group
 ``energyplan.power.effects``, whose objects are `Effect` or `Term` instances;
 `effect` makes one out of one function.
+
+Terms that depend on time, place or heading read a channel only where the motion carries it. A
+planner that does not know it gets what the docstring says: the robot is warm, the change has
+happened, the headings average out.
 """
 
 from __future__ import annotations
@@ -14,41 +18,28 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from energyplan.errors import ModelError, UnknownNameError
 from energyplan.motion import Motion
-from energyplan.power import DRIVE_LOSS, HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
-from energyplan.power.effect_terms import (
-    AIR_DRAG,
-    ANGULAR_INERTIA,
-    COPPER_LOSS,
-    DRAGGING_LEFT,
-    GRADE,
-    LINEAR_INERTIA,
-    MOBILISATION,
-    SIDE_GAIN,
-    SLIP_BEYOND,
-    SLIP_CHANGE,
-    SLIP_SPEED,
-    SPECIFIC_FORCE,
-    STRIBECK,
-    TILT_X,
-    TILT_Y,
-    TOWED_DRAG,
-    TOWING_FORCE,
-    TRACTION_BEYOND,
-    TRACTION_CHANGE,
-    TURN_ASYMMETRY,
-    UNSIGNED_POWER,
-    VISCOUS_LOSS,
-    WARM_UP,
-    WHEEL_FIGHT,
+from energyplan.path import FloatArray
+from energyplan.power import (
+    DRIVE_LOSS,
+    HOTEL,
+    REGENERATION_LOSS,
+    SLIP,
+    TRACTION,
+    Kind,
+    PowerModel,
+    Sides,
+    Term,
+    tread_forces,
 )
 from energyplan.power.empirical import empirical_term
-from energyplan.vehicle import Vehicle
+from energyplan.power.terms import regeneration_loss
+from energyplan.vehicle import GRAVITY, Vehicle
 
 __all__ = [
     "AIR_DRAG", "ANGULAR_INERTIA", "COPPER_LOSS", "GRADE", "LINEAR_INERTIA", "SPECIFIC_FORCE",
@@ -56,6 +47,7 @@ __all__ = [
     "reads_slope", "term", "with_weight",
 ]  # fmt: skip
 
+Regressor = TypeVar("Regressor", bound=Callable[..., Any])
 Acts = Literal["motion", "change", "place", "kinematics", "hold", "log"]
 
 
@@ -174,7 +166,7 @@ def effect(
     name: str,
     symbol: str,
     unit: str,
-    kind: Literal["force", "power", "loss"] = "force",
+    kind: Kind = "force",
     **details: Any,
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect out of one function: the whole work of a plugin.
@@ -205,21 +197,201 @@ def effect(
 
     def wrap(function: Callable[..., Any]) -> Effect:
         grid = details.get("grid", {})
-        made = Term(
+        built = Term(
             name, symbol, unit, kind, function,
             params={key: values[len(values) // 2] for key, values in grid.items()},
             channels=tuple(details.get("channels", ())),
             bounds=details.get("plausible", (-np.inf, np.inf)),
             meaning=details.get("meaning", ""),
         )  # fmt: skip
-        return Effect.of(made, **details)
+        return Effect.of(built, **details)
 
     return wrap
+
+
+# -- the catalogue, in the order in which ties are decided --------------------------------------
+
+_BOTH_WAYS = "drive the same closed loop in both directions"
+_TWO_SPEEDS = "drive a straight line at two or more constant speeds"
+_SPIN = "spin on the spot both ways at two constant yaw rates"
+_RAMPS = "speed up and slow down hard on level ground"
+_TURNS = "drive arcs of several radii, from a spin to nearly straight, at one constant speed"
+
+_ANY = (-np.inf, np.inf)
+_POSITIVE = (0.0, np.inf)
+
+_TERMS: dict[str, Term] = {}
+_ENTRIES: list[Effect] = []
+
+
+def _entry(
+    symbol: str, unit: str, kind: Kind = "force", *, params: Mapping[str, float] | None = None,
+    needs: tuple[str, ...] = (), bounds: tuple[float, float] = _POSITIVE, meaning: str = "",
+    **details: Any,
+) -> Callable[[Regressor], Regressor]:  # fmt: skip
+    """Enter a function as a term, and with details as the effect whose size is its coefficient."""
+
+    def enter(function: Regressor) -> Regressor:
+        name = function.__name__
+        of = Term(name, symbol, unit, kind, function, params or {}, needs, bounds, meaning)
+        _TERMS[name] = of
+        if details:
+            _ENTRIES.append(Effect.of(of, **details))
+        return function
+
+    return enter
+
+
+_ENTRIES.append(Effect.of(
+    HOTEL, plausible=(0.0, 2000.0), planner="with the duration", common=True,
+    manoeuvre="log a minute at standstill with the drives switched on, and one with them off",
+))  # fmt: skip
+
+
+@_entry(
+    "m", "kg", needs=("slope",), meaning="weight on a slope", plausible=(1.0, 1e5),
+    manoeuvre=_BOTH_WAYS, planner="with the map's slope", of_mass=(0.5, 2.0),
+)  # fmt: skip
+def grade(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Weight along the heading per unit of mass: ``g sin(slope)`` (docs/theory, section 7)."""
+    slope = motion.channel("slope", "the term 'grade'")
+    return tread_forces(motion, longitudinal=GRAVITY * np.sin(slope))
+
+
+def _heading(motion: Motion, offset: float) -> FloatArray:
+    """Cosine of the heading; zero where yaw is unknown, or where the map knows the slope."""
+    if "slope" in motion.channels or "yaw" not in motion.channels:
+        return np.zeros(motion.shape)
+    return np.cos(motion.channels["yaw"] - offset)
+
+
+@_entry("m sin(a_x)", "kg", bounds=_ANY, meaning="ground climbing to yaw 0")
+def tilt_x(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Weight along the heading on a plane that climbs towards yaw 0, where no slope is known."""
+    return tread_forces(motion, longitudinal=GRAVITY * _heading(motion, 0.0))
+
+
+@_entry("m sin(a_y)", "kg", bounds=_ANY, meaning="ground climbing to yaw 90")
+def tilt_y(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Weight along the heading on a plane that climbs towards yaw 90 degrees."""
+    return tread_forces(motion, longitudinal=GRAVITY * _heading(motion, np.pi / 2))
 
 
 def _tilt(model: PowerModel) -> float:
     weight = np.hypot(model.coefficient("tilt_x"), model.coefficient("tilt_y"))
     return float(np.arcsin(min(weight / model.vehicle.mass, 1.0)))
+
+
+_ENTRIES.append(Effect(
+    "tilted_plane", (_TERMS["tilt_x"], _TERMS["tilt_y"]), "angle", "rad",
+    "ground that is one tilted plane, seen from the heading", _BOTH_WAYS,
+    "as the map's slope, with the term grade", (0.0, 0.6), ("yaw",), size=_tilt,
+))  # fmt: skip
+
+
+@_entry(
+    "m", "kg", plausible=(1.0, 1e5), channels=("accel_x",), manoeuvre=_RAMPS,
+    meaning="weight and inertia together, as an accelerometer feels them",
+    planner="with the map's slope", of_mass=(0.5, 2.0), usual=True,
+)  # fmt: skip
+def specific_force(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Force per unit of mass that an accelerometer feels: ``dv/dt + g sin(slope)``.
+
+    Where the slope is known, as on a map, slope and acceleration stand in for the accelerometer.
+    """
+    slope = motion.channels.get("slope")
+    if slope is None:
+        return tread_forces(motion, longitudinal=motion.channel("accel_x", "'specific_force'"))
+    accel = motion.channels.get("accel", np.zeros(motion.shape))
+    return tread_forces(motion, longitudinal=accel + GRAVITY * np.sin(slope))
+
+
+@_entry(
+    "m", "kg", needs=("accel",), meaning="speeding up and slowing down",
+    plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=(), usual=True, common=True,
+    of_mass=(0.5, 2.0),
+)  # fmt: skip
+def linear_inertia(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Force per unit of mass that changes the forward speed: ``dv/dt``."""
+    return tread_forces(motion, longitudinal=motion.channel("accel", "the term 'linear_inertia'"))
+
+
+@_entry(
+    "I_z", "kg m^2", needs=("yaw_accel",), meaning="turning faster and slower",
+    plausible=(0.01, 1e5), manoeuvre=_SPIN, channels=(), usual=True,
+)  # fmt: skip
+def angular_inertia(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Moment per unit of inertia that changes the yaw rate: ``dw/dt``."""
+    return tread_forces(motion, moment=motion.channel("yaw_accel", "the term 'angular_inertia'"))
+
+
+@_entry(
+    "B_v", "N s/m", meaning="resistance that rises with speed",
+    plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS, common=True,
+)  # fmt: skip
+def viscous_loss(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Force proportional to tread speed: grease, belts, soft ground."""
+    return Sides(motion.v_left, motion.v_right)
+
+
+@_entry(
+    "k_d", "N s^2/m^2", meaning="resistance that rises with the square of the speed",
+    plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS,
+)  # fmt: skip
+def air_drag(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Force proportional to the square of the body's speed."""
+    return tread_forces(motion, longitudinal=motion.v * np.abs(motion.v))
+
+
+@_entry(
+    "R/k^2", "W/N^2", "loss", meaning="heat in the motor windings",
+    plausible=(0.0, 1.0), manoeuvre=_SPIN + "; hold the robot on a slope",
+)  # fmt: skip
+def copper_loss(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
+    """Power lost in the windings: current follows force, so its square does."""
+    return Sides(np.square(forces.left), np.square(forces.right))
+
+
+# What the drive loses forwards shows in the size of all forces alone: forces and mass are those
+# over its efficiency, and this is what is lost both ways.
+_ENTRIES.append(Effect.of(REGENERATION_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS))
+
+
+@_entry(
+    "K_0", "N", params={"time_constant": 60.0}, plausible=(0.0, 1e4),
+    meaning="resistance of a cold drive that fades", planner="with the time, else warm",
+    manoeuvre="repeat the same route at the end of the drive as at its start",
+    grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)},
+)  # fmt: skip
+def warm_up(motion: Motion, vehicle: Vehicle, time_constant: float) -> Sides:
+    """Traction resistance of a cold drive: ``exp(-t / time_constant)``; warm where t is unknown."""
+    t = motion.channels.get("t")
+    cold = np.zeros(motion.shape) if t is None else np.exp(-t / time_constant)
+    return Sides(cold * np.sign(motion.v_left), cold * np.sign(motion.v_right))
+
+
+def _after(motion: Motion, time: float) -> FloatArray:
+    """1 after the change and 0 before: the channel ``changed`` where there is one, else by time."""
+    if "changed" in motion.channels:
+        return motion.channels["changed"]
+    t = motion.channels.get("t")
+    return np.ones(motion.shape) if t is None else np.asarray(t >= time, float)
+
+
+@_entry("dmu", "1", bounds=_ANY, params={"time": 0.0}, meaning="slip friction after the change")
+def slip_change(motion: Motion, vehicle: Vehicle, time: float) -> Sides:
+    """Slip friction that is there only after a change; changed where time is unknown."""
+    after = _after(motion, time)
+    return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * after)
+
+
+@_entry(
+    "dK", "N", bounds=_ANY, params={"time": 0.0}, meaning="traction resistance after the change",
+)  # fmt: skip
+def traction_change(motion: Motion, vehicle: Vehicle, time: float) -> Sides:
+    """Traction resistance that is there only after a change; changed where time is unknown."""
+    after = _after(motion, time)
+    return Sides(after * np.sign(motion.v_left), after * np.sign(motion.v_right))
 
 
 def _payload(model: PowerModel) -> float:
@@ -228,55 +400,57 @@ def _payload(model: PowerModel) -> float:
     return change / friction if friction else float(np.copysign(np.inf, change))
 
 
+_ENTRIES.append(Effect(
+    "payload_change", (_TERMS["slip_change"], _TERMS["traction_change"]), "dm", "kg",
+    "payload taken up or set down at some time, or another surface from then on",
+    "weigh the robot, or climb the same ramp, before and after", "as the state after it",
+    (-1e5, 1e5), size=_payload, acts="change", of_mass=(-0.5, 1.0),
+))  # fmt: skip
+
+
+_LINE = {"direction": 0.0, "offset": 0.0}
+
+
+def _beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> FloatArray:
+    """Share of the weight beyond a line: wheels cross it one after the other."""
+    x, y = motion.channel("x", "a change of place"), motion.channel("y", "a change of place")
+    along = x * np.cos(direction) + y * np.sin(direction) - offset
+    if "yaw" not in motion.channels:
+        return np.asarray(along > 0.0, float)
+    turned = motion.channels["yaw"] - direction
+    ahead, aside = np.cos(turned), np.sin(turned)
+    share = np.zeros(motion.shape)
+    for (forward, left), load in zip(vehicle.contacts, vehicle.loads, strict=True):
+        share += load * (along + forward * ahead - left * aside > 0.0)
+    return np.asarray(share / float(vehicle.loads.sum()))
+
+
+@_entry(
+    "dmu", "1", bounds=_ANY, params=_LINE, needs=("x", "y"), meaning="slip friction beyond a line",
+)  # fmt: skip
+def slip_beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> Sides:
+    """Slip friction that is there only beyond a line on the ground."""
+    there = _beyond(motion, vehicle, direction, offset)
+    return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * there)
+
+
+@_entry(
+    "dK", "N", bounds=_ANY, params=_LINE, needs=("x", "y"),
+    meaning="traction resistance beyond a line",
+)  # fmt: skip
+def traction_beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -> Sides:
+    """Traction resistance that is there only beyond a line on the ground."""
+    there = _beyond(motion, vehicle, direction, offset)
+    return Sides(there * np.sign(motion.v_left), there * np.sign(motion.v_right))
+
+
 def _slip_beyond(model: PowerModel) -> float:
     return model.coefficient("slip_beyond")
 
 
-_BOTH_WAYS = "drive the same closed loop in both directions"
-_TWO_SPEEDS = "drive a straight line at two or more constant speeds"
-_STAND = "log a minute at standstill with the drives switched on, and one with them off"
-_SPIN = "spin on the spot both ways at two constant yaw rates"
-_RAMPS = "speed up and slow down hard on level ground"
-_TURNS = "drive arcs of several radii, from a spin to nearly straight, at one constant speed"
-_REPEAT = "repeat the same route at the end of the drive as at its start"
-
-_ENTRIES = (
-    Effect.of(HOTEL, plausible=(0.0, 2000.0), manoeuvre=_STAND, planner="with the duration",
-              common=True),
-    Effect.of(GRADE, plausible=(1.0, 1e5), manoeuvre=_BOTH_WAYS, planner="with the map's slope",
-              of_mass=(0.5, 2.0)),
+_ENTRIES += (
     Effect(
-        "tilted_plane", (TILT_X, TILT_Y), "angle", "rad",
-        "ground that is one tilted plane, seen from the heading", _BOTH_WAYS,
-        "as the map's slope, with the term grade",
-        (0.0, 0.6), ("yaw",), size=_tilt,
-    ),
-    Effect.of(
-        SPECIFIC_FORCE, plausible=(1.0, 1e5), channels=("accel_x",), manoeuvre=_RAMPS,
-        of_mass=(0.5, 2.0), usual=True,
-        planner="with the map's slope",
-    ),
-    Effect.of(LINEAR_INERTIA, plausible=(1.0, 1e5), manoeuvre=_RAMPS, channels=(), usual=True,
-              common=True, of_mass=(0.5, 2.0)),
-    Effect.of(ANGULAR_INERTIA, plausible=(0.01, 1e5), manoeuvre=_SPIN, channels=(), usual=True),
-    Effect.of(VISCOUS_LOSS, plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS, common=True),
-    Effect.of(AIR_DRAG, plausible=(0.0, 1e4), manoeuvre=_TWO_SPEEDS),
-    Effect.of(
-        COPPER_LOSS, plausible=(0.0, 1.0), manoeuvre=_SPIN + "; hold the robot on a slope",
-    ),
-    # What the drive loses forwards shows in the size of all forces alone: forces and mass are those
-    # over its efficiency, and this is what is lost both ways.
-    Effect.of(REGENERATION_LOSS, plausible=(0.0, 1.0), manoeuvre=_TURNS),
-    Effect.of(WARM_UP, plausible=(0.0, 1e4), manoeuvre=_REPEAT, planner="with the time, else warm",
-              grid={"time_constant": (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)}),
-    Effect(
-        "payload_change", (SLIP_CHANGE, TRACTION_CHANGE), "dm", "kg",
-        "payload taken up or set down at some time, or another surface from then on",
-        "weigh the robot, or climb the same ramp, before and after",
-        "as the state after it", (-1e5, 1e5), size=_payload, acts="change", of_mass=(-0.5, 1.0),
-    ),
-    Effect(
-        "surface_border", (SLIP_BEYOND, TRACTION_BEYOND), "dmu", "1",
+        "surface_border", (_TERMS["slip_beyond"], _TERMS["traction_beyond"]), "dmu", "1",
         "another surface beyond a line on the ground", "cross the line several times",
         "with surface regions on the map", (-2.0, 2.0), ("x", "y"), size=_slip_beyond,
         acts="place",
@@ -286,27 +460,136 @@ _ENTRIES = (
         "weigh the load under each wheel, or spin on the spot both ways", "with its tread ICRs",
         (0.0, 1.0), ("x", "y", "yaw"), acts="kinematics",
     ),
-    Effect.of(DRAGGING_LEFT, plausible=(-1e4, 1e4), manoeuvre="lift that side, spin its wheels"),
-    Effect.of(TURN_ASYMMETRY, plausible=(-1.0, 1.0), manoeuvre=_SPIN),
-    Effect.of(SLIP_SPEED, plausible=(-2.0, 2.0), manoeuvre=_SPIN),
-    Effect.of(STRIBECK, plausible=(0.0, 2.0), manoeuvre=_SPIN, common=True,
-              grid={"slip_speed": (0.03, 0.08, 0.2)}),
-    Effect.of(MOBILISATION, plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True, common=True,
-              grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)}),
-    Effect.of(WHEEL_FIGHT, plausible=(0.0, 1e4), acts="hold",
-              manoeuvre="drive a straight line with the steering control off"),
-    Effect.of(TOWED_DRAG, plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed"),
-    Effect.of(TOWING_FORCE, plausible=(-1e4, 1e4),
-              manoeuvre="drive one line forwards and backwards"),
-    Effect(
-        "time_offset", (), "delay", "s", "power logged later than speed",
-        "start and stop abruptly on level ground", "no", (-2.0, 2.0), acts="log",
-        grid={"delay": tuple(k / 10 for k in range(-10, 11) if k)},
-    ),
-    Effect.of(UNSIGNED_POWER, plausible=(0.7, 1.5), manoeuvre=_TURNS, planner="no", acts="log"),
-    Effect.of(SIDE_GAIN, plausible=(-0.5, 0.5), manoeuvre="swap the two sensors", planner="no",
-              acts="log"),
 )  # fmt: skip
+
+
+@_entry(
+    "K_d", "N", bounds=_ANY, plausible=(-1e4, 1e4),
+    meaning="a wheel or bearing that drags on the left; on the right where it is negative",
+    manoeuvre="lift that side, spin its wheels",
+)  # fmt: skip
+def dragging_wheel_left(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Traction resistance that the left side has more than the right one."""
+    return Sides(np.sign(motion.v_left), np.zeros(motion.shape))
+
+
+@_entry(
+    "dmu", "1", bounds=(-2.0, 2.0), plausible=(-1.0, 1.0), manoeuvre=_SPIN,
+    meaning="turning left costs more than turning right",
+)  # fmt: skip
+def turn_asymmetry(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Slip friction that a left turn has more and a right turn less: a constant moment."""
+    return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) ** 2)
+
+
+@_entry(
+    "k_mu", "s/m", bounds=_ANY, plausible=(-2.0, 2.0), manoeuvre=_SPIN,
+    meaning="slip friction that depends on slip speed",
+)  # fmt: skip
+def slip_speed_friction(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Slip friction that grows with the slip speed, taken as yaw rate times mean slip radius."""
+    radius = vehicle.slip_moment / float(vehicle.loads.sum())
+    return tread_forces(motion, moment=vehicle.slip_moment * radius * motion.omega)
+
+
+@_entry(
+    "mu_s", "1", params={"slip_speed": 0.1}, bounds=(-2.0, 2.0),
+    plausible=(0.0, 2.0), manoeuvre=_SPIN, common=True, grid={"slip_speed": (0.03, 0.08, 0.2)},
+    meaning="slip friction that is larger at small slip speeds",
+)  # fmt: skip
+def stribeck_friction(motion: Motion, vehicle: Vehicle, slip_speed: float) -> Sides:
+    """Slip friction that is there at small slip speeds only and fades as they grow.
+
+    ``exp(-r |w| / slip_speed)`` with the mean slip radius ``r`` of the wheels (Stribeck).
+    """
+    radius = vehicle.slip_moment / float(vehicle.loads.sum())
+    fade = np.exp(-radius * np.abs(motion.omega) / slip_speed)
+    return tread_forces(motion, moment=vehicle.slip_moment * np.sign(motion.omega) * fade)
+
+
+@_entry(
+    "mu_m", "1", params={"radius": 1.0}, bounds=(-2.0, 2.0),
+    plausible=(-2.0, 2.0), manoeuvre=_TURNS, usual=True, common=True,
+    grid={"radius": (0.1, 0.3, 1.0, 3.0, 10.0)},
+    meaning="slip friction that is smaller in wide turns than in a spin",
+)  # fmt: skip
+def friction_mobilisation(motion: Motion, vehicle: Vehicle, radius: float) -> Sides:
+    """Slip friction that is missing in wide turns: ``-mu S sign(w) |v| / (|v| + radius |w|)``."""
+    speed, rate = np.abs(motion.v), radius * np.abs(motion.omega)
+    whole = speed + rate
+    missing = np.divide(speed, whole, out=np.zeros(motion.shape), where=whole > 0)
+    return tread_forces(motion, moment=-vehicle.slip_moment * np.sign(motion.omega) * missing)
+
+
+@_entry(
+    "P_f", "W", "loss", plausible=(0.0, 1e4), acts="hold",
+    meaning="heat of sides that push against each other on straights, in drives that lose energy",
+    manoeuvre="drive a straight line with the steering control off",
+)  # fmt: skip
+def wheel_fight(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
+    """Heat of sides that push against each other on a straight, where contacts hold a moment."""
+    turning = np.abs(motion.omega) * motion.icr.half_track > 1e-6 * np.abs(motion.v)
+    straight = ~turning & (motion.v != 0.0)
+    return Sides(0.5 * straight, 0.5 * straight)
+
+
+@_entry(
+    "F_d", "N", plausible=(0.0, 1e4), manoeuvre="drive with and without what is towed",
+    meaning="something towed that resists whichever way the body moves",
+)  # fmt: skip
+def towed_drag(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Force of something towed, a trailer or a sledge: against the body's own motion."""
+    return tread_forces(motion, longitudinal=np.sign(motion.v))
+
+
+@_entry(
+    "F_t", "N", bounds=_ANY, plausible=(-1e4, 1e4),
+    manoeuvre="drive one line forwards and backwards",
+    meaning="a force that pulls one way, forwards or backwards",
+)  # fmt: skip
+def towing_force(motion: Motion, vehicle: Vehicle) -> Sides:
+    """Constant force along the body, whichever way it drives: a hose, a cable, a head wind."""
+    return tread_forces(motion, longitudinal=np.ones(motion.shape))
+
+
+_ENTRIES.append(Effect(
+    "time_offset", (), "delay", "s", "power logged later than speed",
+    "start and stop abruptly on level ground", "no", (-2.0, 2.0), acts="log",
+    grid={"delay": tuple(k / 10 for k in range(-10, 11) if k)},
+))  # fmt: skip
+
+
+@_entry(
+    "s", "1", "loss", bounds=(0.0, 2.0), plausible=(0.7, 1.5), planner="no",
+    manoeuvre=_TURNS, acts="log", meaning="a current sensor without the sign of the current",
+)  # fmt: skip
+def unsigned_power(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
+    """Twice the returned power, which a sensor without a sign adds to the sum."""
+    return regeneration_loss(motion, vehicle, forces) * 2.0
+
+
+@_entry(
+    "g", "1", "loss", bounds=(-1.0, 1.0), plausible=(-0.5, 0.5), planner="no",
+    acts="log", manoeuvre="swap the two sensors",
+    meaning="gains of the left and the right power sensor differ",
+)  # fmt: skip
+def side_gain(motion: Motion, vehicle: Vehicle, forces: Sides) -> Sides:
+    """Power that the left side's sensor shows too high and the right side's too low."""
+    return Sides(forces.left * motion.v_left, -forces.right * motion.v_right)
+
+
+(
+    AIR_DRAG, ANGULAR_INERTIA, COPPER_LOSS, DRAGGING_LEFT, GRADE, LINEAR_INERTIA, MOBILISATION,
+    SIDE_GAIN, SLIP_BEYOND, SLIP_CHANGE, SLIP_SPEED, SPECIFIC_FORCE, STRIBECK, TILT_X, TILT_Y,
+    TOWED_DRAG, TOWING_FORCE, TRACTION_BEYOND, TRACTION_CHANGE, TURN_ASYMMETRY, UNSIGNED_POWER,
+    VISCOUS_LOSS, WARM_UP, WHEEL_FIGHT,
+) = (_TERMS[name] for name in (
+    "air_drag", "angular_inertia", "copper_loss", "dragging_wheel_left", "grade",
+    "linear_inertia", "friction_mobilisation", "side_gain", "slip_beyond", "slip_change",
+    "slip_speed_friction", "specific_force", "stribeck_friction", "tilt_x", "tilt_y",
+    "towed_drag", "towing_force", "traction_beyond", "traction_change", "turn_asymmetry",
+    "unsigned_power", "viscous_loss", "warm_up", "wheel_fight",
+))  # fmt: skip
 
 _ALWAYS = (SLIP, TRACTION, DRIVE_LOSS)
 """Terms of files that are no effects: the paper's, and what a drive's known efficiency takes."""
@@ -339,15 +622,15 @@ def _every(finder: Callable[..., Iterable[EntryPoint]], path: tuple[str, ...]) -
     found = {entry.name: entry for entry in _ENTRIES}
     taken = {term.name for entry in _ENTRIES for term in entry.terms} | {t.name for t in _ALWAYS}
     for point in finder(group="energyplan.power.effects"):
-        made = point.load()
-        if isinstance(made, Term):
-            made = Effect.of(made)
-        if not isinstance(made, Effect):
+        built = point.load()
+        if isinstance(built, Term):
+            built = Effect.of(built)
+        if not isinstance(built, Effect):
             raise ModelError(f"entry point {point.name!r} of energyplan.power.effects is no Effect")
-        names = {made.name, *(term.name for term in made.terms)}
+        names = {built.name, *(term.name for term in built.terms)}
         if names & (taken | set(found)):
             raise ModelError(f"entry point {point.name!r} redefines {sorted(names)}; rename it")
-        found[made.name] = made
+        found[built.name] = built
     return found
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from energyplan.errors import FrameError, InvalidInputError, MessageError, MissingDependencyError
 from energyplan.io.files import atomic_write
-from energyplan.kinds import NO_NUMBER
 from energyplan.path import FloatArray, Path, Pose
+from energyplan.records import NO_NUMBER
 from energyplan.terrain import CostMap, OccupancyGrid
 from energyplan.vehicle import Vehicle
 

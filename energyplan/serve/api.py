@@ -45,11 +45,17 @@ from energyplan.io.documents import load
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.logs import read_log
 from energyplan.io.mission import mission_from, read_battery, read_mission
-from energyplan.io.sites import Asked, SiteFile, models_of, on_site, problem_from, with_presets
+from energyplan.io.sites import (
+    NotedProblem,
+    SiteFile,
+    models_of,
+    on_site,
+    problem_from,
+    with_presets,
+)
 from energyplan.io.start import Given, Start
 from energyplan.io.start import start as start_of
 from energyplan.io.tables import contours_document
-from energyplan.kinds import unusual
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
 from energyplan.mission import MissionReport, Routes, evaluate
@@ -60,6 +66,7 @@ from energyplan.planning import planners as known_planners
 from energyplan.power import PowerModel
 from energyplan.power.presets import MODEL_PRESETS
 from energyplan.reach import energy_map, energy_of_charge
+from energyplan.records import unusual
 from energyplan.serve import answers, requests
 from energyplan.serve.requests import MOST_EFFORT, MOST_TASKS, Access, Guard, complaint, problem
 from energyplan.serve.store import BusyError, Job, Pool, StoppingError, Store, UnknownFileError
@@ -279,7 +286,7 @@ def _routes(service: _Service) -> APIRouter:
         battery: bool,
         goal: list[float],
         **more: Any,
-    ) -> Asked:
+    ) -> NotedProblem:
         ends = as_pose(given.start, "start"), as_pose(goal, "goal")
         model = store.named(given.model, read_model)
         return problem_from(

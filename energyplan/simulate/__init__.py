@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 
 from energyplan.errors import InvalidInputError, UnknownNameError
-from energyplan.kinds import checked
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.power import PowerModel
+from energyplan.records import checked
 from energyplan.vehicle import GRAVITY, Vehicle
 
 __all__ = ["PATTERNS", "Setpoint", "drive", "identification_drive", "validation_drive"]

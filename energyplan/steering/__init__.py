@@ -13,17 +13,14 @@ from numpy.typing import ArrayLike
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError
-from energyplan.kinds import checked, numbers
-from energyplan.path import FloatArray, Path, Pose, refuse_degrees
+from energyplan.path import PLACE, ROUNDING, FloatArray, Path, Pose, refuse_degrees
+from energyplan.records import checked, numbers
 from energyplan.steering.forwards import forward_energies, forward_path
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
 from energyplan.steering.polygon import polygon_energies, polygon_path
 
 FARTHEST = 1e9
 """Largest coordinate of a pose [m]; far beyond it energies overflow."""
-
-AT_PLACE, ROUNDING = 1e-9, 1e-12
-"""Distance [m], and part of an energy, that are rounding."""
 
 
 def _poses(value: ArrayLike, name: str) -> FloatArray:
@@ -165,7 +162,7 @@ def _spin_if_as_good(found: Path, goal: FloatArray, cost: EnergyCost) -> Path:
     turn = float(found.dtheta.sum())
     moved = np.array([cost.icr.centre[1] * turn])
     spin = Path(found.start, moved, np.array([turn]), found.longitudinal)
-    misses = np.hypot(*np.subtract(spin.end, goal)[:2]) > AT_PLACE
-    if len(found) < 2 or misses or abs(turn) > np.pi + AT_PLACE:
+    misses = np.hypot(*np.subtract(spin.end, goal)[:2]) > PLACE
+    if len(found) < 2 or misses or abs(turn) > np.pi + ROUNDING:
         return found
     return spin if cost.energy(spin) <= cost.energy(found) * (1.0 + ROUNDING) else found

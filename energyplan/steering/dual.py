@@ -22,9 +22,8 @@ from __future__ import annotations
 import math
 
 from energyplan.compilation import Floats, FloatTable, inner
+from energyplan.steering.static_words import HALF_PI, TWO_PI
 
-TWO_PI = 2.0 * math.pi
-HALF_PI = 0.5 * math.pi
 NARROW = 1e-9  # least width of the headings visited; a single one cannot hold a sideways dual
 
 SEARCH, EXACT = 1e-6, 1e-15  # tolerances of `maximise` [rad]
@@ -120,7 +119,7 @@ def _boundary(
 
 @inner
 def between(a: float, b: float, f_a: float, f_b: float) -> float:
-    """Next point of a bracketed root search: regula falsi, or the middle where it cannot tell.
+    """Next point of a bracketed root search: regula falsi, or the middle where both signs agree.
 
     The caller halves the value at an end that stays twice (the Illinois rule).
     """

@@ -20,18 +20,16 @@ from typing import NamedTuple
 
 from energyplan.compilation import Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
-from energyplan.path import Pose
+from energyplan.path import ANGLE, Pose
 from energyplan.steering.kernels import (
-    HALF_PI,
     MIN_RATIO,
-    TWO_PI,
     Between,
     between_poses,
     free_switches,
     straight,
     sweep,
 )
-from energyplan.steering.static_words import TINY, free
+from energyplan.steering.static_words import HALF_PI, TWO_PI, free
 
 
 class Forward(NamedTuple):
@@ -59,9 +57,9 @@ def _without_excursion(x: float, y: float, eta: float, base: float, best: Forwar
         if length < 0.0 or base + length >= best.cost:
             continue
         psi = atan2(y - ky, x - kx)
-        below = psi - HALF_PI > -eta + TINY  # spins below psi - pi/2
-        above = psi + HALF_PI < eta - TINY
-        far = abs(psi) - 3.0 * HALF_PI > -eta + TINY
+        below = psi - HALF_PI > -eta + ANGLE  # spins below psi - pi/2
+        above = psi + HALF_PI < eta - ANGLE
+        far = abs(psi) - 3.0 * HALF_PI > -eta + ANGLE
         fits = (
             (kind == 0 and not below and not above)
             or (kind == 1 and not below and above and not far)
@@ -69,9 +67,9 @@ def _without_excursion(x: float, y: float, eta: float, base: float, best: Forwar
             or (kind == 3 and below and above)
             or (kind == 4 and far)
         )
-        if fits and abs(psi) <= eta + TINY:
+        if fits and abs(psi) <= eta + ANGLE:
             best = Forward(base + length, -eta, eta, 0.0, 0.0, length, psi)
-    if eta > HALF_PI + TINY:
+    if eta > HALF_PI + ANGLE:
         both, less = (x - 2.0 * s + 2.0) / k, y / s
         if both >= abs(less) and base + both < best.cost:
             halves = 0.5 * (both - less), 0.5 * (both + less)
@@ -125,8 +123,8 @@ def _at_upper_end(x: float, y: float, eta: float, c: float, side: float, best: F
             if inside < 0.0 or length < 0.0 or base + length >= best.cost:
                 continue
             z = atan2(length * k - vx, vy - length * s)
-            wraps = z - pi > -eta + TINY
-            if -eta - TINY <= z <= eta + TINY and wraps == (m == 2.0) and z + pi >= eta - TINY:
+            wraps = z - pi > -eta + ANGLE
+            if -eta - ANGLE <= z <= eta + ANGLE and wraps == (m == 2.0) and z + pi >= eta - ANGLE:
                 best = _ended(base + length, eta, eta, 0.0, length, z + HALF_PI, side, best)
     for kx, ky, m, kind in (
         (0.0, 2.0 * k, 0.0, 0), (-s, k, 1.0, 1), (0.0, 0.0, 2.0, 2), (0.0, 2.0 * k, 2.0, 3),
@@ -140,12 +138,12 @@ def _at_upper_end(x: float, y: float, eta: float, c: float, side: float, best: F
             continue
         tau = atan2(2.0 * c, length)
         h = atan2(y - ky, x - kx) - atan2(m * sin(tau) - 2.0, length + m * cos(tau))
-        h += TWO_PI * -((h - eta + TINY) // TWO_PI)
+        h += TWO_PI * -((h - eta + ANGLE) // TWO_PI)
         h = max(h, eta)
         z = h + tau - HALF_PI
-        low, in_main, wraps = z < -eta - TINY, z < eta, z - pi > -eta
+        low, in_main, wraps = z < -eta - ANGLE, z < eta, z - pi > -eta
         fits = (
-            (kind == 0 and z <= -eta + TINY)
+            (kind == 0 and z <= -eta + ANGLE)
             or (kind == 1 and not low and in_main and not wraps)
             or (kind == 2 and not in_main and not wraps)
             or (kind == 3 and in_main and wraps)
@@ -168,7 +166,7 @@ def _at_upper_end(x: float, y: float, eta: float, c: float, side: float, best: F
             length = 2.0 * c * cos(tau) / q
             h = TWO_PI - 2.0 * tau - eta
             other = vx * k - vy * s - length * cos(2.0 * tau) + 2.0 * sin(2.0 * tau) - m * cos(tau)
-            if h < eta - TINY or other < 0.0:
+            if h < eta - ANGLE or other < 0.0:
                 continue
             if (h + tau - HALF_PI >= eta) == (m == 3.0):
                 cost = 2.0 * turn * h + length + other
@@ -208,9 +206,9 @@ def _beyond_both_ends(x: float, y: float, eta: float, c: float, best: Forward) -
         if cost >= best.cost:
             continue
         psi = atan2(y - ky, x - kx)
-        psi += TWO_PI * -((psi - tau - eta + TINY) // TWO_PI)
+        psi += TWO_PI * -((psi - tau - eta + ANGLE) // TWO_PI)
         lo, z = psi + tau - TWO_PI, psi - HALF_PI
-        if lo <= -eta + TINY and (z >= eta) == upper and (z - pi <= -eta) == lower:
+        if lo <= -eta + ANGLE and (z >= eta) == upper and (z - pi <= -eta) == lower:
             best = Forward(cost, lo, psi - tau, length, length, 0.0, psi)
     return best
 
@@ -238,7 +236,7 @@ def _part(start: float, stop: float, psi: float, ds: Floats, dtheta: Floats, n: 
     here = start
     while side * (stop - here) > 0.0:
         # headings at which that changes lie half a turn apart
-        passed = (side * (here - psi) - HALF_PI + TINY) // pi + 1.0
+        passed = (side * (here - psi) - HALF_PI + ANGLE) // pi + 1.0
         edge = psi + side * (passed * pi + HALF_PI)
         if side * (stop - edge) < 0.0:
             edge = stop
@@ -305,11 +303,7 @@ def forward_energies(
     """Fill `out` with the least energies forwards between rows of poses, as `steer_energies`."""
     for i in range(len(out)):
         out[i] = forward_energy(
-            goals[i, 0] - starts[i, 0],
-            goals[i, 1] - starts[i, 1],
-            starts[i, 2],
-            goals[i, 2],
-            cost,
+            goals[i, 0] - starts[i, 0], goals[i, 1] - starts[i, 1], starts[i, 2], goals[i, 2], cost
         )
 
 
@@ -336,7 +330,7 @@ def forward_path(
 def _turned(side: float, before: float, after: float) -> float:
     """Return the turn to one side from a heading to another [rad], in [0, 2 pi)."""
     turn = (side * (after - before)) % TWO_PI
-    return 0.0 if turn > TWO_PI - 1e-12 else turn
+    return 0.0 if turn > TWO_PI - ANGLE else turn
 
 
 @inner

@@ -24,14 +24,12 @@ from typing import NamedTuple
 
 from energyplan.compilation import Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
-from energyplan.path import Pose
+from energyplan.path import ANGLE, Pose
 from energyplan.steering import static_words as words
-from energyplan.steering.static_words import Word, best_word
+from energyplan.steering.static_words import HALF_PI, TWO_PI, Word, best_word
 
 MAX_SEGMENTS = 256
 MIN_RATIO = 1e-9  # beta / (a C); below it the excursion equation degenerates
-TWO_PI = 2.0 * math.pi
-HALF_PI = 0.5 * math.pi
 
 
 class Between(NamedTuple):
@@ -53,7 +51,7 @@ def between_poses(
         dx += longitudinal * (c1 - c0) - lateral * (s1 - s0)
         dy += longitudinal * (s1 - s0) + lateral * (c1 - c0)
     turn = (theta1 - theta0) % TWO_PI
-    if turn > TWO_PI - 1e-12:
+    if turn > TWO_PI - ANGLE:
         turn = 0.0
     middle = theta0 + 0.5 * turn
     c, s = math.cos(middle), math.sin(middle)
@@ -83,11 +81,7 @@ def steer_energies(
     """Fill `out` with the least energies between rows of poses, shapes (n, 3), (n, 3), (n,)."""
     for i in range(len(out)):
         out[i] = steer_energy(
-            goals[i, 0] - starts[i, 0],
-            goals[i, 1] - starts[i, 1],
-            starts[i, 2],
-            goals[i, 2],
-            cost,
+            goals[i, 0] - starts[i, 0], goals[i, 1] - starts[i, 1], starts[i, 2], goals[i, 2], cost
         )
 
 

@@ -15,7 +15,7 @@ import math
 
 from energyplan.compilation import Floats, FloatTable, inner, njit
 from energyplan.cost.steering import PolygonSteering
-from energyplan.path import Pose
+from energyplan.path import ANGLE, Pose
 from energyplan.steering.dual import (
     EXACT,
     NARROW,
@@ -27,6 +27,7 @@ from energyplan.steering.dual import (
     maximise,
 )
 from energyplan.steering.kernels import arc_end, between_poses
+from energyplan.steering.static_words import HALF_PI, TWO_PI
 
 
 @inner
@@ -81,7 +82,7 @@ def _both(
 ) -> tuple[float, float, bool]:  # fmt: skip
     """Best extent ``(lo, hi, found)`` beyond both ends, by Newton's method.
 
-    Straight lines at both ends, and both excursions exactly worth their cost.
+    Straight lines at both ends, and both excursions that save exactly their cost.
     """
     if not (lo < -eta and hi > eta):
         return lo, hi, False
@@ -111,10 +112,7 @@ def _gains(
     """Return by how much both excursions pay, given the logarithms of their sizes."""
     lo, hi = -eta - math.exp(min(a, 1.0)), eta + math.exp(min(b, 1.0))
     _, px, py, at_lo, at_hi = corner_dual(dx, dy, lo, hi, eta, side, af, ab, left, right)
-    return (
-        _pays(px, py, lo, -1.0, at_lo, left, right),
-        _pays(px, py, hi, 1.0, at_hi, left, right),
-    )
+    return (_pays(px, py, lo, -1.0, at_lo, left, right), _pays(px, py, hi, 1.0, at_hi, left, right))
 
 
 @inner
@@ -181,9 +179,6 @@ def best_extent(
     return best
 
 
-TWO_PI = 2.0 * math.pi
-HALF_PI = 0.5 * math.pi
-SAME = 1e-12  # headings that differ by less are one [rad]
 CLOSED = 1e-11  # straight pieces below this length would only make up for rounding
 
 
@@ -209,11 +204,7 @@ def polygon_energies(
     """Fill `out` with the least energies between rows of poses, shapes (n, 3), (n, 3), (n,)."""
     for i in range(len(out)):
         out[i] = polygon_energy(
-            goals[i, 0] - starts[i, 0],
-            goals[i, 1] - starts[i, 1],
-            starts[i, 2],
-            goals[i, 2],
-            cost,
+            goals[i, 0] - starts[i, 0], goals[i, 1] - starts[i, 1], starts[i, 2], goals[i, 2], cost
         )
 
 
@@ -242,7 +233,7 @@ def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTa
         for way in range(2):
             edge = psi - half if way == 0 else psi + half
             ahead = (side * (edge - heading)) % TWO_PI
-            if SAME < ahead < nearest:
+            if ANGLE < ahead < nearest:
                 nearest = ahead
     return heading + side * nearest if nearest < abs(stop - heading) else stop
 
@@ -287,8 +278,8 @@ def _schedule_path(
     n = _sweep(hi, eta, px, py, right, ds, dtheta, n)
     here = _travel(eta, ds, dtheta, n)
     rx, ry = x - here.x, y - here.y
-    # Straight lines cover the rest at two headings: where the dual says, and where rounding is
-    # made up for.
+    # Straight lines cover the rest at two headings: where the dual says, and where they take up
+    # rounding.
     first, second = lo, hi
     if at_lo == 0.0 and at_hi != 0.0:
         first, second = hi, lo

@@ -21,8 +21,9 @@ import math
 from typing import NamedTuple
 
 from energyplan.compilation import inner
+from energyplan.path import ANGLE, ROUNDING
 
-TINY = 1e-12  # slack of conditions on headings; what it gives away is a rounding error
+TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
 
 # Codes of the words. The letter of the group: N, no excursion; E, excursion at one end; B, at both.
@@ -111,17 +112,17 @@ def _without_excursion(at: Sweep, best: Word) -> Word:
         L = math.hypot(x - 2.0 * g, y)
         if base + L < best.cost:
             psi = math.atan2(y, x - 2.0 * g)
-            if abs(psi) <= eta + TINY:
+            if abs(psi) <= eta + ANGLE:
                 best = Word(base + L, N_STRAIGHT, sx, sy, psi, L, 0.0)
         L = math.hypot(x + 2.0 * g, y) - 4.0
         if eta > HALF_PI and L >= 0.0 and base + L < best.cost:
             psi = math.atan2(y, x + 2.0 * g)
-            if abs(psi) <= eta - HALF_PI + TINY:
+            if abs(psi) <= eta - HALF_PI + ANGLE:
                 best = Word(base + L, N_TWO_ZEROS, sx, sy, psi, L, 0.0)
     N = at.reach
     if N >= 2.0 and base + N - 2.0 < best.cost:
         psi = math.atan2(y - 2.0 * k, x)
-        if -eta - TINY <= psi <= eta - HALF_PI + TINY:
+        if -eta - ANGLE <= psi <= eta - HALF_PI + ANGLE:
             best = Word(base + N - 2.0, N_INNER, sx, sy, psi, N - 2.0, 0.0)
     if eta >= HALF_PI:
         return best
@@ -133,7 +134,7 @@ def _without_excursion(at: Sweep, best: Word) -> Word:
         for L in (along - root, along + root):
             if L >= 0.0 and base + L < best.cost:
                 z = math.atan2(-(wx - L * k), wy - L * g)
-                if abs(z) <= eta + TINY:
+                if abs(z) <= eta + ANGLE:
                     best = Word(base + L, N_END, sx, sy, z, L, 0.0)
     if sx > 0 and g > 0:
         both, less = (y - 2.0 + 2.0 * k) / g, x / k
@@ -151,10 +152,10 @@ def _beyond_one_end(at: Sweep, best: Word) -> Word:
     if N >= 2.0:
         L = math.sqrt(N * N - 4.0)
         h = math.atan2(y - 2.0 * k, x) + math.atan2(2.0, L)
-        if h < eta - TINY:
-            h += 2.0 * math.pi
+        if h < eta - ANGLE:
+            h += TWO_PI
         cost = 2.0 * turn * max(h, eta) + L
-        if h >= eta - TINY and least <= cost < best.cost:
+        if h >= eta - ANGLE and least <= cost < best.cost:
             best = Word(cost, E_PLAIN, sx, sy, h, L, 0.0)
     # e: what pivots give, with the zero of p.u inside the sweep or out in the excursion
     for e, px, py in ((2.0, x + 2.0 * g, y), (4.0, x, y + 2.0 * k)):
@@ -169,10 +170,10 @@ def _beyond_one_end(at: Sweep, best: Word) -> Word:
         h = math.atan2(py, px) - math.atan2(e / w - 2.0, e * t / w + L)
         z = h - math.atan(t)
         cost = 2.0 * turn * max(h, eta) + L
-        if h >= eta - TINY and least <= cost < best.cost:
-            if e == 2.0 and abs(z) <= eta + TINY:
+        if h >= eta - ANGLE and least <= cost < best.cost:
+            if e == 2.0 and abs(z) <= eta + ANGLE:
                 best = Word(cost, E_ZERO, sx, sy, h, L, z)
-            elif e == 4.0 and z >= eta - TINY:
+            elif e == 4.0 and z >= eta - ANGLE:
                 best = Word(cost, E_ZERO_OUT, sx, sy, h, L, z)
     for e, px, py in ((2.0, x + 2.0 * g, y), (4.0, x, y + 2.0 * k)):
         across, along = px * g + py * k, px * k - py * g
@@ -191,7 +192,7 @@ def _beyond_one_end(at: Sweep, best: Word) -> Word:
             tau = math.acos(q)
             h = 2.0 * tau - eta
             cost = 2.0 * turn * max(h, eta) + L + L0
-            if h < eta - TINY or not least <= cost < best.cost:
+            if h < eta - ANGLE or not least <= cost < best.cost:
                 continue
             if (tau <= 2.0 * eta) == (e == 2.0):
                 best = Word(cost, E_ENDS if e == 2.0 else E_ENDS_OUT, sx, sy, h, L, L0)
@@ -219,9 +220,9 @@ def _beyond_both_ends(at: Sweep, best: Word) -> Word:
         if not least <= cost < best.cost:
             continue
         z = math.atan2(across, along)
-        if e == 2.0 and abs(z) <= eta + TINY and tau >= eta + abs(z) - TINY:
+        if e == 2.0 and abs(z) <= eta + ANGLE and tau >= eta + abs(z) - ANGLE:
             best = Word(cost, B_ZERO, sx, sy, z + tau, L, z)
-        elif e == 4.0 and z >= eta - TINY and tau >= eta + z - TINY:
+        elif e == 4.0 and z >= eta - ANGLE and tau >= eta + z - ANGLE:
             best = Word(cost, B_ZERO_OUT, sx, sy, z + tau, L, z)
     return best
 
@@ -236,7 +237,7 @@ def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
     if free(x, y, eta):
         return Word(base, FREE, 1.0, 1.0, 0.0, 0.0, 0.0)
     # no word costs less than the distance: what seems to is a difference lost to rounding
-    least = math.hypot(x, y) * (1.0 - 1e-9)
+    least = math.hypot(x, y) * (1.0 - ROUNDING)
     k, g = math.cos(eta), math.sin(eta)
     for sx, sy in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
         N = math.hypot(sx * x, sy * y - 2.0 * k)

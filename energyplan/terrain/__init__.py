@@ -5,17 +5,19 @@ from __future__ import annotations
 from energyplan.terrain.found import LaidGround, knows_ground, laid_out, on_laid_ground
 from energyplan.terrain.grid import CostMap, OccupancyGrid, footprint
 from energyplan.terrain.heights import HeightMap
-from energyplan.terrain.surfaces import (
-    SpeedLimit,
-    Surface,
-    SurfaceMap,
-    with_limits,
-    with_weights,
+from energyplan.terrain.surfaces import SpeedLimit, Surface, SurfaceMap, with_limits, with_weights
+from energyplan.terrain.terrain import (
+    CLEARANCE,
+    PathPrice,
+    Piece,
+    Site,
+    Terrain,
+    path_pieces,
+    path_price,
 )
-from energyplan.terrain.terrain import PathPrice, Piece, Site, Terrain, path_pieces, path_price
 
 __all__ = [
-    "CostMap", "HeightMap", "LaidGround", "OccupancyGrid", "PathPrice", "Piece", "Site",
-    "SpeedLimit", "Surface", "SurfaceMap", "Terrain", "footprint", "knows_ground", "laid_out",
-    "on_laid_ground", "path_pieces", "path_price", "with_limits", "with_weights",
+    "CLEARANCE", "CostMap", "HeightMap", "LaidGround", "OccupancyGrid", "PathPrice", "Piece",
+    "Site", "SpeedLimit", "Surface", "SurfaceMap", "Terrain", "footprint", "knows_ground",
+    "laid_out", "on_laid_ground", "path_pieces", "path_price", "with_limits", "with_weights",
 ]  # fmt: skip

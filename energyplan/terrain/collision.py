@@ -2,13 +2,13 @@
 
 All of them work on a `Space` and a `Body`. A rectangle is free when it lies inside the map and
 touches no blocked cell. It is tested row by row: a rectangle covers one interval of columns in
-each row of cells, and `Space.next_blocked` tells in one look-up whether a blocked cell lies in an
+each row of cells, and `Space.next_blocked` shows in one look-up whether a blocked cell lies in an
 interval, so that a test costs one step per row whatever the obstacles.
 
 A straight motion sweeps a longer rectangle, so its test is as exact as that of a pose. Any other
 motion turns the body about a fixed point; it is halved until the bounding box of each piece's
 sweep, in the frame of its middle pose, is free, or until a middle pose is not. Pieces whose
-points move less than `TOLERANCE` and that still cannot be told free count as collisions: that
+points move less than `TOLERANCE` and that still cannot be shown free count as collisions: that
 is the only pessimism, and there is no false free.
 """
 
@@ -40,7 +40,7 @@ TOUCH = 1e-6
 ALIGNED = 3e-8
 """Sines and cosines below this count as zero, so that no rounding error is blown up."""
 
-_STRAIGHT = 1e-6
+STRAIGHT = 1e-6
 """Turns below this are swept as straight lines, slightly widened [rad]."""
 
 
@@ -230,7 +230,7 @@ def motion_free(
     longitudinal: float,
 ) -> bool:  # fmt: skip
     """Tell whether the body stays free along a motion of constant curvature."""
-    if abs(dtheta) <= _STRAIGHT:
+    if abs(dtheta) <= STRAIGHT:
         # swept as a straight line at the mean heading; no point strays further than this from it
         size = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))
         stray = 0.5 * abs(dtheta) * (abs(ds) + size + abs(longitudinal))

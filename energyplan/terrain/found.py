@@ -14,8 +14,14 @@ from numpy.typing import ArrayLike
 
 from energyplan.path import FloatArray, Pose
 from energyplan.power import PowerModel
-from energyplan.power.effect_terms import SLIP_BEYOND, TILT_X, TILT_Y, TRACTION_BEYOND
-from energyplan.power.effects import reads_slope, with_weight
+from energyplan.power.effects import (
+    SLIP_BEYOND,
+    TILT_X,
+    TILT_Y,
+    TRACTION_BEYOND,
+    reads_slope,
+    with_weight,
+)
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import Surface, SurfaceMap, with_weights
 

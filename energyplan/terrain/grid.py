@@ -13,9 +13,8 @@ from shapely.geometry.base import BaseGeometry
 
 from energyplan import html
 from energyplan.errors import MapError
-from energyplan.kinds import check_fields, checked, instance, numbers
-from energyplan.path import FloatArray, Path, Pose, as_pose
-from energyplan.records import ByValue
+from energyplan.path import ROUNDING, FloatArray, Path, Pose, as_pose
+from energyplan.records import ByValue, check_fields, checked, instance, numbers
 from energyplan.terrain import collision as _collision
 from energyplan.terrain.updates import (
     distance_to_blocked,
@@ -60,7 +59,7 @@ def extent_in_words(width: float, height: float, origin: Pose) -> str:
 BoolArray = NDArray[np.bool_]
 
 MAX_CELLS = 2**26
-"""Largest number of cells of a map; more is taken for a mistake or an attack."""
+"""Largest number of cells of a map; more counts as a mistake or an attack."""
 
 MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4
 """Smallest and largest size of a cell [m]."""
@@ -74,7 +73,7 @@ def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
             "bool, such as values > 0"
         )
     if array.size > MAX_CELLS:
-        raise MapError(f"{name} has {array.size} cells; at most {MAX_CELLS} are taken")
+        raise MapError(f"{name} has {array.size} cells; at most {MAX_CELLS} are possible")
     array.setflags(write=False)
     return array
 
@@ -275,7 +274,7 @@ class OccupancyGrid(ByValue, html.Readable):
         """
         if mask.shape == self.shape and mask.resolution == self.resolution:
             offset = np.subtract(mask.origin, self.origin)
-            if np.abs(offset[:2]).max() < 1e-6 * self.resolution and abs(offset[2]) < 1e-9:
+            if np.abs(offset[:2]).max() < 1e-6 * self.resolution and abs(offset[2]) < ROUNDING:
                 return replace(self, occupied=self.occupied | mask.occupied)
         near = np.sqrt(0.5) * self.resolution / mask.resolution
         # so wide that no clearance counts that is one to the edge
@@ -498,7 +497,7 @@ class OccupancyGrid(ByValue, html.Readable):
         left, low, right, high = edges.tolist()
         if not (right > left and high > low and resolution > 0):
             raise MapError(f"bounds {bounds} and resolution {resolution} m make no map")
-        size = np.ceil(np.array([right - left, high - low]) / resolution - 1e-9)
+        size = np.ceil(np.array([right - left, high - low]) / resolution - ROUNDING)
         columns, rows = map(int, size)
         if rows * columns > MAX_CELLS:
             cells = f"{rows * columns} cells, more than {MAX_CELLS}"

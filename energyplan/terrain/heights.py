@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import MapError
-from energyplan.kinds import check_fields, checked, numbers
-from energyplan.path import FloatArray, Path, Pose, as_pose
-from energyplan.records import ByValue
+from energyplan.path import ROUNDING, FloatArray, Path, Pose, as_pose
+from energyplan.records import ByValue, check_fields, checked, numbers
 from energyplan.terrain.grid import ORIGIN, extent_in_words, from_raster, to_raster
 
 if TYPE_CHECKING:
@@ -68,8 +67,8 @@ class HeightMap(ByValue):
         """Return the node below and to the left of each point, and the place in its square."""
         place = to_raster(points, self.origin, self.resolution)
         last = np.array(self.heights.shape[::-1]) - 1
-        if not np.all((place >= -1e-9) & (place <= last + 1e-9)):
-            off = ~np.all((place >= -1e-9) & (place <= last + 1e-9), axis=-1)  # NaN too
+        if not np.all((place >= -ROUNDING) & (place <= last + ROUNDING)):
+            off = ~np.all((place >= -ROUNDING) & (place <= last + ROUNDING), axis=-1)  # NaN too
             x, y = np.asarray(points, float)[off][0]
             raise MapError(
                 f"({x:.2f}, {y:.2f}) lies off the height map, which covers "

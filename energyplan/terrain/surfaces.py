@@ -17,15 +17,13 @@ from energyplan.compilation import Column, FloatTable, IntTable, njit
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import MapError
-from energyplan.kinds import Within, check_fields, described
 from energyplan.path import FloatArray, Path
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
+from energyplan.records import Within, check_fields, described
+from energyplan.terrain.collision import STRAIGHT
 from energyplan.terrain.grid import FARTHEST, OccupancyGrid
 from energyplan.vehicle import Vehicle
-
-_STRAIGHT = 1e-6
-"""Turns below this are clipped as straight lines [rad]."""
 
 
 def _area(geometry: BaseGeometry, name: str) -> BaseGeometry:
@@ -327,7 +325,7 @@ _INSIDE = 1e-6
 def _share(
     raster: IntTable, before: IntTable, a: FloatTable, b: FloatTable, value: int, rank: Column
 ) -> None:
-    """Set the cells that edges from `a` to `b` pass through to the higher rank beside them."""
+    """Set the cells that edges from `a` to `b` pass through to the higher rank next to them."""
     rows, columns = raster.shape
     for k in range(len(a)):
         left, right = (a[k], b[k]) if a[k, 0] <= b[k, 0] else (b[k], a[k])
@@ -366,7 +364,7 @@ class _Arc:
         """Return the parameters within (0, 1) at which the arc crosses edges ``a + s e``."""
         if self.ds == 0.0 or len(a) == 0:
             return np.empty(0)
-        if abs(self.dtheta) < _STRAIGHT:
+        if abs(self.dtheta) < STRAIGHT:
             middle = self.yaw + 0.5 * self.dtheta
             d = self.ds * np.array([[np.cos(middle), np.sin(middle)]])
             t = _crossings(self.start[None], d, a, e)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import MapError
-from energyplan.kinds import check_fields, checked
 from energyplan.path import FloatArray, Path
+from energyplan.records import Within, check_fields, checked
 from energyplan.terrain.grid import CostMap, OccupancyGrid
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import SurfaceMap
@@ -23,6 +23,9 @@ _KEPT = 4
 
 _MOST_SURFACES = 255
 """A cell's class of surface is kept in one byte."""
+
+CLEARANCE = Within((0, 20), (0, 2), "m")
+"""Distances that a footprint may keep from obstacles."""
 
 FLAT = SurfaceMap(())
 """No surfaces: the cost at hand applies everywhere."""
@@ -61,12 +64,10 @@ class Site:
     heights: HeightMap | None = None
     keepout: OccupancyGrid | None = None
     costmap: CostMap | None = None
-    clearance: float = 0.0
+    clearance: Annotated[float, CLEARANCE] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, MapError)
-        if not 0.0 <= self.clearance < np.inf:
-            raise MapError(f"the clearance is {self.clearance} m; give a distance of 0 m or more")
 
     @cached_property
     def grid(self) -> OccupancyGrid:
@@ -76,9 +77,9 @@ class Site:
     @property
     def notes(self) -> tuple[str, ...]:
         """Which parts do not lie on the map, or close nothing of it."""
-        told = () if self.surfaces is None else self.surfaces.notes_on(self.map)
+        off = () if self.surfaces is None else self.surfaces.notes_on(self.map)
         closing = None if self.keepout is None else self.map.note_of_mask(self.keepout)
-        return (*told, *([closing] if closing else []))
+        return (*off, *([closing] if closing else []))
 
     def fill(self, record: Any) -> None:
         """Give a dataclass that was built with this site for its map the parts that it left out."""
@@ -194,7 +195,7 @@ class Terrain:
         surfaces: SurfaceMap | None = None,
         heights: HeightMap | None = None,
     ) -> Terrain:
-        """Return the ground made of these; the map remembers those last seen."""
+        """Return the ground of these; the map remembers those last seen."""
         known: list[Terrain] = grid.__dict__.setdefault("_terrains", [])
         same = (g for g in tuple(known) if g.surfaces is surfaces and g.heights is heights)
         ground = next(same, None) or cls(grid, surfaces, heights)

@@ -1,6 +1,6 @@
 """Tables of a map's blocked cells, kept where a change of the map leaves them as they are.
 
-The usual distance transform measures to the centres of blocked cells, which is up to 0.7 cells
+The common distance transform measures to the centres of blocked cells, which is up to 0.7 cells
 too far. Here the area counts, so that a disc of that radius is certainly free.
 """
 
@@ -89,7 +89,7 @@ def distance_to_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> S
     return out
 
 
-Made = TypeVar("Made")
+Value = TypeVar("Value")
 
 
 class Window(NamedTuple):
@@ -158,34 +158,34 @@ class _Former(NamedTuple):
 
 @dataclass(eq=False)
 class Tables:
-    """What was made of a map's blocked cells, and what was made of them before they changed."""
+    """Tables computed from a map's blocked cells, and those of the cells before they changed."""
 
-    made: dict[Hashable, Any] = field(default_factory=dict)
+    current: dict[Hashable, Any] = field(default_factory=dict)
     former: dict[Hashable, _Former] = field(default_factory=dict)
 
     def get(
         self,
         key: Hashable,
-        make: Callable[[], Made],
-        update: Callable[[Made, Window], Made] | None = None,
-    ) -> Made:
+        make: Callable[[], Value],
+        update: Callable[[Value, Window], Value] | None = None,
+    ) -> Value:
         """Return a table: the one that is kept, a former one brought up to date, or a new one."""
-        if key not in self.made:
+        if key not in self.current:
             old = self.former.pop(key, None)
             keep = old is not None and update is not None
-            self.made.setdefault(key, update(old.table, old.window) if keep else make())  # type: ignore[misc, union-attr]
-        found: Made = self.made[key]
+            self.current.setdefault(key, update(old.table, old.window) if keep else make())  # type: ignore[misc, union-attr]
+        found: Value = self.current[key]
         return found
 
     def after(self, window: Window | None) -> Tables:
         """Return the tables of a map that differs within a window; None if nowhere."""
         if window is None:
-            return Tables(dict(self.made), dict(self.former))
+            return Tables(dict(self.current), dict(self.former))
         former = {
             key: _Former(old.table, old.window.joined(window))
             for key, old in dict(self.former).items()
         }
-        former.update({key: _Former(table, window) for key, table in dict(self.made).items()})
+        former.update({key: _Former(table, window) for key, table in dict(self.current).items()})
         return Tables({}, former)
 
 
@@ -219,8 +219,6 @@ def new_space(
 
 def updated_space(space: Space, blocked: NDArray[np.bool_], window: Window | None) -> Space:
     """Return the space of a map whose blocked cells differ within a window."""
-    made = space._replace(
-        next_blocked=next_blocked(blocked), clearance=distance_to_blocked(blocked)
-    )
-    _kept(made, tables_of(space).after(window))
-    return made
+    new = space._replace(next_blocked=next_blocked(blocked), clearance=distance_to_blocked(blocked))
+    _kept(new, tables_of(space).after(window))
+    return new

@@ -120,27 +120,25 @@ def test_charge_is_taken_within_the_temperatures_of_charging_alone(degrees: floa
     assert bool(pack.charging_fault) == (taken == 0.0)
 
 
-def test_brown_out_under_a_peak_is_reported_with_its_instant():
-    pack = plain(resistance=0.1, cutoff_voltage=9.0)
-    power = np.full(100, 20.0)
-    power[40] = 95.0
-    run = pack.simulate(np.arange(100.0), power)
-    assert run.brown_out == 40.0
-    assert run.reason == "voltage"
-    assert np.all(run.current[40:] == 0.0)
-    assert pack.simulate(np.arange(100.0), np.minimum(power, 89.0)).reason == "none"
+WEAK = {"resistance": 0.1, "cutoff_voltage": 9.0}
 
 
-def test_power_beyond_the_source_is_a_brown_out():
-    # No more than V^2 / 4 R = 250 W can be drawn at all.
-    pack = plain(resistance=0.1)
-    assert pack.simulate([0.0, 1.0], [249.0, 0.0]).reason == "none"
-    assert pack.simulate([0.0, 1.0], [251.0, 0.0]).reason == "voltage"
-
-
-def test_discharge_current_limit():
-    run = plain(max_discharge_current=5.0).simulate([0.0, 1.0, 2.0], [49.0, 51.0, 0.0])
-    assert (run.reason, run.brown_out) == ("current", 1.0)
+@pytest.mark.parametrize(
+    ("changes", "power", "reason", "instant"),
+    [
+        (WEAK, [20.0, 20.0, 95.0, 20.0], "voltage", 2.0),
+        (WEAK, [20.0, 20.0, 89.0, 20.0], "none", np.inf),
+        # no more than V^2 / 4 R = 250 W can be drawn at all
+        ({"resistance": 0.1}, [249.0, 0.0], "none", np.inf),
+        ({"resistance": 0.1}, [251.0, 0.0], "voltage", 0.0),
+        ({"max_discharge_current": 5.0}, [49.0, 51.0, 0.0], "current", 1.0),
+    ],
+)
+def test_a_brown_out_has_its_reason_and_instant(changes, power, reason, instant):
+    t = np.arange(float(len(power)))
+    run = plain(**changes).simulate(t, power)
+    assert (run.reason, run.brown_out) == (reason, instant)
+    assert np.all(run.current[t >= instant] == 0.0)
 
 
 @pytest.mark.parametrize("power", [60.0, 300.0, 900.0, 2500.0])
@@ -161,33 +159,12 @@ def test_usable_energy_falls_with_power_cold_and_age():
     assert pack.usable_energy(200.0, 0.0) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("chemistry", "below_zero", "least"),
-    [("lead_acid", 0.62, 0.40), ("lithium_ion", 0.75, 0.60),
-     ("lithium_iron_phosphate", 0.75, 0.70)],
-)  # fmt: skip
-def test_cold_takes_capacity_down_to_20_below(chemistry, below_zero, least):
-    pack = Battery.from_units(
-        "pack", chemistry, series=3, parallel=1, unit_capacity=36e3, unit_resistance=0.01
-    )
-    temperatures = np.arange(-20.0, 26.0, 1.0)
-    kept = [replace(pack, temperature=t).available_capacity / 36e3 for t in temperatures]
-    assert (np.diff(kept) >= 0).all()
-    assert kept[0] == pytest.approx(least)
-    assert kept[10] == pytest.approx(below_zero, abs=0.011)  # at -10 degC
+def test_a_temperature_without_data_is_noted():
+    pack = Battery.preset("quadriga")
     assert not replace(pack, temperature=-20.0).temperature_note
     note = replace(pack, temperature=-25.0).temperature_note
     assert "known from -20 to" in note
     assert "at -25 degC that of -20 degC is used" in note
-
-
-def test_at_freezing_point_lead_acid_keeps_what_its_table_says():
-    pack = Battery.preset("quadriga")
-    cold = replace(pack, temperature=0.0)
-    assert cold.available_capacity / pack.available_capacity == pytest.approx(0.84)
-
-
-def test_a_battery_without_data_on_temperature_says_so():
     assert not plain().temperature_note
     assert "known at 25 degC only" in replace(plain(), temperature=5.0).temperature_note
 
@@ -268,10 +245,10 @@ def test_a_run_continues_where_the_last_one_ended():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"capacity": -1.0}, r"capacity is -1.0: give 0.001 to 3.6e\+08 C"),
+        ({"capacity": -1.0}, r"capacity is -1.0; give 0.001 to 3.6e\+08 C"),
         ({"capacity": np.nan}, "capacity"),
         ({"resistance": -0.1}, "resistance"),
-        ({"peukert": 0.9}, "peukert is 0.9: give 1 to 2"),
+        ({"peukert": 0.9}, "peukert is 0.9; give 1 to 2"),
         ({"health": 0.0}, "health"),
         ({"cutoff_soc": 1.0}, "cutoff_soc"),
         ({"cutoff_voltage": 11.0}, "below the open-circuit voltage"),
@@ -280,7 +257,7 @@ def test_a_run_continues_where_the_last_one_ended():
         ({"derating_factor": np.array([1.0, 2.0])}, "derating"),
         ({"rated_current": 0.0}, "rated_current"),
         ({"max_discharge_current": -np.inf}, "max_discharge_current is -inf"),
-        ({"temperature": 300.0}, r"temperature is 300.0: give -40 to 70 degC \(not kelvin"),
+        ({"temperature": 300.0}, r"temperature is 300.0; give -40 to 70 degC \(not kelvin"),
         ({"min_charge_temperature": 50.0, "max_charge_temperature": 45.0}, "must be below"),
     ],
 )

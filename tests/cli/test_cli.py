@@ -15,7 +15,7 @@ from PIL import Image
 import energyplan as ep
 from energyplan import PowerModel, Trajectory, simulate
 from energyplan.html import number
-from energyplan.io.bags import bag_fields
+from energyplan.io.bags import opened_bag
 from energyplan.io.config import write_model
 from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
@@ -115,7 +115,8 @@ def test_plan_and_compare_write_tables_recordings_and_pictures(run: Run, tmp_pat
     assert out.read_text().startswith("x,y,yaw\n")
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert run("compare", *options, "--out", recorded).code == 0
-    assert {one.topic for one in bag_fields(recorded).fields.values()} >= {"/map"}
+    with opened_bag(recorded) as bag:
+        assert "/map" in bag.topics
     assert recorded.read_bytes().startswith(b"\x89MCAP0")
 
 

@@ -329,7 +329,7 @@ plna | Did you mean 'plan'
 {plan} --goal 2,2,0 --heights h.asc | No such option: --heights; see energyplan plan --help
 range --start 2,2,0 --energy 5kJ | '5kJ' should be a valid number in J
 range --map {surfaces} --model model.yaml --start 1.2,2,0 | these are surfaces and no obstacles
-{plan} --goal 2,2,0 --clearance -1 | clearance is -1.0 m
+{plan} --goal 2,2,0 --clearance -1 | clearance is -1.0; give 0 to 20 m
 range {site} --energy 5000 --spread -1 | give
 range {site} --energy -3 | the energy is -3.0 J; give a positive number
 range {site} --out range.tif | .asc

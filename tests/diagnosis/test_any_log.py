@@ -2,149 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from by_day import by_day
 
 from energyplan import DriveLog, diagnose, identify, simulate
-from energyplan.errors import EnergyPlanError, NotIdentifiableError
+from energyplan.errors import NotIdentifiableError
 from energyplan.fit.drive import quiet
-from energyplan.path import FloatArray
 from energyplan.power import PowerModel
 from energyplan.vehicle import Vehicle
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 NOISE = {"power_noise": 5.0, "speed_noise": 0.005}
-Channels = dict[str, FloatArray]
-
-
-def _kept(channels: Channels, keep: slice | FloatArray) -> Channels:
-    return {name: values[keep] for name, values in channels.items()}
-
-
-def _with(**changes: Callable[[FloatArray], FloatArray]) -> Callable[[Channels], Channels]:
-    return lambda channels: {
-        **channels, **{name: change(channels[name]) for name, change in changes.items()}
-    }  # fmt: skip
-
-
-def _zero(values: FloatArray) -> FloatArray:
-    return np.zeros_like(values)
-
-
-def _half(values: FloatArray) -> FloatArray:
-    return np.full_like(values, 0.5)
-
-
-def _holes(values: FloatArray) -> FloatArray:
-    values = values.copy()
-    for first in range(100, len(values), 400):
-        values[first : first + 60] = np.nan
-    return values
-
-
-def _coarse(values: FloatArray) -> FloatArray:
-    return np.asarray(np.round(8 * values) / 8)
-
-
-def _spike(values: FloatArray) -> FloatArray:
-    values = values.copy()
-    values[7] = 4e4
-    return values
-
-
-def _back(values: FloatArray) -> FloatArray:
-    return np.where(np.arange(len(values)) > 500, values - 3.0, values)
-
-
-def _broken(channels: Channels) -> Channels:
-    return _kept(channels, np.arange(len(channels["t"])) % 60 < 20)
-
-
-STRANGE: dict[str, Callable[[Channels], Channels]] = {
-    "two samples": lambda c: _kept(c, slice(2)),
-    "three samples": lambda c: _kept(c, slice(400, 403)),
-    "ten seconds": lambda c: _kept(c, slice(200)),
-    "a sample every two seconds": lambda c: _kept(c, slice(None, None, 40)),
-    "two hertz": lambda c: _kept(c, slice(None, None, 10)),
-    "gaps": _broken,
-    "constant speed": _with(v_left=_half, v_right=_half),
-    "straight only": lambda c: _kept(c, (c["t"] > 28) & (c["t"] < 45)),
-    "spin only": lambda c: _kept(c, (c["t"] > 4) & (c["t"] < 23)),
-    "standstill": _with(v_left=_zero, v_right=_zero),
-    "no power": _with(p_left=_zero, p_right=_zero),
-    "one power dead": _with(p_left=_zero),
-    "one speed dead": _with(v_left=_zero),
-    "holes": _with(p_left=_holes, v_right=lambda values: np.roll(_holes(values), 200)),
-    "time going back": _with(t=_back),
-    "coarse speeds": _with(v_left=_coarse, v_right=_coarse),
-    "a spike": _with(p_left=_spike),
-    "pose that never changes": _with(x=_zero, y=_zero, yaw=_zero, yaw_rate=_zero),
-    "nanowatts": _with(p_left=lambda p: 1e-9 * p, p_right=lambda p: 1e-9 * p),
-}
-
-
-def _strange(name: str) -> DriveLog | None:
-    """Return a strange log; None where it is refused, by its name."""
-    sound = simulate.identification_drive(MODEL, seed=1, **NOISE)
-    try:
-        return DriveLog.from_columns(STRANGE[name](dict(sound.channels)), name)
-    except EnergyPlanError as problem:
-        assert name in str(problem)
-        return None
-
-
-@pytest.fixture(autouse=True)
-def no_nan_on_its_way() -> Iterator[None]:
-    """NumPy warns where one is made."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", RuntimeWarning)
-        yield
-
-
-@pytest.mark.parametrize("name", STRANGE)
-def test_any_log_is_identified_or_refused_by_a_named_error(name: str) -> None:
-    log = _strange(name)
-    if log is None:
-        return
-    try:
-        found = identify(log, MODEL.vehicle)
-    except EnergyPlanError as problem:
-        assert len(str(problem)) > 30
-        return
-    assert np.all(np.isfinite(found.model.coefficients))
-
-
-def _answered(train: DriveLog, unseen: DriveLog) -> None:
-    try:
-        told = diagnose(train, unseen, MODEL.vehicle)
-    except EnergyPlanError as problem:
-        assert len(str(problem)) > 30
-        return
-    assert np.isfinite(told.before.rmse) and np.isfinite(told.after.rmse)
-    assert np.all(np.isfinite(told.model.coefficients))
-
-
-REFUSED = "two samples", "ten seconds", "constant speed", "standstill", "one power dead"
-"""Logs that take no time to try: there is an error, or little to be searched."""
-
-
-@pytest.mark.parametrize(
-    "name", by_day(STRANGE, (*REFUSED, "spin only", "holes", "pose that never changes"))
-)
-def test_any_log_is_learned_from_or_refused_by_a_named_error(name: str) -> None:
-    if (log := _strange(name)) is not None:
-        _answered(log, simulate.validation_drive(MODEL, seed=2, **NOISE))
-
-
-@pytest.mark.parametrize("name", by_day(STRANGE, (*REFUSED, "no power", "gaps")))
-def test_any_log_judges_or_is_refused_by_a_named_error(name: str) -> None:
-    if (log := _strange(name)) is not None:
-        _answered(simulate.identification_drive(MODEL, seed=1, **NOISE), log)
 
 
 def test_a_robot_that_only_stands_is_told_so() -> None:

@@ -16,8 +16,14 @@ from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, PowerModel
-from energyplan.power.effect_terms import MOBILISATION, SPECIFIC_FORCE, TOWING_FORCE
-from energyplan.power.effects import Effect, catalogue, term
+from energyplan.power.effects import (
+    MOBILISATION,
+    SPECIFIC_FORCE,
+    TOWING_FORCE,
+    Effect,
+    catalogue,
+    term,
+)
 
 VEHICLE = Vehicle.preset("husky_a200")
 

@@ -8,23 +8,22 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.candidates import Ground
+from energyplan.diagnosis.candidates import Lines
 from energyplan.fit.drive import Drive
 from energyplan.motion import Motion
-from energyplan.power.effect_terms import SLIP_BEYOND
-from energyplan.power.effects import catalogue
+from energyplan.power.effects import SLIP_BEYOND, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 VEHICLE = ROBOT.vehicle
 BORDER = catalogue()["surface_border"]
 
 
-def ground(x: np.ndarray, yaw: np.ndarray, away: float = 0.0) -> Ground:
+def ground(x: np.ndarray, yaw: np.ndarray, away: float = 0.0) -> Lines:
     """The ground under a robot that always moves, ten samples a second."""
     t = 0.1 * np.arange(len(x))
     channels = {"x": x + away, "y": 0.0 * t - away, "yaw": yaw}
     motion = Motion(0.0 * t - 0.2, 0.0 * t + 0.2, VEHICLE.icr, channels)
-    return Ground([replace(Drive.at(motion), t=t)], VEHICLE)
+    return Lines([replace(Drive.at(motion), t=t)], VEHICLE)
 
 
 def test_wheels_cross_a_line_that_the_middle_of_the_robot_does_not() -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from by_day import by_day
-from numpy.testing import assert_allclose
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.judge import _between_samples
@@ -16,17 +15,6 @@ from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import PowerModel
 from energyplan.power.effects import LINEAR_INERTIA, catalogue
-
-
-@pytest.mark.parametrize("period", [0.02, 0.1, 0.5])
-def test_a_ramp_lags_as_its_differential_equation_says(period: float) -> None:
-    t = np.arange(0.0, 6.0, period)
-    lag = 0.4
-    # lag y' + y = t, from rest: the response is t - lag + lag exp(-t / lag), exactly.
-    exact = t - lag + lag * np.exp(-t / lag)
-    assert_allclose(Clock(t).lagged(t, lag), exact, atol=1e-12)
-    both = Clock(t).lagged(np.stack([t, 2.0 * t], axis=-1), lag)
-    assert_allclose(both[:, 1], 2.0 * exact, atol=1e-12)
 
 
 @pytest.mark.parametrize("late_by", by_day([(0.4, 0.0), (0.1, 0.5)], [(0.1, 0.5)]))

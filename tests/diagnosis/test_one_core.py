@@ -12,6 +12,7 @@ from by_day import by_day
 
 from energyplan import diagnose, identify, simulate
 from energyplan.fit import fit_residual
+from energyplan.fit.doubts import leaves_open
 from energyplan.fit.online import OnlineIdentifier
 from energyplan.io.husky import read_husky
 from energyplan.logs import DriveLog
@@ -63,17 +64,21 @@ def test_three_ways_to_the_same_terms_agree_within_their_errors(seed: int, tau: 
 
 
 def _agree(train: list[DriveLog], unseen: DriveLog, vehicle: Vehicle) -> None:
-    """Hold the paper's terms and what they leave of a drive against each other, to rounding."""
+    """Hold the paper's terms and what they leave of a drive against each other, to rounding.
+
+    A friction that drives leave open is handed on with what is known of other robots.
+    """
     found = identify(train, vehicle)
     told = diagnose(train, unseen, vehicle, effects=[], choose=False)
-    for model in (told.paper, told.model):
+    judged = [(told.paper, told.before), (told.model, told.after)][: 2 - leaves_open(found.model)]
+    for model, _ in judged:
         for term in (SLIP.name, TRACTION.name):
             assert model.coefficient(term) == pytest.approx(
                 found.model.coefficient(term), rel=1e-12
             )
             assert model.std_error(term) == pytest.approx(found.std_error[term], rel=1e-12)
     left = fit_residual(found.model, unseen)
-    for errors in (told.before, told.after):
+    for _, errors in judged:
         for name in ("rmse", "mae", "bias", "energy_error", "correlation_time", "duration"):
             assert getattr(errors, name) == pytest.approx(getattr(left, name), rel=1e-9), name
 

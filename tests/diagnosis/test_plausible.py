@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis import Diagnosis
+from energyplan.diagnosis.candidates import Part
+from energyplan.diagnosis.judge import doubt
+from energyplan.diagnosis.search import Gain
+from energyplan.fit.estimate import Fitted
+from energyplan.fit.run import RunEffect
 from energyplan.motion import Motion
 from energyplan.power.effects import catalogue
 
@@ -46,3 +52,23 @@ def test_a_load_that_is_set_down_is_still_found() -> None:
     found = told(0.0, 0.7)
     (change,) = (effect for effect in found.effects if effect.name == "payload_change")
     assert abs(change.value + 0.3 * ROBOT.vehicle.mass) < 0.05 * ROBOT.vehicle.mass
+
+
+@pytest.mark.parametrize(
+    ("size", "error", "missing", "why"),
+    [
+        (40.0, 5.0, 0.01, None),
+        (40.0, 25.0, 0.01, "size"),
+        (40.0, 5.0, 0.03, "missing"),
+        (1e6, 5.0, 0.01, "range"),
+    ],
+)
+def test_an_effect_is_named_by_its_size_over_its_error_and_over_what_is_missing(
+    size: float, error: float, missing: float, why: str | None
+) -> None:
+    part = Part(catalogue()["warm_up"], (("time_constant", 60.0),))
+    model = ROBOT.with_term(part.terms[0], size)
+    model = model.with_coefficients(model.coefficients, np.diag([0.01, 1.0, error**2]))
+    gain = Gain(1.0, 0.1, 0.0, 20.0, share=0.05, lasting=1.0)
+    most, reason = doubt(part, gain, Fitted(model, RunEffect(), (), np.zeros((0, 0))), missing)
+    assert (reason if most >= 1.0 else None) == why

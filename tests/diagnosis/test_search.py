@@ -12,8 +12,14 @@ from energyplan.diagnosis.candidates import mark_changes
 from energyplan.diagnosis.search import Search
 from energyplan.fit.drive import ON_TIME, prepared
 from energyplan.fit.estimate import PAPER, Problem
-from energyplan.power.effect_terms import COPPER_LOSS, DRAGGING_LEFT, SLIP_BEYOND, TOWED_DRAG
-from energyplan.power.effects import VISCOUS_LOSS, catalogue
+from energyplan.power.effects import (
+    COPPER_LOSS,
+    DRAGGING_LEFT,
+    SLIP_BEYOND,
+    TOWED_DRAG,
+    VISCOUS_LOSS,
+    catalogue,
+)
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 NAMES = ("copper_loss", "dragging_wheel_left", "towed_drag")

@@ -6,8 +6,7 @@ import numpy as np
 
 from energyplan import DriveLog, PowerModel, Vehicle, diagnose, simulate
 from energyplan.power import HOTEL
-from energyplan.power.effect_terms import ANGULAR_INERTIA, LINEAR_INERTIA
-from energyplan.power.effects import COPPER_LOSS, catalogue
+from energyplan.power.effects import ANGULAR_INERTIA, COPPER_LOSS, LINEAR_INERTIA, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 

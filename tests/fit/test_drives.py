@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from energyplan import simulate
 from energyplan.fit import identify
 from energyplan.fit.drive import Drive, prepared, quiet
-from energyplan.fit.estimate import Problem, fit
+from energyplan.fit.estimate import Problem
 from energyplan.fit.regressors import (
     linearise_drive,
     power_of,
@@ -20,7 +20,6 @@ from energyplan.fit.regressors import (
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (
-    DRIVE_LOSS,
     HOTEL,
     REGENERATION_LOSS,
     SLIP,
@@ -28,7 +27,7 @@ from energyplan.power import (
     PowerModel,
     Term,
 )
-from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA, catalogue
+from energyplan.power.effects import COPPER_LOSS, catalogue
 from energyplan.simulate import Setpoint
 
 MODEL = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
@@ -98,24 +97,6 @@ def _lossy(turn: float, loss: str, wide: bool = True, **options: Any) -> tuple[P
     return Problem(prepared([log], model.vehicle), model.vehicle), list(model.terms)
 
 
-@pytest.mark.parametrize("loss", [(COPPER_LOSS, 3e-4), (DRIVE_LOSS, 0.2), (REGENERATION_LOSS, 0.5)])
-def test_derivatives_with_losses_are_those_of_the_models_power(loss: tuple[Term, float]) -> None:
-    rng = np.random.default_rng(4)
-    accel = rng.normal(0.0, 1.0, 40)  # where it brakes, sides return power
-    motion = Motion(*rng.normal(0.0, 0.6, (2, 40)), ICR, {"accel": accel})
-    model = PowerModel.preset("quadriga:full:concrete")
-    for term, value in ((HOTEL, 20.0), (LINEAR_INERTIA, 150.0), loss):
-        model = model.with_term(term, value)
-    values = model.coefficients
-    about = linearise_drive(Drive.at(motion), model.vehicle, model.terms, values)
-    assert_allclose(about.power[:, 0], model.power(motion))
-    for k, value in enumerate(values):
-        step = 1e-5 * value * np.eye(len(values))[k]
-        ends = (model.with_coefficients(values + by).power(motion) for by in (step, -step))
-        slope = np.subtract(*ends) / (2e-5 * value)
-        assert_allclose(about.columns[:, 0, k], slope, rtol=1e-5, atol=1e-6 * np.max(np.abs(slope)))
-
-
 def test_derivatives_count_that_what_contacts_hold_follows_the_coefficients() -> None:
     """Its mean over a moment of time does, where both sides were logged and losses make it cost."""
     model = PowerModel.preset("quadriga:full:concrete").with_term(COPPER_LOSS, 4.5e-4)
@@ -136,16 +117,6 @@ def test_derivatives_count_that_what_contacts_hold_follows_the_coefficients() ->
         told = about.columns[driven, 0, k]
         assert np.quantile(np.abs(told - slope), 0.9) < 0.02 * np.sqrt(np.mean(slope**2))
         assert told.sum() == pytest.approx(slope.sum(), rel=0.02)
-
-
-def test_a_fit_with_losses_that_starts_where_it_ends_is_settled() -> None:
-    problem, terms = _lossy(8e-4, "copper_loss")
-    errors = problem.reference(problem.design(terms))
-    there = fit(problem.design(terms, errors), errors).values
-    start = {term.name: float(v) for term, v in zip(terms, there, strict=True)}
-    few, many = (problem.design(terms, errors, start, rounds) for rounds in (2, 12))
-    for one, other in zip(few.rows, many.rows, strict=True):
-        assert_allclose(one, other)
 
 
 def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:

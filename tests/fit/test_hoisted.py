@@ -111,13 +111,6 @@ def test_two_steady_speeds_give_the_line_through_their_means() -> None:
     assert (one_speed.slope, one_speed.slope_error) == (0.0, np.inf)
 
 
-def test_beats_of_the_encoders_leave_nearly_all_samples() -> None:
-    """Taken for acceleration, as 0.5 m/s^2 at each beat, they would leave one in five."""
-    for found in hoisted(DriveLog(drive(), "hoisted")):
-        steady = 4 * 9 * 50
-        assert sum(one.samples for one in found.classes) > 0.95 * steady
-
-
 def test_a_robot_in_the_air_need_not_turn_with_its_wheels() -> None:
     made = drive()
     rng = np.random.default_rng(2)

@@ -12,7 +12,7 @@ from energyplan import PowerModel, simulate
 from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import PAPER, Problem, fit
 from energyplan.power import DRIVE_LOSS, REGENERATION_LOSS
-from energyplan.power.effect_terms import COPPER_LOSS, STRIBECK
+from energyplan.power.effects import COPPER_LOSS, STRIBECK
 
 LOST = 0.7
 TERMS = [*PAPER, DRIVE_LOSS]

@@ -6,32 +6,27 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, simulate
-from energyplan.fit.drive import Steps, prepared
-from energyplan.fit.estimate import (
-    PAPER,
-    Problem,
-    fit,
-    joint_fit,
-    reading_covariance,
-)
+from energyplan.fit.drive import prepared, reading_step
+from energyplan.fit.estimate import PAPER, Problem, joint_fit
 from energyplan.power import HOTEL
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 TERMS = (*PAPER, HOTEL)
 
 
-def test_noise_of_a_step_or_more_averages_steps_out() -> None:
-    read = np.round(np.random.default_rng(4).normal(20.0, 1.0, 2000))
-    assert Steps.of(read).error < 1e-3
-
-
 @pytest.mark.parametrize(
-    "values",
-    [np.random.default_rng(5).normal(size=300), np.zeros(300), np.arange(4.0), np.ones(300)],
-    ids=["without steps", "dead", "too few", "constant"],
+    ("values", "step"),
+    [
+        (np.random.default_rng(5).normal(size=300), 0.0),
+        (np.zeros(300), 0.0),
+        (np.arange(4.0), 0.0),
+        (np.round(np.random.default_rng(4).normal(20.0, 1.0, 2000)), 1.0),
+        (0.3 * np.round(np.random.default_rng(4).normal(0.0, 9.0, 2000)), 0.3),
+    ],
+    ids=["without steps", "dead", "too few", "whole", "steps of 0.3"],
 )
-def test_what_has_no_steps_leaves_nothing(values: np.ndarray) -> None:
-    assert Steps.of(values) == Steps()
+def test_the_step_of_a_sensor_is_told_by_its_readings(values: np.ndarray, step: float) -> None:
+    assert reading_step(values) == pytest.approx(step)
 
 
 def problem_of(seed: int, step: float) -> tuple[Problem, float]:
@@ -60,11 +55,3 @@ def deviations(step: float) -> np.ndarray:
 @pytest.mark.parametrize("step", [0.0, 20.0])
 def test_standard_errors_hold_though_power_is_read_in_steps(step: float) -> None:
     assert np.sqrt(np.mean(deviations(step) ** 2)) < 1.5
-
-
-def test_sensors_without_steps_add_nothing() -> None:
-    problem, _ = problem_of(2, 0.0)
-    errors = problem.reference(problem.design(TERMS))
-    values = fit(problem.design(TERMS, errors), errors).values
-    design = problem.design(TERMS, errors)
-    assert not np.any(reading_covariance(problem, TERMS, values, design, errors))

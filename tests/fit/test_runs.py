@@ -13,7 +13,7 @@ from energyplan.fit.estimate import Problem, joint_fit
 from energyplan.fit.identification import _draw_at_rest
 from energyplan.motion import Motion
 from energyplan.power import SLIP, TRACTION, PowerModel
-from energyplan.power.effect_terms import COPPER_LOSS
+from energyplan.power.effects import COPPER_LOSS
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 TERMS = (SLIP, TRACTION)

@@ -14,7 +14,7 @@ from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import PAPER, Problem, joint_fit
 from energyplan.io.husky import read_husky
 from energyplan.power import HOTEL, SLIP, TRACTION
-from energyplan.power.effect_terms import ANGULAR_INERTIA
+from energyplan.power.effects import ANGULAR_INERTIA
 from energyplan.power.presets import MODEL_PRESETS
 from energyplan.vehicle import GRAVITY, Vehicle
 

@@ -31,11 +31,14 @@ from energyplan.fit.regressors import Design, linearise_drive
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (
+    DRIVE_LOSS,
     HOTEL,
+    REGENERATION_LOSS,
     SLIP,
     TRACTION,
     PowerModel,
     Sides,
+    Term,
 )
 from energyplan.power.effects import COPPER_LOSS, GRADE, VISCOUS_LOSS
 
@@ -202,15 +205,16 @@ def test_folds_are_whole_drives_where_these_compare(lengths: list[int], comparab
         assert folds.drives.tolist() == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("loss", [(COPPER_LOSS, 2e-4), (DRIVE_LOSS, 0.2), (REGENERATION_LOSS, 0.5)])
 @pytest.mark.parametrize("battery", [False, True])
-def test_derivatives_are_differences_of_the_power(battery: bool) -> None:
+def test_derivatives_are_differences_of_the_power(battery: bool, loss: tuple[Term, float]) -> None:
     """Of a total, in turns and on straights; the vehicle's own losses count at the battery."""
     vehicle = replace(MODEL.vehicle, drive_efficiency=0.8, regen_efficiency=0.6)
     rng = np.random.default_rng(6)
     left, right = rng.uniform(0.1, 1.0, size=(2, 60))
     right[:20] = left[:20]
     one = Drive("one", 0.1 * np.arange(60), Motion(left, right, ICR), np.ones(60), battery)
-    terms, values = (SLIP, TRACTION, HOTEL, COPPER_LOSS), np.array([0.6, 110.0, 30.0, 2e-4])
+    terms, values = (SLIP, TRACTION, HOTEL, loss[0]), np.array([0.6, 110.0, 30.0, loss[1]])
     here = linearise_drive(one, vehicle, terms, values)
     for k, value in enumerate(values):
         step = 1e-5 * value * np.eye(4)[k]

@@ -39,9 +39,9 @@ from hypothesis import strategies as st
 import energyplan as ep
 from energyplan import cli
 from energyplan.errors import EnergyPlanError
-from energyplan.io.documents import parse_pose
 from energyplan.io.logs import read_log
 from energyplan.io.tables import read_trajectory
+from energyplan.path import parse_pose
 
 MANY = int(os.environ.get("ENERGYPLAN_FUZZ", "0"))
 SCRIPTS = st.integers(1, 4).flatmap(lambda n: st.binary(min_size=n * STEP, max_size=n * STEP))

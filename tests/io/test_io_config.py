@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from test_bad_files import DIMENSIONS, MODEL, WHEELS
 
 from energyplan import simulate
 from energyplan.cost import EnergyCost
@@ -25,28 +26,6 @@ from energyplan.power.effects import HOTEL, WARM_UP, empirical_term
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
 
 PRESETS = ("quadriga", "quadriga:full", "husky_a200", "jackal")
-
-DIMENSIONS = """\
-name: mule
-mass: 120.0
-wheelbase: 0.6
-track: 0.7
-length: 1.0
-width: 0.9
-"""
-WHEELS = """\
-name: mule
-contacts: [[0.3, 0.35], [-0.3, 0.35], [0.3, -0.35], [-0.3, -0.35]]
-footprint: [[-0.5, -0.45], [0.5, 0.45]]
-mass: 120.0
-"""
-MODEL = """\
-name: by hand
-vehicle: quadriga:full
-terms:
-- {name: slip_friction, value: 0.5, std_error: 0.1}
-- {name: traction_resistance, value: 100.0, std_error: 2.0}
-"""
 
 
 def same_vehicle(one, other):
@@ -90,7 +69,8 @@ def test_a_vehicle_from_its_dimensions_and_from_its_wheels(tmp_path):
 
 def test_a_preset_with_changes(tmp_path):
     text = (
-        "preset: jackal\nname: ours\nmass: 30\nmotor: {speed: 1.0, force: .inf, peak_power: null}\n"
+        "preset: jackal\nname: ours\nmass: 30\nicr: null\nusual_speed: null\n"
+        "motor: {speed: 1.0, force: .inf, peak_power: null}\n"
     )
     vehicle, jackal = read_vehicle(write(tmp_path, text)), Vehicle.preset("jackal")
     assert vehicle.name == "ours"
@@ -141,11 +121,6 @@ def test_a_model_written_by_hand(tmp_path):
     assert read_model(write(tmp_path, without)).covariance is None
 
 
-def test_an_error_that_is_left_out_is_not_taken_as_zero(tmp_path):
-    with pytest.raises(ConfigError, match="give every term a std_error"):
-        read_model(write(tmp_path, MODEL.replace(", std_error: 2.0", "")))
-
-
 def test_model_presets(tmp_path):
     assert read_model("quadriga:full:marble").coefficient("traction_resistance") == 110.0
     with pytest.raises(UnknownNameError, match="quadriga:full:marble"):
@@ -163,85 +138,6 @@ def test_a_term_that_no_file_could_name_is_refused(tmp_path):
 
 
 # -- complaints ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (DIMENSIONS + "colour: red\n", "line 7, colour: there is no such key; the keys are kind"),
-        (DIMENSIONS + "motor: {pawer: 3}\n", "line 7, motor.pawer: .* continuous_power"),
-        (DIMENSIONS + "motor:\n  speed: fast\n", "line 8, motor.speed: .* not 'fast'"),
-        (
-            DIMENSIONS + "motor:\n  speed: -1\n",
-            "line 8, motor.speed: .* is -1.0; give 0.001 to 50 m/s",
-        ),
-        (DIMENSIONS + "mass: 3\n", "line 7: 'mass' stands twice"),
-        (DIMENSIONS.replace("mass: 120.0\n", ""), "mass: the key is missing"),
-        (DIMENSIONS.replace("120.0", ".nan"), "line 2, mass: .* finite"),
-        (DIMENSIONS.replace("120.0", "-3"), "line 2, mass: mass is -3"),
-        (DIMENSIONS.replace("120.0", "147000"), r"line 2, mass: .* 100000 kg \(not grams\)"),
-        (DIMENSIONS.replace("120.0", "9" * 400), "line 2, mass: "),
-        (DIMENSIONS + "usual_speed: 1.0e+6\n", "line 7, usual_speed: .* give 0.001 to 50 m/s"),
-        (DIMENSIONS + "motor: {speed: 1.0e+6}\n", "line 7, motor.speed: .* give 0.001 to 50 m/s"),
-        ("preset: jackal\nloads: [1, 1, 1, 3.9e+8]\n", "line 2, loads.3: .* give 0 to"),
-        (DIMENSIONS + "loads: [1, 2, 3, 4]\n", "line 7, loads: the key contradicts"),
-        (DIMENSIONS + "icr: {left: 0.4}\n", "line 7, icr.right: this key is missing"),
-        (DIMENSIONS + "icr: {left: -1, right: 0.5}\n", "slip track"),
-        (DIMENSIONS + "drive_efficiency: 1.5\n", "drive_efficiency is 1.5"),
-        (DIMENSIONS + "cog: [2.0, 0.0]\n", "lift off"),
-        (WHEELS.replace("mass: 120.0\n", ""), "loads: the key is missing"),
-        (WHEELS.replace("[0.3, 0.35], ", ""), "icr: the key is missing"),
-        (WHEELS.replace("[0.3, 0.35]", "[0.3]"), r"line 2, contacts.0: .* at least 2"),
-        (WHEELS + "loads: [1, 2, 3, 4]\n", "loads: the key contradicts"),
-        ("preset: horse\n", "line 1, preset: unknown vehicle preset"),
-        ("preset: jackal\ntrack: 1\n", "line 2, track: the key contradicts"),
-        ("kind: model\n", "holds a 'model', where a vehicle"),
-        ("", "is empty"),
-        ("- 1\n", "must hold a mapping"),
-        ("a: [1\n", "line 2 is no valid YAML"),
-        ("a: !!python/object/apply:os.system [x]\n", "line 1: leave the tag"),
-        ("a: !!python/name:os.system x\n", "line 1: .* cannot be read"),
-        ("? [1, 2]\n: 3\n", "plain word"),
-        ("a: !!int x\n", "line 1: 'x' cannot be read"),
-        ("a: " + "[" * 5000, "nested too deeply|too deep|no valid YAML"),
-        ("a: &a [*a]\n", "too deep|no valid YAML|unhashable"),
-        ("a: \x07\n", "no valid YAML"),
-    ],
-)
-def test_malformed_vehicles_are_refused_with_their_place(tmp_path, text, words):
-    with pytest.raises(ConfigError, match=words) as caught:
-        read_vehicle(write(tmp_path, text))
-    assert "it.yaml" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (MODEL.replace("slip_friction", "slippery"), "line 4, terms.0: unknown power term"),
-        (
-            MODEL.replace("traction_resistance", "slip_friction"),
-            "line 3, terms: a term stands twice",
-        ),
-        (MODEL.replace("value: 100.0", "value: much"), "line 5, terms.1.value: .* not 'much'"),
-        (MODEL.replace("value: 100.0", "value: .inf"), "line 5, terms.1.value: .* finite"),
-        (MODEL.replace("quadriga:full", "horse"), "line 2, vehicle: unknown vehicle preset"),
-        (MODEL.replace("quadriga:full", "{preset: jackal, mass: -1}"), "line 2, vehicle"),
-        (MODEL.replace("vehicle: quadriga:full\n", ""), "vehicle: this key is missing"),
-        (MODEL + "- {name: warm_up, value: 1, params: {tau: 3}}\n", "terms.2: .*time_constant"),
-        (MODEL + "- {name: hotel_load, value: 1, unit: kW}\n", "terms.2: the unit .* 'W'"),
-        (MODEL + "covariance: [[1, 0], [0]]\n", "line 6, covariance.1: the row has 1 of 2"),
-        (MODEL + "covariance: [[1, 5], [0, 1]]\n", "symmetric"),
-        (MODEL + "covariance: [[1]]\n", "shape"),
-        (MODEL + "residual: {rmse: 1}\n", "residual: the keys mae, bias, energy_error are missing"),
-        (MODEL + "residual: {rmse: 1, mae: 1, bias: 0, energy_error: .nan}\n", "energy_error: "),
-        ("kind: vehicle\n", "holds a 'vehicle', where a model"),
-    ],
-)
-def test_malformed_models_are_refused_with_their_place(tmp_path, text, words):
-    with pytest.raises(ConfigError, match=words) as caught:
-        read_model(write(tmp_path, text))
-    assert "it.yaml" in str(caught.value)
 
 
 def test_a_document_that_explodes_is_refused(tmp_path):

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from energyplan import simulate
-from energyplan.errors import DriveLogError, EnergyPlanError, InvalidInputError, PathError
+from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.io.tables import (
-    read_drive,
     read_path,
     read_trajectory,
     write_log,
@@ -85,35 +84,6 @@ def test_logs_read_back_the_same(tmp_path, name):
 
 PATH = "x,y,yaw\n"
 TRAJECTORY = "t,x,y,yaw,v,omega\n"
-
-
-@pytest.mark.parametrize(
-    ("read", "text", "words"),
-    [
-        (read_path, PATH + "0,0,0\n0,1,0\n", "line 2.*slide 1 m"),
-        (read_path, PATH + "0,0,0\n", "1 poses"),
-        (read_path, PATH + "0,0,0\n1,,0\n", "line 3: y is empty"),
-        (read_path, PATH + "0,0,0\n1,zero,0\n", "line 3: 'y' is 'zero'"),
-        (read_path, "x,y\n0,0\n1,0\n", "no column 'yaw'"),
-        (read_drive, "t,x,y,yaw\n0,0,0,0\n1,1,0,0\n", "leave t out to have the poses timed"),
-        (read_trajectory, PATH + "0,0,0\n1,0,0\n", "plan --trajectory times one"),
-        (read_drive, "time,velL,velR,power [W]\n0,0,0,9\n1,1,1,9\n", "energyplan identify"),
-        (DriveLog.read, "x,y,yaw\n0,0,0\n1,0,0\n", "energyplan check reads it"),
-        (read_path, PATH + "0,0,0\n1e9,0,0\n", "line 3: x is 1e[+]09, beyond"),
-        (read_path, PATH + "0,0,0\n9e7,0,0\n", "m long, beyond"),
-        (read_trajectory, TRAJECTORY + "0,0,0,0,1,0\n", "1 samples"),
-        (read_trajectory, TRAJECTORY + "0,0,0,0,1,0\n0,1,0,0,1,0\n", "line 3: t does not"),
-        (read_trajectory, TRAJECTORY + "0,0,0,0,1,inf\n1,1,0,0,1,0\n", "line 2: omega is empty"),
-        (read_trajectory, TRAJECTORY + "0,0,0,0,0,1\n1,0,0,57,0,1\n", "line 3: yaw changes by"),
-        (read_trajectory, TRAJECTORY + "0,0,0,0,1,0\n1,9,0,0,1,0\n", "line 3: x, y changes by"),
-    ],
-)  # fmt: skip
-def test_malformed_tables_are_refused_with_their_place(tmp_path, read, text, words):
-    file = tmp_path / "it.csv"
-    file.write_text(text)
-    with pytest.raises((PathError, DriveLogError), match=words) as caught:
-        read(file)
-    assert "it.csv" in str(caught.value)
 
 
 def test_unknown_kinds_of_file_are_refused(tmp_path, path):

@@ -6,7 +6,7 @@ import pytest
 from small_bags import POWER, TOPICS, record
 
 from energyplan.errors import DriveLogError
-from energyplan.io.bags import read_bag
+from energyplan.io.logs import read_log
 
 pytest.importorskip("rosbags")
 
@@ -19,7 +19,7 @@ def recorded(folder, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_compressed_bags_are_read(tmp_path, kind):
-    log = read_bag(recorded(tmp_path, kind), TOPICS)
+    log = read_log(recorded(tmp_path, kind), topics=TOPICS)
     assert log.power.tolist() == POWER
 
 
@@ -37,24 +37,24 @@ def test_damaged_parts_are_refused_by_name(tmp_path, kind):
     ):
         file.write_bytes(spoiled)
         with pytest.raises(DriveLogError, match="no sound bag"):
-            read_bag(path, TOPICS)
+            read_log(path, topics=TOPICS)
 
 
 def test_what_would_be_read_whole_before_it_is_known_for_a_bag_is_refused(tmp_path):
     file = tmp_path / "none.bag"
     file.write_bytes(bytes(10_000))
     with pytest.raises(DriveLogError, match="does not begin as a ROS 1 bag"):
-        read_bag(file, TOPICS)
+        read_log(file, topics=TOPICS)
     (tmp_path / "metadata.yaml").write_bytes(b"a" * (9 << 20))
     with pytest.raises(DriveLogError, match=r"metadata\.yaml is larger than 8 MiB"):
-        read_bag(tmp_path, TOPICS)
+        read_log(tmp_path, topics=TOPICS)
 
 
 @pytest.mark.parametrize("kind", ["ros1-bz2", "ros1-lz4"])
 def test_a_small_bag_that_unpacks_to_much_is_refused(tmp_path, monkeypatch, kind):
     file = record(tmp_path / "a.bag", kind, padding=1 << 20)
     assert file.stat().st_size < 1 << 15
-    assert read_bag(file, TOPICS).power.tolist() == POWER
+    assert read_log(file, topics=TOPICS).power.tolist() == POWER
     monkeypatch.setattr("energyplan.io.bags._LARGEST_CHUNK", 1 << 19)
     with pytest.raises(DriveLogError, match="unpacks to over 0 MiB"):
-        read_bag(file, TOPICS)
+        read_log(file, topics=TOPICS)

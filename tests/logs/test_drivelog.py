@@ -407,9 +407,10 @@ def test_unsound_channels_are_refused(change, words):
 def test_channels_are_read_only_and_survive_pickling(noisy):
     with pytest.raises(ValueError, match="read-only"):
         noisy.channels["t"][0] = 1.0
-    again = pickle.loads(pickle.dumps(noisy))
-    assert_array_equal(again.power, noisy.power)
-    assert again.name == noisy.name
+    for log in (noisy, DriveLog.from_columns(noisy.channels, "checked")):
+        again = pickle.loads(pickle.dumps(log))
+        assert_array_equal(again.power, log.power)
+        assert again.name == log.name
     with pytest.raises(MissingChannelError, match="yaw_rate"):
         noisy.channel("humidity")
 

@@ -108,20 +108,22 @@ def test_a_side_that_returns_power_in_a_gentle_arc_has_its_sign(side: str) -> No
     ep.DriveLog.from_columns(made, "arc")
 
 
-def test_straight_lines_show_a_sign_where_nothing_bends_them() -> None:
-    made = of(Setpoint(0.5, 0.5, hold=20.0), K=60.0)
-    ep.DriveLog.from_columns(made, "straight")
-    made["p_left"] = -made["p_left"]
-    with pytest.raises(DriveLogError, match=r"p_left has the wrong sign"):
-        ep.DriveLog.from_columns(made, "straight")
+LINE, TURN = Setpoint(0.6, 0.6, hold=6.0, ramp=0.5), Setpoint(-0.3, 0.3, hold=3.0, ramp=0.5)
 
 
-def test_a_wrong_sign_shows_in_straight_lines_and_turns_on_the_spot() -> None:
-    line, turn = Setpoint(0.6, 0.6, hold=6.0, ramp=0.5), Setpoint(-0.3, 0.3, hold=3.0, ramp=0.5)
-    made = of(line, turn, line, turn, line, K=30.0)
-    made["p_right"] = -made["p_right"]
-    with pytest.raises(DriveLogError, match=r"p_right has the wrong sign"):
-        ep.DriveLog.from_columns(made, "survey")
+@pytest.mark.parametrize(
+    ("points", "K", "side"),
+    [((Setpoint(0.5, 0.5, hold=20.0),), 60.0, "p_left"),
+     ((LINE, TURN, LINE, TURN, LINE), 30.0, "p_right")],
+)  # fmt: skip
+def test_straight_lines_and_turns_on_the_spot_show_a_sign(
+    points: tuple[Setpoint, ...], K: float, side: str
+) -> None:
+    made = of(*points, K=K)
+    ep.DriveLog.from_columns(made, "sound")
+    made[side] = -made[side]
+    with pytest.raises(DriveLogError, match=rf"{side} has the wrong sign"):
+        ep.DriveLog.from_columns(made, "wrong")
 
 
 def test_a_stop_that_returns_power_does_not_show_a_sign() -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 from worlds import tiny
 
 from energyplan.mission import Charger, Mission, Spreads, Task, evaluate
@@ -37,59 +35,6 @@ def corridor(energy: float, tasks: dict[str, float], start: float, **changes: An
 
 def charger(x: float, name: str) -> Charger:
     return Charger(name, Pose(x, 1.5, 0.0), power=500.0, until=1.0)
-
-
-@pytest.mark.parametrize("order", ["given", "free"])
-def test_two_chargers_in_a_row_are_tried(order: str) -> None:
-    """10 m to the first, 10 m to the second, 4 m to the task: no hop may take more than 16.5 m."""
-    asked = corridor(
-        2970.0, {"end": 29.0}, 5.0, order=order, chargers=(charger(15, "near"), charger(25, "far"))
-    )
-    report = evaluate(asked)
-    assert report.task("end").verdict == "reachable"
-    assert report.order == ("near", "far", "end", "far")  # and ends at the charger
-    assert report.energy == pytest.approx(METRE * (10 + 10 + 4 + 4), rel=1e-3)
-
-
-@pytest.mark.parametrize("order", ["given", "free"])
-def test_charging_ahead_of_need(order: str) -> None:
-    """After the first task the charger is out of reach, before it it is not."""
-    asked = corridor(
-        9000.0, {"near": 25.0, "far": 27.0}, 15.0, soc=0.47, order=order,
-        chargers=(charger(5, "dock"),),
-    )  # fmt: skip
-    report = evaluate(asked)
-    assert [task.verdict for task in report.tasks] == ["reachable", "reachable"]
-    # back from 27 m over 25 m or not: as far, so a free order may be either
-    both = [("dock", "near", "far"), ("dock", "far", "near")]
-    assert report.order in (both if order == "free" else both[:1])
-
-
-@pytest.mark.parametrize("order", ["given", "free"])
-def test_an_optional_task_gives_way_to_a_required_one(order: str) -> None:
-    """10 m to the left and back, 10 m to the right and back; the battery holds 33 m."""
-    asked = corridor(6000.0, {"optional": 5.0, "required": 25.0}, 15.0, order=order)
-    optional, required = asked.tasks
-    report = evaluate(replace(asked, tasks=(replace(optional, required=False), required)))
-    assert report.task("required").verdict == "reachable"
-    told = report.task("optional")
-    assert (told.verdict, told.reason) == ("unreachable", "blocked_by_earlier")
-    assert report.feasible
-
-
-def test_a_window_missed_is_late_and_the_remedies_hold() -> None:
-    asked = corridor(1e6, {"soon": 25.0}, 5.0, speed=0.25)
-    (task,) = asked.tasks
-    asked = replace(asked, tasks=(replace(task, window=(0.0, 60.0)),))
-    told = evaluate(asked).task("soon")
-    assert (told.verdict, told.reason) == ("unreachable", "late")
-    assert "drive at up to" in told.remedy
-    assert "s later" in told.remedy
-    later = float(told.remedy.split("begin ")[1].split(" s")[0])
-    waited = replace(asked, tasks=(replace(task, window=(0.0, 60.0 + later)),))
-    assert evaluate(waited).task("soon").verdict == "reachable"
-    faster = replace(asked, speed=float(asked.vehicle.motor.speed))
-    assert evaluate(faster).task("soon").verdict == "reachable"
 
 
 def test_energies_that_cancel_do_not_blow_the_power_up() -> None:

@@ -48,13 +48,11 @@ def test_every_mission_comes_back_once_and_a_failed_one_with_its_error(pools: An
 
 
 def test_routes_are_planned_first_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    from energyplan.mission import legs
-
     routes, variants = Routes(), [rooms(soc=soc) for soc in (0.9, 0.7, 0.5)]
     planned: list[tuple[Any, Any]] = []
-    real = legs.plan
     monkeypatch.setattr(
-        legs, "plan", lambda p, *a, **b: (planned.append((p.start, p.goal)), real(p, *a, **b))[1]
+        "energyplan.mission.routes.plan",
+        lambda p, *a, **b: (planned.append((p.start, p.goal)), ep.plan(p, *a, **b))[1],
     )
     with ThreadPoolExecutor(2) as pool:
         assert all(one.error is None for one in evaluate_many(variants, pool, routes))

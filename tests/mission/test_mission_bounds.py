@@ -9,7 +9,7 @@ import pytest
 import shapely
 from test_corridor import corridor
 
-from energyplan.mission.legs import Legs, shortest_ways
+from energyplan.mission.routes import Legs, shortest_ways
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import term

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from scipy.optimize import linprog
 
 from energyplan.mission import order as orders
-from energyplan.mission.order import OrderProblem, shared, solve
+from energyplan.mission.order import OrderProblem, loads_of, shared, solve
 
 
 def problem(
@@ -34,24 +33,27 @@ def problem(
     base[blocked & (np.arange(size)[:, None] != np.arange(size))] = np.inf
     change = rng.uniform(-1, 1, tasks) if payload else np.zeros(tasks)
 
-    def energy(payload: float) -> np.ndarray:
-        return base * (1.0 + 0.2 * payload)
-
+    loads = loads_of(load, change)
+    energy = np.array([[base * (1.0 + 0.2 * carried)] for carried in loads])
     window = np.tile([0.0, np.inf], (tasks, 1))
     if windows:
         window[:, 0] = rng.uniform(0, 8, tasks)
         window[:, 1] = window[:, 0] + rng.uniform(2, 8, tasks)
+    time = np.where(np.isfinite(base), base, 1e3)
+    service, service_time = rng.uniform(0, 0.5, tasks), rng.uniform(0, 1.0, tasks)
+    prize = rng.integers(1, 6, tasks).astype(float)
     return OrderProblem(
+        loads=loads,
         energy=energy,
-        finish=lambda load: energy(load)[:, 0],
-        time=np.where(np.isfinite(base), base, 1e3),
-        finish_time=np.where(np.isfinite(base[:, 0]), base[:, 0], 1e3),
-        service=rng.uniform(0, 0.5, tasks),
-        service_time=rng.uniform(0, 1.0, tasks),
+        finish=energy[:, 0, :, 0],
+        time=time[None],
+        finish_time=time[:, 0],
+        service=service,
+        service_time=service_time,
+        idle=np.zeros(tasks),
         payload=load,
-        payload_change=change,
-        prize=rng.integers(1, 6, tasks).astype(float),
-        required=rng.uniform(size=tasks) < required,
+        change=change,
+        prize=prize + (1.0 + prize.sum()) * (rng.uniform(size=tasks) < required),
         window=window,
         budget=budget,
         capacity=np.full(chargers, 15.0),
@@ -74,9 +76,7 @@ def scheduled(p: OrderProblem, stops: tuple[int, ...], hurried: tuple[bool, ...]
 
     clock, begun = np.zeros(2 * m), p.start_time  # time on leaving the stop before
     for k, (stop, quick) in enumerate(zip(stops, hurried, strict=True)):
-        assert p.hurried_energy is None or p.hurried_time is not None
-        use = (p.hurried_energy if quick else p.energy)(load)[node, stop]
-        way = (p.hurried_time if quick else p.time)[node, stop]
+        use, way = p.energy[p.at(load), int(quick), node, stop], p.time[int(quick), node, stop]
         if not np.isfinite(use):
             return None
         energy, rate = energy + use, rate - use
@@ -91,7 +91,7 @@ def scheduled(p: OrderProblem, stops: tuple[int, ...], hurried: tuple[bool, ...]
             energy, rate = energy + p.service[stop - 1], rate - p.service[stop - 1]
             at_most(-left, rate)
             begun = p.service_time[stop - 1]
-            load += p.payload_change[stop - 1]
+            load += p.change[stop - 1]
             if load < -1e-3:
                 return None
         else:
@@ -100,7 +100,7 @@ def scheduled(p: OrderProblem, stops: tuple[int, ...], hurried: tuple[bool, ...]
             clock[k] += 1.0
             at_most(left, max(p.capacity[stop - 1 - n] - rate, 0.0))
         node = stop
-    home = p.finish(load)[node]
+    home = p.finish[p.at(load), node]
     if not np.isfinite(home):
         return None
     at_most(-left, rate - home)
@@ -113,12 +113,12 @@ def scheduled(p: OrderProblem, stops: tuple[int, ...], hurried: tuple[bool, ...]
 def best_schedule(p: OrderProblem) -> tuple[float, float]:
     """Worth and energy of the best tour over every order, subset, charge and way of driving."""
     chargers = range(p.tasks + 1, p.tasks + 1 + len(p.capacity))
-    ways = (False,) if p.hurried_energy is None else (False, True)
+    ways = (False, True)[: len(p.time)]
     found = scheduled(p, (), ())
     best = (-1.0, np.inf) if found is None else (0.0, found)
     for count in range(1, p.tasks + 1):
         for order in permutations(range(1, p.tasks + 1), count):
-            worth = float(p.worth[[k - 1 for k in order]].sum())
+            worth = float(p.prize[[k - 1 for k in order]].sum())
             if worth < best[0] - 1e-9:
                 continue
             for charges in product((0, *chargers), repeat=count + 1):
@@ -150,9 +150,9 @@ def test_charging_stops_early_and_hurry_pays_where_windows_press(seed, options):
     window[:, 1] = window[:, 0] + rng.uniform(0.5, 4.0, p.tasks)
     changes = {"window": window, "charge_power": rng.uniform(1.0, 6.0, len(p.capacity))}
     if not options.get("chargers"):
-        changes |= {"hurried_energy": lambda load: 1.5 * p.energy(load),
-                    "hurried_time": 0.6 * p.time}  # fmt: skip
-    p = replace(p, **changes)
+        changes |= {"energy": np.concatenate([p.energy, 1.5 * p.energy], axis=1),
+                    "time": np.concatenate([p.time, 0.6 * p.time])}  # fmt: skip
+    p = p._replace(**changes)
     order = solve(p)
     assert order is not None
     worth, energy = best_schedule(p)
@@ -166,8 +166,8 @@ def drive(p: OrderProblem, stops: tuple[int, ...]) -> tuple[float, float] | None
     """Energy and time of a tour, or None where it cannot be driven; independent of the solver."""
     left, spent, clock, load, node = p.budget, 0.0, p.start_time, p.payload, 0
     for stop in stops:
-        use = p.energy(load)[node, stop]
-        clock += p.time[node, stop]
+        use = p.energy[p.at(load), 0, node, stop]
+        clock += p.time[0, node, stop]
         if stop <= p.tasks:
             use += p.service[stop - 1]
         if use > left:
@@ -178,7 +178,7 @@ def drive(p: OrderProblem, stops: tuple[int, ...]) -> tuple[float, float] | None
             if clock > latest:
                 return None
             clock = max(clock, earliest) + p.service_time[stop - 1]
-            load += p.payload_change[stop - 1]
+            load += p.change[stop - 1]
             if load < -1e-3:
                 return None
         else:
@@ -186,7 +186,7 @@ def drive(p: OrderProblem, stops: tuple[int, ...]) -> tuple[float, float] | None
             clock += (filled - left) / p.charge_power[stop - 1 - p.tasks]
             left = filled
         node = stop
-    home = p.finish(load)[node]
+    home = p.finish[p.at(load), node]
     return None if home > left else (spent + home, clock + p.finish_time[node])
 
 
@@ -203,14 +203,14 @@ def brute_force(p: OrderProblem) -> tuple[float, float]:
                     stops += [task] if task else []
                 driven = drive(p, tuple(stops))
                 if driven is not None:
-                    worth = float(p.worth[[k - 1 for k in order]].sum())
+                    worth = float(p.prize[[k - 1 for k in order]].sum())
                     if (-worth, driven[0]) < (-best[0], best[1]):
                         best = (worth, driven[0])
     return best
 
 
 def worth_of(p: OrderProblem, stops: tuple[int, ...]) -> float:
-    return float(sum(p.worth[s - 1] for s in stops if s <= p.tasks))
+    return float(sum(p.prize[s - 1] for s in stops if s <= p.tasks))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -241,7 +241,7 @@ def test_equals_brute_force(seed, options):
 def test_nine_tasks_equal_the_best_of_all_orders():
     p = problem(1, 9, budget=1e3, required=1.0)
     # Without a binding budget the answer is the shortest tour, which Held and Karp give.
-    matrix = p.energy(p.payload)
+    matrix = p.energy[0, 0]
     nodes = range(1, 10)
     table = {(1 << (j - 1), j): matrix[0, j] + p.service[j - 1] for j in nodes}
     for mask in range(1, 2**9):
@@ -264,11 +264,15 @@ def test_a_far_task_is_reached_from_charger_to_charger(near):
     far = 5 - near
     at = np.array([0.0, 8.0, 3.0, 6.0] if near == 2 else [0.0, 8.0, 6.0, 3.0])
     way = np.abs(at[:, None] - at)
-    p = replace(
-        problem(0, 1, budget=4.0, chargers=2), energy=lambda load: way,
-        finish=lambda load: way[:, 0], time=way, finish_time=way[:, 0], service=np.zeros(1),
-        service_time=np.zeros(1), capacity=np.full(2, 4.0), required=np.ones(1, bool),
-    )  # fmt: skip
+    p = problem(0, 1, budget=4.0, chargers=2)._replace(
+        energy=way[None, None],
+        finish=way[None, :, 0],
+        time=way[None],
+        finish_time=way[:, 0],
+        service=np.zeros(1),
+        service_time=np.zeros(1),
+        capacity=np.full(2, 4.0),
+    )
     found = solve(p)
     assert found.stops == (near, far, 1, far, near)
     assert found.energy == 16.0
@@ -294,7 +298,7 @@ def test_a_search_that_is_not_proven_comes_close(seed, options, monkeypatch):
 @pytest.mark.parametrize("options", [{"payload": True}, {"windows": True}, {"chargers": 1}])
 def test_a_given_order_is_the_best_that_overtakes_nothing(seed, options):
     """Against every subset in its order, with every charge before, between and after."""
-    p = replace(problem(seed, 5, budget=6.0, **options), given=True)
+    p = problem(seed, 5, budget=6.0, **options)._replace(given=True)
     found, best = solve(p), (-1.0, np.inf)
     chargers = range(p.tasks + 1, p.tasks + 1 + len(p.capacity))
     for chosen in product((False, True), repeat=p.tasks):
@@ -316,10 +320,9 @@ def test_a_given_order_is_the_best_that_overtakes_nothing(seed, options):
 def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
     """Nothing is proven: one of these ways may take up to 0.3 % more than the best one."""
     robots = [problem(10 * seed + r, 5, budget=1e3) for r in range(3)]
-    ways = [np.nan_to_num(p.energy(0.0), posinf=9.0) for p in robots]
+    ways = [np.nan_to_num(p.energy, posinf=14.4) / 1.6 for p in robots]  # with nothing on board
     robots = [
-        replace(p, energy=lambda load, way=way: way, finish=lambda load, way=way: way[:, 0])
-        for p, way in zip(robots, ways, strict=True)
+        p._replace(energy=way, finish=way[:, 0, :, 0]) for p, way in zip(robots, ways, strict=True)
     ]
     worth = np.ones(5)
 
@@ -343,7 +346,7 @@ def pressed(seed: int, tasks: int, chargers: int) -> OrderProblem:
     p = problem(seed, tasks, budget=6.0, chargers=chargers, windows=True)
     rng = np.random.default_rng(seed)
     window = np.where(rng.random((tasks, 1)) < 0.5, [0.0, np.inf], p.window + np.array([0.0, 10.0]))
-    return replace(p, window=window, capacity=np.full(chargers, 6.0))
+    return p._replace(window=window, capacity=np.full(chargers, 6.0))
 
 
 @pytest.mark.parametrize(("tasks", "chargers"), [(13, 3), (14, 1), (15, 2)])
@@ -383,11 +386,10 @@ def test_round_trips_that_give_energy_away_are_no_reason_to_leave_anything_out()
     """Down to the charger and up again gives a joule: only a model can do that, but it may."""
     energy = np.array([[0, 2, -3], [2, 0, 2], [2, 2, 0]], float)
     p = OrderProblem(
-        energy=lambda load: energy, finish=lambda load: energy[:, 0], time=np.abs(energy),
+        np.zeros(1), energy[None, None], energy[None, :, 0], time=np.abs(energy)[None],
         finish_time=np.abs(energy[:, 0]), service=np.zeros(1), service_time=np.zeros(1),
-        payload=0.0, payload_change=np.zeros(1), prize=np.ones(1), required=np.ones(1, bool),
-        window=np.array([[0.0, np.inf]]), budget=1.0, capacity=np.array([4.5]),
-        charge_power=np.ones(1),
+        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), prize=np.ones(1), change=np.zeros(1),
+        capacity=np.array([4.5]), charge_power=np.ones(1), budget=1.0,
     )  # fmt: skip
     order = solve(p)
     assert order.stops == (2, 1)
@@ -399,11 +401,10 @@ def test_what_comes_back_finds_no_room_in_a_full_battery(full, possible):
     """Down to the task gives 2, up again takes 11.5 of the 10 at the start."""
     energy = np.array([[0, -2], [11.5, 0]], float)
     p = OrderProblem(
-        energy=lambda load: energy, finish=lambda load: energy[:, 0], time=np.ones((2, 2)),
-        finish_time=np.ones(2), service=np.zeros(1), service_time=np.zeros(1), payload=0.0,
-        payload_change=np.zeros(1), prize=np.ones(1), required=np.ones(1, bool),
-        window=np.array([[0.0, np.inf]]), budget=10.0, capacity=np.zeros(0),
-        charge_power=np.zeros(0), full=full,
+        np.zeros(1), energy[None, None], energy[None, :, 0], time=np.ones((1, 2, 2)),
+        finish_time=np.ones(2), service=np.zeros(1), service_time=np.zeros(1),
+        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), prize=np.ones(1), change=np.zeros(1),
+        capacity=np.zeros(0), charge_power=np.zeros(0), budget=10.0, full=full,
     )  # fmt: skip
     assert solve(p).stops == ((1,) if possible else ())
 
@@ -411,12 +412,13 @@ def test_what_comes_back_finds_no_room_in_a_full_battery(full, possible):
 @pytest.mark.parametrize("seed", range(6))
 def test_a_quicker_way_that_takes_more_helps_only_where_windows_end(seed):
     p = problem(seed, 6, budget=7.0, chargers=1)
-    p = replace(p, window=np.column_stack([np.full(6, 3.0), np.full(6, np.inf)]))
+    p = p._replace(window=np.column_stack([np.full(6, 3.0), np.full(6, np.inf)]))
     rng = np.random.default_rng(seed)
     dearer = rng.uniform(1.0, 1.5, p.time.shape)
     quicker = rng.uniform(0.3, 1.0, p.time.shape)
-    both = replace(
-        p, hurried_energy=lambda load: dearer * p.energy(load), hurried_time=quicker * p.time
+    both = p._replace(
+        energy=np.concatenate([p.energy, dearer * p.energy], axis=1),
+        time=np.concatenate([p.time, quicker * p.time]),
     )
     one, two = solve(p), solve(both)
     assert worth_of(p, two.stops) == worth_of(p, one.stops)
@@ -425,9 +427,9 @@ def test_a_quicker_way_that_takes_more_helps_only_where_windows_end(seed):
 
 def test_a_charger_that_nothing_leads_to_is_no_trouble():
     p = problem(0, 3, chargers=1, budget=20.0)
-    away = p.energy(0.0).copy()
+    away = p.energy[0, 0].copy()
     away[np.isinf(away)] = 5.0
     away[:4, 4] = away[4, :4] = np.inf
-    told = solve(replace(p, energy=lambda load: away, finish=lambda load: away[:, 0]))
+    told = solve(p._replace(energy=away[None, None], finish=away[None, :, 0]))
     assert told.proven
     assert sorted(told.stops) == [1, 2, 3]

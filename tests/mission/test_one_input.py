@@ -24,8 +24,8 @@ import energyplan as ep
 from energyplan.io.config import read_model, write_model
 from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import write_map
-from energyplan.mission import Charger, Mission, Robot, Routes, Spreads, Task, evaluate, legs
-from energyplan.mission.legs import Legs
+from energyplan.mission import Charger, Mission, Robot, Routes, Spreads, Task, evaluate
+from energyplan.mission.routes import Legs
 from energyplan.output import documents
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import EFFORT
@@ -37,6 +37,7 @@ from energyplan.terrain.surfaces import SpeedLimit, Surface
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 CELL = 0.25
+PLAN = "energyplan.mission.routes.plan"
 
 
 def cells(left: float, low: float, right: float, high: float) -> NDArray[np.bool_]:
@@ -333,7 +334,7 @@ def test_routes_do_not_depend_on_the_battery_and_are_planned_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     count: list[object] = []
-    monkeypatch.setattr(legs, "plan", lambda *a, **b: (count.append(a), plan(*a, **b))[1])
+    monkeypatch.setattr(PLAN, lambda *a, **b: (count.append(a), plan(*a, **b))[1])
     routes = Routes()
     evaluate(mission(), routes=routes)
     planned_once = len(count)
@@ -364,14 +365,14 @@ def test_legs_of_a_mission_at_another_speed_are_those_of_that_mission(speed: Any
 
 
 def test_shared_routes_have_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(legs, "_SHARED", 60_000)
+    monkeypatch.setattr("energyplan.mission.routes._SHARED", 60_000)
     routes, asked = Routes(), replace(charging(), soc=0.9)
     for x in np.linspace(1.0, 1.9, 10):
         found = evaluate(replace(asked, start=(float(x), 2.5, 0.0)), routes=routes)
     assert routes.size <= 60_000
     assert 0 < len(routes) < 30
     assert found.energy == evaluate(found.mission).energy
-    monkeypatch.setattr(legs, "_SCENES", 2)
+    monkeypatch.setattr("energyplan.mission.routes._SCENES", 2)
     for speed in (0.5, 0.6, 0.7):
         evaluate(replace(asked, speed=speed), routes=routes)
     assert 0 < len(routes) <= 10  # of two scenes
@@ -429,7 +430,7 @@ def test_routes_are_planned_by_work_of_which_each_has_less_where_they_are_many(
         asked.append((limit, effort))
         return plan(problem, planner, effort=300)
 
-    monkeypatch.setattr(legs, "plan", planned)
+    monkeypatch.setattr(PLAN, planned)
     free = replace(mission(), planning_effort=None)
     one = free.tasks[0]
     many = replace(free, tasks=tuple(replace(one, name=f"{k}", payload=0.0) for k in range(25)))
@@ -448,5 +449,5 @@ def test_a_report_says_that_the_clock_stopped_its_planning(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert not any("clock" in note for note in evaluate(mission()).warnings)
-    monkeypatch.setattr(legs, "plan", lambda *a, **b: replace(plan(a[0], effort=300), stopped=True))
+    monkeypatch.setattr(PLAN, lambda *a, **b: replace(plan(a[0], effort=300), stopped=True))
     assert any("stopped by the clock on" in note for note in evaluate(mission()).warnings)

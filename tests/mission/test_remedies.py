@@ -18,6 +18,7 @@ from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError
 from energyplan.mission import Mission, Remedy, Routes, Spreads, Task, evaluate
 from energyplan.mission.types import RemedyKind
+from energyplan.output import documents
 from energyplan.path import FloatArray, Pose
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
@@ -51,14 +52,17 @@ class Bucket:
         return Bucket(self.full_energy + energy, self.cutoff_soc, self.charge_efficiency)
 
 
+@pytest.mark.parametrize("battery", [tiny(2970.0), Bucket(2970.0)], ids=["ours", "own"])
 @pytest.mark.parametrize("order", ["given", "free"])
-def test_any_battery_with_what_a_mission_reads_will_do(order: str) -> None:
+def test_any_battery_goes_from_charger_to_charger(order: str, battery: Any) -> None:
+    """10 m to the first, 10 m to the second, 4 m to the task: no hop may take more than 16.5 m."""
     asked = corridor(
-        1.0, {"end": 29.0}, 5.0, order=order, battery=Bucket(2970.0),
+        1.0, {"end": 29.0}, 5.0, order=order, battery=battery,
         chargers=(charger(15, "near"), charger(25, "far")),
     )  # fmt: skip
     report = evaluate(asked)
     assert report.order == ("near", "far", "end", "far")
+    assert report.energy == pytest.approx(METRE * (10 + 10 + 4 + 4), rel=1e-3)
     assert report.soc_end == pytest.approx(1 - METRE * 8 / 2970, rel=1e-3)
 
 
@@ -123,6 +127,9 @@ def test_every_remedy_that_is_told_holds(name: str, order: str) -> None:
             assert again.verdict == "reachable", (task.name, remedy)
     if order == "given":
         assert told
+    if name == "given up":
+        assert evaluate(asked).feasible
+        assert [(task.name, task.reason) for task in told] == [("optional", "blocked_by_earlier")]
 
 
 @pytest.mark.parametrize("order", ["given", "free"])
@@ -147,11 +154,12 @@ def test_what_takes_no_charge_is_said_where_charge_is_needed_and_where_not(order
 
 
 def test_each_kind_of_remedy_is_told_of_some_mission() -> None:
+    reports = [evaluate(asked) for asked in (*troubled().values(), charged())]
     kinds = {
         remedy.kind
-        for asked in troubled().values()
-        for task in evaluate(asked).tasks
-        for remedy in task.remedies
+        for report in reports
+        for remedies in (report.remedies, *(task.remedies for task in report.tasks))
+        for remedy in remedies
     }
     assert kinds == set(get_args(RemedyKind))
 
@@ -180,12 +188,6 @@ def test_what_is_open_about_a_larger_battery_is_its_own() -> None:
     assert evaluate(asked.with_remedy(remedy)).feasible
 
 
-def test_a_capacity_that_is_told_is_needed() -> None:
-    """24 m there and back take 8640 J; 5000 J are on board: 1.01 Wh are missing."""
-    (remedy,) = (r for r in evaluate(troubled()["far"]).tasks[0].remedies if r.kind == "capacity")
-    assert (remedy.amount, remedy.unit) == (2 * 3600.0, "J")
-
-
 def test_where_power_is_the_limit_the_remedy_names_power() -> None:
     """9 A at 10 V are 90 W; 180 N at 1 m/s take 180 W, and the battery holds far more energy."""
     asked = troubled()["current"]
@@ -209,7 +211,7 @@ def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypat
         planned.append(problem.cost.speed)
         return plan(problem, *args, **options)
 
-    monkeypatch.setattr("energyplan.mission.legs.plan", watched)
+    monkeypatch.setattr("energyplan.mission.routes.plan", watched)
     for name in ("current", "late"):
         asked = troubled()[name]
         asked = replace(asked, map=replace(asked.map))  # on which no route is known
@@ -221,6 +223,47 @@ def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypat
         planned.clear()
         assert evaluate(asked.with_remedy(Remedy("speed", speed, "m/s")), routes=routes).feasible
         assert planned == []
+
+
+def charged(**changes: Any) -> Mission:
+    """Two tools far from each other that need most of 1 kWh each, charged at 500 W in between."""
+    docks = (charger(5.0, "near"), charger(29.0, "far"))
+    asked = corridor(
+        3.6e6, {"a": 6.0, "b": 28.0}, 5.0, soc=0.5, reserve=0.2,
+        **{"chargers": tuple(replace(one, until=0.9) for one in docks), **changes},
+    )  # fmt: skip
+    a, b = asked.tasks
+    work = (replace(a, dwell=4000.0, power=300.0), replace(b, dwell=2000.0, power=500.0))
+    return replace(asked, tasks=work)
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+def test_charging_no_further_than_needed_is_proposed_with_the_minutes_that_it_saves(order) -> None:
+    """2.2 MJ and the drives, 1.08 MJ of them on board above the reserve.
+
+    Of the levels in whole per cent around it, and of others, the one proposed takes the least time.
+    """
+    asked = charged(order=order)
+    report = evaluate(asked)
+    (remedy,) = report.remedies
+    assert remedy == Remedy("until", remedy.amount, "1")
+    best = round(100 * remedy.amount)
+    tried = {
+        percent: evaluate(asked.with_remedy(Remedy("until", percent / 100, "1")))
+        for percent in (best - 10, best - 2, best - 1, best, best + 1, best + 2, best + 10, 90)
+    }
+    lasting = {percent: one.duration for percent, one in tried.items() if one.feasible}
+    assert remedy.amount == pytest.approx(min(lasting, key=lasting.__getitem__) / 100)
+    shortest = min(lasting.values())
+    assert report.time_saved == pytest.approx(report.duration - shortest)
+    minutes = f"{report.time_saved / 60:.0f} min less"
+    told = f"leave the chargers at {100 * remedy.amount:.0f} %: {minutes}"
+    assert told in report.sentence
+    document = documents.mission(report)
+    assert document["remedies"] == [{"kind": "until", "amount": remedy.amount, "unit": "1",
+                                     "task": ""}]  # fmt: skip
+    assert document["time_saved"] == report.time_saved
+    assert evaluate(asked.with_remedy(remedy)).remedies == ()
 
 
 def test_a_remedy_for_another_mission_is_refused() -> None:

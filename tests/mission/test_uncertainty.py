@@ -146,7 +146,7 @@ def test_after_a_charge_the_gauge_is_what_is_open() -> None:
 
 @pytest.mark.parametrize("key", ["soc", "run", "waiting"])
 def test_a_spread_that_makes_no_sense_is_refused(key: str) -> None:
-    with pytest.raises(MissionError, match=f"{key} is -1.0: give 0 to") as refused:
+    with pytest.raises(MissionError, match=f"{key} is -1.0; give 0 to") as refused:
         Spreads(**{key: -1.0})
     assert refused.value.place == (key,)
 

@@ -16,7 +16,7 @@ from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.io.files import bundled
 from energyplan.io.tables import write_trajectory
 from energyplan.limits.speed import profile
-from energyplan.physics import Driven, Ground, Robot, Sensors, drive
+from energyplan.physics import Driven, EngineGround, Robot, Sensors, drive
 from energyplan.power import HOTEL
 from energyplan.vehicle import predict_icr
 
@@ -120,7 +120,7 @@ def test_a_surface_under_the_wheels_is_felt() -> None:
     from energyplan.terrain import Surface, SurfaceMap
 
     slick = ep.PowerModel.paper(VEHICLE, K=60.0, mu=0.3)
-    ground = Ground(SurfaceMap([Surface(box(-50, -50, 50, 50), slick)]))
+    ground = EngineGround(SurfaceMap([Surface(box(-50, -50, 50, 50), slick)]))
     made = drive(trajectory(), Robot.from_model(MODEL), MODEL, ground=ground)
     bare = drive(trajectory(), Robot.from_model(slick), slick)
     assert made.energy_measured == pytest.approx(bare.energy_measured, rel=0.005)
@@ -155,13 +155,13 @@ def test_hotel_load_is_in_the_log_and_in_the_energy(driven: Driven) -> None:
 def test_bad_sensors_are_named(driven: Driven) -> None:
     with pytest.raises(InvalidInputError, match="rate is 0"):
         Sensors(rate=0.0)
-    with pytest.raises(UnknownNameError, match="battery"):
+    with pytest.raises(InvalidInputError, match="battery"):
         Sensors(measured="engine")  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="channel"):
         Sensors(without=("z",)).log(driven.run)
     with pytest.raises(InvalidInputError, match="too short"):
         Sensors(rate=0.01).log(driven.run)
-    wrong = {"rate=fast": "rate: .*number", "rate=0": "rate is 0", "measured=": "'battery'",
+    wrong = {"rate=fast": "rate is fast; .*number", "rate=0": "rate is 0", "measured=": "'battery'",
              "colour=red": "power_noise"}  # fmt: skip
     for text, message in wrong.items():
         with pytest.raises((InvalidInputError, UnknownNameError), match=message):

@@ -16,7 +16,7 @@ from energyplan.physics import (
     EFFECTS,
     Effect,
     Engine,
-    Ground,
+    EngineGround,
     Robot,
     Run,
     State,
@@ -95,7 +95,7 @@ def test_slope_adds_the_weight(direction: float) -> None:
 
 def test_heights_tilt_gravity_like_the_plane() -> None:
     ramp = HeightMap(np.tile(0.1 * np.tan(0.05) * np.arange(101), (101, 1)), 0.1, (-5, -5, 0))
-    on_map = Engine(ROBOT, Ground(heights=ramp)).drive(steady(0.5, 0.5))
+    on_map = Engine(ROBOT, EngineGround(heights=ramp)).drive(steady(0.5, 0.5))
     tilted = Effect("tilted_plane", 0.05).on(ROBOT)
     on_plane = Engine(tilted).drive(steady(0.5, 0.5))
     assert on_map.taken == pytest.approx(on_plane.taken, rel=1e-6)

@@ -16,20 +16,19 @@ from shapely import box
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import InfeasibleMotionError, InvalidInputError
+from energyplan.fit.run import RunEffect
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
 from energyplan.physics.driving import energy_predicted
 from energyplan.physics.loop import (
-    NORMAL,
     SPEED_SHARE,
     Learned,
     Round,
     Steered,
-    asked_energy,
     believed,
     learn,
-    overhead,
+    predicted_energy,
     ratio,
     timed,
 )
@@ -108,7 +107,7 @@ def test_who_knows_the_effect_takes_another_way(made: Callable[[float], forks.Fo
     for model in (MODEL, true):
         asked = believed(problem, model, speed)
         planned = ep.plan(asked, effort=30_000)
-        taken.append(asked_energy(timed(planned, asked, speed), right))
+        taken.append(predicted_energy(timed(planned, asked, speed), right))
     # without the drag both ways round the block take the same: chance may find the right one
     assert taken[1] < (taken[0] if made is forks.dragging else 0.98 * taken[0])
 
@@ -216,10 +215,10 @@ def test_what_drives_take_beyond_the_model_is_learned_with_its_scatter() -> None
     hits = 0
     for _ in range(2000):
         *made, following = 1.02 + 0.006 * rng.standard_normal(3)
-        told = overhead(made)
-        hits += abs(following - 1.0 - told.share) <= NORMAL * told.deviation
+        run = RunEffect.of(made)
+        hits += abs(following - 1.0 - run.mean) <= run.reach(0.95)
     assert 0.92 < hits / 2000 < 0.99
-    assert overhead(()).share == 0.0
+    assert RunEffect.of(()).mean == 0.0
 
 
 def test_what_a_controller_takes_that_steers_otherwise_is_not_carried_over() -> None:

@@ -447,7 +447,7 @@ def test_the_command_line_plans_on_slopes(folder, capsys, monkeypatch):
 
 
 def test_bounds_of_a_mission_hold_on_slopes():
-    from energyplan.mission.legs import Legs
+    from energyplan.mission.routes import Legs
 
     poses = [Pose(4, 3, 0.0), Pose(12, 9, 2.0)]
     tasks = tuple(Task(f"t{k}", pose) for k, pose in enumerate(poses))

@@ -10,13 +10,19 @@ import pytest
 from energyplan import EnergyCost, Motion, PowerModel, Vehicle
 from energyplan.errors import ModelError, UnknownNameError
 from energyplan.power import TRACTION, Sides, Term, effects, tread_forces
-from energyplan.power.effect_terms import (
+from energyplan.power.effects import (
+    AIR_DRAG,
+    ANGULAR_INERTIA,
+    COPPER_LOSS,
     DRAGGING_LEFT,
+    GRADE,
+    LINEAR_INERTIA,
     MOBILISATION,
     SIDE_GAIN,
     SLIP_BEYOND,
     SLIP_CHANGE,
     SLIP_SPEED,
+    SPECIFIC_FORCE,
     STRIBECK,
     TILT_X,
     TILT_Y,
@@ -26,17 +32,9 @@ from energyplan.power.effect_terms import (
     TRACTION_CHANGE,
     TURN_ASYMMETRY,
     UNSIGNED_POWER,
-    WHEEL_FIGHT,
-)
-from energyplan.power.effects import (
-    AIR_DRAG,
-    ANGULAR_INERTIA,
-    COPPER_LOSS,
-    GRADE,
-    LINEAR_INERTIA,
-    SPECIFIC_FORCE,
     VISCOUS_LOSS,
     WARM_UP,
+    WHEEL_FIGHT,
     Effect,
     catalogue,
     effect,

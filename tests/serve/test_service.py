@@ -41,7 +41,7 @@ from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
 from energyplan.io.mission import mission_from
 from energyplan.io.tables import write_log
-from energyplan.mission.legs import shortest_ways
+from energyplan.mission.routes import shortest_ways
 from energyplan.output import documents
 from energyplan.planning.budget import EFFORT
 from energyplan.power import HOTEL
@@ -108,7 +108,7 @@ def test_what_is_unusual_is_said_and_what_is_impossible_is_refused(
     assert any(one.startswith("mission, tasks.0.power: 100000 is unusual") for one in warnings)
     assert any("no charge at 'dock'" in one and "indoors, above 0 degC" in one for one in warnings)
     for change, words in (
-        ({"start": [None, 2.0, "90deg"]}, "start: [None, 2.0, '90deg'] is no pose"),
+        ({"start": [None, 2.0, "90deg"]}, "start: pose [None, 2.0, '90deg'] is not X,Y,YAW"),
         ({"battery": {"preset": "quadriga", "temperature": 300}}, "(not kelvin), not '300'"),
         ({"tasks": [{**document["tasks"][0], "power": 1e9}]}, "tasks.0.power: give 0 to 1e+06 W"),
     ):
@@ -534,7 +534,7 @@ def test_others_are_heard_while_the_ways_of_many_tasks_are_found(
     grid = ep.OccupancyGrid(np.zeros((40, 40), bool), 0.5)
     points = np.random.default_rng(1).uniform(5, 15, (50, 2))
     vehicle = ep.Vehicle.preset("quadriga")
-    monkeypatch.setattr("energyplan.mission.legs.dijkstra", counted)
+    monkeypatch.setattr("energyplan.mission.routes.dijkstra", counted)
     shortest_ways(grid, vehicle, points)
     assert sum(places) == 50 and max(places) <= 8
 

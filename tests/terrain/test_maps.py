@@ -8,7 +8,7 @@ import shapely
 from scipy import ndimage
 from shapely import affinity
 
-from energyplan import OccupancyGrid, Path, Pose, Vehicle
+from energyplan import OccupancyGrid, Path, Pose, Site, Vehicle
 from energyplan.errors import MapError
 from energyplan.terrain import collision as _collision
 from energyplan.terrain.updates import distance_to_blocked
@@ -183,6 +183,12 @@ def test_malformed_maps_are_refused(kwargs, message):
     good = {"occupied": np.zeros((3, 3), bool), "resolution": 0.1}
     with pytest.raises(MapError, match=message):
         OccupancyGrid(**{**good, **kwargs})
+
+
+@pytest.mark.parametrize("clearance", [-0.1, np.nan, np.inf, 21.0])
+def test_a_clearance_that_no_robot_keeps_is_refused(clearance):
+    with pytest.raises(MapError, match=r"clearance is .*; give 0 to 20 m"):
+        Site(OccupancyGrid(np.zeros((3, 3), bool), 0.1), clearance=clearance)
 
 
 @pytest.mark.filterwarnings("error")

@@ -151,7 +151,7 @@ def test_what_was_is_not_kept_when_maps_follow_each_other():
         grid = grid.updated(np.ones((1, 1), bool), k, k)
     known = tables_of(grid.space)
     gc.collect()
-    assert known.made == {}
+    assert known.current == {}
     assert known.former["sum"].window == Window(0, 5, 0, 5)
     assert known.get("sum", lambda: -1, lambda old, window: old + 5) == 5
     assert known.get("sum", lambda: -1) == 5

@@ -34,7 +34,6 @@ from energyplan.compilation import KERNELS, compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, PlanningError
-from energyplan.kinds import checked
 from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import Bounding, prepare_bound
 from energyplan.planning.budget import SHARES, Budget, Work, do_together
@@ -51,6 +50,7 @@ from energyplan.planning.search.stops import Stops, least_driven, stops_of
 from energyplan.planning.settings import LATTICE, REFINING
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import regions_for
+from energyplan.records import checked
 from energyplan.terrain.collision import motion_free
 
 

@@ -1,0 +1,488 @@
+"""The robot on its way: charge, time and payload after each stop, expected and at the bound."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from statistics import NormalDist
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from energyplan.mission._order_kernel import GRAM
+from energyplan.mission.energy import Consumption, Estimate
+from energyplan.mission.routes import Leg, Legs
+from energyplan.mission.types import ROUNDING, Charger, Mission
+from energyplan.path import FloatArray, Pose, Trajectory
+
+Kind = Literal["start", "drive", "wait", "work", "charge", "end"]
+
+_STEP = 30.0
+_MOST_STEPS = 10_000  # of one stay: three days in steps of that length, and longer ones beyond
+_PARTS = 300
+_HOURS = 48
+_INSTANT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A stretch of a mission: a drive, a stay or a charge; an instant at its start and its end."""
+
+    kind: Kind  # what the robot does
+    start: str  # place where it begins
+    goal: str  # place where it ends
+    pose: Pose  # pose at the end
+    t: FloatArray  # (n,): time [s]
+    power: FloatArray  # (n,): power at the battery from each time to the next [W]
+    soc: FloatArray  # (n,): state of charge, as expected
+    soc_lower: FloatArray  # (n,): the same at the bound
+    leg: Leg | None = None  # the drive
+
+    @property
+    def departure(self) -> float:
+        """Time of its begin [s]."""
+        return float(self.t[0])
+
+    @property
+    def arrival(self) -> float:
+        """Time of its end [s]."""
+        return float(self.t[-1])
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The drive, from time 0."""
+        assert self.leg is not None and self.leg.trajectory is not None
+        return self.leg.trajectory
+
+    @property
+    def energy(self) -> float:
+        """Energy at the battery, as expected [J]; negative while charging."""
+        drawn = float(self.power[:-1] @ np.diff(self.t))
+        return drawn if self.leg is None else self.leg.energy.mean
+
+    @property
+    def poses(self) -> FloatArray:
+        """Pose at each time, shape (n, 3)."""
+        if self.leg is None:
+            return np.tile(self.pose, (len(self.t), 1))
+        drive = self.trajectory
+        return np.column_stack([drive.x, drive.y, drive.yaw])
+
+
+class Charge(NamedTuple):
+    """The battery at one instant."""
+
+    soc: float  # state of charge
+    polarisation: float = 0.0  # voltage of its RC pair [V]
+    failure: str = "none"  # why it gave up on the way
+    instant: float = np.inf  # when it gave up [s]
+    load: float = 0.0  # power under which it gave up [W]
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where the robot stands."""
+
+    node: int  # place
+    payload: float  # payload [kg]
+    time: float  # time as expected [s]
+    lateness: FloatArray  # (n,): how the time changes with each shared unknown [s]
+    spent: Estimate
+    total: Estimate
+    origin: tuple[float, float]  # state of charge and time after the last charge
+    expected: Charge  # the battery as expected
+    worst: Charge  # the battery where the energy is at its bound
+    trip: tuple[Segment, ...] = ()  # what it did so far
+    stretches: tuple[Estimate, ...] = ()  # energies between one charge and the next, so far
+
+    @property
+    def time_spread(self) -> float:
+        """Standard deviation of the time [s]."""
+        return float(np.linalg.norm(self.lateness))
+
+
+class Attempt(NamedTuple):
+    """What comes of a task."""
+
+    reason: str
+    after: Status  # when it is done
+    safe: Status  # at the nearest safe place after it
+    detail: str = ""  # why not, in one sentence
+    begin: float = np.nan  # when it begins at the bound [s]
+
+
+class Visit(NamedTuple):
+    """What comes of one stop."""
+
+    attempt: Attempt | None  # of a task
+    after: Status | None  # None where it cannot be done
+
+
+class Simulation:
+    """Steps from state to state."""
+
+    def __init__(
+        self, legs: Legs, occupied: Mapping[int, Sequence[tuple[float, float]]] | None = None
+    ) -> None:
+        self.legs = legs
+        self.occupied = dict(occupied or {})  # when chargers are occupied by others [s], ascending
+        self.mission: Mission = legs.mission
+        self.quantile = NormalDist().inv_cdf(self.mission.confidence)
+
+    @property
+    def start(self) -> Status:
+        """The condition at the start."""
+        mission, nothing = self.mission, self.legs.models.nothing
+        full, least = Charge(mission.soc), Charge(self.at_least(mission.soc))
+        gauge, origin = self.legs.gauge, (mission.soc, mission.time)
+        known = np.zeros(self.legs.models.size)
+        return self.mark(
+            Status(0, mission.payload, mission.time, known, gauge, nothing, origin, full, least),
+            "start",
+        )
+
+    def mark(self, state: Status, kind: Kind) -> Status:
+        """Add an instant to the trip: its start or end, or a task that takes no time."""
+        now = [state.time, 0.0, state.expected.soc, state.worst.soc]
+        return self._add(state, kind, np.outer(now, np.ones(2)))
+
+    def _add(
+        self,
+        state: Status,
+        kind: Kind,
+        samples: FloatArray,
+        leg: Leg | None = None,
+        start: int = -1,
+    ) -> Status:
+        """Add a segment that ends at a state's place: rows of time, power, charge and its bound."""
+        here, names = state.node, self.legs.names
+        begin, pose = names[here if leg is None else start], self.legs.poses[here]
+        t, power, soc, soc_lower = samples
+        one = Segment(kind, begin, names[here], pose, t, power, soc, soc_lower, leg)
+        return replace(state, trip=(*state.trip, one))
+
+    def at_least(self, soc: float) -> float:
+        """Return the state of charge at the bound when the gauge shows one."""
+        return max(soc - self.quantile * self.mission.spreads.soc, 0.0)
+
+    def _gauge_at(self, soc: float) -> float:
+        """Return what the gauge shows when the state of charge is at the bound."""
+        return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
+
+    def latest(self, state: Status) -> float:
+        """Return the time of a condition at the bound [s]."""
+        return state.time + self.quantile * state.time_spread
+
+    def holds(self, state: Status) -> bool:
+        """Tell whether the reserve is left at the bound."""
+        enough = state.worst.soc >= self.mission.reserve - ROUNDING
+        return enough and state.worst.failure == "none"
+
+    # -- steps ------------------------------------------------------------------------------------
+
+    def drive(self, state: Status, goal: int, hurried: bool = False) -> Status | None:
+        """Drive to a place, quickly if in a hurry; None where the leg cannot be driven."""
+        leg = self.legs.leg(state.node, goal, state.payload, hurried)
+        if leg.trouble:
+            return None
+        if leg.trajectory is None:
+            return replace(state, node=goal)
+        late = state.lateness + self.legs.models.driving_time(leg.duration)
+        load, moved = leg.consumption, replace(state, node=goal, lateness=late)
+        samples, after = self._draw(moved, leg.trajectory.t, load)
+        return self._add(after, "drive", samples, leg, state.node)
+
+    @cached_property
+    def stations(self) -> tuple[int, ...]:
+        """Nodes of the chargers at which the battery takes charge."""
+        chargers = zip(self.legs.chargers, self.mission.chargers, strict=True)
+        return tuple(node for node, one in chargers if not self.mission.charging_fault(one))
+
+    def wait_until(self, state: Status, time: float) -> Status:
+        """Stand still until a time [s]; arriving before it with certainty resets the lateness."""
+        latest = self.latest(state)
+        if state.time >= time:
+            return state
+        late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
+        region, duration = self.legs.region(state.node), time - state.time
+        energy = self.legs.models.idle(region, duration, state.payload)
+        waited = self._stay(state, "wait", duration, energy)
+        return replace(waited, lateness=late * state.lateness)
+
+    def _stay(self, state: Status, kind: Kind, duration: float, energy: Estimate) -> Status:
+        """Stand still for so long [s], which takes an energy."""
+        if duration <= _INSTANT:
+            return state if kind == "wait" else self.mark(state, kind)
+        t = np.linspace(0.0, duration, int(min(max(duration / _STEP, 1), _MOST_STEPS)) + 1)
+        flat = np.full(len(t) - 1, energy.mean / duration)
+        samples, after = self._draw(state, t, Consumption(flat, np.ones(len(flat)), energy))
+        return self._add(after, kind, samples)
+
+    def _draw(self, state: Status, t: FloatArray, load: Consumption) -> tuple[FloatArray, Status]:
+        """Draw a load from the battery, as expected and at the bound."""
+        spent = state.spent + self.legs.from_battery(load.energy)
+        more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
+        # what it may take beyond the expectation is drawn where the power is uncertain
+        shares = load.spread if load.spread.any() else np.ones(len(load.spread))
+        raised = load.power + (more - load.energy.mean) * shares / float(shares @ np.diff(t))
+        clock = state.time + t - t[0]
+        expected, soc = self._run(state.expected, clock, load.power)
+        worst, soc_lower = self._run(state.worst, clock, raised)
+        after = replace(
+            state, time=float(clock[-1]), spent=spent, total=state.total + load.energy,
+            expected=expected, worst=worst,
+        )  # fmt: skip
+        power = np.append(load.power, load.power[-1])
+        return np.array([clock, power, soc, soc_lower]), after
+
+    def _run(self, charge: Charge, t: FloatArray, power: FloatArray) -> tuple[Charge, FloatArray]:
+        run = self.mission.battery.simulate(
+            t, np.append(power, 0.0), soc=charge.soc, polarisation=charge.polarisation
+        )
+        after = charge._replace(soc=run.soc_end, polarisation=run.polarisation)
+        if charge.failure == "none" and run.reason != "none":
+            load = power[min(int(np.searchsorted(t, run.brown_out, "right")), len(power)) - 1]
+            after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
+        return after, run.soc
+
+    def charge(self, state: Status, leave_by: float = np.inf) -> Status:
+        """Charge at the charger at hand up to its level, or until it is time to leave [s]."""
+        charger = self.mission.chargers[state.node - self.legs.chargers[0]]
+        low = self._charge(state.worst, charger, self.at_least(charger.until))
+        high = self._charge(state.expected, charger, charger.until)
+        gauge = self.legs.gauge
+        enough = high[0][-1]
+        last = min(max(low[0][-1], enough), leave_by - state.time)
+        if last <= _INSTANT:
+            return state
+        t = np.unique(np.append(np.concatenate([low[0], high[0]]), last))
+        t = t[t <= last]
+        filled = [np.interp(t, *one) for one in (high, low)]
+        power = np.where(t < min(enough, t[-1]), -charger.power, 0.0)
+        t = state.time + t
+        low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
+        state = replace(
+            state, time=float(t[-1]), spent=gauge, expected=high_end, worst=low_end,
+            origin=(self._gauge_at(low_end.soc), float(t[-1])),
+            stretches=(*state.stretches, state.spent),
+        )  # fmt: skip
+        return self._add(state, "charge", np.array([t, power, *filled]))
+
+    def _charge(
+        self, charge: Charge, charger: Charger, until: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return times since charging began and charges, until it suffices or rises no more."""
+        battery, power = self.mission.at_charger(charger), charger.power
+        t, soc = [0.0], [charge.soc]
+        steps = _STEP * np.arange(int(3600 / _STEP) + 1)
+        for _ in range(_HOURS):
+            begun = soc[-1]
+            if begun >= until:
+                break
+            run = battery.simulate(steps, np.full(len(steps), -power), soc=begun)
+            reached = np.flatnonzero(run.soc >= until)
+            stop = int(reached[0]) if len(reached) else len(steps)
+            hour = t[-1]
+            t.extend(hour + steps[1:stop])
+            soc.extend(run.soc[1:stop])
+            if len(reached):
+                # the last step ends when it suffices
+                short = np.linspace(0.0, _STEP, _PARTS + 1)
+                run = battery.simulate(
+                    short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
+                )
+                # the shorter steps need not get there by the last bit
+                enough = np.flatnonzero(run.soc >= until)
+                end = int(enough[0]) if len(enough) else _PARTS
+                t.append(hour + steps[stop - 1] + short[end])
+                soc.append(until)
+            elif run.soc_end - begun < 1e-3:
+                break
+        return np.array(t), np.array(soc)
+
+    # -- tasks ------------------------------------------------------------------------------------
+
+    def attempt(self, state: Status, task: int, hurried: bool = False) -> Attempt:
+        """Try a task without charging before it."""
+        job, node = self.mission.tasks[task], task + 1
+        there = self.drive(state, node, hurried)
+        if there is None:
+            leg = self.legs.leg(state.node, node, state.payload, hurried)
+            return Attempt(leg.trouble, state, state, leg.detail)
+        models, region = self.legs.models, self.legs.region(node)
+        lost = models.waited(region, task, there.payload)
+        there = self._stay(there, "wait", self.mission.waiting, lost)
+        there = replace(there, lateness=there.lateness + models.waiting_time(task))
+        latest = self.latest(there)
+        if latest > job.window[1]:
+            expected = f", {there.time:.0f} s as expected" if latest > there.time + 0.5 else ""
+            begin = f"it must begin by {job.window[1]:.0f} s"
+            detail = f"{begin}, and the robot is there at {latest:.0f} s{expected}"
+            return Attempt("late", there, there, detail)
+        begun = self.wait_until(there, job.window[0])
+        work = models.work(region, task, begun.payload)
+        done = self._stay(begun, "work", job.dwell, work)
+        done = replace(done, lateness=done.lateness + models.dwell_time(task))
+        carried = done.payload + job.payload
+        if carried < -GRAM:
+            detail = f"it leaves {-job.payload:g} kg, and {done.payload:g} kg are on board"
+            return Attempt("payload", done, done, detail)
+        done = replace(done, payload=max(carried, 0.0))
+        safe, trouble = self.refuge(done)
+        if safe is None:
+            return Attempt(trouble.trouble, done, done, f"no way back: {trouble.detail}")
+        if not self.holds(safe):
+            return Attempt("battery", done, safe, self._why_not(safe))
+        return Attempt("none", done, safe, begin=max(latest, job.window[0]))
+
+    @property
+    def timed(self) -> bool:
+        """Whether windows end, so that being late is possible."""
+        return any(np.isfinite(task.window[1]) for task in self.mission.tasks)
+
+    @property
+    def ways(self) -> tuple[bool, ...]:
+        """Whether to hurry: no, or both where windows press.
+
+        Where no window ends a quicker way that takes more helps nothing: with the way of least
+        energy in its place all that follows can be done with more charge, later.
+        """
+        return (False, True) if self.timed else (False,)
+
+    def leave_by(self, state: Status, stops: Sequence[int], hurried: Sequence[bool] = ()) -> float:
+        """Return when to leave a place at the latest so that no later window is missed."""
+        tasks, models = self.mission.tasks, self.legs.models
+        ways = (*hurried, *(False for _ in stops[len(hurried) :]))
+        node, payload, spent, late, latest = state.node, state.payload, 0.0, state.lateness, np.inf
+        for stop, quick in zip(stops, ways, strict=True):
+            leg = self.legs.leg(node, stop, payload, quick)
+            if leg.trouble:
+                return -np.inf
+            spent, late = spent + leg.duration, late + models.driving_time(leg.duration)
+            if stop <= len(tasks):
+                task = tasks[stop - 1]
+                spent, late = spent + self.mission.waiting, late + models.waiting_time(stop - 1)
+                margin = self.quantile * float(np.linalg.norm(late))
+                latest = min(latest, task.window[1] - margin - spent)
+                spent, late = spent + task.dwell, late + models.dwell_time(stop - 1)
+                payload = max(payload + task.payload, 0.0)
+            node = stop
+        return float(latest)
+
+    def visit(self, state: Status, stops: Sequence[int], hurried: Sequence[bool]) -> Visit:
+        """Go to the first of some stops; a charge ends in time for the windows of the others."""
+        stop, quick = stops[0], hurried[0]
+        if stop in self.legs.chargers:
+            docked = self.dock(state, stop, quick)
+            if docked is None:
+                return Visit(None, None)
+            leave_by = self.leave_by(docked, stops[1:], hurried[1:])
+            return Visit(None, self.charge(docked, leave_by))
+        attempt = self.attempt(state, stop - 1, quick)
+        return Visit(attempt, attempt.after if attempt.reason == "none" else None)
+
+    def follow(
+        self,
+        state: Status,
+        stops: Sequence[int],
+        hurried: Sequence[bool],
+        then: int | None = None,
+    ) -> tuple[Status | None, tuple[Visit, ...]]:
+        """Do tasks and charge in the order of some stops; no state where that cannot be done.
+
+        Charges end in time for the windows of the stops and of one that comes `then`.
+        """
+        rest = (*stops, *(() if then is None else (then,)))
+        visits: list[Visit] = []
+        for k in range(len(stops)):
+            visits.append(self.visit(state, rest[k:], hurried[k:]))
+            after = visits[-1].after
+            if after is None:
+                return None, ()
+            state = after
+        return state, tuple(visits)
+
+    def dock(self, state: Status, charger: int, hurried: bool = False) -> Status | None:
+        """Drive to a charger and wait until it is free; None where the battery does not last."""
+        docked = self.drive(state, charger, hurried)
+        if docked is None or not self.holds(docked):
+            return None
+        for begin, end in self.occupied.get(charger, ()):
+            if begin < self.charge(docked).time and docked.time < end:
+                docked = self.wait_until(docked, end)
+        return docked if self.holds(docked) else None
+
+    def missing(self, attempt: Attempt) -> tuple[bool, float]:
+        """Sort what works by energy before what does not by what is missing."""
+        if attempt.reason == "none":
+            return False, attempt.after.total.mean
+        return True, self.shortfall(attempt.safe) if attempt.reason == "battery" else np.inf
+
+    def refuge(self, state: Status) -> tuple[Status | None, Leg]:
+        """Drive to the nearest safe place: home or a charger."""
+        return self._nearest(state, (self.legs.home, *self.legs.chargers))
+
+    @property
+    def ends(self) -> list[int]:
+        """Where the mission may end."""
+        rule = self.mission.return_to
+        ends = [] if rule == "charger" else [self.legs.home]
+        return ends if rule == "start" else [*ends, *self.legs.chargers]
+
+    def arrives(self, state: Status | None) -> Status | None:
+        """Drive to where the mission may end; None where the battery does not last for it."""
+        last = None if state is None else self._nearest(state, tuple(self.ends))[0]
+        return last if last is not None and self.holds(last) else None
+
+    def _nearest(self, state: Status, places: tuple[int, ...]) -> tuple[Status | None, Leg]:
+        """Drive to the place of least energy; routes that cannot be the least are not planned."""
+        bounds = self.legs.lower_bounds(state.payload)[state.node]
+        first, *others = sorted(places, key=lambda place: float(bounds[place]))
+        goal, best = first, self.legs.leg(state.node, first, state.payload)
+        for place in others:
+            if best.energy.mean <= bounds[place]:
+                break
+            leg = self.legs.leg(state.node, place, state.payload)
+            if leg.energy.mean < best.energy.mean:
+                goal, best = place, leg
+        return self.drive(state, goal), best
+
+    # -- shortfall --------------------------------------------------------------------------------
+
+    def shortfall(self, safe: Status) -> float:
+        """Energy that is missing at a safe place to keep the reserve [J].
+
+        Nothing is missing where the battery holds the energy but not the power.
+        """
+        soc, since = safe.origin
+        need = safe.spent.upper(self.quantile)
+        mean = max(need / max(safe.time - since, 1.0), 1.0)
+        levels = [soc, self.mission.reserve, safe.worst.soc]
+        stored = self.mission.battery.usable_energy(mean, levels)
+        if stored[0] == 0 and safe.worst.failure in SAGS:
+            return 0.0
+        by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0
+        return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
+
+    def lacks_power(self, safe: Status) -> bool:
+        """Tell whether the battery holds the energy, and what it cannot deliver is the power."""
+        return safe.worst.failure in SAGS and self.shortfall(safe) == 0
+
+    def _why_not(self, safe: Status) -> str:
+        need, missing = safe.spent.upper(self.quantile), self.shortfall(safe)
+        worst = safe.worst
+        if self.lacks_power(safe):
+            return f"{SAGS[worst.failure]} at {worst.instant:.0f} s under {worst.load:.0f} W"
+        detail = (
+            f"with the way back to {self.legs.names[safe.node]} it may take "
+            f"{need / 3600:.0f} Wh, {missing / 3600:.0f} Wh more than there is above the reserve"
+        )
+        faults = map(self.mission.charging_fault, self.mission.chargers)
+        return "; ".join((detail, *dict.fromkeys(filter(None, faults))))
+
+
+SAGS = {
+    "voltage": "the voltage sags below cut-off",
+    "current": "the battery would have to deliver more current than it may",
+}
