@@ -357,5 +357,5 @@ def merged(segments: Segments) -> Segments:
     ds, turn, size = (part[size > 1e-12] for part in (*segments, size))
     parallel = np.abs(ds[1:] * turn[:-1] - turn[1:] * ds[:-1]) <= 1e-12 * size[1:]
     alike = parallel & (ds[1:] * ds[:-1] + turn[1:] * turn[:-1] > 0)
-    first = np.flatnonzero(np.append(True, ~alike)[: len(ds)])
-    return Segments(np.add.reduceat(ds, first), np.add.reduceat(turn, first))
+    group = np.cumsum(np.append(False, ~alike)[: len(ds)])
+    return Segments(*(np.bincount(group, part).astype(float) for part in (ds, turn)))
