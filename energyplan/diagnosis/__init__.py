@@ -175,7 +175,7 @@ def _logs(logs: DriveLog | Sequence[DriveLog], name: str) -> list[DriveLog]:
 
 
 def _answerable(logs: Sequence[DriveLog]) -> None:
-    """Refuse drives that tell nothing."""
+    """Refuse drives that show nothing."""
     names = ", ".join(log.name for log in logs[:3])
     if not any(np.any(log.power) for log in logs):
         raise NotIdentifiableError(f"{names}: the measured power is zero throughout; check it")
@@ -187,7 +187,7 @@ def _answerable(logs: Sequence[DriveLog]) -> None:
 
 
 def _with_icr(logs: Sequence[DriveLog], vehicle: Vehicle) -> Vehicle:
-    """Symmetric tread ICRs about the vehicle's own middle, where the logs tell the slip track."""
+    """Symmetric tread ICRs about the vehicle's own middle, where the logs show the slip track."""
     try:
         return vehicle.with_icr(fit_icr(logs, vehicle.icr, asymmetric=False).icr)
     except NotIdentifiableError:
@@ -208,7 +208,7 @@ class _Case:
         self.logs = (tuple(train), tuple(holdout))
         self.name = name_of(vehicle, self.logs[0])
         self.notes: list[str] = []
-        self.limits: list[str] = []  # of what these drives can tell: said before anything else
+        self.limits: list[str] = []  # of what these drives can show: said before anything else
         train, holdout = (self._in_step(logs) for logs in self.logs)
         self.problem = problem_of(train, vehicle, self.entries)
         self.paper, self.identified = self._identified(train, vehicle)
@@ -227,7 +227,7 @@ class _Case:
         self.starts = [float(log.t[0]) for log in holdout]
 
     def _in_step(self, logs: Sequence[DriveLog]) -> list[DriveLog]:
-        """Move an accelerometer's channel to the wheels' clock, as far as the gyroscope tells."""
+        """Shift `accel_x` to the wheels' clock by the gyroscope's offset, where that is certain."""
         moved = []
         for log in logs:
             offset = yaw_rate_offset(log) if {"yaw_rate", "accel_x"} <= set(log.channels) else None
@@ -249,7 +249,7 @@ class _Case:
         )
 
     def _identified(self, train: Sequence[DriveLog], vehicle: Vehicle) -> tuple[PowerModel, bool]:
-        """Return the paper's model, and whether drives tell more of it than is known of others."""
+        """Return the paper's model, and whether drives show more of it than is known of others."""
         try:
             model = identify(train, vehicle).model
             return model, not leaves_open(model)
@@ -372,7 +372,7 @@ class _Case:
         )
 
     def _of_totals(self, parts: Sequence[Part]) -> list[str]:
-        """Say what totals do not show of losses."""
+        """Describe what totals do not show of losses."""
         if self.problem.drives[0].equations == 2 or not any(part.lossy for part in parts):
             return []
         return [
@@ -387,7 +387,7 @@ class _Case:
         return [found.get(term.name, term) for term in terms]
 
     def _carry(self, part: Part) -> bool:
-        """Tell whether all drives that are to be predicted have the channels of a part."""
+        """Return whether all drives that are to be predicted have the channels of a part."""
         needed = {name for term in part.terms for name in term.channels}
         return all(needed <= set(drive.motion.channels) for drive in self.held)
 

@@ -1,4 +1,4 @@
-"""Predictions of runs to come: two terms, small extensions and the explanation, averaged.
+"""Predictions of future runs: two terms, small extensions and the explanation, averaged.
 
 Runs of one robot on one ground differ as a whole, and few runs, or short ones, say little about
 which effects the next one will show. An average of models that err differently is then better than
@@ -43,16 +43,16 @@ from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Term
 from energyplan.power.effects import WHEEL_FIGHT
 
 FEWEST_RUNS = 4
-"""Runs from which on leaving one out alone tells how runs to come are predicted."""
+"""Runs from which leaving one out is enough to estimate how well future runs are predicted."""
 
-_LEAST = 0.1  # of the usual power, that a run counts as drawing at least
-_PART = 1.0  # of the usual power, that a kind of motion counts as: it is but a part of a run
-_NEGLIGIBLE = 0.02  # weight that is not worth a further term
+_LEAST = 0.1  # least power that a run counts as drawing, over the typical power
+_PART = 1.0  # the same of a kind of motion, which is only a part of a run
+_NEGLIGIBLE = 0.02  # weight that is too small for a further term
 _TOGETHER = 2  # most terms of an extension
 _PAIRED = 6  # runs from which on two further terms are more than luck
 _RATHER = 0.5  # weight from which on an explanation is more than a suspicion
 _SHOWN = 0.05  # weight from which on an extension is named
-_SLOW = 1  # scale at which an explanation is told to leave nothing: two seconds
+_SLOW = 1  # scale at which an explanation is found to leave nothing: two seconds
 _NOTHING = (USUAL_RUN_SPREAD / FLOOR) ** 2  # of the floor, less than which runs differ by anyway
 _MOTIONS = 8  # most kinds of motion
 _MEMBERS = 3  # windows of a kind of motion, in the mean
@@ -63,7 +63,7 @@ _DRAWS = 400  # of the Bayesian bootstrap
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model for runs to come."""
+    """A model for future runs."""
 
     fitted: Fitted  # the average
     average: Average | None  # weights, and why
@@ -89,7 +89,7 @@ class _Windows:
         return cls(design.drives[block], block, np.concatenate(time), np.concatenate(power))
 
     def energies(self, fold: NDArray[np.intp], least: float = _LEAST) -> FloatArray:
-        """Measured energy of each fold [J]; of one that took less, a share of the usual power."""
+        """Measured energy of each fold [J], at least that of a share of the typical power."""
         energy, seconds = (
             np.bincount(fold, values) for values in (self.time * self.power, self.time)
         )
@@ -107,7 +107,7 @@ class _Windows:
 class _Member:
     """A model of the average: terms, and their coefficients with all runs and without each."""
 
-    names: tuple[str, ...]  # of what it has beside the two terms
+    names: tuple[str, ...]  # of what it adds to the two terms
     terms: tuple[Term, ...]
     values: FloatArray  # (k,): coefficients
     covariance: FloatArray
@@ -123,7 +123,7 @@ class _Explanation:
     fitted: Fitted
     names: tuple[str, ...]
     handicap: float
-    whole: Design  # as it predicts runs to come
+    whole: Design  # as it predicts future runs
     grams: FloatArray  # of what it is fitted to, by block
     own: NDArray[np.bool_]  # which of its terms are fitted
     leaves_nothing: bool
@@ -134,7 +134,7 @@ class _Explanation:
         handicap: float,
     ) -> _Explanation:  # fmt: skip
         """Prepare an explanation."""
-        # What contacts hold on straights was found beside the fit, and stays as it is.
+        # What contacts hold on straights was found separately from the fit, and stays as it is.
         own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.model.terms])
         start = by_name(fitted.model.terms, fitted.model.coefficients)
         whole = plain.design(fitted.model.terms, None, start, rounds=1)
@@ -175,7 +175,7 @@ class _Table:
     windows: _Windows
     terms: tuple[Term, ...]
     shown: Design  # what the terms are fitted to
-    design: Design  # as they predict runs to come
+    design: Design  # as they predict future runs
     fitted: Fitted
     given: dict[str, float]  # terms that every member has, and their coefficients
     measured: tuple[Term, ...]  # those of them that the powers of both sides measure
@@ -228,7 +228,7 @@ class _Table:
         errors = self.windows.misses(fold, long[:, :-1], long[:, -1], refits)
         moved = refits - values
         covariance = (count - 1) / count * moved.T @ moved
-        if self.fitted.model.covariance is not None:  # what no drive tells, leaving one out doesn't
+        if self.fitted.model.covariance is not None:  # leaving one out misses what no drive shows
             names = [term.name for term in self.fitted.model.terms]
             known = {*self.fitted.assumed, *(term.name for term in self.measured)}
             open_ = [k for k, term in enumerate(terms) if term.name in known]
@@ -266,7 +266,7 @@ class _Table:
         return [one for one in made if self._resists(one)]
 
     def _resists(self, one: _Member) -> bool:
-        """Tell whether steady motion on level ground always draws power."""
+        """Return whether steady motion on level ground always draws power."""
         motions = [drive.motion for drive in self.problem.drives]
         v = max(float(np.max(np.abs(motion.v))) for motion in motions)
         w = max(float(np.max(np.abs(motion.omega))) for motion in motions)
@@ -348,7 +348,7 @@ def averaged(
 
 
 def _telling(problem: Problem) -> NDArray[np.bool_]:
-    """Tell which runs took energy enough that a relative error of it says something."""
+    """Return which runs took enough energy for its relative error to be informative."""
     energy = np.array([float(drive.weights @ drive.power) for drive in problem.drives])
     seconds = np.array([float(drive.weights.sum()) for drive in problem.drives])
     return np.asarray(energy > _LEAST * energy.sum() / seconds.sum() * seconds)
@@ -446,7 +446,7 @@ def _grouped(points: FloatArray) -> NDArray[np.intp]:
 
 
 def note_of(told: Average, names: Sequence[str]) -> str:
-    """Say what the model for runs to come is made of."""
+    """Describe the contents of the model for future runs."""
     why = (
         "runs differ as a whole" if told.left_out == "run"
         else "these drives do not show how the effects act on other motions, or elsewhere"

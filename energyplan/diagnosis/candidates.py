@@ -1,4 +1,4 @@
-"""Sets of effects worth a closer look: the quick half of the search (private).
+"""Sets of effects to examine more closely: the quick half of the search (private).
 
 Effects vary in parameters that are not linear: when something changed, where a border lies. All
 variants' columns go into one Gram matrix a fold; the cross-validated error of any set is then a few
@@ -162,7 +162,7 @@ _SHARES = (0.2, 0.35, 0.5, 0.65, 0.8)  # of the time that contacts are on one si
 _FINE_SHARES = tuple(np.linspace(0.03, 0.97, 17))
 _TURN = np.pi / 16  # between fine lines [rad]
 _CLOSE = 0.125  # distance of the closest lines over that of a contact from the robot's middle
-_LEAST_BEYOND = 0.1  # share of the time on either side of a line, of which it tells
+_LEAST_BEYOND = 0.1  # share of the time on either side of a line, from which it can be identified
 _LEAST_VISITED = 0.03  # of a side that was visited as often as this:
 _VISITS = 3
 
@@ -172,7 +172,7 @@ class Lines:
     """Where the contacts of a robot were while it moved."""
 
     drives: Sequence[Drive]  # drives with ``x`` and ``y``
-    vehicle: Vehicle  # tells where the contacts are
+    vehicle: Vehicle  # gives the positions of the contacts
 
     @cached_property
     def places(self) -> tuple[FloatArray, ...]:
@@ -230,7 +230,7 @@ class Lines:
 
     @cached_property
     def levels(self) -> int:
-        """How often fine lines are made closer until their ends are close, once at least."""
+        """Number of refinements of fine lines until their ends are close, one at least."""
         turns = 0.5 * _TURN * self._span / (_CLOSE * self._reach)
         return int(np.ceil(np.log2(max(turns, 2.0))))
 
@@ -256,7 +256,7 @@ class Lines:
         return kept
 
     def crosses(self, line: FloatArray) -> bool:
-        """Tell whether contacts were on both sides of a line for long enough, or often enough."""
+        """Return whether contacts were on both sides of a line for long enough, or often enough."""
         along = [place @ _normal(line[0]) - line[1] for place in self.places]
         beyond = [each > 0.0 for each in along]
         before = [each < 0.0 for each in along]
@@ -299,7 +299,7 @@ def _visits(drive: Drive, there: NDArray[np.bool_]) -> int:
     return int(np.count_nonzero(np.diff(some, prepend=False) & some))
 
 
-# -- sets of effects worth a closer look: the quick half of the search -----------------------------
+# -- sets of effects to examine more closely: the quick half of the search -------------------------
 
 RARE = -6.0
 """Logarithm of the odds of an effect before the data, against its absence."""
@@ -311,7 +311,7 @@ PAIRED = 24
 """Effects of which all pairs are tried."""
 
 _BEAM = 8  # sets that grow
-_EXACT = 6  # sets that are worth a closer look
+_EXACT = 6  # sets to examine more closely
 _FOLDS = 40  # most folds
 _BATCH = 128  # sets evaluated at once
 
@@ -490,7 +490,7 @@ class Proposals:
         return np.asarray(found + np.array(prior))
 
     def _bounds(self, candidates: Sequence[Candidate]) -> FloatArray:
-        """Return the range of each column's coefficient, (2, columns); a usual one's is free."""
+        """Return ranges of coefficients, (2, columns); infinite if nearly all robots have them."""
         rows = [(-np.inf, np.inf)] * len(PAPER)
         for one in candidates:
             for term in one.part.terms:
@@ -499,7 +499,7 @@ class Proposals:
         return np.array(rows).T
 
     def compatible(self, candidates: Sequence[Candidate], chosen: Iterable[int]) -> bool:
-        """Tell whether no two candidates share a term."""
+        """Return whether no two candidates share a term."""
         names = [name for one in chosen for name in candidates[one].terms]
         return len(set(names)) == len(names)
 
@@ -569,7 +569,7 @@ class Proposals:
             about = self.about(problem, parts, errors)
             if any(effect.acts == "change" for effect in self.effects):
                 marked = self._marked(problem, parts, errors)
-            # Losses act on the forces: those of the best set show others than the usual ones do.
+            # Losses act on the forces: those of the best set differ from those of the first one.
             losses = any(one.part.lossy for one in candidates)
             if marked is None and not (losses and set(top) != set(start)):
                 break
@@ -578,7 +578,7 @@ class Proposals:
         for _, (_, labels) in sorted(pooled.items(), key=lambda item: -item[1][0]):
             if all(label in names for label in labels):
                 sets.append(tuple(sorted(names[label] for label in labels)))
-        # What is usual, alone: where all else turns out to be nonsense.
+        # The effects of nearly every robot, alone: where all others turn out to be nonsense.
         plain = tuple(k for k, one in enumerate(candidates) if one.part in usual)
         return candidates, [*list(dict.fromkeys(sets))[:_EXACT], plain]
 

@@ -370,7 +370,7 @@ def size_error(effect: Effect, model: PowerModel) -> float:
 
 # -- what it costs that the sides push against each other on straights -----------------------------
 
-_WORTH = 0.01  # share of the energy that is worth naming
+_WORTH = 0.01  # share of the energy from which it is reported
 _FEWEST_RUNS = 3  # that show how much it differs; of fewer, it differs by as much as it is
 
 
@@ -476,15 +476,15 @@ class Judged:
 
     effects: tuple[Part, ...]  # the effects
     dropped: list[tuple[Effect, Why]]  # those of the explanation that are not named
-    added: Part | None  # A smooth term that the model has beside them
+    added: Part | None  # A smooth term that the model has in addition to them
     model: Modelled
     dependences: tuple[Dependence, ...]  # how what the effects leave depends on every signal
     left: list[Dependence]  # those that are reasons
-    first: Dependence | None  # the one that explains most, beside how drives differ
+    first: Dependence | None  # the one that explains most, other than how drives differ
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """All that the model has beside the paper's terms."""
+        """All that the model has in addition to the paper's terms."""
         return self.effects if self.added is None else (*self.effects, self.added)
 
 
@@ -562,12 +562,12 @@ def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
 
 
 def holds(quality: Adequacy, error: float) -> bool:
-    """Tell whether what was found on the training drives holds on others."""
+    """Return whether what was found on the training drives holds on others."""
     return error <= _HOLDS * max(quality.residual, quality.noise)
 
 
 def explains(quality: Adequacy, before: float, after: float) -> bool:
-    """Tell whether what was found explains the error, where more is left than noise."""
+    """Return whether what was found explains the error, where more is left than noise."""
     if quality.adequate:
         return True
     gross = quality.residual > _GROSS * quality.noise

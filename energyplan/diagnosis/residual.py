@@ -73,7 +73,7 @@ def signals(drives: Sequence[Drive]) -> list[str]:
 
 def _knots(values: FloatArray) -> FloatArray:
     low, high = np.quantile(values, [0.01, 0.99])
-    # A signal that ends somewhere is there most of the time; it tells by how it gets there.
+    # A signal that settles spends most of the time there; the way there is what is informative.
     within = values[(values > low) & (values < high)]
     inner = np.quantile(within if len(within) else values, np.linspace(0, 1, _KNOTS)[1:-1])
     even = np.linspace(low, high, _KNOTS)[1:-1]
@@ -179,7 +179,7 @@ def _dependence(
 def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) -> list[Dependence]:
     """Test for a load that comes and goes with a fixed period, its phase free in each drive."""
     length = np.array([float(drive.t[-1]) for drive in problem.drives])
-    # A column for each drive and phase: of very many drives the longest tell.
+    # A column for each drive and phase: of very many drives the longest are used.
     chosen = np.sort(np.argsort(-length, kind="stable")[:_WAVES])
     drives, design = [problem.drives[k] for k in chosen], design.of_drives(chosen)
     longest = float(length.max())

@@ -81,7 +81,7 @@ class EnergyPrediction:
 
 @dataclass(frozen=True)
 class Average:
-    """What the model for runs to come is made of: an explanation, two terms, and extensions."""
+    """Contents of the model for future runs: an explanation, two terms, and extensions."""
 
     weight: float  # weight of the explanation, in [0, 1]
     left_out: str  # what was left out, one after the other
@@ -147,7 +147,7 @@ class Diagnosis(html.Readable):
         Error of the extended model where the time of a change within a hold-out drive is not taken
         from that drive: the prediction in the narrow sense. None where there is no such time.
     average : Average or None
-        What `model` averages, beside the explanation; None where it is the explanation alone.
+        What `model` averages, besides the explanation; None where it is the explanation alone.
 
     Examples
     --------
@@ -254,7 +254,7 @@ def advice_of_model(
     dependences: Sequence[Dependence],
     significance: float,
 ) -> Iterator[str]:
-    """Say what a model leaves of the training drives, and what tells more of its effects."""
+    """Yield what a model leaves of the training drives, and what would show more of its effects."""
     names = _listed(effect.name for effect in found)
     first = next((one for one in left if one.channel != "drive"), None)
     if first is not None and found:
@@ -334,7 +334,7 @@ def advice_of_predictions(
     untested: Sequence[tuple[str, str]],
     average: Average | None,
 ) -> Iterator[str]:
-    """Say what the hold-out drives tell of a model, and what could not be tested."""
+    """Describe what the hold-out drives show about a model, and what could not be tested."""
     names = _listed(effects)
     if effects and after.rmse > before.rmse:
         line = (
@@ -372,7 +372,7 @@ def advice_of_predictions(
 
 
 def few_drives(count: int) -> Iterator[str]:
-    """Say what the intervals of energies assume where too few drives were compared."""
+    """Describe what the intervals of energies assume where too few drives were compared."""
     if count <= _NO_DIFFERENCE_KNOWN:
         yield (
             "fewer than three training drives do not show how much runs differ as a whole: "

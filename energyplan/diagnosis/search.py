@@ -49,7 +49,7 @@ _OVER = 0.05  # over the upper end of a coefficient, by which noise of the speed
 
 
 def possible(problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
-    """Tell whether coefficients, and the sizes of effects, are within their ranges."""
+    """Return whether coefficients, and the sizes of effects, are within their ranges."""
     terms = terms_of(parts)
     slack = 3 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     ends = problem.ends(terms)
@@ -66,7 +66,7 @@ def possible(problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
     return True
 
 
-# -- what a residual counts as evidence, and which explanations drives cannot tell apart -----------
+# -- what a residual counts as evidence, and which explanations drives cannot distinguish ----------
 
 
 def residuals(design: Design, values: FloatArray) -> list[FloatArray]:
@@ -86,9 +86,9 @@ def innovations(design: Design, left: Sequence[FloatArray]) -> FloatArray:
     return np.array(shares)
 
 
-# -- what the search weighs: sets of effects, what each effect is worth, probabilities -------------
+# -- what the search weighs: sets of effects, the gain of each effect, probabilities ---------------
 
-_RIVAL = 0.05  # probability of another explanation, over that of the best, that is worth naming
+_RIVAL = 0.05  # probability of another explanation, over that of the best, from which it is named
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class EffectSet:
     parts: tuple[Part, ...]  # the effects, the one that explains most first
     probability: float  # that this set is the right one, among those of the catalogue
     problem: Problem  # the drives, with delays and times of changes as this set has them
-    gains: tuple[Gain, ...]  # what each effect of the set is worth in it
+    gains: tuple[Gain, ...]  # gain of each effect of the set, given the others
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -108,7 +108,7 @@ class EffectSet:
 
 @dataclass(frozen=True)
 class Gain:
-    """What an effect is worth beside the others of its set."""
+    """Gain of an effect, given the others of its set."""
 
     improvement: float
     error: float
@@ -167,20 +167,20 @@ _CHANCE = 0.05
 predicts unseen blocks better and outweighs its prior: three gates, each of which it must pass."""
 
 WORTHWHILE = 0.05
-"""Smallest fall of the cross-validated error, mean over the scales, that is worth an effect."""
+"""Smallest fall of the cross-validated error, mean over the scales, that justifies an effect."""
 
 WORTH = 0.004
-"""Part of the root mean square power from which on an effect is worth its place whatever else is
+"""Part of the root mean square power from which on an effect is kept whatever else is
 missing. A smaller one is where it is more than what its set leaves beyond noise: what a model does
 not have looks like one effect or another of at most that size."""
 
 _LASTING = 0.45
-"""Part of what a change is worth that is left without the block that shows most of it, at least.
+"""Least part of a change's gain that is left without the block that shows most of it.
 Changes that are there leave half and more; an odd block that some line or time fits, two fifths at
 most."""
 
 _BY_CHANCE = 1e-3  # that noise alone leaves something of a set, over all scales
-_FEWEST = 4  # samples that tell no noise
+_FEWEST = 4  # samples from which noise cannot be estimated
 
 LATE = -float(np.log(len(DELAYS)))
 """Logarithm of the odds of a delay before the data: most logs' power is late, so that only the
@@ -247,9 +247,9 @@ def _span(part: Part) -> FloatArray:
     return np.asarray(0.2 * np.abs(part.values))
 
 
-_KEPT_LAST = 16  # the same where nothing else is sought any more: more of them find no better line
+_KEPT_LAST = 16  # lines kept at each refinement; keeping more of them finds no better line
 _TOGETHER = 16  # lines in one table
-_SAMPLES = 5  # in a shortest window, that tell where a line may be
+_SAMPLES = 5  # in a shortest window, that show where a line may be
 
 Weighed = dict[tuple[frozenset[int], Late], float]
 """Likelihood times prior of sets at time offsets, as logarithms."""
@@ -262,7 +262,7 @@ _TRIED = 18  # neighbours of a set, each of other effects, that are fitted as th
 SIGNIFICANCE = 0.01
 """Chance that a channel is called a reason where it is none, over all channels together."""
 
-_APART = 0.05  # delays that are worth sets of their own [s]
+_APART = 0.05  # difference of delays from which each gets its own sets [s]
 _PERIOD = 0.1  # over which the search averages drives [s]; sizes are fitted to all samples
 _MOST_SAMPLES = 60_000  # that the search works on
 _MOST_DRIVES = 40  # and of so many drives
@@ -442,7 +442,7 @@ class Search:
         about = self.quick.about(one.problem, one.parts, one.errors)
         design = self.quick.table(self.quick.problem.delayed(late), candidates, about)
         others = [k for k in range(len(candidates)) if k not in now]
-        # A change takes up what others of its set are beside the truth by: without one, too.
+        # A change absorbs errors of the others in its set: try the set without changes, too.
         cores = [now, tuple(k for k in now if candidates[k].marked is None)]
         trials = [set(core) for core in cores if core != now]
         for core in dict.fromkeys(cores):
@@ -561,10 +561,10 @@ class Search:
         return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts))
 
     def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
-        """Return what a part is worth in a set, against the set without it."""
+        """Return the gain of a part in a set, over the set without it."""
         floor = self.quick.problem.floor
         scale = 1.0 / (less.errors + floor)
-        # What shows in one equation alone is no less worth for it.
+        # An effect that shows in one equation alone counts in full.
         fall = less.fit.squares - full.fit.squares
         falls, shares = (
             (fall * by[:, None]).reshape(-1, len(SCALES), fall.shape[1]).mean(axis=1)
@@ -596,7 +596,7 @@ class Search:
         return float(np.sqrt(max(left.max(), 0.0) / max(np.mean(power), 1e-300)))
 
     def _acceptable(self, gain: Gain, one: Candidate, full: Evaluated, less: Evaluated) -> bool:
-        """Tell whether an effect is large and certain enough, given its set with and without it."""
+        """Return whether an effect is large and certain enough, by its set with and without it."""
         large = gain.improvement > WORTHWHILE and gain.share > min(WORTH, self._missing(full))
         if less.sound and not large:
             return False
@@ -630,13 +630,13 @@ class Search:
         return now
 
     def _looks(self, one: Candidate) -> float:
-        """Return how many effects were looked for where one was found; a usual one is always."""
+        """Return how many effects were searched to find one; 1 if nearly every robot has it."""
         return 1.0 if one.part.effect.usual else float(len(self.quick.effects))
 
     def _gains(
         self, now: Set, candidates: Sequence[Candidate], late: Late
     ) -> tuple[dict[int, Gain], dict[int, Evaluated]]:
-        """Return what each effect of a set is worth in it, and the sets without it."""
+        """Return the gain of each effect in a set, and the sets without it."""
         full = self._evaluate(now, candidates, late)
         less = {k: self._evaluate(tuple(j for j in now if j != k), candidates, late) for k in now}
         for k in now:

@@ -21,7 +21,7 @@ from energyplan.vehicle import Vehicle
 
 _BISECTIONS = 16
 _INSIDE = 12  # bisections by which a moment differs from its limit
-_TOLD = 5.0  # noise that the largest moment exceeds where its size can be told
+_TOLD = 5.0  # multiple of the noise from which the largest moment can be measured
 
 
 def lost_power(
@@ -94,7 +94,7 @@ class Preload:
 
 
 def _alone(held: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
-    """Tell which held samples cannot be averaged over so many with their neighbours."""
+    """Return which held samples cannot be averaged over so many with their neighbours."""
     long = maximum_filter1d(minimum_filter1d(held.astype(float), width), width) > 0.0
     beside = maximum_filter1d((~held).astype(float), 3) > 0.0
     return np.asarray(held & (beside | ~long))

@@ -49,7 +49,7 @@ def energy_error(missing: float, measured: float) -> float:
 
 
 def unfounded(model: PowerModel, confidence: float, spread: float) -> str:
-    """Tell why nothing can be said of a model's energies with a probability."""
+    """Return why nothing can be said of a model's energies with a probability."""
     if model.residual is not None and not np.isfinite(model.residual.energy_error):
         return (
             f"the model {model.name!r} missed all the energy of the drives that it was judged on, "
@@ -83,7 +83,7 @@ def statistics(drives: Sequence[Drive], powers: Sequence[FloatArray]) -> Residua
     )
 
 
-# -- what logs tell about a model's coefficients: linearisation and identifiability ----------------
+# -- what logs show about a model's coefficients: linearisation and identifiability ----------------
 
 _NO_DATA = 0.01  # A regressor below this fraction of its size in common manoeuvres counts as zero
 
@@ -92,7 +92,7 @@ COLLINEAR = 0.02
 combination but for what the noise of the speeds adds."""
 
 _NEARLY_COLLINEAR = 0.1
-"""Smallest singular value below which it is told that regressors hardly differ."""
+"""Smallest singular value below which a warning says that regressors hardly differ."""
 
 
 _SPIN = "a spin on the spot"
@@ -100,7 +100,7 @@ _STRAIGHT = "straight lines at several constant speeds"
 
 
 def is_linear(model: PowerModel) -> bool:
-    """Tell whether the power is linear in the coefficients: no loss depends on the forces."""
+    """Return whether the power is linear in the coefficients: no loss depends on the forces."""
     return all(term.kind != "loss" for term in model.terms)
 
 
@@ -111,7 +111,7 @@ def linearise(model: PowerModel, motion: Motion, battery: bool = False) -> Linea
 
 
 def signal_motion(drive: Drive, turning: bool = True) -> Motion:
-    """Return a drive's motion averaged over a second: what its manoeuvres tell."""
+    """Return a drive's motion averaged over a second: what its manoeuvres show."""
     motion, window = drive.motion, min(drive.samples_in(1.0), max(len(drive.t) // 2, 1))
     left, right = np.empty(len(drive.t)), np.empty(len(drive.t))
     for run in drive.runs:
@@ -185,7 +185,7 @@ def _best(values: dict[str, float]) -> str:
 def check_identifiable(
     model: PowerModel, jacobian: FloatArray, turning: bool = True
 ) -> tuple[str, ...]:
-    """Refuse data that cannot tell the coefficients."""
+    """Refuse data that cannot determine the coefficients."""
     tests = {
         name: columns
         for name, motion in _manoeuvres(model.vehicle.icr).items()
@@ -241,13 +241,13 @@ USUAL = {"slip_friction": (0.6, 0.3), "traction_resistance": (0.1, 0.05)}
 """Mean and standard deviation: of mu, and of K over the robot's weight. They are those of the
 presets: from ice to asphalt, from 17 to 470 kg."""
 
-_UNTOLD = 1e3  # standard deviations of the usual, by which what drives do not tell is unknown
-_UNLIKE = 9.0  # mean square of standard deviations from the usual, beyond which a robot is unlike
-_WIDER = 1.5  # factor of the usual variance, in steps, for a robot which is unlike others
+_UNTOLD = 1e3  # typical standard deviations, as the error of what drives do not show
+_UNLIKE = 9.0  # mean square of standard deviations from the typical, beyond which it is atypical
+_WIDER = 1.5  # factor of the typical variance, in steps, for a robot that is atypical
 
 
 class UsualFriction(NamedTuple):
-    """Mean and standard deviation of a coefficient over robots and grounds."""
+    """Mean and standard deviation of a coefficient over robots and surfaces."""
 
     mean: float
     deviation: float
@@ -272,7 +272,7 @@ def with_usual(
     values: FloatArray, covariance: FloatArray, terms: Sequence[Term], gram: FloatArray,
     vehicle: Vehicle,
 ) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:  # fmt: skip
-    """Return coefficients and covariance with what is usual, where drives tell less than it."""
+    """Return coefficients and covariance with typical ones as a prior, where drives show less."""
     which = [k for k, term in enumerate(terms) if term.name in USUAL]
     known = [usual_friction(terms[k], vehicle) for k in which]
     mean, error = np.array(known).reshape(-1, 2).T
@@ -308,7 +308,7 @@ def _unlike(away: FloatArray, covariance: FloatArray) -> float:
 
 
 def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
-    """Say which frictions drives leave open, and what they are taken to be."""
+    """Describe which frictions drives leave open, and what they are taken to be."""
     return [
         f"these drives leave {term.name} open; with what robots elsewhere have it is "
         f"{term.symbol} = {number(model.coefficient(term.name))} +- "
@@ -318,7 +318,7 @@ def open_in_words(model: PowerModel, names: Sequence[str]) -> list[str]:
 
 
 def ends_in_words(model: PowerModel) -> list[str]:
-    """Say which coefficients are at an end of what is possible, or beyond what a robot weighs."""
+    """Describe which coefficients are at an end of what is possible, or too large for the robot."""
     found, weight = [], model.vehicle.mass * GRAVITY
     for term, value in zip(model.terms, model.coefficients, strict=True):
         if term.name == "traction_resistance" and 2.0 * value > weight:
@@ -346,7 +346,7 @@ def ends_in_words(model: PowerModel) -> list[str]:
 _FLOOR = 0.01
 """What is no more than this fraction of the root mean square power is as good as nothing."""
 _CHANCE = 1e-3  # that noise alone is called coloured, over all lengths of means
-_RESTING = 20  # samples at rest that may tell the noise
+_RESTING = 20  # samples at rest from which the noise may be estimated
 _TELLING = 30  # independent ones that do
 _LIKE = 0.25  # variance at rest, over that of white noise while driving, from which they do
 _STEADY = 3.0  # standard errors by which coefficients move where a model lacks nothing
@@ -356,7 +356,7 @@ _SIGMA = 4.0  # standard deviations that noise does not exceed
 
 @dataclass(frozen=True)
 class Adequacy:
-    """Residual on the drives of a fit, beside the noise that no model can explain."""
+    """Residual on the drives of a fit, compared with the noise that no model can explain."""
 
     noise: float  # of a sample [W]
     residual: float  # root mean square residual of the model [W]
@@ -421,14 +421,14 @@ def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
 
 @dataclass(frozen=True)
 class Wider:
-    """What a model leaves with the effects beside it that nearly every drive shows."""
+    """What a model leaves together with the effects that nearly every drive shows."""
 
     residuals: list[FloatArray]  # (n,): what is left of each drive [W]
     moves: list[str]  # coefficients of the model that move by more than their errors, in words
 
     @classmethod
     def of(cls, model: PowerModel, drives: Sequence[Drive]) -> Wider:
-        """Fit usual effects beside the terms of a model."""
+        """Fit effects that nearly every drive shows in addition to the terms of a model."""
         names, own = {term.name for term in model.terms}, len(model.terms)
         every = [*model.terms] + [
             replace(term, params={**term.params, **dict(zip(effect.grid, values, strict=True))})
@@ -455,7 +455,7 @@ class Wider:
 
 
 def _noises(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> list[SensorNoise]:
-    """Return what noise the power may have, by standstill if it tells, else by its spectrum."""
+    """Return what noise the power may have, from standstill if possible, else from its spectrum."""
     own = [(d, r) for d, r in zip(drives, residuals, strict=True) if d.hold is None and len(r) > 4]
     residual = np.concatenate([r for _, r in own]) if own else np.zeros(0)
     white = float(np.median([speed_noise(d.power) for d, _ in own])) ** 2 if own else 0.0

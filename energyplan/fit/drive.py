@@ -68,17 +68,17 @@ class Windows:
 # -- motion without the noise of the speed sensors -------------------------------------------------
 
 _SMOOTHING = 0.45  # width of the local parabola [s]
-_LONGER = (1.0, 2.0, 4.0)  # averages that may still tell a slight turn [s]
+_LONGER = (1.0, 2.0, 4.0)  # averages that may still show a slight turn [s]
 _SIGMA = 4.0  # standard deviations that noise does not exceed
-_NOISELESS = 1e-4  # speed noise not worth smoothing [m/s]
+_NOISELESS = 1e-4  # speed noise that needs no smoothing [m/s]
 _ROUNDING = 1e-6  # a smaller difference of noiseless speeds is none [m/s]
 _CREEP = 2e-3  # a slower tread is at rest [m/s]
-_DRIVING = 0.1  # share of the usual speed that is driving, whatever the noise
+_DRIVING = 0.1  # share of the typical speed that is driving, whatever the noise
 _KEPT = 0.9  # share of the differences that noise makes, the rest being corners
 _KEPT_SQUARE = 0.6231  # mean square of that share of standard normal values
-_LATTICE = 1e-3  # of a step, by which readings lie beside a whole number of them
+_LATTICE = 1e-3  # deviation of readings from a whole number of steps, relative to that number
 _AGREES = 0.7  # correlation of another sensor of the turn with the wheels, from which it is one
-_RESTING = 20  # samples at rest that tell an offset
+_RESTING = 20  # samples at rest that determine an offset
 _SHORTEST = 7  # samples in a stretch below which nothing is smoothed
 
 
@@ -108,7 +108,7 @@ class Turning:
 
 
 def turning(motion: Motion, t: FloatArray) -> Turning | None:
-    """Return what tells best how a robot turns beside its wheels: a gyroscope, or a heading."""
+    """Return the best sensor of a robot's turn other than its wheels: a gyroscope, or a heading."""
     rates = []
     if len(t) < _SHORTEST:
         return None
@@ -122,8 +122,8 @@ def turning(motion: Motion, t: FloatArray) -> Turning | None:
 
 def quiet(motion: Motion, t: FloatArray) -> Motion:
     """Return a motion without the noise of its speed sensors."""
-    # Friction turns with the sign of a speed, and noise about zero has any sign; that of a slight
-    # turn is that of a sharp one, so that it matters which way the robot turned, however little.
+    # Friction changes direction with the sign of a speed, and noise about zero has any sign.
+    # Friction in a slight turn is that in a sharp one, so the direction of any turn matters.
     left, right = np.array(motion.v_left), np.array(motion.v_right)
     other = turning(motion, t)
     for run in find_runs(t):
@@ -143,7 +143,7 @@ def _quiet_run(
     width = 2 * round(0.5 * _SMOOTHING / period) + 1
     level = _SIGMA * noise
     # Readings that beat with the encoder scatter by a good part of the speed, but are no standstill
-    # and no turn: whatever the noise, a good part of the usual speed is driving.
+    # and no turn: whatever the noise, a good part of the typical speed is driving.
     moving = np.maximum(np.abs(left), np.abs(right))
     # Of a robot that stands for longer than it drives, most readings are noise.
     clear = moving > level if np.any(moving > level) else moving > 0.0
@@ -181,7 +181,7 @@ def _at_rest(
 
 
 def _passing(size: FloatArray, driven: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Tell where a tread moves: where it is driven, and while it starts or stops."""
+    """Return where a tread moves: where it is driven, and while it starts or stops."""
     moves, change = np.array(driven), np.diff(driven.astype(int))
     starts, stops = np.flatnonzero(change > 0) + 1, np.flatnonzero(change < 0)
     for ends, way in ((starts, 1), (stops, -1)):
@@ -199,7 +199,7 @@ def _told_turn(
     wheels: FloatArray, level: float, other: Turning, moving: NDArray[np.bool_], width: int,
     period: float,
 ) -> FloatArray:  # fmt: skip
-    """Difference of the tread speeds, told by another sensor where the wheels' noise hides it."""
+    """Difference of the tread speeds, from another sensor where the wheels' noise hides it."""
     seen, noise = other.difference, _SIGMA * other.noise
     if other.noise > _NOISELESS and 5 <= width <= len(seen):
         seen, noise = savgol_filter(seen, width, 2), noise * 1.5 / np.sqrt(width)
@@ -223,7 +223,7 @@ def _turn(
         size = 2 * round(0.5 * length / period) + 1
         if size > len(turn):
             break
-        # Only where the whole stretch is straight so far: nothing leaks in from a turn beside it.
+        # Only where the whole stretch is straight so far: nothing leaks in from an adjacent turn.
         calm = maximum_filter1d((~straight | ~moving).astype(float), size) == 0.0
         average = uniform_filter1d(difference, size)
         told = calm & (np.abs(average) > sample / np.sqrt(size) + offset)
@@ -409,7 +409,7 @@ class Clock:
 
 
 def _period(t: FloatArray) -> float:
-    """Return the usual time between samples; infinite where there is one."""
+    """Return the median time between samples; infinite where there is one."""
     return float(np.median(np.diff(t))) if len(t) > 1 else np.inf
 
 
@@ -547,7 +547,7 @@ class Drive:
 
     @cached_property
     def holds(self) -> NDArray[np.bool_]:
-        """Tell where contacts hold, so that the moment of friction is anything up to its limit."""
+        """Return where contacts hold: the moment of friction is anything up to its limit."""
         return np.asarray(np.abs(self.motion.omega) <= self.breakaway)
 
     @property

@@ -142,7 +142,7 @@ FINE = 0.1
 """Part of the floor that likelihoods count as nothing."""
 
 FLOOR = 0.01
-"""Error that is not worth an effect, as a fraction of the root mean square power."""
+"""Error too small to justify an effect, as a fraction of the root mean square power."""
 
 ROUNDS = 20
 """Most steps of a fit with losses."""
@@ -150,9 +150,9 @@ ROUNDS = 20
 _SLIP_LAW = 0.05  # error of p_right - p_left, relative, that the friction law itself has
 _KEPT = 0.1  # of friction and resistance in a step, at least
 _SETTLED = 5e-3  # fall of the negative logarithm of the likelihood that is none
-_SHORTER = 0.4  # part of a step that is tried where the step has led to nothing better
+_SHORTER = 0.4  # part of a step that is tried where the step gave nothing better
 
-_RESTING = 20  # samples at rest that tell what is drawn there
+_RESTING = 20  # samples at rest from which the power at rest is estimated
 _SURE = 3.0  # standard errors within which that is
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
@@ -401,7 +401,7 @@ _HOLDING = 0.01  # mean slip speed up to which contacts may hold [m/s]
 _CLEAR = 3.0  # noise beyond which a side should return power
 _RISES = 0.3  # rise of what a side shows with what it should return, from which it lacks a sign
 _ENOUGH = 20  # samples that a sign needs
-_LOST = 0.5  # misfit of the moment between the sides, over it, from which it tells nothing
+_LOST = 0.5  # misfit of the moment between the sides, over it, from which it is not used
 _SLIDES = 0.3  # misfit in slight turns up to which contacts slide there; simulated ones: 0.2
 _LEFT = 0.01  # share of the samples that must slide
 
@@ -416,7 +416,7 @@ def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Eff
 
 
 def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
-    """Return the drives with contacts that may hold, or their totals if the sides tell nothing."""
+    """Return the drives with contacts that may hold, or their totals if the sides show nothing."""
     vehicle, terms, total = problem.vehicle, [*PAPER, *usual], problem.of_totals
     if problem is total:
         return problem
@@ -448,7 +448,7 @@ def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray, most: f
 
 
 def _unsigned(problem: Problem, terms: Sequence[Term], values: FloatArray) -> bool:
-    """Tell whether sensors show what sides return as if it were drawn."""
+    """Return whether sensors show what sides return as if it were drawn."""
     due, shown, faint, lowest = list[FloatArray](), list[FloatArray](), 0, np.inf
     for drive in problem.drives:
         table = np.stack([columns_of(term, drive, problem.vehicle) for term in terms], axis=-1)
@@ -480,7 +480,7 @@ class Fitted:
 
     model: PowerModel  # the model with its covariance
     run: RunEffect  # by how much runs differ as a whole
-    assumed: tuple[str, ...]  # terms of which drives tell less than is known of any robot
+    assumed: tuple[str, ...]  # terms of which drives show less than is known of any robot
     further: FloatArray  # covariance of further parameters, at whose values the terms were fitted
     errors: Mapping[str, float] = field(default_factory=dict)  # of parameters that were searched
 

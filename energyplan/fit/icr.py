@@ -17,7 +17,7 @@ from energyplan.logs import DriveLog
 from energyplan.path import FloatArray
 from energyplan.vehicle import TreadICR
 
-_LEAST_TURNING = 1.0  # yaw that a log must have turned through in all for an ICR to be told [rad]
+_LEAST_TURNING = 1.0  # total yaw of a log from which an ICR can be estimated [rad]
 
 _WINDOW = 200  # samples over which the noise of increments is judged
 
@@ -34,7 +34,7 @@ class ICREstimate:
 
     icr: TreadICR  # the tread ICRs
     covariance: FloatArray  # (3, 3): covariance of left, right and longitudinal [m^2]
-    turning: float  # yaw that the logs turned through in all [rad]
+    turning: float  # total yaw of the logs [rad]
     source: str  # what it comes from
 
     @property
@@ -59,7 +59,7 @@ class _Increments:
 
 
 def yaw_channel(logs: Sequence[DriveLog]) -> str | None:
-    """Name the channel of the logs that shows how the robot turned, or None."""
+    """Name the channel of the logs that measures the yaw or its rate, or None."""
     there = [name for name in ("yaw", "yaw_rate") if any(log.has(name) for log in logs)]
     alive = [
         name for name in there
@@ -118,7 +118,7 @@ def _stack(logs: Sequence[DriveLog], channel: str, pose: bool) -> tuple[_Increme
 
 
 def turned(logs: Sequence[DriveLog], icr: TreadICR) -> bool:
-    """Tell whether the yaw shows the robot turning as its wheels say, however slipping."""
+    """Return whether the yaw shows the robot turning as its wheels say, however slipping."""
     channel = yaw_channel(logs)
     if channel is None:
         return True

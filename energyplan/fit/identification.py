@@ -159,7 +159,7 @@ class PowerRegression:
     def covariance(self, model: PowerModel, method: Method, independent: float) -> FloatArray:
         """Covariance of the coefficients: a jackknife over blocks of time, by one step each.
 
-        `independent` is the number of samples that the residual is worth.
+        `independent` is the number of independent samples that the residual is equivalent to.
         """
         target, design = self._linearise(model)
         residual = target - design @ model.coefficients
@@ -189,7 +189,7 @@ class PowerRegression:
         moved = np.einsum("bij,bj->bi", rest, score.sum(axis=0) - score[kept]) / scale
         if len(moved) < 2:
             return np.full_like(whole, np.inf)
-        # Neighbouring blocks are alike: variance of a mean over one, beside that of all of them.
+        # Neighbouring blocks are alike: variance of a mean over one, relative to all of them.
         ratio = 0.5 * time / max(independent, 1.0) / length
         alike = ratio * (1.0 - np.exp(-1.0 / max(ratio, 1e-3)))
         return np.asarray(jackknife(moved) / (1.0 - alike))
@@ -242,7 +242,7 @@ def _density_at_zero(residual: FloatArray, sigma: float, independent: float) -> 
 
 _FEWEST = 4  # drives from which on whole ones are left out
 _STRETCHES = 5
-_LEAST = 0.1  # share of the usual power that what is left out counts as taking at least
+_LEAST = 0.1  # share of the typical power that what is left out counts as taking at least
 
 
 @dataclass(frozen=True)
@@ -304,7 +304,7 @@ def foretold(model: PowerModel, drives: Sequence[Drive]) -> Foretold | None:
 # -- friction inside a robot, from drives with its wheels in the air -------------------------------
 
 _SLOWEST = 0.05  # tread speed from which a side turns [m/s]
-_BIN = 0.1  # width of the speed classes that are told [m/s]
+_BIN = 0.1  # width of the speed classes [m/s]
 _STEADY = 0.15  # largest tread acceleration of a steady sample [m/s^2]
 _ENOUGH = 20
 _TRAVEL = {"x", "y", "yaw", "yaw_rate", "accel_x"}
@@ -401,7 +401,7 @@ def _side(drives: Sequence[DriveLog], side: str, constant: float | None) -> Inte
             piled = moving & (reading <= floor * 1.01 + 1e-12)
             if np.count_nonzero(piled) > _PILED * np.count_nonzero(moving):
                 lost += int(np.count_nonzero(piled))
-                # What the sensor does not tell lies between nothing and its dead band.
+                # What the sensor does not show lies between nothing and its dead band.
                 reading = np.where(piled, 0.5 * floor, reading)
             force = constant * reading
         else:
@@ -450,7 +450,7 @@ def _smooth(values: FloatArray) -> FloatArray:
 
 ICRChoice = Literal["auto", "symmetric", "asymmetric", "vehicle"]
 
-_SHORTEST = 1.0  # shortest drive worth a look [s]
+_SHORTEST = 1.0  # shortest drive that is identified from [s]
 
 _LARGEST_ICR_ERROR = 0.1
 """Error of an ICR, over half the slip track, beyond which symmetry is the better guess."""
@@ -473,9 +473,9 @@ class Identification(ByValue, html.Readable):
         Covariance of the left, right and longitudinal tread ICR [m^2]; None where the vehicle's
         own were kept.
     effective_samples : float
-        How many independent samples the autocorrelated residual is worth.
+        Number of independent samples that the autocorrelated residual is equivalent to.
     adequacy : Adequacy
-        What is left beside noise once the inertia and the mobilisation of friction that nearly
+        Residual, compared with noise, once the inertia and the mobilisation of friction that nearly
         every drive shows are allowed for. Where that is more than noise, the model lacks something,
         and coefficients may be off by more than their standard errors.
     foretold : Foretold, optional
@@ -590,7 +590,7 @@ class Identification(ByValue, html.Readable):
 
 
 def name_of(vehicle: Vehicle, logs: Sequence[DriveLog]) -> str:
-    """Return the name of a model: its robot and the drives that it is of, which tell the ground."""
+    """Return the name of a model: its robot and the drives that it is of, which show the ground."""
     more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
     return f"{vehicle.name}, {Path(logs[0].name).stem}{more}"
 
@@ -790,7 +790,7 @@ def _stacked(model: PowerModel, motions: Sequence[Motion], drives: Sequence[Driv
 def _find_icr(
     drives: Sequence[DriveLog], vehicle: Vehicle, icr: ICRChoice | TreadICR, warnings: list[str]
 ) -> ICREstimate | None:
-    """Identify tread ICRs as asked; None, with a warning, where they are kept."""
+    """Identify tread ICRs by the choice; None, with a warning, where the vehicle's are kept."""
     if isinstance(icr, TreadICR) or icr == "vehicle":
         return None
     if icr not in ("auto", "symmetric", "asymmetric"):

@@ -59,7 +59,7 @@ CLIP = 4.0
 """Standard deviations beyond which a residual pulls no harder."""
 
 BLOCK = 5.0
-"""Length of the blocks that tell the correlation of the residual [s]."""
+"""Length of the blocks that the correlation of the residual is estimated from [s]."""
 
 TICK = 0.25
 """Driving time between two looks for a change [s]."""
@@ -67,7 +67,7 @@ TICK = 0.25
 LONGEST = 32
 """Ticks in the longest window; the others are a half, a quarter and an eighth of it."""
 
-_UNEXCITED = 0.01  # share of the usual excitation below which a sample tells nothing
+_UNEXCITED = 0.01  # share of the typical excitation below which a sample is not used
 
 _BEST_OF_FOUR = 1.7
 """Mean of the largest of the windows' statistics, over the number of coefficients."""
@@ -285,11 +285,11 @@ _NOISE = 0.07  # of the power, by kilogram of the vehicle, where nothing is know
 _NOISE_MEMORY = 120.0
 _CORRELATION_TIME = 0.5  # of the residual, until the drive shows its own [s]
 
-_FEWEST = 3  # former runs that tell what the rest of a run keeps
+_FEWEST = 3  # former runs from which the share that the rest of a run keeps is estimated
 _SHARES = 21  # values of that share
 _DRAWS = 200  # of the Bayesian bootstrap
 _EXACT = 1e-6  # relative error that is none
-_IDLE = 0.1  # share of the usual power, up to which a part of a run tells nothing
+_IDLE = 0.1  # share of the typical power, up to which a part of a run is not used
 
 _RAMP_TIME = 0.15  # time constant of the filter that accelerations of single samples come from [s]
 
@@ -309,7 +309,7 @@ class RunMemory:
     """How much of a run's departure from former runs the rest of it keeps."""
 
     share: float  # of the logarithm of measured over predicted energy, in [0, 1]
-    quarter: float  # usual energy of the first quarter of a run [J]
+    quarter: float  # typical energy of the first quarter of a run [J]
 
     @classmethod
     def of(cls, logs: Sequence[DriveLog], model: PowerModel) -> RunMemory:
@@ -476,7 +476,7 @@ class OnlineIdentifier:
             else _NOISE * model.vehicle.mass
         )
         self._scalars[VARIANCE] = noise**2
-        # A guess that fits a robot of some size is worth little on another.
+        # A guess that fits a robot of some size says little about another.
         self._scalars[SAMPLES] = 40.0 if known else 2.0
 
     def _units(self, coefficients: FloatArray) -> FloatArray:
@@ -486,7 +486,7 @@ class OnlineIdentifier:
         return np.asarray(self._spread * size)
 
     def _begin(self, t: float, period: float) -> None:
-        """Learn the sample period, which the correlation of the noise is counted in."""
+        """Set the sample period, in which the correlation of the noise is expressed."""
         self._t, self._period = t - period, period
         residual = self._model.residual
         time = residual.correlation_time if residual else 0.0

@@ -37,7 +37,7 @@ class Linear:
 
 
 def is_lossy(drive: Drive, terms: Sequence[Term]) -> bool:
-    """Tell whether the power is not linear in the coefficients."""
+    """Return whether the power is not linear in the coefficients."""
     return drive.battery or any(term.kind == "loss" for term in terms)
 
 
@@ -189,7 +189,7 @@ def block_grams(table: AnyTable, block: AnyInts, count: int) -> FloatBlock:
 
 
 _MUCH = 0.4  # share of all blocks that no drive may exceed to be left out as a whole
-_IDLE = 0.01  # share of the usual size of a block's columns below which it says nothing
+_IDLE = 0.01  # share of the typical size of a block's columns below which it is not used
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The random effect of a run: by which factor its energy differs from that of its like (private).
 
-Runs of one robot differ as a whole, by loads, temperatures and grounds that no channel shows. What
-a model says of the next run is no surer than that, however well its coefficients are known.
+Runs of one robot differ as a whole, by loads, temperatures and surfaces that no channel shows.
+The prediction for the next run is no surer than that, however well its coefficients are known.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from energyplan.fit.regressors import Design
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 
-_COMPARED = 3  # runs from which on they tell how much they differ
-_ASSUMED = 2.0  # degrees of freedom of a deviation that is assumed: robots and grounds differ
+_COMPARED = 3  # runs from which on they show how much they differ
+_ASSUMED = 2.0  # degrees of freedom of a deviation that is assumed: robots and surfaces differ
 _WITHIN = 30.0  # of what is known from within runs
 _PRIOR = 4  # runs that the deviation counts for, of a model that lacks nothing
 _EXACT = 0.005  # that deviation

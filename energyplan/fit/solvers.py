@@ -197,7 +197,7 @@ _NEGLIGIBLE = 1e-3  # autocorrelation at which its tail is cut
 
 
 def _padded(piece: slice, lags: int) -> int:
-    """Length to which a piece is padded, so that products at these lags do not wrap around."""
+    """Return the padded length of a slice, so that products at these lags do not wrap around."""
     return next_fast_len(piece.stop - piece.start + lags, real=True)
 
 
@@ -282,14 +282,14 @@ def jackknife(moved: FloatArray) -> FloatArray:
 _SEGMENT = 4.0  # length of the segments whose spectra are compared [s]
 _LOWEST = 0.4  # below this frequency a residual may be systematic [Hz]
 _LONGEST = 0.3  # memory of a sensor's noise, at most [s]
-_FEW_BINS = 6  # frequencies below which only white noise can be told
+_FEW_BINS = 6  # frequencies below which only white noise can be estimated
 
 
 @dataclass(frozen=True)
 class SensorNoise:
     """Noise of a sensor: white noise, and a first-order autoregression."""
 
-    count: float  # samples that tell it
+    count: float  # samples that it is estimated from
     white: float  # variance of a sample
     lasting: float = 0.0  # variance of a sample, of the autoregression
     rho: float = 0.0  # correlation of its neighbouring samples

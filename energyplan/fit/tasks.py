@@ -22,7 +22,7 @@ _SEEN = 2.0  # standard errors from which the tasks show a hotel load
 
 @dataclass(frozen=True)
 class TaskFit:
-    """What a history of tasks tells of a robot."""
+    """What a history of tasks shows about a robot."""
 
     model: PowerModel  # with the covariance of its coefficients
     errors: FloatArray  # standard errors of its coefficients

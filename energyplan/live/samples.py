@@ -1,4 +1,4 @@
-"""Samples from the lines of a table, one by one, and what a drive as it happens has to tell."""
+"""Samples from the lines of a table, one by one, and the events of a drive as it happens."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def _open(file: Path) -> BinaryIO:
 
 
 def _begun_anew(file: Path, stream: BinaryIO) -> str:
-    """Tell what happened to the file; empty where nothing did, or where it is not there now."""
+    """Return what happened to the file; empty where nothing did, or where it is not there now."""
     try:
         there = file.stat()
     except OSError:

@@ -37,9 +37,9 @@ from energyplan.power import PowerModel
 from energyplan.records import checked
 from energyplan.vehicle import Vehicle
 
-_FIRST = 20  # samples that tell the time between samples
+_FIRST = 20  # samples from which the time between samples is estimated
 
-_RESTART = 10  # samples in a row, older than one before them, that tell that the clock was set
+_RESTART = 10  # samples in a row, older than one before them, that show that the clock was set
 
 _BACKWARD = "time does not go forward; set aside"
 
@@ -140,7 +140,7 @@ def watch(
 
 @dataclass
 class _Ground:
-    """A ground that the map tells, with its learner and the time driven on it."""
+    """A surface of the map, with its learner and the time driven on it."""
 
     online: OnlineIdentifier
     t: float = 0.0
@@ -274,7 +274,7 @@ class _Watch:
     # -- reports ----------------------------------------------------------------------------------
 
     def _trouble(self, trouble: Trouble) -> Iterator[Event]:
-        """Tell a kind of trouble at once; how often it came again, with the next report."""
+        """Report a kind of trouble at once; how often it came again, with the next report."""
         self._aside[trouble.reason] += 1
         known = self._again.get(trouble.reason)
         if known is None:
@@ -302,7 +302,7 @@ class _Watch:
         yield from (Trouble(name, text) for text in told.values())
 
     def _report(self) -> Iterator[Event]:
-        """Tell what was learned, and what went wrong more than once since the last report."""
+        """Report what was learned, and what went wrong more than once since the last report."""
         yield from (trouble for trouble in self._again.values() if trouble.count)
         self._again.clear()
         if self._here is not None:
@@ -357,7 +357,7 @@ class _Watch:
     # -- learning ---------------------------------------------------------------------------------
 
     def _needed(self) -> tuple[str, ...]:
-        """Channels that some model needs beside those that follow from the speeds."""
+        """Channels that some model needs in addition to those that follow from the speeds."""
         models: list[PowerModel] = []
         if isinstance(self._prior, PowerModel):
             models.append(self._prior)

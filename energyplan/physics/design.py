@@ -105,7 +105,7 @@ class Option:
 
 
 def fits(grid: OccupancyGrid, vehicle: Vehicle, trajectory: Trajectory) -> bool:
-    """Tell whether a vehicle that follows a trajectory stays on the map and touches nothing."""
+    """Return whether a vehicle that follows a trajectory stays on the map and touches nothing."""
     poses = trajectory.poses
     if not np.all(grid.inside(poses[:, :2])):
         return False
@@ -140,17 +140,17 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 
 
 SETTLED = 3.0
-"""Log-likelihood ratio from which two explanations count as told apart: odds of twenty to one."""
+"""Log-likelihood ratio from which two explanations count as distinct: odds of twenty to one."""
 
 SHARE = 0.15
 """Share of the power that an effect of unknown size is taken to have."""
 
-LONGEST = 3600.0  # [s]; beyond it, the same drive again tells as much
+LONGEST = 3600.0  # [s]; beyond it, driving the same again shows as much
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Effects that may be there beside the model's own terms."""
+    """Effects that may be there in addition to the model's own terms."""
 
     effects: tuple[str, ...]  # names of effects of the catalogue or of terms
     probability: float = 1.0  # how probable it is now
@@ -416,10 +416,10 @@ class _Question:
         return tuple(found)
 
     def criterion(self, gram: FloatArray) -> float:
-        """Return what drives tell: how well explanations separate, or parameters are narrowed."""
+        """Return how well drives separate explanations, or narrow parameters."""
         if len(self.explanations) > 1:
             odds = np.array([pair.log_odds for pair in self.separations(gram)])
-            # Concave, so that a pair which is told apart makes room for the others.
+            # Concave, so that a pair which is already distinct counts less than the others.
             return -float(np.sum(np.exp(-odds / (2.0 * SETTLED))))
         scale = self._scale[self._narrowed]
         part = gram[np.ix_(self._narrowed, self._narrowed)] * np.outer(scale, scale)

@@ -124,7 +124,7 @@ class Sensors:
 STRAIGHT = 0.01
 """Curvature, times half the slip track, up to which a reference counts as straight [1]."""
 AHEAD = 2.0
-"""Distance at which a robot beside a straight reference is to be near it, in half slip tracks."""
+"""Distance in which a robot off a straight reference returns to it, in half slip tracks."""
 ALIGNED = 1e-3
 """Heading that is left of a correction [rad]."""
 QUICK = 10.0
@@ -144,7 +144,7 @@ class Tracking:
     along: Amount = 2.0  # speed per distance that the robot is behind the reference [1/s]
     across: Amount = 6.0  # yaw rate per speed and distance to the side of it [1/m^2]
     heading: Amount = 3.0  # yaw rate per heading error [1/s]
-    slack: Amount = 0.02  # error beside a straight reference that is left alone [1]
+    slack: Amount = 0.02  # deviation from a straight reference that is left alone [1]
     settle: Amount = 0.5  # time after the trajectory's end to close up [s]
     position: Amount = 0.1  # distance to the goal that counts as arrived [m]
     angle: Amount = 0.1  # heading error that counts as arrived [rad]

@@ -38,7 +38,7 @@ class Border:
     offset: float = 0.0  # distance of the border from the world's origin along that normal [m]
 
     def beyond(self, points: FloatArray) -> np.ndarray:
-        """Tell which points, shape (n, 2), lie beyond the border."""
+        """Return which points, shape (n, 2), lie beyond the border."""
         normal = np.array([np.cos(self.direction), np.sin(self.direction)])
         return np.asarray(points @ normal > self.offset)
 
@@ -241,7 +241,7 @@ class EffectKind:
     apply: _Apply | str  # ``apply(robot, size, details) -> Robot``, or the value that grows by it
     unit: str  # unit of the size
     meaning: str  # one line
-    draw: _Draw  # ``draw(robot, rng) -> float``, a size worth finding
+    draw: _Draw  # ``draw(robot, rng) -> float``, a size large enough to find
     details: tuple[str, ...] = ()  # further numbers that it takes
 
 

@@ -7,7 +7,7 @@ more. Three kinds of term exist, told apart by what they act on:
     A longitudinal force on each tread; its power is force times tread speed. All force terms
     together are what the motors must hold against the ground.
 ``power``
-    Power drawn beside the motors, such as a hotel load.
+    Power that is not drawn by the motors, such as a hotel load.
 ``loss``
     Power lost between battery and tread, a function of the forces and speeds of both sides, such
     as copper loss or drive efficiency.
@@ -56,7 +56,7 @@ __all__ = [
 ]
 
 
-_LARGEST_MU = 10.0  # of any friction coefficient; K is larger, so that it tells who swapped them
+_LARGEST_MU = 10.0  # of any friction coefficient; K is larger, which shows who swapped them
 
 USUAL_RUN_SPREAD = 0.05
 """Relative standard deviation of a robot's power from run to run where nobody compared any: that of
@@ -185,7 +185,7 @@ class PowerModel(ByValue, html.Readable):
         raise UnknownNameError("term", name, [term.name for term in self.terms])
 
     def has(self, name: str) -> bool:
-        """Tell whether a term of that name is in the model."""
+        """Return whether a term of that name is in the model."""
         return any(term.name == name for term in self.terms)
 
     def coefficient(self, name: str) -> float:
@@ -392,7 +392,7 @@ class PowerModel(ByValue, html.Readable):
                 model = model.with_term(term, value)
         return model
 
-    # -- ready-made -----------------------------------------------------------------------------
+    # -- presets --------------------------------------------------------------------------------
 
     @classmethod
     @checked(ModelError)
@@ -435,7 +435,7 @@ class PowerModel(ByValue, html.Readable):
 
     @classmethod
     def preset(cls, name: str) -> PowerModel:
-        """Return a ready-made model, which was measured on another robot than one's own.
+        """Return a preset model, which was measured on another robot than one's own.
 
         ``quadriga:<empty|full>:<marble|concrete>`` are those of the paper's Table II, which gives
         no standard errors. The others, such as ``husky_a200:flooring``, have a covariance from the

@@ -83,7 +83,7 @@ class Effect:
     usual : bool
         Whether nearly every robot has it, so that it needs no more evidence than any coefficient.
     common : bool
-        Whether robots have it often enough that predictions of runs to come average over it.
+        Whether robots have it often enough that predictions of future runs average over it.
     of_mass : tuple of float, optional
         Range in which a size in kilograms is believed, in masses of the vehicle.
 
@@ -680,7 +680,7 @@ def most_of(term: Term, vehicle: Vehicle) -> float:
 
 
 def reads_slope(model: PowerModel) -> bool:
-    """Tell whether the power of steady motion depends on the slope of the ground.
+    """Return whether the power of steady motion depends on the slope of the ground.
 
     Examples
     --------

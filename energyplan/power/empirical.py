@@ -43,7 +43,7 @@ DERIVED = {
     "since_start": Described("time since a tread started or turned round", "s"),
     "displacement": Described("distance from the start", "m"),
 }
-"""Signals that a motion has beside its channels."""
+"""Signals that a motion has in addition to its channels."""
 
 _NEEDS = {"since_start": {"t"}, "displacement": {"x", "y"}}
 """Channels of a drive that derived signals are worked out from, sample after sample."""
@@ -66,7 +66,7 @@ def _is_known(motion: Motion, name: str) -> bool:
 
 
 def _since_start(motion: Motion) -> FloatArray:
-    """Time since the tread that started last, or turned round, did so; `_SINCE` at rest [s]."""
+    """Time since the last start or reversal of a tread; `_SINCE` at rest [s]."""
     t = motion.channels["t"]
     found = np.full(motion.shape, _SINCE)
     for speed in (motion.v_left, motion.v_right):
@@ -97,7 +97,7 @@ def signal(motion: Motion, name: str) -> FloatArray:
 
 
 def carries(carrier: str, name: str, known: Collection[str]) -> bool:
-    """Tell whether a carrier may scale with a channel, of a motion that has the `known` ones."""
+    """Return whether a carrier may scale with a channel, of a motion that has the `known` ones."""
     return carrier != "ground" or (name in GROUND and "yaw" in known)
 
 

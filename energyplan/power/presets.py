@@ -1,4 +1,4 @@
-"""Ready-made power models, and where each comes from.
+"""Preset power models, and where each comes from.
 
 They let an owner plan before the first log. None was measured on his robot, and every answer of the
 command line that uses one says so.
@@ -97,4 +97,4 @@ MODEL_PRESETS: Mapping[str, ModelPreset] = MappingProxyType(
         "warthog:grass": ModelPreset("warthog", 208.4, 1.266, 15.0, 0.12, 0.0, 0.908, _DRIVE),
     }
 )
-"""Ready-made models by name: values, errors, spread, source."""
+"""Preset models by name: values, errors, spread, source."""

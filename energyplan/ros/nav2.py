@@ -265,7 +265,7 @@ def blocked_poses(
 def _known(
     problem: PlanningProblem, left: int, former: Answer | None
 ) -> tuple[PlanningProblem, Plan] | None:
-    """Return the leg of an answer before that has as many left, if it asked for the same."""
+    """Return the former answer's leg with as many left, if it was for the same problem."""
     found = former.plans[-left] if former and left <= len(former.plans) else None
     before = found.problem if found else None
     if found is None or before is None:
@@ -417,7 +417,7 @@ def diagnostics_message(
 
 
 def mission_answer(text: str, folder: str | Path) -> str:
-    """Tell whether a mission can be done, text in and text out."""
+    """Return whether a mission can be done, as JSON, from its text."""
     try:
         mission = mission_from(text, folder)
         answer = with_presets(documents.mission(evaluate(mission)), models_of(mission))

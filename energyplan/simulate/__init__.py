@@ -111,7 +111,7 @@ def _fill(
 
 @dataclass(frozen=True)
 class Brief:
-    """What a pattern is told: robot, time, speed, acceleration limit and chance."""
+    """Inputs of a pattern: robot, time, speed, acceleration limit and random generator."""
 
     vehicle: Vehicle
     duration: float
