@@ -33,7 +33,7 @@ class Comparison(html.Readable):
     saving : float
         Energy saved, as a fraction of the shortest route's; never negative. Both are those of
         `spent`. Where the goal lies below the start, a fraction of what the shortest route takes
-        beyond the energy that the descent is worth.
+        beyond the potential energy of the descent.
     by_term : mapping of str to float
         Joules saved by term of the power model; negative where the route of least energy spends
         more. They add up to the energy saved.
@@ -103,7 +103,7 @@ def compare(
     effort: int | None = None,
     **options: Any,
 ) -> Comparison:
-    """Plan the route of least energy, with the shortest one beside it.
+    """Plan the route of least energy and the shortest one.
 
     The lattice planner finds both in one plan, so that the least energy never exceeds the shortest
     route's. Another planner is compared with the lattice planner's shortest route, which stands for

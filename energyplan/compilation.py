@@ -76,7 +76,7 @@ KERNELS: dict[str, Kernel] = {}
 """All kernels of the modules imported so far, by module and name."""
 
 SELDOM = 100_000
-"""Objects made between two looks for garbage while kernels are compiled."""
+"""Objects created between two garbage collections while kernels are compiled."""
 
 FEW = 4
 """Kernels up to which another process does not pay."""
@@ -230,7 +230,7 @@ def _say_not_kept(why: str) -> None:
 
 
 def _can_be_kept() -> bool:
-    """Tell whether machine code can be kept; where it cannot, a warning says why."""
+    """Return whether machine code can be kept; where it cannot, a warning says why."""
     why = _distrust(cache_folder())
     if not why:
         try:
@@ -288,7 +288,7 @@ class Kernel(CPUDispatcher):
         return entry
 
     def _converts(self, given: tuple[Any, ...]) -> bool:
-        """Tell whether these types become the declared ones without loss."""
+        """Return whether these types become the declared ones without loss."""
         convert = self.targetdescr.typing_context.can_convert
         return len(given) == len(self.declared) and all(
             convert(a, b) is not None

@@ -44,7 +44,7 @@ from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
 SHOWN = "quadriga:full:marble"
-"""The drive that is drawn; the others are told in a table."""
+"""The drive that is drawn; the others are in a table."""
 
 
 def _drive(model: PowerModel, pattern: str | Sequence[simulate.Part], **options: Any) -> DriveLog:
@@ -56,7 +56,7 @@ def _drive(model: PowerModel, pattern: str | Sequence[simulate.Part], **options:
 
 @dataclass
 class _Demo:
-    """The page under way and the files made so far."""
+    """The page under way and the files written so far."""
 
     out: Path
     say: Callable[[str], None]

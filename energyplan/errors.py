@@ -30,7 +30,7 @@ class InvalidInputError(EnergyPlanError, ValueError):
 
 
 class UnusualValueWarning(UserWarning):
-    """A value is possible but not usual: perhaps it is in another unit."""
+    """A value is possible but unusual: perhaps it is in another unit."""
 
 
 class StorageError(EnergyPlanError):
@@ -45,7 +45,7 @@ class UnknownNameError(InvalidInputError):
     kind : str
         What was looked up, such as ``"vehicle preset"``.
     name : str
-        The name that was asked for.
+        The name that was looked up.
     known : iterable of str
         The names that exist.
     """
@@ -157,7 +157,7 @@ class PlannerError(PlanningError):
 
 
 class LowerBoundError(PlanningError):
-    """A lower bound lies above what a path costs: whoever made the bound is wrong."""
+    """A lower bound lies above what a path costs: the bound is wrong."""
 
 
 class UnsupportedPlannerError(PlanningError):
@@ -173,7 +173,7 @@ class BatteryError(InvalidInputError):
 
 
 class InfeasibleMotionError(EnergyPlanError):
-    """No speed, or not the one asked for, keeps the motion within the limits."""
+    """No speed, or not the requested one, keeps the motion within the limits."""
 
 
 class PhysicsError(EnergyPlanError):

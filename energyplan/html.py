@@ -176,5 +176,5 @@ def _text(value: object) -> str:
 
 
 def _is_numeric(column: Sequence[str]) -> bool:
-    """Tell whether a column is one of numbers, some of which may be absent."""
+    """Return whether a column is one of numbers, some of which may be absent."""
     return any(text != "-" for text in column) and all(map(_NUMERIC.fullmatch, column))

@@ -69,7 +69,7 @@ def as_pose(
     row = numbers(value, name, error, words=words)
     if row.shape != (3,) or not np.all(np.isfinite(row)):
         raise error(f"{name} is {described(value)}; give {words}, all finite")
-    if not isinstance(value, Pose):  # the end of a path may have turned any number of times
+    if not isinstance(value, Pose):  # the yaw at a path's end may be any number of turns
         refuse_degrees(row[2:], f"the yaw of {name}", error)
     return Pose(*(float(v) for v in row))
 
@@ -129,7 +129,7 @@ class Path(ByValue):
     (negative: backwards) while the heading turns by ``dtheta[i]``. A straight line has
     ``dtheta = 0``, a spin on the spot ``ds = 0``, a pivot about one tread's ICR
     ``|ds| = C |dtheta|``. The reference point is the body point (`longitudinal`, 0): the point of
-    the x axis beside the tread ICRs, the only one there that never moves sideways.
+    the x axis level with the tread ICRs, the only one there that never moves sideways.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class Path(ByValue):
         )
 
     def poses(self, max_ds: float = 0.05, max_dtheta: float = 0.05) -> FloatArray:
-        """Return poses along the path, shape (m, 3), at most so far apart [m], [rad]."""
+        """Return poses along the path, shape (m, 3), at steps of at most so much [m], [rad]."""
         return self.subdivide(max_ds, max_dtheta).vertices
 
     def reversed(self) -> Path:

@@ -113,7 +113,7 @@ CELLS = 2
 """Cells of the lattice to a cell of the raster, along either axis."""
 
 STEPS = 5
-"""Areas that are told of a map."""
+"""Areas that are reported of a map."""
 
 STRIDE = 20_000
 """Expansions between two looks at what is reached."""
@@ -278,7 +278,7 @@ def energy_map(
         If the start, or the pose to get back to, cannot be; the message names the pose.
     InvalidInputError
         If the objective is another than energy, the energy is not positive, or a confidence is
-        asked of a model without a known uncertainty.
+        requested of a model without a known uncertainty.
 
     Examples
     --------
@@ -307,7 +307,7 @@ def energy_map(
 
     lattice = coarse_lattice(there.setting)
     spacing = CELLS * lattice.cell
-    # the search's energies are less what the height is worth
+    # the search's energies exclude the potential energy of the height
     rise = _rise(there, spacing)
     lowest = float(rise.min(initial=0.0))
     out = _search(priced(there.setting), lattice, energy - lowest, effort)
@@ -320,7 +320,7 @@ def energy_map(
         target = as_pose(back, "the pose to get back to")
         home = compiled(replace(problem, start=target, goal=target))
         ways = _search(_reversed(priced(home.setting)), lattice, energy - lowest, effort)
-        # what climbing is worth on the way out comes back on the way home, but for the two ends
+        # the energy of climbing on the way out returns on the way home, but for the two ends
         level = there.height_potential(target) - there.height_potential(problem.start)
         energies = (table + _table(ways, lattice, spacing, home.setting)).min(axis=0) + level
         complete = min(complete, ways.frontier + lowest)
@@ -378,7 +378,7 @@ def _shape(setting: KernelProblem, spacing: float) -> tuple[int, int]:
 
 
 def _rise(query: CompiledProblem, spacing: float) -> FloatArray:
-    """Return what the height of each place is worth beyond the start's [J]."""
+    """Return the potential energy of the height of each place above the start's [J]."""
     rows, columns = _shape(query.setting, spacing)
     rise = np.zeros((rows, columns))
     if query.problem.heights is None:

@@ -135,7 +135,7 @@ class ImpossibleError(ValueError):
 class Within:
     """What a number may be, and what it usually is; part of a field's annotation.
 
-    What is not possible is refused, what is possible but not usual is accepted with a warning.
+    What is not possible is refused, what is possible but unusual is accepted with a warning.
     """
 
     possible: tuple[float, float]  # least and greatest number that is not refused
@@ -241,7 +241,7 @@ def in_words(place: Iterable[str | int]) -> str:
 
 
 def warn(text: str, stacklevel: int = 2) -> None:
-    """Warn of a value that is possible but not usual."""
+    """Warn of a value that is possible but unusual."""
     warnings.warn(text, UnusualValueWarning, stacklevel=stacklevel + 1)
 
 
@@ -503,7 +503,7 @@ def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
 def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], Function]:
     """Decorate a function so that its arguments are checked against its annotations.
 
-    It warns of arguments that are possible but not usual.
+    It warns of arguments that are possible but unusual.
     """
 
     def decorate(function: Function) -> Function:

@@ -414,7 +414,7 @@ class Vehicle(ByValue, html.Readable):
 
     @classmethod
     def preset(cls, name: str) -> Vehicle:
-        """Return a ready-made vehicle, such as ``quadriga:full``, ``husky_a200``, ``warthog``.
+        """Return a preset vehicle, such as ``quadriga:full``, ``husky_a200``, ``warthog``.
 
         Parameters
         ----------
@@ -476,4 +476,4 @@ VEHICLE_PRESETS: dict[str, Callable[[], Vehicle]] = {
         motor=MotorLimits(peak_power=3600.0, speed=5.0, acceleration=1.0),
     ),
 }  # fmt: skip
-"""Ready-made vehicles, by name."""
+"""Preset vehicles, by name."""

@@ -48,7 +48,7 @@ class BatteryRun:
     soc: FloatArray  # state of charge at the beginning of each sample
     voltage: FloatArray  # terminal voltage there [V]
     current: FloatArray  # current there [A], positive when discharging
-    lost: FloatArray  # energy that the resistances turned into heat since the start [J]
+    lost: FloatArray  # energy that the resistances dissipated as heat since the start [J]
     braked: FloatArray  # energy returned that it could not take, left to brake resistors [J]
     brown_out: float  # instant at which the battery gave up [s]; infinite if it did not
     reason: BrownOut  # why: cut-off voltage under the load, empty, too much current
@@ -402,7 +402,7 @@ class Battery(ByValue, html.Readable):
     def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
         """Energy [J] that it delivers at constant power [W] until it gives up.
 
-        Zero where it cannot deliver that power at all. The RC pair is assumed to be settled: the
+        Zero where it cannot deliver that power at all. The RC pair is assumed in steady state: the
         discharge lasts long against its time constant.
         """
         load, start = np.broadcast_arrays(np.asarray(power, float), np.asarray(soc, float))
@@ -442,7 +442,7 @@ class Battery(ByValue, html.Readable):
         )  # fmt: skip
         return Circuit(*map(float, given))
 
-    # -- ready-made -----------------------------------------------------------------------------
+    # -- presets --------------------------------------------------------------------------------
 
     @classmethod
     @checked(BatteryError)
@@ -648,11 +648,11 @@ class Battery(ByValue, html.Readable):
 
     @classmethod
     def preset(cls, name: str) -> Battery:
-        """Return a ready-made battery: ``quadriga``, ``husky_a200``, ``jackal``.
+        """Return a preset battery: ``quadriga``, ``husky_a200``, ``jackal``.
 
         Quadriga carries six 12 V lead-acid batteries in series-parallel, 36 V in all (Morales et
         al. 2010, section IV); 18 Ah a block is taken here, as the paper gives no capacity. Husky:
-        24 V, 20 Ah sealed lead-acid. Jackal: lithium-ion, 270 Wh. Resistances are usual ones.
+        24 V, 20 Ah sealed lead-acid. Jackal: lithium-ion, 270 Wh. Resistances are typical.
 
         Parameters
         ----------

@@ -110,4 +110,4 @@ PRESETS: dict[str, dict[str, Any]] = {
                "unit_capacity": 3.6 * 3600.0, "unit_resistance": 0.020, "rated_time": 5 * 3600.0,
                "discharge_rate": 3.0, "charge_rate": 0.7},
 }  # fmt: skip
-"""Ready-made packs by name."""
+"""Preset packs by name."""

@@ -1,4 +1,4 @@
-"""What commands give: the answer, words beside it, progress, and reports."""
+"""What commands give: the answer, text with it, progress, and reports."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
-"""Ready-made models that the command in hand uses, with their sources; never changed in place."""
+"""Preset models that the current command uses, with their sources; never changed in place."""
 NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
 _ESCAPED = {
@@ -84,7 +84,7 @@ def progress(text: str) -> Iterator[Any]:
 
     from energyplan.compilation import telling
 
-    # A bar without a total moves to and fro, until the work tells how far it is.
+    # A bar without a total moves to and fro, until the work reports its progress.
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=None)

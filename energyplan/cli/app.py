@@ -111,7 +111,7 @@ class Command(TyperCommand):
 
 
 def presets_named(inputs: list[str | Path]) -> dict[str, str]:
-    """Return the ready-made models that a command's values or files name, with their sources."""
+    """Return the preset models that a command's values or files name, with their sources."""
     from energyplan.io.files import strings_behind
     from energyplan.power.presets import MODEL_PRESETS
 

@@ -272,7 +272,7 @@ def _contradictions(logs: list[DriveLog], vehicle: Any) -> list[str]:
 
 
 def _notes(logs: list[DriveLog], known: Sequence[str] = ()) -> list[str]:
-    """Return what the readers of logs warned of, and is not yet told; once for several logs."""
+    """Return warnings from reading logs that are not yet shown; each once for several logs."""
     from energyplan.html import listed
 
     warned: dict[str, list[str]] = {}
@@ -283,7 +283,7 @@ def _notes(logs: list[DriveLog], known: Sequence[str] = ()) -> list[str]:
 
 
 def _icr_of_spin(drive: DriveLog, angle: str | None, angle_error: str) -> ICREstimate:
-    """Return the tread ICRs from one spin; doubt an angle that the log contradicts."""
+    """Return the tread ICRs from one spin; warn of an angle that the log contradicts."""
     from energyplan.fit import icr_from_spin
 
     turned = None if angle is None else number("--angle", "angle", angle)
@@ -449,7 +449,7 @@ def _wait() -> bool:
 def _until_interrupted(
     lines: Iterable[Line | Restart],
 ) -> Iterator[Iterator[Line | Restart]]:
-    """Let Ctrl-C end the lines, so that what follows from them is still told."""
+    """Let Ctrl-C end the lines, so that what follows from them is still printed."""
     stopped = waiting = False
 
     def stop(number: int, frame: FrameType | None) -> None:

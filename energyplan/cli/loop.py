@@ -100,7 +100,7 @@ def drive(
         write_log(recording.log(result.run, out.name), out)
     secret = robot.hidden is not None
     (energy,) = result.tables
-    if secret:  # what was taken by term would tell the effects
+    if secret:  # what was taken by term would show the effects
         rows = [row[:2] for row in energy.rows if row[1]]
         energy = energy._replace(header=energy.header[:2], rows=rows)
     answer(documents.driven(result, secret=secret), energy.text(), json=json)

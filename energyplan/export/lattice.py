@@ -1,7 +1,7 @@
 """Control sets of state lattices, as Nav2's SmacPlannerLattice plans with them.
 
 A primitive leads from the middle of a cell at one of the lattice's headings to the middle of
-another cell at another heading: straight on, in an arc with a straight piece before or after it, or
+another cell at another heading: straight on, in an arc with a straight part before or after it, or
 turning on the spot by one heading. The headings are those of cells of the grid, so that straight
 primitives end in one. SmacPlannerLattice counts what it drives in cells, and multiplies it by
 penalties; here they are those that come nearest to the energy.

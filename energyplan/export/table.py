@@ -57,7 +57,7 @@ def tabulate(
             exact = energies(angle[:-1] + share * gap)
             read = (1 - share) * energy[:-1] + share * energy[1:]
             error = np.maximum(error, np.abs(read / exact - 1.0).max(axis=1))
-        # a jump is not made smaller by entries ever closer to it
+        # entries ever closer to a jump do not make it smaller
         split = (error > tolerance) & (gap > 1e-5)
         if not split.any() or len(angle) + split.sum() > MOST:
             break

@@ -157,7 +157,7 @@ class TopicMap(BaseModel):
 
     @classmethod
     def read(cls, source: str | Path) -> TopicMap:
-        """Return a ready-made map (``husky``, ``jackal``, ``warthog``) or one from a YAML file."""
+        """Return a preset map (``husky``, ``jackal``, ``warthog``) or one from a YAML file."""
         if isinstance(source, str) and not source.endswith((".yaml", ".yml")):
             if source not in TOPIC_MAPS:
                 raise UnknownNameError("topic map", source, [*TOPIC_MAPS, "FILE.yaml"])
@@ -221,18 +221,18 @@ def _clearpath(name: str) -> TopicMap:
 
 
 TOPIC_MAPS = {name: _clearpath(name) for name in _CLEARPATH}
-"""Ready-made topic maps of Clearpath robots, ROS 1 and ROS 2."""
+"""Preset topic maps of Clearpath robots, ROS 1 and ROS 2."""
 
 _PRESETS = {"husky_a200": "husky", "jackal": "jackal", "warthog": "warthog"}
 
 
 def topic_map_of(vehicle: str) -> str | None:
-    """Return the name of the ready-made topic map of a vehicle preset, if it has one."""
+    """Return the name of the preset topic map of a vehicle preset, if it has one."""
     return _PRESETS.get(vehicle.partition(":")[0])
 
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
-"""Kinds of file that are read as bags, beside folders with a ``metadata.yaml``."""
+"""Kinds of file that are read as bags, in addition to folders with a ``metadata.yaml``."""
 _LARGEST_SKEW = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
 _MAGIC = b"#ROSBAG V2.0\n"
 _LARGEST_CHUNK = 1 << 26  # bytes; ROS makes them of 768 kB, or of one larger message
@@ -247,7 +247,7 @@ _UNSOUND = (
 
 
 def is_bag(path: str | Path) -> bool:
-    """Tell whether a path is a bag, by its suffix or its metadata."""
+    """Return whether a path is a bag, by its suffix or its metadata."""
     file = Path(path)
     return file.suffix.lower() in BAG_SUFFIXES or is_file(file / "metadata.yaml")
 
@@ -448,7 +448,7 @@ class Bag:
         return iter(self._reader.messages(connections=connections) if connections else ())
 
     def is_small(self, connection: Any) -> bool:
-        """Tell by the first message whether these may be readings, and no images."""
+        """Return whether these may be readings and no images, by the first message."""
         return all(len(raw) <= _LARGEST_MESSAGE for _, _, raw in islice(
             self.messages([connection]), 1))  # fmt: skip
 
@@ -607,7 +607,7 @@ def _zstd() -> Any:
 
 _DEEPEST = 6
 _LONGEST = 64  # elements of an array without names that are looked at
-_LEAST = 20  # values that a field has at least, to tell anything
+_LEAST = 20  # least number of values of a field from which anything follows
 _SIDES = ("v_left", "v_right")
 _JOINTS, _ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 _POSE, _IMU = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Imu"
@@ -629,7 +629,7 @@ Sources = dict[str, Column]
 
 
 class Typed(NamedTuple):
-    """What the types of messages tell: channels whose units are known, rates of wheels, notes."""
+    """What message types show: channels whose units are known, rates of wheels, notes."""
 
     sources: Sources
     rates: Sources
@@ -681,7 +681,7 @@ def of_types(recording: Recording, given: Sources, named: Sources, track: float)
             for alike, one in turned if abs(alike) > _SURELY
         ]  # fmt: skip
     for name, several in rated.items():
-        # What is as the treads say to the last digit is made of them, and tells no slip.
+        # What equals the treads' value to the last digit is computed from them, and shows no slip.
         several.sort(key=_preferred)
         if several:
             found |= several[0][1]
@@ -691,7 +691,7 @@ def of_types(recording: Recording, given: Sources, named: Sources, track: float)
                 f"{name} is that of {several[0][1][name].field}, which goes with the treads best "
                 f"(correlation {', '.join(said)})"
             )
-    if twisted:  # made of the body's own turning
+    if twisted:  # computed from the body's own turn rate
         found = {c: one for c, one in found.items() if c not in ("yaw", "yaw_rate")}
     return Typed(found, {} if twisted or speeds is named else speeds, tuple(notes))
 
@@ -720,7 +720,7 @@ def _of_type(recording: Recording, kind: str) -> list[Sources]:
 
 
 def untyped(recording: Recording) -> list[str]:
-    """Return the series of messages whose types tell nothing: their names do."""
+    """Return the series of messages whose types say nothing: their names do."""
     typed = (_JOINTS, *_MEANING)
     return [
         name for topic, kind in recording.kinds.items() if kind not in typed
@@ -758,14 +758,14 @@ def _of_joints(topic: str, channel: str, kind: str, joints: Sequence[str]) -> Co
     if kind == "velocity":
         field = f"{base}[{'|'.join(joints)}]"
         return Column(field=field, unit="rad/s", channel=channel)
-    # An angle counts; of wheels that turn apart the mean is that of all, in each message.
+    # For angles of wheels that turn independently, each message gives the mean of all wheels.
     first, *rest = (f"{base}.{joint}" for joint in joints)
     weights = (1.0 / len(joints),) * len(joints)
     return Column(field=first, plus=tuple(rest), weights=weights, unit=TOTAL, channel=channel)
 
 
 def _twists(recording: Recording, track: float) -> list[Sources]:
-    """Return tread speeds made from speed and turn rate of the body, of a track [m]."""
+    """Return tread speeds computed from speed and turn rate of the body, with a track [m]."""
     half = 0.5 * track if isfinite(track) else 1.0
     parts = ("twist.twist.linear.x", "twist.twist.angular.z")
     every = [_named(recording, t) for t, kind in recording.kinds.items() if kind == _ODOMETRY]
@@ -789,7 +789,7 @@ def _preferred(rated: tuple[float, Sources]) -> tuple[bool, bool, float]:
 
 
 def _of_imus(recording: Recording, channel: str, names: Iterable[str]) -> list[Column]:
-    """Return fields of inertial units beside those that usually serve."""
+    """Return fields of inertial units in addition to those that usually serve."""
     topics = [topic for topic, kind in recording.kinds.items() if kind == _IMU]
     return [
         Column(field=series, channel=channel)
@@ -804,7 +804,7 @@ def _series(recording: Recording, column: Column) -> Series:
 
 
 def _varies(recording: Recording, column: Column) -> bool:
-    """Tell whether a field's readings change at all."""
+    """Return whether a field's readings change at all."""
     values = _series(recording, column).values
     values = values[np.isfinite(values)]
     return len(values) >= _LEAST and float(np.ptp(values)) > 0.0

@@ -42,7 +42,7 @@ class _Strict(Checked, BaseModel):
 
 
 class _Parts(Checked, BaseModel):
-    """What a vehicle's file may hold beside the vehicle's own values: what it is built from."""
+    """What a vehicle is built from, which its file may hold in addition to the vehicle's values."""
 
     kind: Literal["vehicle"] = "vehicle"
     preset: str | None = None
@@ -421,7 +421,7 @@ class Project(ReadOnly):
     vehicle: Vehicle  # the robot
     columns: Mapping[str, Column] = field(default_factory=lambda: MappingProxyType({}))
     topics: TopicMap | None = None  # which field of a bag serves as which channel
-    log: str = ""  # name of the log that the project was made from
+    log: str = ""  # name of the log that the project was created from
     defaults: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 

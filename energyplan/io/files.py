@@ -111,7 +111,7 @@ def check_output(path: str | Path, suffixes: Sequence[str] = ()) -> None:
 
 
 def check_output_folder(path: str | Path) -> None:
-    """Refuse a folder of output that could not be made or filled, before the work begins."""
+    """Refuse an output folder that could not be created or filled, before the work begins."""
     folder = Path(path)
     with _writing(folder):
         there = folder.resolve()
@@ -216,7 +216,7 @@ def _strings(content: Any) -> Iterator[str]:
 
 
 def is_file(path: str | Path) -> bool:
-    r"""Tell whether there is a file of that name; one that no file can bear is none."""
+    r"""Return whether a file of that name exists; False for a name that no file can have."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):
@@ -224,7 +224,7 @@ def is_file(path: str | Path) -> bool:
 
 
 def _umask() -> int:
-    """Permissions that new files do not get; the system tells them only when they are set."""
+    """Permissions that new files do not get; the system returns them only when they are set."""
     mask = os.umask(0o077)
     os.umask(mask)
     return mask

@@ -39,11 +39,11 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     """Read a GeoJSON FeatureCollection of polygons.
 
     Each feature is a Polygon or MultiPolygon in the map's frame [m]. Its property ``model``, or
-    ``surface`` where there is no ``model``, names a power model: a preset, a YAML file beside the
-    GeoJSON, or a key of `models`; ``keep_out`` stands for an area that the robot must not enter.
-    ``surface`` or ``name`` labels it. Where surfaces overlap, the last one counts. ``speed``
-    limits the robot's speed there, in m/s or as ``"50 %"`` of its top speed; a feature with a
-    speed needs no model.
+    ``surface`` where there is no ``model``, names a power model: a preset, a YAML file in the
+    GeoJSON's folder, or a key of `models`; ``keep_out`` stands for an area that the robot
+    must not enter. ``surface`` or ``name`` labels it. Where surfaces overlap, the last one counts.
+    ``speed`` limits the robot's speed there, in m/s or as ``"50 %"`` of its top speed; a feature
+    with a speed needs no model.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def _shape(geometry: Mapping[str, Any], place: str, kinds: Sequence[str]) -> Bas
 
 
 def _model(file: Path, feature: int, name: str) -> PowerModel:
-    """Return the model of a preset or of a YAML file beside the GeoJSON."""
+    """Return the model of a preset or of a YAML file in the GeoJSON's folder."""
     try:
         if not name.endswith((".yaml", ".yml")):
             return PowerModel.preset(name)

@@ -1,4 +1,4 @@
-"""Drives of a Clearpath Husky A200 as BorealTC records them, turned into drive logs.
+"""Drives of a Clearpath Husky A200 as BorealTC records them, converted to drive logs.
 
 A drive is a file ``pro_NN.csv`` with ``time`` [s], ``curL``, ``curR`` [A], ``velL``, ``velR`` [m/s]
 and mostly a file ``imu_NN.csv`` with ``time``, ``wx``, ``wy``, ``wz`` [rad/s], ``ax``, ``ay``,
@@ -67,7 +67,7 @@ def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -
 
 
 def husky_log(table: Recording, wheels: Path, blind: Literal["keep", "drop"] = "keep") -> DriveLog:
-    """Return the drive of a wheel file, and of the file of its IMU beside it."""
+    """Return the drive of a wheel file and of its IMU's file in the same folder."""
     train = HuskyDrive()
     t, current_left, current_right, left, right = map(table.column, WHEEL_COLUMNS)
     channels = {"t": t, "v_left": left, "v_right": right}
@@ -179,7 +179,7 @@ def _inertial(
 def _clock_offset(
     clock: FloatArray, rate: FloatArray, t: FloatArray, difference: FloatArray
 ) -> Offset | None:
-    """Find by how much the IMU's clock lags behind the wheels', if the drive tells."""
+    """Find by how much the IMU's clock lags behind the wheels', if the drive shows it."""
     common = (clock >= t[0]) & (clock <= t[-1])
     count = int(np.count_nonzero(common))
     if count < 3:
@@ -197,5 +197,5 @@ def _clock_offset(
 
 
 def is_husky(names: Collection[str]) -> bool:
-    r"""Tell by the names of its columns whether a table is a wheel file of a Husky."""
+    r"""Return whether a table is a wheel file of a Husky, by the names of its columns."""
     return set(WHEEL_COLUMNS) <= set(names)

@@ -100,7 +100,7 @@ def read_drives(
     topics: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[DriveLog]:
-    """Read drives of one robot, each once; of bags the vehicle tells the topic map if none does."""
+    """Read drives of one robot, each once; the vehicle gives a bag's topic map if none is given."""
     for k, path in enumerate(paths):
         if any(same_file(path, other) for other in paths[:k]):
             raise InvalidInputError(f"{path} is given twice; each drive counts once")
@@ -130,7 +130,7 @@ _CHARGE_WORDS = {"soc", "percent", "percentage", "pct", "charge"}
 
 
 def may_be_tasks(path: Path) -> bool:
-    """Tell by the names of its columns whether a table may be a history of tasks."""
+    """Return whether a table may be a history of tasks, by the names of its columns."""
     if path.suffix.lower() not in (".csv", ".gz", ".tsv", ".txt") or not path.exists():
         return False
     names = column_names(path, DriveLogError)
@@ -140,7 +140,7 @@ def may_be_tasks(path: Path) -> bool:
 def tasks_of(table: Recording, full: float = nan) -> dict[str, FloatArray] | None:
     """Return the tasks of a table with a row each, in SI units; None where a row is an instant.
 
-    Without energies, `full` is what the battery holds [J], of which shares are told.
+    Without energies, the table gives shares of `full`, what the battery holds [J].
     """
     found: dict[str, FloatArray] = {}
     for name, values in table.columns.items():

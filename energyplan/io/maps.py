@@ -382,7 +382,7 @@ def _read_movingai(file: Path) -> OccupancyGrid:
 
 
 def write_map(grid: OccupancyGrid, path: str | Path) -> None:
-    """Write a map as map_server YAML with a PNG of the same name beside it."""
+    """Write a map as map_server YAML with a PNG of the same name in its folder."""
     file = Path(path)
     if file.is_dir():
         raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")

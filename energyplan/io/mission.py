@@ -35,7 +35,7 @@ def read_mission(path: str | Path, *, inside: bool = False) -> Mission:
 
     Numbers are in SI units, or carry one: ``5 min``, ``60 W``, ``36 Ah``, ``20 %``. A pose is
     ``[x, y, yaw]``, ``"x,y,90deg"`` or the name of one of the `places`. Files are looked for
-    beside the mission, then among those that come with the library. docs/missions lists the keys.
+    in the mission's folder, then among the library's own. docs/missions lists the keys.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ _MODELS = dict[str, dict[float, str]]
 
 
 def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
-    """Build a mission from a document, which names files beside it, or `anywhere`."""
+    """Build a mission from a document, which names files in its folder, or `anywhere`."""
     if "robots" in document.data:
         return _of_robots(document, folder, anywhere)
 

@@ -94,7 +94,7 @@ _INSIDE = partial(read_site, inside=True)  # one object: readers are compared wh
 
 
 def load_site(named: SiteFile, read: Read, inside: bool = False) -> Site:
-    """Return the site, or the map, that is named, with the parts that are named beside it."""
+    """Return the named site or map, with the parts that are named with it."""
     return _with_parts(read("map", named.map, _INSIDE if inside else read_site), named, read)
 
 
@@ -202,7 +202,7 @@ def models_of(question: PlanningProblem | Mission) -> tuple[PowerModel, ...]:
 
 
 def with_presets(answer: dict[str, Any], models: Iterable[PowerModel | str]) -> dict[str, Any]:
-    """Add to an answer which of some models are ready-made, and so measured on other robots."""
+    """Add to an answer which of some models are presets, and so measured on other robots."""
     used = {model if isinstance(model, str) else model.name for model in models}
     presets = [
         {"name": name, "measured": False, "source": preset.source}

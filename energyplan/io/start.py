@@ -257,7 +257,7 @@ def build_vehicle(file: Path, log: DriveLog, drive: Observed, known: Given) -> _
 
 
 def _limits(log: DriveLog, assumed: dict[str, str]) -> MotorLimits:
-    """Limits of a side's motor: what it did in the log, and a usual acceleration."""
+    """Limits of a side's motor: what it did in the log, and a typical acceleration."""
     speed = 1.1 * max(
         float(np.quantile(np.abs(log.channel(name)), 0.999)) for name in ("v_left", "v_right")
     )
@@ -275,7 +275,7 @@ def _limits(log: DriveLog, assumed: dict[str, str]) -> MotorLimits:
     return MotorLimits(**found)
 
 
-_ALIKE = 0.9  # correlation from which two columns tell the same
+_ALIKE = 0.9  # correlation from which two columns carry the same quantity
 _ONE_SIDE = 0.7  # correlation through the origin of the speeds of one side's wheels, at least
 _HALF = 0.2  # of the larger, that powers or currents of two sides are at least
 
@@ -448,7 +448,7 @@ def refuse_halves(recording: Recording, found: Mapping[str, Column], channels: s
 
 
 def _refuse_packs(recording: Recording, name: str) -> None:
-    """Refuse to take one of several numbered voltages beside one current for the whole."""
+    """Refuse several numbered battery voltages where one current is that of the whole."""
     alike = re.sub(r"\d+", "0", name)
     packs = [other for other in recording.columns if re.sub(r"\d+", "0", other) == alike]
     usual = [float(np.nanmedian(recording.columns[pack])) for pack in packs]
@@ -489,12 +489,12 @@ def refuse_unlike(recording: Recording, found: Mapping[str, Column]) -> None:
                 )
 
 
-_SOME = 20_000  # readings that suffice to tell a unit
+_SOME = 20_000  # readings that suffice to recognize a unit
 _CLOSE = 0.005  # time between them below which they do not [s]
 _FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _FULL_TURN = 6.5  # [rad]; headings beyond are unwrapped, or degrees
 _TURNS = 3 * _FULL_TURN  # beyond, they are rather degrees
-_VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # usual ranges [V]
+_VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # typical ranges [V]
 _HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
 _USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
 _SPEEDS = ("v_left", "v_right")
@@ -511,7 +511,7 @@ class Start:
 
     project: Project  # vehicle, columns or topics, and what was assumed
     checks: tuple[Check, ...]  # what was held against what
-    notes: tuple[str, ...]  # what is doubtful about the log
+    notes: tuple[str, ...]  # what is uncertain about the log
 
     @property
     def sound(self) -> bool:
@@ -557,7 +557,7 @@ def _started(file: Path, known: Given) -> tuple[Start, DriveLog]:
     topics = topics_of(recording, columns, file.stem) if recording.kinds else None
 
     def holds(units: Mapping[str, str]) -> bool:
-        """Tell whether a log that is read in other units contradicts nothing."""
+        """Return whether a log that is read in other units contradicts nothing."""
         changed = {c: columns[c].changed(unit=unit) for c, unit in units.items() if c in columns}
         try:
             other = DriveLog.of(recording, columns | changed, refuse=False)
@@ -777,14 +777,14 @@ def _from_twist(
         columns[channel] = column_from(
             channel, ahead, None, None, (turn,), (speed_scale, sign * half)
         )
-    # A heading of the same odometry tells nothing of slip, but would be believed to.
+    # A heading of the same odometry shows no slip, but would be believed to.
     for channel in ("yaw_rate", "yaw"):
         found.pop(channel, None)
     return [note]
 
 
 def _of_body(known: Given, what: str) -> str:
-    """Say what is unseen where tread speeds are made from speed and turn rate of the body."""
+    """Say what is unseen where tread speeds are computed from the body's speed and turn rate."""
     track = known_measures(known).track
     if not isfinite(track):
         raise DriveLogError(
@@ -821,7 +821,7 @@ def _powers(columns: dict[str, Column], guesses: dict[str, Column]) -> None:
 
 
 class _Choice(NamedTuple):
-    """Channels that are in one unit, which nobody told, and what it may be, the likeliest first."""
+    """Channels that share a unit that is not given, and what it may be, the likeliest first."""
 
     channels: tuple[str, ...]
     units: tuple[str, ...]  # those that end with a star take the wheel radius
@@ -849,7 +849,7 @@ def _choices(
         result.append(_Choice(("yaw",), ("deg", "rad") if size["yaw"] > _TURNS else ("rad", "deg")))
     if size.get("voltage", 0.0) > _HIGHEST_VOLTAGE:
         result.append(_Choice(("voltage",), (_unit_of_voltage(recording, columns["voltage"]),)))
-    # A thousand is more than robots' resistances differ by: their weight tells which it is.
+    # A thousand is more than robots' resistances differ by: their weight shows which it is.
     watts = ("W", "mW", "kW")
     for channels, units in (
         (("current",), ("A", "mA")), (("power",), watts), (("p_left", "p_right"), watts),
@@ -861,7 +861,7 @@ def _choices(
 
 
 def _readings(head: Recording, columns: Mapping[str, Column]) -> dict[str, FloatArray]:
-    """Return rows that hold every channel; a mirrored side is turned, as `_signed` does."""
+    """Return rows that hold every channel; a mirrored side changes sign, as in `_signed`."""
     rows = None if head.times else head.series(columns["t"]).values
     series = {c: head.series(one, rows) for c, one in columns.items() if c != "t" or not head.times}
     if rows is not None:
@@ -878,11 +878,11 @@ def _readings(head: Recording, columns: Mapping[str, Column]) -> dict[str, Float
 def _with_units(
     recording: Recording, draft: _Draft, known: Given
 ) -> tuple[dict[str, Column], dict[str, str]]:
-    """Choose the units that nobody gave, so that all that a log tells twice agrees."""
+    """Choose the units that are not given so that all that a log holds twice agrees."""
     columns, found = draft.columns, draft.free
     name, whole = columns["v_left"].field, recording
     recording = whole.head(name, _SOME)
-    if not recording.times and not columns["t"].unit:  # in which a drive log's step is usual
+    if not recording.times and not columns["t"].unit:  # in which a drive log's step is typical
         unit = _unit_of_time(recording, columns)
         columns = {**columns, "t": columns["t"].changed(unit=unit)}
     t = recording.clock(name) if recording.times else _some(recording, columns["t"])
@@ -930,7 +930,7 @@ def _with_units(
 
 
 def _unit_of_time(recording: Recording, columns: Mapping[str, Column]) -> str:
-    """Return the unit of a clock that no name tells; of rows seconds apart the speeds jump."""
+    """Return the unit of a clock whose name has none; speeds jump between rows seconds apart."""
     units = time_units(recording.column(columns["t"].field))
     if len(units) < 2:
         return units[0]
@@ -946,7 +946,7 @@ def _unit_of_time(recording: Recording, columns: Mapping[str, Column]) -> str:
     return "s" if jump >= _JUMP[1] else units[-1]
 
 
-_JUMP = (0.08, 0.25)  # change of speed in a row, as a share of the largest, that tells no unit
+_JUMP = (0.08, 0.25)  # change of speed in a row, as a share of the largest, that shows no unit
 
 
 def _ask_unit(recording: Recording, column: Column, why: str, units: Iterable[str]) -> NoReturn:
@@ -973,7 +973,7 @@ def _unit_of_voltage(recording: Recording, column: Column) -> str:
 
 
 _SURE = 0.1  # relative error of a distance up to which its unit is sure
-_NEAR = 1.35  # ratio of two units up to which turning does not tell one from the other
+_NEAR = 1.35  # ratio of two units up to which turning does not distinguish them
 
 
 def _sure_of_speeds(
@@ -997,7 +997,7 @@ def _sure_of_speeds(
 def _sure_of_current(
     recording: Recording, columns: Mapping[str, Column], chosen: Mapping[str, str], force: float
 ) -> None:
-    """Refuse a unit of current or power that its size does not tell from tenths or hundredths."""
+    """Refuse a unit of current or power if tenths or hundredths of it are as likely by size."""
     for channel in ("current", "power"):
         unit = chosen.get(channel, "")
         if not unit.startswith("m") or not isfinite(force):
@@ -1078,7 +1078,7 @@ def _finish(
     drive = log.observed
     robot = build_vehicle(file, log, drive, known)
     compared = check_consistency(drive, known_measures(known), columns, holds)
-    rules = {one.rule for one in compared}  # with the measures, which tell more
+    rules = {one.rule for one in compared}  # with the measures, which show more
     doubts = [one for one in compared if not one.ok and one.value is None]
     checks = [one for one in compared if one not in doubts]
     checks += [one for one in log.checks if one.refuses and one.rule not in rules]
@@ -1111,7 +1111,7 @@ def _named(remedy: str, columns: Mapping[str, Column]) -> str:
 
 
 class _Signed(NamedTuple):
-    """A log, the columns it was read by, and what was turned to read it."""
+    """A log, the columns it was read by, and notes on the signs that were changed."""
 
     log: DriveLog
     columns: dict[str, Column]

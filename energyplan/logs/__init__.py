@@ -62,7 +62,7 @@ class DriveLog(ReadOnly, html.Readable):
     set_aside : tuple of SetAside
         Samples that were left out or mended, and why.
     warnings : tuple of str
-        What is doubtful about the log.
+        What is uncertain about the log.
     checks : tuple of Check
         What of that checks of its readings found.
     began : float, optional
@@ -170,7 +170,7 @@ class DriveLog(ReadOnly, html.Readable):
         Returns
         -------
         DriveLog
-            The log. `set_aside` counts what was left out or mended; `warnings` tells doubts.
+            The log. `set_aside` counts what was left out or mended; `warnings` lists doubts.
 
         Raises
         ------
@@ -272,7 +272,7 @@ class DriveLog(ReadOnly, html.Readable):
     # -- channels -------------------------------------------------------------------------------
 
     def has(self, channel: str) -> bool:
-        """Tell whether the log carries a channel."""
+        """Return whether the log carries a channel."""
         return channel in self.channels
 
     def channel(self, name: str) -> FloatArray:
@@ -322,7 +322,7 @@ class DriveLog(ReadOnly, html.Readable):
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:
-        """Stretches without a gap: a gap is four times the usual time step, 0.2 s at least."""
+        """Stretches without a gap: a gap is four times the median time step, 0.2 s at least."""
         return tuple(find_runs(self.t))
 
     @cached_property
@@ -377,7 +377,7 @@ class DriveLog(ReadOnly, html.Readable):
     def segment(self, t0: float, t1: float) -> DriveLog:
         """Return the samples with ``t0 <= t < t1`` [s].
 
-        `set_aside` of a segment is empty: what was left out is told of the whole log.
+        `set_aside` of a segment is empty: what was left out is reported for the whole log.
 
         Raises
         ------

@@ -29,7 +29,7 @@ class Series(NamedTuple):
 
 
 def usable_rows(series: Series) -> NDArray[np.bool_]:
-    """Tell which readings are numbers, and later than the number before."""
+    """Return which readings are numbers, and later than the number before."""
     known = np.isfinite(series.t) & np.isfinite(series.values)
     rows = np.flatnonzero(known)
     known[rows[1:][np.diff(series.t[rows]) <= 0]] = False
@@ -216,7 +216,7 @@ def _local_rate(time: FloatArray, value: FloatArray, width: int) -> FloatArray:
         m00, m01, m02 = width * s2 - s1 * s1, width * s3 - s1 * s2, width * s4 - s2 * s2
         r1, r2 = width * b1 - s1 * b0, width * b2 - s2 * b0
         det = m00 * m02 - m01 * m01
-        # Times that all but coincide tell a slope, but no curvature.
+        # Times that all but coincide show a slope, but no curvature.
         curved = det > 1e-12 * m00 * m02
         parabola = (r1 * m02 - r2 * m01) / np.where(curved, det, 1.0)
         rate[index] = np.where(curved, parabola, r1 / m00) / span

@@ -36,7 +36,7 @@ _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
 _SPARSE = 1.5  # time from row to row beyond which most of a drive lies between them [s]
-_PAUSE, _BURSTS = 10.0, 0.05  # usual steps, and share of the rows, that tell rows in bursts
+_PAUSE, _BURSTS = 10.0, 0.05  # median steps, and share of the rows, that show rows in bursts
 _EACH_SIDE = (("left", "right"), ("right", "left"))
 _BY_SPEED = "p_left=CURRENT*SPEED[*V_S_PER_M]"  # how a motor's current makes a power
 _Found = Iterable[Check]
@@ -127,7 +127,7 @@ _CHANGES = 8  # of a counter, from which chance does not explain that all go one
 
 
 def grows(values: FloatArray, share: float = _GROWS) -> int:
-    """Tell whether readings go one way all along, as a counter does: 1 up, -1 down, 0 neither."""
+    """Return whether readings go one way all along like a counter: 1 up, -1 down, 0 neither."""
     steps = np.diff(values[np.isfinite(values)])
     total = float(np.abs(steps).sum())
     # A counter that is set back goes far in one step.
@@ -148,7 +148,7 @@ def _counters(drive: Observed) -> _Found:
     for name in (name for name in POWERS if name in drive.channels):
         values = drive.channels[name]
         way = grows(values, _STEADY)
-        # A power changes as the robot speeds up; what is counted, as long as it drives.
+        # A power changes while the robot speeds up; a running total, as long as it drives.
         if way and abs(correlation(np.diff(values), drive.effort[1:])) > 0.5:
             what, units = ("energy", ("Wh", "J"))
             if name == "current":
@@ -168,7 +168,7 @@ def _offset(drive: Observed, name: str, rate: FloatArray) -> Offset | None:
 
 
 def yaw_rate_offset(log: DriveLog) -> Offset | None:
-    """Return the time offset of a log's yaw rate against its tread speeds, if the drive tells."""
+    """Return the time offset of a log's yaw rate against its tread speeds, if it is clear."""
     return _offset(Observed(log.channels, log.power, log.runs), "yaw_rate", log.channel("yaw_rate"))
 
 
@@ -188,7 +188,7 @@ class _Relation(NamedTuple):
     rate: FloatArray
     alike: float  # correlation as logged
     late: Offset | None  # by how much it is shifted in time, for certain
-    sign: int  # -1 where it goes against them, 0 where nothing tells
+    sign: int  # -1 where it goes against them, 0 where it is not clear
 
 
 def _relations(drive: Observed) -> dict[str, _Relation]:
@@ -340,7 +340,7 @@ def _factors(drive: Observed) -> Iterator[tuple[float, float]]:
     scale = np.sqrt(np.diag(gram))
     if np.any(scale <= 0):
         return
-    # Speeds that hardly differ but for their sign tell no factor of each, only that of the sum.
+    # Speeds that hardly differ but for their sign show only the factor of their sum.
     apart = np.linalg.cond(gram / np.outer(scale, scale)) <= 400
     total = speeds.sum(axis=0)
     for rate in filter(lasts, drive.rates.values()):
@@ -392,7 +392,7 @@ _OPPOSED = 0.7  # share of the driving in which no drive turns on the spot
 
 def _opposed(drive: Observed) -> _Found:
     """Without a heading, sides that go against each other as no drive does: one is mirrored."""
-    if drive.rates or np.count_nonzero(drive.moving) < _ENOUGH:  # rates tell more
+    if drive.rates or np.count_nonzero(drive.moving) < _ENOUGH:  # rates show more
         return
     effort, driving = drive.effort, float(drive.effort[drive.moving].sum())
     spun = float(effort[drive.moving & (drive.left * drive.right < 0.0)].sum()) / driving
@@ -447,7 +447,7 @@ def _way(drive: Observed, mirrored: bool = False) -> _Way:
 
 
 def _measured_twice(drive: Observed) -> _Found:
-    """Ways, turns and powers that a log tells twice, whatever the robot."""
+    """Distances, turns and powers that a log holds twice, whatever the robot."""
     return (one for one in check_consistency(drive, Measures()) if not one.ok)
 
 
@@ -458,13 +458,13 @@ _REPEATED = 5  # samples that show the same, at least, of a sensor that is dead
 _TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
 _SHARE = 0.05  # share of the samples in which it must
 _FLIPS = 0.3  # share of the steps that go back at once, of a reading with noise
-_FEW, _TOLD = 5, 5.0  # samples, and seconds, that tell a sign at least
+_FEW, _TOLD = 5, 5.0  # least number of samples, and seconds, that show a sign
 _DRAGGED = 1.3  # times the resistance of straight lines, which no side on the inside draws
 _UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
 
 
 def _ahead(left: FloatArray, right: FloatArray) -> NDArray[np.bool_]:
-    """Tell where both sides go the same way, about as fast."""
+    """Return where both sides go the same way, about as fast."""
     return np.asarray(np.abs(left - right) < 0.1 * np.abs(left + right))
 
 
@@ -633,7 +633,7 @@ def _unlike(drive: Observed) -> _Found:
 
 
 def find_lost_sign(channels: Channels) -> str:
-    """Tell whether the sides' powers, or that of one side, lost their sign."""
+    """Return the reason if the sides' powers, or that of one side, lost their sign."""
     drive = Observed(channels, channels["t"], ())
     return "".join(str(one) for one in _lost_sign(drive)) if drive.sides else ""
 
@@ -650,7 +650,7 @@ def _lost_sign(drive: Observed) -> _Found:
     difference = drive.difference
     turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
     straight = np.abs(difference) < 0.01 * np.abs(drive.left + drive.right)
-    # Samples of a slow log lie apart, and few of them tell as much.
+    # Samples of a slow log are far between, and few of them show as much.
     enough = int(np.clip(_TOLD / drive.usual_step, _FEW, _ENOUGH))
     lost: list[str] = []
     returned = False
@@ -738,7 +738,7 @@ def _powers(drive: Observed) -> _Found:
             )  # fmt: skip
     shapes = power_regressors(channels, drive.runs)
     offset = find_offset("power", drive.t, drive.power, shapes, drive.runs)
-    # Readings that are held are late by up to the time between them, which is told already.
+    # Readings that are held are late by up to the time between them, which is reported already.
     longest = max(held.values(), default=0.0)
     certain = offset is not None and offset.certain and offset.explained > 0.75
     if offset is not None and certain and not 0.0 < offset.seconds < longest:
@@ -746,7 +746,7 @@ def _powers(drive: Observed) -> _Found:
 
 
 def power_regressors(channels: Channels, runs: Sequence[slice]) -> list[FloatArray]:
-    """Shapes that the power of any skid-steer robot is made of: rolling, sliding, speeding up."""
+    """Shapes that the power of any skid-steer robot consists of: rolling, sliding, speeding up."""
     t, left, right = channels["t"], channels["v_left"], channels["v_right"]
     mean, difference = left + right, right - left
     return [
@@ -756,7 +756,7 @@ def power_regressors(channels: Channels, runs: Sequence[slice]) -> list[FloatArr
 
 
 def _step(values: FloatArray, usual: float) -> float:
-    """Return the step in which readings come; 0 where it is below a tenth of what is usual."""
+    """Return the step in which readings come; 0 where it is below a tenth of `usual`."""
     found = np.unique(np.round(values, 9))
     if not 4 <= len(found) <= len(values) / 4:
         return 0.0
@@ -843,7 +843,7 @@ def _wrong_sign(power: FloatArray) -> bool:
 
 
 def _descends(drive: Observed) -> bool:
-    """Whether the drive goes downhill on the whole, as far as the log tells."""
+    """Whether the drive goes downhill on the whole, as far as the log shows."""
     forward = drive.left + drive.right
     slope = drive.channels.get("slope", np.zeros(1))
     return float(np.sum(np.sin(slope) * forward)) < -0.02 * float(np.abs(forward).sum())
@@ -911,7 +911,7 @@ def _repeats(drive: Observed) -> _Found:
 
 
 _FOLLOWS = 0.15  # share of a power's variance that the motion explains, at least
-_EPISODES = 4  # of driving, and as many of standing, that tell whether one draws more
+_EPISODES = 4  # of driving, and as many of standing, that show whether one draws more
 _BEYOND = 3.0  # standard errors by which it does, at least
 _FAR = 24 * 3600.0  # time by which a clock may be off [s]
 _ZONE = 900.0  # which it then is by some whole quarters of an hour [s]
@@ -951,7 +951,7 @@ def _unmoved(drive: Observed) -> _Found:
     yield Check(f"the power does not rise when the robot drives: {why}", remedy)
 
 
-_SHIFTED = 0.5  # correlation of power and speeds from which a shift explains why they go apart
+_SHIFTED = 0.5  # correlation of power and speeds from which a shift explains why they differ
 
 
 def _rise(t: FloatArray, effort: FloatArray, power: FloatArray) -> float | None:
@@ -981,10 +981,10 @@ def _motor_current(drive: Observed) -> _Found:
     speed, power = drive.effort[moving], drive.power[moving]
     low, high = np.quantile(speed, [0.15, 0.85])
     if high < 1.6 * low:
-        return  # one speed tells nothing of how the power depends on it
+        return  # one speed does not show how the power depends on it
     turn = np.abs(drive.difference)[moving] / speed
     # Power per speed is a force, and depends on how tight the robot turns; a motor's current too.
-    # What grows with speed and what does not is held apart for each.
+    # Each has a part that grows with speed and a part that does not.
     shapes = [speed, speed * turn, np.ones(len(speed)), turn]
     fit = regress(shapes if np.any(turn) else shapes[::2], power)
     if fit.condition > 1e4:
@@ -1022,7 +1022,7 @@ RULES = (
     Rule("power is drawn backwards, too", _directed, of_two_sides=True),
     Rule("what is measured twice is the same", _measured_twice),
 )
-"""What is asked of every drive, in the order in which it is told."""
+"""What is checked of every drive, in the order in which it is reported."""
 
 # -- drives that are the same -------------------------------------------------------------------
 
@@ -1068,7 +1068,7 @@ def without_copies(
 
 
 def _alike(one: DriveLog, other: DriveLog) -> bool:
-    """Tell whether the shorter of two drives is part of the longer one."""
+    """Return whether the shorter of two drives is part of the longer one."""
     short, long = (_readings(log) + 0.0 for log in sorted((one, other), key=len))  # no zero is -0
     return bool(np.any(short[0])) and short.T.tobytes() in long.T.tobytes()
 

@@ -1,4 +1,4 @@
-"""A drive log's samples made fit for use: what cannot be used is set aside and counted."""
+"""Cleaning of a drive log's samples: unusable ones are left out, and their number is reported."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _OTHER_UNITS = {
 
 
 def possible(channels: Mapping[str, FloatArray]) -> bool:
-    """Tell whether nearly all readings are such as a robot's channels can hold."""
+    """Return whether nearly all readings are such as a robot's channels can hold."""
     for name, values in channels.items():
         low, high, _ = LIMITS.get(name, ANY)
         if np.mean((values >= low) & (values <= high)) < _MOST:
@@ -65,7 +65,7 @@ _ENOUGH = 20  # readings below which nothing is concluded
 
 
 def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
-    """Tell which readings stand out from those around as nothing that lasts does."""
+    """Return which readings stand out from those around as nothing that lasts does."""
     lost = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
     if channel not in _STANDS_OUT or len(known) < _ENOUGH:
@@ -89,7 +89,7 @@ _EXPECTED = 5.0  # repeated readings that must be expected, were readings writte
 
 
 def writes_changes(values: FloatArray) -> bool:
-    """Tell whether a logger wrote a reading only where it differs from the one before."""
+    """Return whether a logger wrote a reading only where it differs from the one before."""
     known = np.flatnonzero(np.isfinite(values))
     readings = values[known]
     if len(readings) in (0, len(values)):
@@ -293,12 +293,12 @@ class _Cleaner:
             self.rows = self.rows[~lost]
 
     def strays(self, name: str) -> NDArray[np.bool_]:
-        """Tell which readings are impossible."""
+        """Return which readings are impossible."""
         low, high, _ = LIMITS.get(name, ANY)
         return np.asarray((self.channels[name] < low) | (self.channels[name] > high))
 
     def many_strays(self, name: str) -> bool:
-        """Tell whether more readings are impossible than glitches are."""
+        """Return whether more readings are impossible than glitches are."""
         stray = self.strays(name)
         return bool(np.count_nonzero(stray) > max(1.0, _STRAY * len(stray)))
 
@@ -409,7 +409,7 @@ class _Cleaner:
         self.rows = self.rows[rows]
 
     def seen_before(self) -> NDArray[np.bool_]:
-        """Tell which rows repeat an earlier one with its time, as where a part stands twice."""
+        """Return which rows repeat an earlier one with its time, as where a part is repeated."""
         table = np.nan_to_num(np.column_stack(list(self.channels.values())), nan=np.inf)
         _, first = np.unique(table, axis=0, return_index=True)
         again = np.ones(len(table), bool)
@@ -478,7 +478,7 @@ class _Cleaner:
             self.drop(hole, f"{name} has no usable reading for more than {_BRIDGE:g} s; left out")
 
     def follow_heading(self) -> None:
-        """Leave out a heading, from 0 to one turn, that is read too seldom to tell the turns."""
+        """Leave out a heading, from 0 to one turn, that is read too seldom to show the turns."""
         yaw, t = self.channels.get("yaw"), self.channels["t"]
         if yaw is None or len(t) < 3 or np.ptp(yaw) > 2 * np.pi:
             return

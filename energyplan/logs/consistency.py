@@ -1,6 +1,6 @@
 """Do a log, a robot's measures and its mass belong together, and what would explain it if not.
 
-Odometry, gyroscope, pose, power, mass and geometry tell some quantities twice. Each such pair is a
+Odometry, gyroscope, pose, power, mass and geometry give some quantities twice. Each such pair is a
 ratio that lies in a known range whatever the robot and the ground; a unit, a wheel radius or a
 measure that is wrong multiplies some of the ratios by a known factor. A mistake is named if undoing
 it, and nothing else, brings every ratio back.
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
 
 _WINDOW = 3.0  # length of the stretches over which distances are compared [s]
 _ENOUGH = 20  # samples or windows below which nothing is concluded
-_JITTER = 6.0  # least displacement of a pose, over the noise of its readings, that tells a length
+_JITTER = 6.0  # least displacement of a pose, over its readings' noise, that shows a length
 _CLOSE, _FAR_APART = 0.01, 0.1  # time between means of rows, at least and at most [s]
 _MANY_ROWS = 100_000  # rows that suffice to compare channels
 _CHANCE = 4.0  # standard errors beyond which a mean power is none by chance
-_ALIKE = 0.9  # correlation from which the turning tells a slip track
+_ALIKE = 0.9  # correlation from which the turning shows a slip track
 _FEW_NUMBERS = 25  # whole numbers beyond which they may be of a finer unit
 POWERS = ("p_left", "p_right", "power", "current")
 """Channels of what is drawn."""
-_INERTIA_ERROR = 0.13  # share to which a mass must be told, three of which are the range's margin
+_INERTIA_ERROR = 0.13  # relative error of a mass, at most; three of them are the range's margin
 
 
 Channels = Mapping[str, FloatArray]
@@ -61,7 +61,7 @@ class Observed:
         self.effort = np.abs(self.left) + np.abs(self.right)  # [m/s], whatever their signs
         self.sides = {"p_left", "p_right"} <= set(channels)
         self.usual_step = float(np.median(np.diff(self.t))) if len(self.t) > 1 else np.nan
-        # Nothing but the heading tells the slip track.
+        # Nothing but the heading shows the slip track.
         self.from_pose = "yaw_rate" not in channels
         battery = "current" in channels and "power" not in channels
         self.electric_names = (
@@ -130,7 +130,7 @@ class Observed:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Where it moves, by what is usual in the drive."""
+        """Where it moves, relative to the drive's speeds."""
         return self.effort > 0.15 * float(np.quantile(self.effort, 0.95))
 
     @cached_property
@@ -209,12 +209,12 @@ class Observed:
 
     @cached_property
     def voltage(self) -> float:
-        """Usual voltage [V]."""
+        """Median voltage [V]."""
         return float(np.median(self.channels["voltage"])) if "voltage" in self.channels else np.nan
 
     @cached_property
     def inertia(self) -> float:
-        """Mass that the power of speeding up tells [kg]; NaN where it hardly tells it."""
+        """Mass that the power of speeding up shows [kg]; NaN where it hardly shows it."""
         mean = 0.5 * (self.left + self.right)
         gain = mean * derivative(self.t, mean, self.runs, 0.4)
         best, found = inf, np.nan
@@ -239,7 +239,7 @@ class Observed:
 
 
 def _whole(values: FloatArray | None) -> bool:
-    """Tell whether readings are whole numbers, more than a few of them."""
+    """Return whether readings are whole numbers, more than a few of them."""
     if values is None or np.any(np.mod(values, 1.0) != 0.0):
         return False
     return len(np.unique(values)) > _FEW_NUMBERS or float(np.median(np.abs(values))) > 60.0
@@ -271,7 +271,7 @@ def regress(shapes: Sequence[FloatArray], y: FloatArray) -> Regression:
 
 
 def yaw_rates(channels: Channels, runs: Sequence[slice]) -> dict[str, FloatArray]:
-    """Return the yaw rates that a log tells [rad/s], by the channel that they come from."""
+    """Return the yaw rates that a log holds [rad/s], by the channel that they come from."""
     found = {}
     if "yaw_rate" in channels:
         found["yaw_rate"] = channels["yaw_rate"]
@@ -287,7 +287,7 @@ def correlation(one: FloatArray, other: FloatArray) -> float:
 
 
 def lasts(values: FloatArray) -> bool:
-    """Tell whether readings are large for long enough to conclude from, not for one jerk."""
+    """Return whether readings are large for long enough to conclude from, not for one jerk."""
     size = np.abs(values)
     return bool(np.count_nonzero(size > 0.2 * np.max(size, initial=0.0)) >= _ENOUGH)
 
@@ -330,7 +330,7 @@ def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
     if np.mean(pose**2) < _JITTER**2 * float(np.mean(jitter**2)) / 6.0:
         return np.nan
     ratio = float(wheel @ wheel) / float(wheel @ pose)
-    # Stretches that contradict each other (slipping, a lost pose) tell nothing.
+    # Stretches that contradict each other (slipping, a lost pose) show nothing.
     scatter = float(np.std(pose * ratio - wheel) / wheel.mean())
     return ratio if scatter < 0.5 else np.nan
 
@@ -410,13 +410,13 @@ class _Range:
         return self.low <= value <= self.high
 
     def strain(self, value: float) -> float:
-        """How far from usual a value is, in widths of the range."""
+        """How far a value is from the typical one, in widths of the range, squared."""
         return (log(value / self.usual) / log(self.high / self.low)) ** 2 if value > 0 else inf
 
 
 # The slip track of real drives lies at 0.76 to 1.08 of that of equal point loads (Husky on floor,
 # ice, loam; Warthog on grass), with a gyroscope's error on top; treads that dig themselves in turn
-# less than they tell, and are left out for want of correlation.
+# less than they indicate, and are left out for want of correlation.
 _TURNING = _Range("slip track over that of the wheel positions", 0.6, 1.45, 0.93, "moment balance")
 _DISTANCE = _Range("distance by the treads over that by the pose", 0.8, 1.35, 1.0, "little slip")
 _ROTATION = _Range("yaw rate over the rate of the heading", 0.75, 1.35, 1.0, "same turning")
@@ -428,7 +428,7 @@ _ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "skid-steer robots")
 _INERTIA = _Range("mass by acceleration over that given", 0.62, 12.0, 1.1, "more with heavy drives")
 _STEP = _Range("time step [s]", SHORTEST_STEP, LONGEST_STEP, 0.05, "logs of drives")
 _VOLTAGE = _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots")
-# Whole numbers may be tenths or hundredths, so that they must be more usual to be believed.
+# Whole numbers may be tenths or hundredths, so that they are held to narrower ranges.
 _WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whole numbers")
 _ROUGH_FORCE = replace(_FORCE, low=8e-4, high=40.0, why="resistance of wheels, weight by size")
 _WHOLE_VOLTAGE = replace(_VOLTAGE, high=100.0, why="batteries of robots, read in whole numbers")
@@ -487,7 +487,7 @@ class _Mistake(NamedTuple):
     def undo(self, seen: Mapping[str, float], drive: Observed, factor: float) -> dict[str, float]:
         """Return what would be seen without the mistake."""
         acts = dict(_ACTS[self.channels])
-        if self.channels[0] in ("t", "yaw", "yaw_rate"):  # of what the slip track is told by
+        if self.channels[0] in ("t", "yaw", "yaw_rate"):  # that the slip track is computed from
             power = {"t": 1, "yaw": -1, "yaw_rate": -1}[self.channels[0]]
             acts["slip_track"] = power * (drive.from_pose != (self.channels[0] == "yaw_rate"))
         if self.channels[-1] in ("voltage", "current") and isfinite(drive.electric):
@@ -657,7 +657,7 @@ def _seen(drive: Observed, known: Measures) -> dict[str, float]:
 
 
 def strain(drive: Observed, known: Measures) -> float:
-    """How far drive and measures are from what is usual: the sum of squares over the ratios."""
+    """How far drive and measures are from what is typical: the sum of squares over the ratios."""
     return sum(span.strain(value) for span, value in _ratios(_seen(drive, known), drive))
 
 

@@ -32,7 +32,7 @@ _NOT_MEASURED = {
     "raw", "supply", "health", "technology", "capacity", "charge", "percentage", "percent", "pct",
     "present",
 }  # fmt: skip
-"""Words of what is asked for, or of what is no speed and no power."""
+"""Words of commands, and of what is no speed and no power."""
 
 
 ENCODER = {"enc", "encoder", "encoders", "tick", "ticks", "count", "counts", "counter", "pulses",
@@ -45,7 +45,7 @@ _PLACES = {
     **{f"{place}{side}": side for place in "frbm" for side in "lr"},
     **{f"{side}{place}": side for place in "frbm" for side in "lr" if f"{side}{place}" != "rl"},
 }  # fmt: skip
-"""Words that tell which of a side's wheels, and what they tell of the side."""
+"""Words for one of a side's wheels, with the side."""
 _MEASURED = {
     "meas", "measured", "actual", "act", "feedback", "fb", "real", "side", "sensor", "state",
 }  # fmt: skip
@@ -81,7 +81,7 @@ def words(name: str) -> list[str]:
 
 
 def side_of(name: str) -> str:
-    """Return the side that a name tells, ``"left"`` or ``"right"``; empty where it tells none."""
+    """Return the side that a name gives, ``"left"`` or ``"right"``; empty where it gives none."""
     said = set(words(name))
     sides = [side for side in ("left", "right") if said & _WORDS[side]]
     return sides[0] if len(sides) == 1 else ""
@@ -162,12 +162,12 @@ def _score(channel: str, name: str) -> float:
     if channel == "accel_x":
         return 2.0 * (has["accel"] and bool(said & {"x", "ax"}))
     if channel == "temperature":
-        return 0.0  # whose it is a name does not tell
+        return 0.0  # a name does not show whose it is
     return 0.0
 
 
 def _quaternions(names: Collection[str]) -> set[str]:
-    """Return names that end with w, of a rotation or beside one with z: they hold no watts."""
+    """Return names of the w components of quaternions, which hold no watts."""
     there = {name.lower() for name in names}
     return {
         name for name in names if name.lower().endswith("w")
@@ -192,7 +192,7 @@ def guess_encoders(names: Iterable[str]) -> dict[str, Column]:
 
 
 def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of wheels' or motors' speeds that a number tells apart, not a side."""
+    """Return names of wheels' or motors' speeds that a number distinguishes, not a side."""
     kinds = _WORDS["speed"] | ENCODER | {"dist", "distance"}
     groups: dict[tuple[str, ...], list[str]] = {}
     for name in names:
@@ -202,7 +202,7 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def of_one_wheel(name: str) -> bool:
-    """Tell whether a name is that of a wheel, or its motor, of which a side has several."""
+    """Return whether a name is that of a wheel, or its motor, of which a side has several."""
     return bool(set(words(name)) & set(_PLACES))
 
 
@@ -224,7 +224,7 @@ def halves(name: str, others: Iterable[str]) -> list[str]:
 
 
 def of_batteries(name: str) -> bool:
-    """Tell whether a name is of a battery."""
+    """Return whether a name is of a battery."""
     return bool(set(_tokens(name)) & _BATTERY)
 
 

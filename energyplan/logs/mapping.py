@@ -94,7 +94,7 @@ _OF_WHEELS = {**RATES, **COUNTS}
 
 
 def known_unit(channel: str, unit: str) -> str | None:
-    """Return a channel's unit by its usual spelling; None where the channel has no such unit."""
+    """Return a channel's unit by its standard spelling; None where the channel has no such unit."""
     known = {**UNITS.get(channel, {}), **(_OF_WHEELS if channel in _WHEEL_CHANNELS else {})}
     bare = unit.strip()
     if bare in known:
@@ -192,7 +192,7 @@ def split_words(name: str) -> list[str]:
 
 
 class NamedUnit(NamedTuple):
-    """A name without its unit, and the unit in its usual spelling; empty where it tells none."""
+    """A name without its unit, and the unit in its standard spelling; empty where it has none."""
 
     bare: str
     unit: str = ""
@@ -200,7 +200,7 @@ class NamedUnit(NamedTuple):
 
 @lru_cache(maxsize=4096)
 def unit_in(channel: str, name: str) -> NamedUnit:
-    """Return the unit that a column's name tells, if the channel can be in it."""
+    """Return the unit that a column's name gives, if the channel can be in it."""
     bare, stated = split_unit(name)
     if stated:
         return NamedUnit(bare, known_unit(channel, stated) or "")
@@ -232,7 +232,7 @@ SHORTEST_STEP, LONGEST_STEP = 2e-5, 20.0  # that which is possible [s]
 
 
 def dated(times: FloatArray) -> bool:
-    """Tell whether times in seconds are those of a calendar."""
+    """Return whether times in seconds are those of a calendar."""
     return bool(_EPOCH[0] <= np.nanmedian(times) <= _EPOCH[1])
 
 
@@ -244,7 +244,7 @@ def time_units(times: FloatArray) -> tuple[str, ...]:
         return ("",)
     step = float(np.median(steps))
     sizes = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    for name, size in sizes.items():  # rows of a calendar's time may lie far apart
+    for name, size in sizes.items():  # gaps between rows of a calendar's time may be long
         if dated(size * times) and step * size <= 3600.0:
             return (name,)
     if np.nanmedian(times) > _DATE:
@@ -254,7 +254,7 @@ def time_units(times: FloatArray) -> tuple[str, ...]:
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether a text is a unit of any channel."""
+    """Return whether a text is a unit of any channel."""
     bare = text.strip().strip("[]()").strip()
     return any(known_unit(channel, bare) is not None for channel in UNITS)
 
@@ -416,7 +416,7 @@ class Column(Checked):
         )
 
     def matches(self, topic: str) -> bool:
-        """Tell whether a bag's topic is meant."""
+        """Return whether a bag's topic is meant."""
         wanted = self.topic.strip("/")
         return topic.strip("/") == wanted or topic.endswith(f"/{wanted}")
 
@@ -546,7 +546,7 @@ def formula(text: str, name: str) -> Formula | None:
 
 
 def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:
-    """Return the unit that the columns of a formula tell by their names, if they all tell one."""
+    """Return the unit in the names of a formula's columns, if it is in all of them."""
     if times is None:
         units = {unit_in(channel, name).unit for name in names}
         if len(units) == 1:
@@ -594,7 +594,7 @@ def map_channels(
     names: Collection[str],
     text: Collection[str] = (),
 ) -> dict[str, Column]:
-    """Return which column serves as which channel: as told, and others by their own names."""
+    """Return which column serves as which channel: as given, and others by their own names."""
     wanted = parse_columns(columns, names)
     taken = {name for column in wanted.values() for name in column.names}
     left = [name for name in names if name and name not in taken]

@@ -48,13 +48,13 @@ MAX_COLUMNS = 4096
 """Widest table that is read."""
 _MAX_HEADER = 1 << 18  # longest header line that is read [bytes]
 _UNNAMED = "unnamed column "  # how a column without a name is called, before its number
-LOOKED_AT = 80  # lines that tell how the others are written
+LOOKED_AT = 80  # lines that show how the others are written
 _SEPARATORS = (",", ";", "\t", "|")
 _SPACES = r"\s+"
 _COMMENT = re.compile(r"\s*(#+|//|%%|\*\*)\s*")
 
 _MISSING = ("-", "--", "---", "?", "missing", "1.#INF", "-1.#INF")
-"""What stands in cells without a reading, beside what pandas knows."""
+"""What stands in cells without a reading, in addition to what pandas knows."""
 _NO_NUMBER = {"", "nan", "null", "none", "n/a", "na", "#n/a", "inf", "-inf", *_MISSING}
 
 
@@ -271,7 +271,7 @@ def _is_number(text: str) -> bool:
 
 
 def _is_unit_row(row: list[str]) -> bool:
-    """Whether a row tells the units of columns: no cell is a value, most are units."""
+    """Whether a row holds the units of columns: no cell is a value, most are units."""
     filled = [cell for cell in row if cell.strip() and cell.strip() not in "-1"]
     if not filled or any(map(_is_value, filled)):
         return False
@@ -308,7 +308,7 @@ class Recording:
     times: Mapping[str, FloatArray] = field(default_factory=dict)  # [s]; of rows none: map them
     kinds: Mapping[str, str] = field(default_factory=dict)  # type of the messages of each topic
     written: Mapping[str, str] = field(default_factory=dict)  # field of a message, by series
-    notes: Mapping[str, str] = field(default_factory=dict)  # what is doubtful of a topic
+    notes: Mapping[str, str] = field(default_factory=dict)  # what is uncertain about a topic
     first: int = 1  # number of the first row of data
     unit: str = "row"  # what that number counts
     error: type[InvalidInputError] = DriveLogError  # error to raise for bad content
@@ -446,7 +446,7 @@ def quaternions(names: Collection[str]) -> dict[str, tuple[str, ...]]:
 
 
 class Columns:
-    """Columns as they are read, piece by piece, sorted into numbers and text."""
+    """Columns as they are read, part by part, sorted into numbers and text."""
 
     def __init__(self, names: list[str], first: int, unit: str, decimal: str = ".") -> None:
         self.rows, self._first, self._unit, self._decimal = 0, first, unit, decimal
@@ -598,7 +598,7 @@ def parts_of(path: str | Path) -> list[str]:
 
 
 def counts_rows(values: FloatArray) -> bool:
-    """Tell whether a column is the number of its row: that is no time."""
+    """Return whether a column is the number of its row: that is no time."""
     return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
@@ -757,7 +757,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
         )
     most = MAX_CELLS // len(names)
     columns = Columns(names, dialect.line, "line", dialect.decimal)
-    # before 3.1 pandas is out by the last bit in one number of six, unless it is asked not to be
+    # before 3.1 pandas is wrong in the last bit of one number of six by default
     old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     parts: list[pd.DataFrame] | None = []  # of one reading a row
@@ -808,7 +808,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
         columns.add(wide)
         return columns.table(file, error)
     table = columns.table(file, error)
-    # Which rows have fewer cells, though some, the parser does not tell.
+    # The parser does not report rows that have fewer cells, though some.
     one = len(dialect.separator) == 1
     cells = (_cells(data, dialect.separator) if one else np.zeros(0, int))[: columns.rows]
     short = np.flatnonzero((cells > 0) & (cells < dialect.named - 1))
@@ -896,7 +896,7 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
 
 
 def _holds_numbers(kind: pa.DataType) -> bool:
-    """Tell whether cells of a Parquet type are numbers, times, or nothing at all."""
+    """Return whether cells of a Parquet type are numbers, times, or nothing at all."""
     from pyarrow import types
 
     if types.is_dictionary(kind):

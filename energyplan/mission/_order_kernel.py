@@ -47,7 +47,7 @@ _TAKEN = 0.8
 """Chance of a neighbour to be taken out with a task."""
 
 _CLOSED = 0.5
-"""Chance of a robot to get nothing at first, in one of `_APART` rounds."""
+"""Chance of a robot to get nothing at first, in every `_APART`-th round."""
 _APART = 8
 
 _FAR = 1e15
@@ -109,7 +109,7 @@ class Stages(NamedTuple):
     there: FlagTable  # (S, N): whether the robot may be at a place
     done: Floats  # (S,): largest prize of what was done until a stage
     ahead: Floats  # (S,): largest prize of what may still be done
-    load: Floats  # (S,): payload of a stage [kg], infinite if the stage does not tell it
+    load: Floats  # (S,): payload of a stage [kg], infinite if the stage does not fix it
     load_index: Ints  # (S,): which of the L loads that is, or L
     pressing: Flags  # (S,): whether a window of the tasks that may still be done ends
     opening: Floats  # (S,): when the last window of those for which waiting takes power opens [s]
@@ -306,7 +306,7 @@ def _left_at(label: Label, time: float) -> float:
 
 @inner
 def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float) -> bool:
-    """Tell whether a label is as good as another in every respect.
+    """Return whether a label is as good as another in every respect.
 
     Whose charge ends earlier may have to wait longer for a window, at most at the power `idle`.
     """
@@ -376,7 +376,7 @@ def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[flo
 
 @inner
 def _lose(store: Store, promise: tuple[float, bool]) -> None:
-    """Note what a label that is left out for want of room may have led to."""
+    """Note what a label that is left out for want of room may have reached."""
     store.lost[0] = min(store.lost[0], promise[0])
     if promise[1]:
         store.lost[1] = 1.0
@@ -384,7 +384,7 @@ def _lose(store: Store, promise: tuple[float, bool]) -> None:
 
 @inner
 def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
-    """Tell whether a label promises less than another."""
+    """Return whether a label promises less than another."""
     if abs(one.prize - other.prize) > _EPSILON:
         return one.prize < other.prize
     mine = least if np.isfinite(least) else _FAR + one.energy
@@ -609,7 +609,7 @@ class Tours(NamedTuple):
 def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: int) -> float:
     """Return the energy of a robot's tasks in a sequence, with an extra one put in at a place [J].
 
-    Each charge that the battery needs is counted as the least detour over a charger. Infinite
+    Each charge that the battery needs adds the least detour over a charger. Infinite
     where the sequence cannot be.
     """
     n, places = len(tours.prize), tours.energy.shape[1]

@@ -175,7 +175,7 @@ class Simulation:
         return state.time + self.quantile * state.time_spread
 
     def holds(self, state: Status) -> bool:
-        """Tell whether the reserve is left at the bound."""
+        """Return whether the reserve is left at the bound."""
         enough = state.worst.soc >= self.mission.reserve - ROUNDING
         return enough and state.worst.failure == "none"
 
@@ -466,7 +466,7 @@ class Simulation:
         return float(max(need - (stored[0] - stored[1]), by_soc, 0.0))
 
     def lacks_power(self, safe: Status) -> bool:
-        """Tell whether the battery holds the energy, and what it cannot deliver is the power."""
+        """Return whether the battery holds the energy, but cannot deliver the power."""
         return safe.worst.failure in SAGS and self.shortfall(safe) == 0
 
     def _why_not(self, safe: Status) -> str:

@@ -1,7 +1,7 @@
 """Energy with its uncertainty, and the power models that a mission meets on its way.
 
 Every unknown of a mission is written as a standard normal coordinate: the principal directions of
-each model's covariance, the spread of its coefficients from day to day, the error that it made on
+each model's covariance, the spread of its coefficients from day to day, its error on
 drives held out from its identification, what differs from run to run, the power of each tool, the
 duration of each task, and what the battery holds. An energy carries its sensitivity to each of
 them. Legs that share a model share its unknowns, so that their errors add up instead of averaging
@@ -179,7 +179,7 @@ class Models(ByValue):
         return len(self.labels)
 
     def by_source(self, energy: Estimate) -> dict[str, float]:
-        """Return the standard deviation that each source of doubt alone gives an energy [J].
+        """Return the standard deviation of an energy due to each source of uncertainty alone [J].
 
         The largest comes first; their squares add up to the variance.
         """
@@ -386,7 +386,7 @@ class Models(ByValue):
         return self._unknown(_GAUGE, gauge.soc)
 
     def driving_power(self, payload: float, speed: float | None) -> float:
-        """Return the power of driving straight on, at a tread speed or a usual one [W]."""
+        """Return the power of driving straight on, at a tread speed or a typical one [W]."""
         model = self.model_of(0, payload)
         vehicle = model.vehicle
         usual = min(speed or np.inf, vehicle.usual_speed, vehicle.motor.speed, _USUAL_SPEED)
@@ -398,7 +398,7 @@ class Models(ByValue):
     ) -> tuple[Estimate, FloatArray]:
         """Integrate over instants of a motion that stand for so much time each [s].
 
-        Beside the energy comes the variance of the power at each instant [W^2].
+        Also return the variance of the power at each instant [W^2].
         """
         model, source = self.model_of(region, payload), self._sources[self._source_of[region]]
 

@@ -202,7 +202,7 @@ class Evaluation:
         return (*self.mission.notes, *notes, *self._uncharged())
 
     def _uncharged(self) -> tuple[str, ...]:
-        """Tell at which chargers the battery takes no charge, and why."""
+        """Return at which chargers the battery takes no charge, and why."""
         found: dict[str, list[str]] = {}
         for charger in self.mission.chargers:
             found.setdefault(self.mission.charging_fault(charger), []).append(repr(charger.name))
@@ -282,7 +282,7 @@ class Evaluation:
         return tuple(remedies), ", or ".join(hints) or tried.detail
 
     def _sooner(self, k: int, tried: Attempt) -> list[Remedy]:
-        """Tell what brings the robot there in time: speed, or a wider window."""
+        """Return what brings the robot there in time: speed, or a wider window."""
         task, tasks = self.mission.tasks[k], (*self.attempts[k].earlier, k)
         top = float(self.mission.vehicle.motor.speed)
         now = self.mission.tread_speed
@@ -318,7 +318,7 @@ class Evaluation:
         return True
 
     def _charge_first(self, tasks: Sequence[int]) -> list[Remedy]:
-        """Tell the state of charge with which to leave so that the task can be done."""
+        """Return the state of charge with which to leave so that the task can be done."""
         levels = np.arange(np.ceil(100 * self.mission.soc) + 1, 101) / 100
         remedies = [Remedy("charge", float(level), "1") for level in levels]
         last = len(remedies) - 1
@@ -328,7 +328,7 @@ class Evaluation:
         return [remedies[least]]
 
     def _larger_battery(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
-        """Tell how much more the battery has to hold, in whole watt-hours, or to deliver.
+        """Return how much more the battery has to hold, in whole watt-hours, or to deliver.
 
         It has to hold more than is missing: part of it is reserve, and the load draws charge too.
         Where no energy is missing, what limits is its power: that of its strings.
@@ -356,7 +356,7 @@ class Evaluation:
         return self._first(tasks, [Remedy("reserve", r, "1") for r in reserves if r < now])
 
     def _slower(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
-        """Tell whether another speed helps: that of least energy, or one of less power."""
+        """Return another speed that helps, if any: that of least energy, or one of less power."""
         given, top = self.mission.tread_speed, float(self.mission.vehicle.motor.speed)
         remedies = [] if given is None else [Remedy("cheapest_speed")]
         if safe.worst.failure in SAGS and np.isfinite(top):
@@ -365,7 +365,7 @@ class Evaluation:
         return self._first(tasks, remedies)
 
     def _indoors(self, tasks: Sequence[int]) -> list[Remedy]:
-        """Tell whether a battery helps that is as warm, or as cool, as charging demands."""
+        """Return a battery as warm, or as cool, as charging demands, if it helps."""
         closed = [one for one in self.mission.chargers if self.mission.charging_fault(one)]
         battery = self.mission.at_charger(closed[0]) if closed else None
         if not isinstance(battery, Battery):
@@ -406,7 +406,7 @@ class Evaluation:
         return next(([remedy] for remedy in remedies if self._works(tasks, remedy)), [])
 
     def _works(self, tasks: Sequence[int], remedy: Remedy) -> bool:
-        """Tell whether the last of some tasks can be done after the others with a remedy."""
+        """Return whether the last of some tasks can be done after the others with a remedy."""
         try:
             changed = self.mission.with_remedy(remedy)
         except BatteryError:  # beyond any battery
@@ -415,7 +415,7 @@ class Evaluation:
         return self._follow(sim, tasks) and self._holds(tasks[-1], remedy)
 
     def _holds(self, k: int, remedy: Remedy) -> bool:
-        """Tell whether a remedy lets the whole mission do a task; others may take what it gains."""
+        """Return whether a remedy lets the mission do a task; others may take what it gains."""
         if not self._confirms:
             return True
         again = self._anew(remedy)

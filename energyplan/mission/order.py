@@ -550,7 +550,7 @@ class Matrix:
         return np.asarray(self._all(payload)[np.ix_(self.nodes, self._ends)].min(axis=1))
 
     def _times(self, hurried: bool = False) -> FloatArray:
-        """Tell the times between places: straight on at full speed where no route is planned."""
+        """Return the times between places: straight on at full speed where no route is planned."""
         legs, payload = self._sim.legs, self._state.payload
         speed = legs.scene(payload).cost.admissible_speed(0.0)
         poses = np.array(legs.poses)[:, :2]

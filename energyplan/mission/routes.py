@@ -392,7 +392,7 @@ class Legs:
         return self._bounds[payload]
 
     def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
-        """Tell whether the route from node to node is known."""
+        """Return whether the route from node to node is known."""
         scene, here, there = self.planned_in, self.poses[start], self.poses[goal]
         known = (scene, here, there, hurried) in self._cache
         return known or (scene.symmetric and (scene, there, here, hurried) in self._cache)

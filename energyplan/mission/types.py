@@ -426,7 +426,7 @@ class Mission(ReadOnly, html.Readable):
     chargers : sequence of Charger
         Where it can charge.
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own.
+        Surfaces with power models of their own.
     payload : float
         Payload at the start [kg].
     payload_models : mapping
@@ -723,7 +723,7 @@ class Mission(ReadOnly, html.Readable):
             raise MissionError("; ".join(fault for fault, _ in faults), faults[0][1])
 
     def _may_fail(self, place: tuple[str | int, ...]) -> bool:
-        """Tell whether a pose is that of an optional task, which is then unreachable."""
+        """Return whether a pose is that of an optional task, which is then unreachable."""
         return place[0] == "tasks" and not self.tasks[int(place[1])].required
 
     def _summaries(self) -> list[html.Summary]:

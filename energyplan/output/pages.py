@@ -86,7 +86,7 @@ class Page:
     def made_from(
         self, *, call: str = "", files: Iterable[Path] = (), model: PowerModel | None = None
     ) -> None:
-        """Say at the end of the page what it was made from; may be called several times."""
+        """State at the end of the page what it was built from; may be called several times."""
         lines = {("Made by", call): ""} if call else {}
         if model is not None:
             robot = model.vehicle

@@ -39,7 +39,7 @@ class Coefficient(TypedDict):
 
 
 class Preset(TypedDict):
-    """A ready-made model, which was not measured on the robot."""
+    """A preset model, which was not measured on the robot."""
 
     name: str
     measured: bool

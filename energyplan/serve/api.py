@@ -226,7 +226,7 @@ def _files(service: _Service) -> APIRouter:
 
     @router.get("/health", response_model=answers.HEALTH)
     async def health() -> Document:
-        """Tell that the service is there, and how busy it is."""
+        """Report that the service is running, and how busy it is."""
         return {"version": __version__, "workers": pool.workers, "load": pool.load}
 
     @router.get("/files", response_model=answers.FILES)

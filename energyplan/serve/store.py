@@ -73,7 +73,7 @@ class Store:
     def names(self) -> dict[str, list[str]]:
         """Return the names of all files by kind.
 
-        Maps, models, vehicles and missions are all YAML: their keys tell them apart.
+        Maps, models, vehicles and missions are all YAML: their keys distinguish them.
         """
         found: dict[str, list[str]] = {kind: [] for kind in KINDS}
         for file in sorted(self.folder.rglob("*")):
@@ -182,7 +182,7 @@ class StoppingError(BusyError):
 
 
 class Job:
-    """A piece of work: its answer, what it says on its way, and whether it is still wanted."""
+    """A job: its answer, its messages on the way, and whether it is still wanted."""
 
     def __init__(self) -> None:
         self.cancelled = threading.Event()
@@ -227,7 +227,7 @@ class Pool:
         return len(self._jobs)
 
     def submit(self, work: Callable[[Job], Any]) -> Job:
-        """Have a piece of work done."""
+        """Submit a job."""
         job = Job()
         with self._lock:
             if self.closing:

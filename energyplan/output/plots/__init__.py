@@ -1,6 +1,6 @@
 """Pictures: functions that take matplotlib axes and return them.
 
-Every axis has its unit. Colours are those of Okabe and Ito, which colour-blind people tell apart;
+Every axis has its unit. Colours are those of Okabe and Ito, which suit colour-blind people;
 lines that may coincide differ in style as well.
 """
 

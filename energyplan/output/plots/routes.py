@@ -245,7 +245,7 @@ def mission_map(report: MissionReport) -> Figure:
 
 
 def _short(name: str) -> str:
-    """Return a name that leaves room for the picture beside it."""
+    """Return a name short enough to leave room for the plot."""
     return name if len(name) <= 28 else f"{name[:27]}…"
 
 
@@ -266,7 +266,7 @@ def state_of_charge(ax: Axes, report: MissionReport) -> Axes:
 
 
 def visits(ax: Axes, report: MissionReport) -> Axes:
-    """Draw when the robot is where: a bar for each stop, with its name beside the axis."""
+    """Draw when the robot is where: a bar for each stop, with its name at the axis."""
     names = list(dict.fromkeys(stop.name for stop in report.route))
     colors = {"charge": CHARGING, "task": style.GREEN, "start": style.BLACK, "end": style.BLACK}
     for stop in report.route:
