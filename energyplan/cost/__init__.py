@@ -43,18 +43,18 @@ class EnergyCost(SteadyDriving):
         What it contains of the ground of some place, such as a slope that a diagnosis found, is
         left out, for a cost knows no map: problems and missions put it on theirs.
     battery : bool
-        Whether energy is counted at the battery, with the vehicle's drive and regeneration
+        Whether energy is measured at the battery, with the vehicle's drive and regeneration
         efficiencies, rather than at the treads.
     speed : float or "cheapest", optional
-        Tread speed to drive at [m/s], that of the faster tread; slower where a limit asks for it.
+        Tread speed to drive at [m/s], that of the faster tread; slower where a limit requires it.
         With ``"cheapest"`` every element is driven at its cheapest admissible speed, and at
         the fastest of them where several cost the same. Where it is not given, the robot drives
-        at its vehicle's usual speed, or as fast as its motors go; where neither is known, or time
+        at its vehicle's typical speed, or as fast as its motors go; where neither is known, or time
         has a value, at the cheapest. `tread_speed` says which.
     channels : mapping of str to float
         Constant values of further channels that the model's terms read, such as a temperature.
     time_value : float
-        What a second is worth where the speed is chosen [J/s]. It makes no part of the energy: the
+        Value of a second where the speed is chosen [J/s]. It is not part of the energy: the
         robot hurries, and pays for it.
 
     Raises
@@ -267,7 +267,7 @@ def _static_model(
         raise InvalidInputError(f"per_radian is {per_radian}; give joules per radian >= 0")
     treads = icr if isinstance(icr, TreadICR) else TreadICR.symmetric(icr)
     width = treads.slip_track
-    # nobody knows its wheels: they stand near the centre, in any footprint that it may be given
+    # its wheels are unknown: they are placed near the centre, inside any footprint it may be given
     contacts, box = layout(0.1 * width, 0.1 * width, 2 * width, 2 * width)
     loads, motor = wheel_loads(contacts, 1.0), MotorLimits(speed=speed)
     vehicle = Vehicle("coefficients", contacts, loads, treads, box, motor)

@@ -23,7 +23,7 @@ SLACK = 1e-6
 _ROUNDING = 1e-13  # part by which a price may be off by rounding, where differences are taken
 _BASINS = 8  # local minima of the scan that are followed
 _ZOOMS, _CUTS = 7, 9  # rounds in which a minimum is enclosed, and places tried in each
-_WINDING = 0.1  # turn of a usual path, for each half slip track of its length [rad]
+_WINDING = 0.1  # turn of a typical path, for each half slip track of its length [rad]
 
 
 _Value = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -144,7 +144,7 @@ class Infimum:
     def _balanced(
         self, travel: Callable[[FloatArray, FloatArray], FloatArray], half_track: float
     ) -> float:
-        """Return the price of a metre which, with that of a radian, is best for a usual path."""
+        """Return the price of a metre which, with that of a radian, is best for a typical path."""
         x, y = octant_directions(self._scan)
         way, turn = travel(x, y), np.abs(y) / half_track
         lowest = self._scanned.reshape(-1, *x.shape).min(axis=0)

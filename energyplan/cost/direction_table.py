@@ -4,7 +4,7 @@ Steady motion at the cheapest admissible speed costs energy that is homogeneous 
 element: twice the element, twice the energy. So it is known from its values on a closed curve
 around the origin of the plane ``(x, y) = (ds, C dtheta)``. The curve here is the square
 ``max(|x|, |y|) = 1``. Its eight octants meet at the eight special directions: straight, spin, and
-the pivots about either tread's ICR, where the power of the usual terms has its kinks. Within an
+the pivots about either tread's ICR, where the power of the standard terms has its kinks. Within an
 octant a direction is known by the ratio of the smaller to the larger component.
 """
 
@@ -75,7 +75,7 @@ class DirectionTable:
         wide_x, wide_y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         out = np.empty(wide_x.size)
         element_energy(
-            np.array(wide_x, order="C").ravel(),  # NumPy warns of views that broadcasting made
+            np.array(wide_x, order="C").ravel(),  # NumPy warns of views from broadcasting
             np.array(wide_y, order="C").ravel(),
             self.ratio,
             self.table,
@@ -86,7 +86,7 @@ class DirectionTable:
 
     @property
     def directions(self) -> FloatArray:
-        """Directions on the square that the table and the special values stand for, (m, 2)."""
+        """Directions on the square that the table and the special values cover, (m, 2)."""
         x, y = octant_directions(self.ratio[1:-1])
         return np.vstack([SPECIAL, np.column_stack([x.ravel(), y.ravel()])])
 

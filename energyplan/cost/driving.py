@@ -40,7 +40,7 @@ class SteadyDriving:
     # tread speed to drive at [m/s], or the cheapest; the vehicle's driving speed where not given
     speed: float | Literal["cheapest"] | None = None
     channels: Mapping[str, float] = field(default_factory=dict)
-    time_value: float = 0.0  # what a second is worth where the speed is chosen [J/s]
+    time_value: float = 0.0  # value of a second where the speed is chosen [J/s]
 
     def __post_init__(self) -> None:
         check_fields(self, InvalidInputError)
@@ -168,7 +168,7 @@ class SteadyDriving:
         return speeds.cheapest_rate(slowest, limit, energy)
 
     def _stuck(self, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
-        """Tell which elements no speed lets the motors drive."""
+        """Return which elements the motors cannot drive at any speed."""
         motor = self.vehicle.motor
         if motor.continuous_power > 0 and motor.regeneration > 0:
             return np.zeros(x.shape, bool)

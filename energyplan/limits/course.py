@@ -27,7 +27,7 @@ class ProfileSettings(NamedTuple):
     rounded: float = 0.15  # longest cell where a corner is rounded [m]
     slowest: float = 0.05  # slowest cruising rate of the least energy, over the top rate
     passing: float = 0.05  # slowest passage of a rounded corner, over the rates that its runs reach
-    fitted: float = 0.5  # largest jump of a tread's share at which poses stand for a curve [1]
+    fitted: float = 0.5  # largest jump of a tread's share at which poses approximate a curve [1]
     time_price: float = 1e6  # highest price of time that the search for a duration tries [W]
     sweeps: int = 40  # how often accelerations within power and force are found anew at most
     rungs: int = 96  # steady rates among which the cheapest is looked for
@@ -121,7 +121,7 @@ class Course:
         return cls(whole, length, corner, reach * through, known)
 
     def points(self, gather: float) -> Points:
-        """Return points along the course, at most a cell apart."""
+        """Return points along the runs with a spacing of at most a cell."""
         head, tail = np.append(0.0, self.reach), np.append(self.reach, 0.0)
         stop = self.corner[:-1] == 0.0
         stop[0] = True
@@ -261,7 +261,7 @@ def _closer(cell: float, gather: float) -> FloatArray:
 
 
 def _subdivided(low: float, high: float, step: float, least: int) -> FloatArray:
-    """Return points from `low` to `high`, at most `step` apart; one where they are the same."""
+    """Return points from `low` to `high`, spaced by at most `step`; one where they are the same."""
     if high - low <= ROUNDING * max(abs(high), ROUNDING):
         return np.array([0.5 * (low + high)])
     parts = max(int(np.ceil((high - low) / step - ROUNDING)), least)

@@ -4,9 +4,8 @@ Between two samples the forward speed and the yaw rate change evenly: both accel
 constant there and jump at the samples. The pose follows the speeds; what the samples' poses differ
 from that is spread evenly. `Drive` cuts each interval where a tread, the body or the yaw rate comes
 to a standstill, because friction changes its direction there, and evaluates the whole power model
-at the ends and in the middle of each piece. Energies come from Simpson's rule on the pieces, which
-is exact while the power is a cubic in time; where it is not, the pieces are halved until it is
-nearly so.
+at the ends and in the middle of each subinterval. Energies come from Simpson's rule on these, which
+is exact while the power is a cubic in time; where it is not, they are halved until it is nearly so.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ BLOCK = 8192
 """Intervals per block: what is evaluated at once stays in the processor's cache."""
 
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
-"""Weights of the nodes of a piece."""
+"""Weights of the nodes of a subinterval."""
 
 PRECISION = 1e-8
-"""Error of a piece's mean power, as a fraction of the mean size of all powers, that is let be."""
+"""Accepted error of a subinterval's mean power, as a fraction of the mean size of all powers."""
 
 HALVINGS = 30
-"""How often a piece is halved at most."""
+"""Maximum number of times that a subinterval is halved."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Ground:
     """What is driven on: power models by place, and the slope."""
 
     model: PowerModel  # the model outside all surfaces
-    surfaces: SurfaceMap | None = None  # grounds with models of their own
+    surfaces: SurfaceMap | None = None  # surfaces with models of their own
     heights: HeightMap | None = None  # heights of the ground
     others: tuple[PowerModel, ...] | None = None
 
@@ -93,23 +92,23 @@ class Ground:
 
 
 class Pieces(NamedTuple):
-    """Parts of intervals between samples."""
+    """Subintervals of the intervals between samples."""
 
-    interval: NDArray[np.int_]  # (m,): the interval that the piece is part of
+    interval: NDArray[np.int_]  # (m,): the interval that contains it
     begin: FloatArray  # (m,): where it begins, as a fraction of the interval
     end: FloatArray  # (m,): where it ends, as a fraction of the interval
 
     @property
     def parts(self) -> FloatArray:
-        """Begin, middle and end of each piece as fractions of the interval, shape (m, 3)."""
+        """Begin, middle and end of each subinterval as fractions of the interval, shape (m, 3)."""
         return np.column_stack([self.begin, 0.5 * (self.begin + self.end), self.end])
 
     def take(self, which: NDArray[np.bool_]) -> Pieces:
-        """Return some of the pieces."""
+        """Return some of the subintervals."""
         return Pieces(self.interval[which], self.begin[which], self.end[which])
 
     def halved(self) -> Pieces:
-        """Return the halves of the pieces, those of one piece side by side."""
+        """Return the halves of the subintervals, the two halves of one next to each other."""
         middle = 0.5 * (self.begin + self.end)
         return Pieces(
             np.repeat(self.interval, 2),
@@ -119,21 +118,21 @@ class Pieces(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Pieces on one ground, with their motion."""
+    """Subintervals on one ground, with their motion."""
 
     model: PowerModel  # the power model there
     region: int  # its place among the ground's models
-    which: NDArray[np.intp]  # (m,): which of all pieces these are
-    motion: Motion  # (m, 3): motion at the beginning, the middle and the end of each piece
+    which: NDArray[np.intp]  # (m,): indices of these subintervals
+    motion: Motion  # (m, 3): motion at the beginning, the middle and the end of each one
 
 
 class Quadrature(NamedTuple):
     """Parts of a drive on one ground, with weights that turn powers into energy."""
 
     region: int  # the ground's place among its models
-    motion: Motion  # (m, 3): motion at three instants of each piece
-    weight: FloatArray  # (m, 3): time that each instant stands for [s]
-    interval: NDArray[np.int_]  # (m,): interval between samples that each piece is part of
+    motion: Motion  # (m, 3): motion at three instants of each subinterval
+    weight: FloatArray  # (m, 3): duration assigned to each instant [s]
+    interval: NDArray[np.int_]  # (m,): interval between samples that contains each one
 
 
 @dataclass(frozen=True)
@@ -168,7 +167,7 @@ class Drive:
         return Pieces(*cut_intervals(path.v, path.omega, icr.left, icr.right, k * BLOCK, last))
 
     def times(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
-        """Return the times of begin, middle and end of pieces [s], shape (m, 3)."""
+        """Return the times of begin, middle and end of subintervals [s], shape (m, 3)."""
         t = self.trajectory.t
         first = t[pieces.interval] - t[0]
         last = t[pieces.interval + 1] - t[0]
@@ -184,21 +183,21 @@ class Drive:
         return out
 
     def widths(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
-        """Return how long pieces take [s], shape (m,)."""
+        """Return the durations of subintervals [s], shape (m,)."""
         t = self.trajectory.t
         step = t[pieces.interval + 1] - t[pieces.interval]
         return np.asarray((pieces.end - pieces.begin) * step / scale)
 
     def speed_limits(self, pieces: Pieces) -> FloatArray:
-        """Largest speed that the ground allows at begin, middle and end of pieces [m/s], (m, 3)."""
+        """Top speed of the ground at begin, middle and end of subintervals [m/s], shape (m, 3)."""
         return self.ground.top_speed(self._poses(pieces))
 
     def speeds(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
-        """Size of the speed along the heading at begin, middle and end of pieces [m/s], (m, 3)."""
+        """Absolute speed along the heading at begin, middle, end of subintervals [m/s], (m, 3)."""
         return np.abs(self._between(scale * self.trajectory.v, pieces))
 
     def parts(self, pieces: Pieces, scale: float = 1.0) -> Iterator[Part]:
-        """Yield the motion of pieces, driven `scale` times as fast, ground by ground."""
+        """Yield the motion of subintervals, driven `scale` times as fast, ground by ground."""
         if self.ground.surfaces is None:
             yield Part(
                 self.ground.model, 0, np.arange(len(pieces.interval)),
@@ -213,7 +212,7 @@ class Drive:
             yield Part(model, int(region), np.flatnonzero(here), motion)
 
     def _poses(self, pieces: Pieces) -> FloatArray:
-        """Poses at the beginning, in the middle and at the end of pieces, shape (m, 3, 3)."""
+        """Poses at the beginning, in the middle and at the end of subintervals, shape (m, 3, 3)."""
         path = self.trajectory
         nodes = piece_nodes(
             path.t, path.x, path.y, path.yaw, path.v, path.omega, 1.0, 1.0, *pieces, 1.0
@@ -256,7 +255,7 @@ class Drive:
     # -- energy -------------------------------------------------------------------------------
 
     def power(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:
-        """Return the power at begin, middle and end of pieces [W], shape (m, 3)."""
+        """Return the power at begin, middle and end of subintervals [W], shape (m, 3)."""
         out = np.empty((len(pieces.interval), 3))
         for part in self.parts(pieces, scale):
             out[part.which] = part.model.power(part.motion)
@@ -273,7 +272,7 @@ class Drive:
     def refined(
         self, pieces: Pieces, power: FloatArray, scale: float = 1.0
     ) -> Iterator[tuple[Pieces, FloatArray]]:
-        """Yield pieces with their mean power [W], halved until Simpson's rule gives it."""
+        """Yield subintervals with their mean power [W], halved until Simpson's rule gives it."""
         enough = PRECISION * float(np.mean(np.abs(power)))
         bent = np.abs(power[:, 0] - 2 * power[:, 1] + power[:, 2]) > enough
         if self.ground.surfaces is not None:
@@ -289,7 +288,7 @@ class Drive:
                 return
             halves = pieces.halved()
             finer = self.power(halves, scale) @ SIMPSON
-            # The tolerance is one of energy: a piece that was halved often may err more.
+            # The tolerance applies to energy: a subinterval halved often may have a larger error.
             error = np.abs(0.5 * finer.reshape(-1, 2).sum(axis=1) - mean) / 15
             open_ = error * (pieces.end - pieces.begin) / share > enough
             if k == 0 and open_.any():

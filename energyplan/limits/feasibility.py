@@ -198,7 +198,7 @@ def check(
     channels : mapping of str to array_like, shape () or (n,)
         Further channels that the model's terms read, one value per sample or one for all.
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own, and speed limits; `model` holds elsewhere.
+        Surfaces with power models of their own, and speed limits; `model` holds elsewhere.
     heights : HeightMap, optional
         Heights of the ground; level where not given. A model without a term that reads the slope
         does not feel them (`energyplan.power.effects.with_weight`).
@@ -314,7 +314,7 @@ def feasible_region(
     Parameters
     ----------
     model : PowerModel
-        The power model: it stands for a terrain and a load.
+        The power model: it represents a terrain and a load.
     curvature : array_like, shape (n,)
         Path curvature, positive to the left [1/m].
     speed : array_like, shape (m,)
@@ -339,7 +339,7 @@ def feasible_region(
 
     References
     ----------
-    Morales et al. (2010), section I, asks this question; docs/theory, section 2.
+    Morales et al. (2010), section I, poses this question; docs/theory, section 2.
 
     Examples
     --------
@@ -467,7 +467,7 @@ class LimitedDrive:
     limits: Limits
 
     def survey(self, scale: float = 1.0) -> Survey:
-        """Evaluate every limit at the beginning, the middle and the end of every piece."""
+        """Evaluate every limit at the beginning, the middle and the end of every subinterval."""
         drive = self.drive
         watch = _Watch()
         energy = 0.0
@@ -504,7 +504,7 @@ class LimitedDrive:
         return Survey(list(watch.peaks.values()), watch.violations, energy, thermal)
 
     def loads(self, pieces: Pieces, scale: float) -> PieceLoads:
-        """Evaluate what pieces ask for, ground by ground; arrays of shape (m, 3)."""
+        """Evaluate the loads of subintervals, ground by ground; arrays of shape (m, 3)."""
         count = len(pieces.interval)
         out = np.empty((3 + len(self.limits.bounds), count, 3))  # for more than one ground
         for part in self.drive.parts(pieces, scale):
@@ -599,7 +599,7 @@ def largest_scale(drive: LimitedDrive) -> SpeedScale:
 
 
 def _is_static(drive: LimitedDrive) -> bool:
-    """Tell whether every limited quantity grows with the pure powers of `STATIC`."""
+    """Return whether every limited quantity grows with the pure powers of `STATIC`."""
     for k in range(drive.drive.block_count):
         pieces = drive.drive.pieces(k)
         now = drive.loads(pieces, 1.0)

@@ -10,7 +10,7 @@ from energyplan.compilation import AnyInts, Column, Floats, Ints, inner, njit
 from energyplan.path import ROUNDING
 
 EDGE = 1e-12
-"""Fraction of a piece's middle speed that stands for zero at its edges."""
+"""Fraction of a subinterval's middle speed that replaces zero at its edges."""
 
 
 @njit
@@ -20,7 +20,7 @@ def cut_intervals(
     """Cut the intervals [first, last) where v, omega or a tread's speed passes through zero.
 
     Interval k lies between samples k and k + 1, and speeds run straight in it. Returns the
-    interval, begin and end of each piece, the latter as fractions of the interval.
+    interval, begin and end of each subinterval, the latter as fractions of the interval.
     """
     interval = np.empty(5 * (last - first), np.int64)
     begin, end = np.empty(5 * (last - first)), np.empty(5 * (last - first))
@@ -63,14 +63,14 @@ def cut_intervals(
 
 @inner
 def _onesided(value: float, middle: float) -> float:
-    """Speed at the edge of a piece, with the direction that it has inside."""
+    """Speed at the edge of a subinterval, with the direction that it has inside."""
     if value * middle < 0.0 or abs(value) < EDGE * abs(middle):
         return EDGE * middle
     return value
 
 
 class Nodes(NamedTuple):
-    """Motion at the begin, the middle and the end of pieces, each of shape (m, 3)."""
+    """Motion at the begin, the middle and the end of subintervals, each of shape (m, 3)."""
 
     v_left: Floats  # left tread speed [m/s]
     v_right: Floats  # right tread speed [m/s]
@@ -86,10 +86,10 @@ def piece_nodes(
     t: Column, x: Column, y: Column, yaw: Column, v: Column, omega: Column, left: float,
     right: float, interval: AnyInts, begin: Column, end: Column, scale: float,
 ) -> Nodes:  # fmt: skip
-    """Motion at the begin, the middle and the end of pieces, driven `scale` times as fast.
+    """Motion at the begin, the middle and the end of subintervals, driven `scale` times as fast.
 
-    A speed that rounding alone keeps from zero is zero. One that is zero at the edge of a piece
-    keeps the direction that it has inside, so that friction there is that of the piece.
+    A speed that rounding alone keeps from zero is zero. One that is zero at the edge of a
+    subinterval keeps the direction that it has inside, so that friction there is as it is inside.
     """
     count = len(interval)
     v_left, v_right = np.empty((count, 3)), np.empty((count, 3))

@@ -37,7 +37,7 @@ UNBOUND = 1e9
 """Rate of change of the rate that no limit of power or force has lowered yet [m/s^2]."""
 
 STANDSTILL = 1e-6
-"""Part of the largest rate that stands for zero, where friction has no direction [1]."""
+"""Fraction of the largest rate that is treated as zero, where friction has no direction [1]."""
 
 
 class Changes(NamedTuple):
@@ -150,7 +150,7 @@ class Reach:
     ground: Ground
     limits: Limits
     corner: FloatArray  # (n,): largest rate for other reasons, such as a stop [m/s]
-    channels: Mapping[str, FloatArray]  # those of the course's runs that power terms read
+    channels: Mapping[str, FloatArray]  # those of the path's runs that power terms read
     period: float  # largest time between two samples [s]
 
     def sampled(self, rate: FloatArray) -> Sampled:

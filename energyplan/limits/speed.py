@@ -47,7 +47,7 @@ def corner_rounding(tolerance: float) -> Rounding:
     """Return how a vehicle of that tracking tolerance [m] drives through corners.
 
     Without a tolerance it stops at corners, and drives through the small bends between poses that
-    stand for a curve, within 5 mm.
+    approximate a curve, within 5 mm.
     """
     return Rounding(1.0, tolerance) if tolerance > 0 else Rounding(SETTINGS.fitted, 0.005)
 
@@ -108,8 +108,8 @@ def profile(
         Further channels that the model's terms read, one value per segment of the path or one
         for all, such as the ``slope`` along each segment [rad].
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own, which limit and price the speed there; `model` holds
-        elsewhere. The surfaces' speed limits hold for the speed along the heading while the
+        Surfaces with power models of their own, which limit and price the speed there; `model`
+        holds elsewhere. The surfaces' speed limits hold for the speed along the heading while the
         reference point (see `Path`) lies in their area.
     heights : HeightMap, optional
         Heights of the ground; level where not given.
@@ -237,7 +237,7 @@ def _about(path: Path) -> FloatArray:
 def _reach(
     course: Course, ground: Ground, limits: Limits, channels: Mapping[str, ArrayLike], period: float
 ) -> Reach:
-    """Return points along a course with their limits; the robot is at rest where it stops."""
+    """Return points along a path with their limits; the robot is at rest where it stops."""
     top = limits.motor.speed if np.isfinite(limits.motor.speed) else 1.0
     points = course.points(top**2 / (2.0 * min(limits.motor.acceleration, UNLIMITED)))
     corner = np.full(len(points.at), np.inf)

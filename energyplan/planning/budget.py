@@ -1,7 +1,7 @@
 """What planning may spend, and work that is done side by side within it.
 
 It is units of work, so that the same query gives the same plan under any load; a limit of time is a
-cap on top. Threads work side by side: kernels do not hold the lock of Python.
+cap on top. Threads run in parallel: kernels release Python's global interpreter lock.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from energyplan.records import checked
 Result = TypeVar("Result")
 
 EFFORT = 30_000
-"""Units of work for a plan where nothing else is asked for."""
+"""Default units of work for a plan."""
 
 PACE = 50_000
 """Units of work that count as a second where the two are compared.
@@ -30,7 +30,7 @@ A unit is about 20 microseconds of one core: three expansions of a search, or at
 
 
 class Units(NamedTuple):
-    """Units of work that pieces of work count as, as measured."""
+    """Measured units of work per operation."""
 
     join: float = 0.35  # two poses that are joined, or that are tried to be
     steer: float = 0.04  # two poses whose least cost is looked up
@@ -63,12 +63,12 @@ _unwanted: ContextVar[Callable[[], bool]] = ContextVar("unwanted", default=lambd
 def cancellable(unwanted: Callable[[], bool]) -> Iterator[None]:
     """End all planning inside as soon as its result is unwanted.
 
-    Budgets made inside ask at every piece of work, in whichever thread it is done.
+    Budgets created inside call `unwanted` at every operation.
 
     Parameters
     ----------
     unwanted : callable
-        Tells whether to end; called often, from several threads.
+        Returns whether to end; called often, from several threads.
 
     Raises
     ------
@@ -160,7 +160,7 @@ class Budget:
 
     @property
     def elapsed(self) -> float:
-        """Time since the budget was made [s]: for reports, never for a decision."""
+        """Time since the budget was created [s]: for reports, never for a decision."""
         return time.perf_counter() - self._begun
 
     def spend(self, units: float) -> None:
@@ -190,11 +190,11 @@ class Budget:
         return self._until(end, deadline)
 
     def apart(self, units: float) -> Budget:
-        """Return a budget of its own for work that runs beside others, in a thread for one.
+        """Return a separate budget for work that runs in parallel with other work.
 
         It ends after so many units, and by the clock when this one does, if that is sooner. What
-        it has spent does not count here until it is spent here too, in a fixed order: so the same
-        is done whatever the order in which threads come to run.
+        it has spent does not count here until it is spent here too, in a fixed order: so the
+        result does not depend on the order in which threads run.
         """
         if self.effort is not None:
             other = self._until(min(units, self.left), self._deadline)
@@ -204,17 +204,17 @@ class Budget:
         return other
 
     def beside(self, make: Callable[[], Result]) -> Result:
-        """Return what is made once for many plans; by the clock its time comes on top.
+        """Return a result shared by many plans; the time to compute it extends the deadline.
 
         Parameters
         ----------
         make : callable
-            Makes it, or finds what was made before.
+            Computes the result, or returns the one computed before.
 
         Returns
         -------
         object
-            What it makes.
+            The result.
         """
         begun = time.perf_counter()
         made = make()
@@ -259,7 +259,7 @@ class Budget:
 
 
 def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> Budget:
-    """Return the budget of a plan, with the usual effort where none is given.
+    """Return the budget of a plan, with the default effort where none is given.
 
     A planner that does not count its work gets the time that so much work takes.
     """
@@ -275,7 +275,7 @@ UNLIMITED = Budget()
 
 
 def workers() -> int:
-    """Return how many threads can work at once: the processors that this process may use."""
+    """Return how many threads can run at once: the processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return max(len(os.sched_getaffinity(0)), 1)
     return os.cpu_count() or 1
@@ -284,10 +284,10 @@ def workers() -> int:
 def side_by_side(
     budget: Budget, tasks: Sequence[Callable[[Budget], Result]], units: float | Sequence[float]
 ) -> list[Result]:
-    """Do some tasks at once, each with a budget of its own.
+    """Run some tasks in parallel, each with its own budget.
 
-    What they do does not depend on how many threads there are, nor on which of them ends first, as
-    long as the budget is one of effort.
+    The results do not depend on the number of threads, nor on which of them ends first, as long as
+    the budget is one of effort.
     """
     if not tasks:
         return []
@@ -314,7 +314,7 @@ def side_by_side(
 
 
 class Work(NamedTuple):
-    """A piece of work among others that are done at once."""
+    """A task that runs in parallel with others."""
 
     run: Callable[[Budget], Any]  # does it within a budget, and touches nothing that others touch
     units: float  # units of work that it may spend at most

@@ -2,7 +2,7 @@
 
 A plan prices its path at steady speeds: geometry. Driving it means starting and stopping, time in
 which computers draw power, braking whose energy does not all come back, and speeds below the one
-that was asked for. `drive_path` times the path and integrates the power of the whole model.
+that was requested. `drive_path` times the path and integrates the power of the whole model.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def drive_path(
             if not corners.any():
                 raise
             return driven("time", 0.0 * corners)  # a corner that cannot be rounded is stopped at
-    # least energy is sought run by run; through rounded corners a stop or haste may take less
+    # energy is minimised run by run; through rounded corners a stop or more speed may take less
     ways = [partial(driven, "energy", 0.0 * corners)]
     if corners.any():
         ways += [partial(driven, "energy", corners), partial(driven, "time", corners)]
@@ -113,7 +113,7 @@ def drive_path(
 def _free_about(
     path: Path, vehicle: Vehicle, grid: OccupancyGrid, offset: float
 ) -> NDArray[np.bool_]:
-    """Tell about which corners of a path the footprint is free when moved aside by `offset` [m]."""
+    """Return whether the footprint, moved aside by `offset` [m], is free around each corner."""
     c = vehicle.icr.half_track
     fine = path.subdivide(0.05, 0.05)
     along = np.append(0.0, np.cumsum(np.abs(fine.ds) + c * np.abs(fine.dtheta)))
@@ -155,7 +155,7 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
 
 
 def stops_count(problem: PlanningProblem) -> bool:
-    """Tell whether what driving takes is the energy by which paths are compared."""
+    """Return whether paths are compared by the energy that driving them takes."""
     weights = {name for name, weight in problem.weights.items() if weight > 0}
     speed = float(problem.cost.cheapest_speed(0.0))
     if weights != {"energy"} or problem.softened or not np.isfinite(speed):
@@ -168,7 +168,7 @@ def stops_count(problem: PlanningProblem) -> bool:
 
 
 def _feels_stops(model: PowerModel, speed: float) -> bool:
-    """Tell whether speeding up from a standstill takes other power than driving on."""
+    """Return whether accelerating from a standstill takes a different power than steady driving."""
     known = dict.fromkeys(("t", "x", "y", "yaw", "slope"), 0.0)
     motion = Motion.from_twist(
         speed * np.array([1.0, 1.0, 0.0]), np.zeros(3), model.vehicle.icr,

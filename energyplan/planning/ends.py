@@ -1,4 +1,4 @@
-"""Where a plan begins and ends: settled once, before a planner runs.
+"""Where a plan begins and ends: determined once, before a planner runs.
 
 Nav2 replans from where the robot is, and localisation is a few millimetres off. So a start that the
 footprint touches is moved to the nearest free pose, no farther than `MOVED`. An end whose footprint
@@ -72,12 +72,12 @@ class Between(NamedTuple):
         if problem.fault(path):
             path = self.ways.around(found.path)
         free = [one for one in known if problem.fault(one) is None]
-        # what else was found beside the path begins and ends elsewhere
+        # other paths that were found begin and end elsewhere
         return Candidate(min([path, *free], key=self.ways.query.value), first_time=found.first_time)
 
 
 def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
-    """Return what to plan between: start and goal, or poses beside them with more room."""
+    """Return what to plan between: start and goal, or poses near them with more room."""
     if problem.ends_clear and compiled(problem).ends_have_margin:
         return Between(problem)
     found: list[Between] = []

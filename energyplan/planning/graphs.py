@@ -199,7 +199,7 @@ def round_corner(
     between = low[:, None] + (high - low)[:, None] * _RADII
     value = extra(between)
     k = np.argmin(value, axis=1)
-    # a radius in between must be worth more than rounding
+    # a radius in between must gain more than rounding errors
     better = value[row, k] < least - 1e-9 * np.abs(least)
     return Corner(np.where(better, between[row, k], best), np.where(better, value[row, k], least))
 
@@ -217,7 +217,7 @@ def energy_graph(
 
     Its nodes are `State` tuples, with the price of driving that edge straight as ``cost``.
     Its arcs join an edge to the next one; their ``weight`` is the price of the turn at the
-    node between them plus that of the next edge, and ``radius`` [m] says how the turn is made.
+    node between them plus that of the next edge, and ``radius`` [m] defines the turn.
     It may start forwards and go on backwards, in which case it turns on the spot. Prices are
     joules, or of the objective's unit.
     """
@@ -264,7 +264,7 @@ def _corners(
 ) -> Corner:
     """Return how to turn from the first edges to those that come then."""
     turn = wrap_angle(edges.yaw[then] - edges.yaw[first])
-    # rounding errors must not tell a turn to the left from one to the right
+    # rounding errors must not decide between a left turn and a right turn
     turn = np.where(np.abs(np.abs(turn) - np.pi) < 1e-9, np.pi, turn)
     room = 0.5 * np.minimum(edges.length[first], edges.length[then])
     tangent = np.tan(np.minimum(0.5 * np.abs(turn), 1.5))
@@ -329,7 +329,7 @@ class Roadmap:
 
     graph: Graph
     cost: EnergyCost  # cost of motions
-    surfaces: SurfaceMap | None = None  # grounds with power models of their own
+    surfaces: SurfaceMap | None = None  # surfaces with power models of their own
     reverse: bool = True  # whether the robot may drive backwards
     radius: float = 0.0  # with which nodes are rounded at most that have none of their own [m]
     objective: str | Mapping[str, float] = "energy"  # what to make least, as in `PlanningProblem`

@@ -2,7 +2,7 @@
 
 States are poses of the point midway between the tread ICRs. A motion between two states is the
 exact minimum-energy one: the objective prices it, the motion validator tests it with the whole
-footprint, and the path that comes back is made of it. OMPL's own interpolation between states is
+footprint, and the returned path consists of it. OMPL's own interpolation between states is
 used for new samples only, never for motions, so that no path slides sideways.
 
 Some of OMPL 2.0.1's planners are left out, since they do not bear a Python objective: PRM and PRM*
@@ -34,11 +34,11 @@ from energyplan.steering.kernels import MAX_SEGMENTS, steer_energy, steer_path
 from energyplan.terrain.collision import pose_free
 
 MOTION, ESTIMATE = 0.5, 0.1
-"""Units of work of a motion that OMPL asks for, and of a round or a cost that it estimates."""
+"""Units of work per motion that OMPL requests, and per round or cost that it estimates."""
 
 
 ROUNDING = 1e-9
-"""Part by which a cost summed over pieces of a motion may lie below that of the whole."""
+"""Fraction by which a cost summed over parts of a motion may lie below that of the whole."""
 
 
 def _pose(state: Any) -> Pose:
@@ -58,7 +58,7 @@ class EnergyObjective(base.OptimizationObjective):
 
     @override
     def isSymmetric(self) -> bool:
-        """Tell OMPL that the cost is directed."""
+        """Return False: the cost depends on the direction."""
         return False
 
     @override
@@ -86,7 +86,7 @@ class EnergyObjective(base.OptimizationObjective):
 
 @njit
 def steering_free(setting: KernelProblem, pose: Pose, to: Pose) -> bool:
-    """Tell whether the body is free along the exact steering motion between two poses."""
+    """Return whether the body is free along the exact steering motion between two poses."""
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
     dx = to.x - pose.x
@@ -96,7 +96,7 @@ def steering_free(setting: KernelProblem, pose: Pose, to: Pose) -> bool:
 
 
 class SteeringValidator(base.MotionValidator):
-    """Tells whether the exact motion between two states is free for the whole footprint."""
+    """Checks whether the exact motion between two states is free for the whole footprint."""
 
     def __init__(
         self, information: Any, query: CompiledProblem, budget: Budget = UNLIMITED
@@ -107,13 +107,13 @@ class SteeringValidator(base.MotionValidator):
 
     @override
     def checkMotion(self, first: Any, second: Any) -> bool:
-        """Tell whether the motion from one state to another is free."""
+        """Return whether the motion from one state to another is free."""
         self._budget.spend(MOTION)
         return bool(steering_free(self._setting, _pose(first), _pose(second)))
 
 
 class PoseChecker(base.StateValidityChecker):
-    """Tells whether the footprint is free at a state."""
+    """Checks whether the footprint is free at a state."""
 
     def __init__(self, information: Any, query: CompiledProblem) -> None:
         super().__init__(information)
@@ -121,7 +121,7 @@ class PoseChecker(base.StateValidityChecker):
 
     @override
     def isValid(self, state: Any) -> bool:
-        """Tell whether the footprint is free."""
+        """Return whether the footprint is free."""
         return bool(pose_free(self._setting.space, self._setting.body, *_pose(state)))
 
 

@@ -92,7 +92,7 @@ class Planner:
         Whether it spends the budget by what it does, so that it can be limited by effort. One that
         cannot reads the clock.
     costmap : bool
-        Whether it can be used where a costmap counts beside the objective.
+        Whether it can be used where a costmap adds to the objective.
     turning : bool
         Whether it keeps a least radius of arcs.
     forwards : bool
@@ -153,7 +153,7 @@ class Planner:
         return found
 
     def lacks(self, problem: PlanningProblem, counted: bool) -> list[str]:
-        """Return what a problem asks for and this planner cannot do, in words.
+        """Return what a problem requires and this planner cannot do, in words.
 
         Parameters
         ----------
@@ -291,14 +291,14 @@ class Plan(html.Readable):
 
     @cached_property
     def driven(self) -> DrivenPath:
-        """The path timed within the limits, and what driving it takes; made when first asked for.
+        """The path timed within the limits, and what driving it takes; computed on first access.
 
         Raises
         ------
         InfeasibleMotionError
             If the motors cannot drive the path at any speed.
         InvalidInputError
-            If nothing limits the speed, or whoever made the plan did not say what it answers.
+            If nothing limits the speed, or the plan was created without its problem.
         """
         if self.problem is None:
             raise InvalidInputError(
@@ -367,7 +367,7 @@ class Plan(html.Readable):
 
     @property
     def poses(self) -> FloatArray:
-        """Poses along the path, 0.1 m and 0.1 rad apart at most, shape (n, 3)."""
+        """Poses along the path with a spacing of at most 0.1 m and 0.1 rad, shape (n, 3)."""
         return self.path.poses(0.1, 0.1)
 
 
@@ -415,7 +415,7 @@ def find(name: str) -> Planner:
 
 @contextmanager
 def _blaming(name: str) -> Iterator[None]:
-    """Tell what goes wrong in a planner in one line, with the place in the planner's own code.
+    """Report a failure of a planner in one line, with the place in the planner's own code.
 
     What a planner says on purpose is passed on: that there is no path, and what it raises itself of
     the library's errors.
@@ -483,7 +483,7 @@ def plan(
         Name of the planner, see `planners`; or a planner of one's own.
     time_limit : float
         Time after which planning stops even if effort is left [s]; the plan's notes say so then.
-        What is made once for a map is no part of it: its first plan takes longer.
+        Work done once per map is not included: the first plan on a map takes longer.
     effort : int, optional
         Units of work to plan with, 30 000 where left out: the same plan comes of it on any
         machine and under any load. 50 000 take about a second; see `Budget`. Planning ends
@@ -501,7 +501,7 @@ def plan(
     UnknownNameError
         If there is no such planner.
     UnsupportedPlannerError
-        If the planner cannot do what the problem asks for; the message says which can.
+        If the planner cannot do what the problem requires; the message says which can.
     StartInCollisionError, GoalInCollisionError, OutsideMapError
         If start or goal cannot be.
     NoPathError
@@ -514,7 +514,7 @@ def plan(
     PlannerError
         If something went wrong in the code of another package's planner, with its cause.
     LowerBoundError
-        If a lower bound lies above the cost of the path, which is a fault of whoever made it.
+        If a lower bound lies above the cost of the path, which is a fault of the bound's code.
 
     Examples
     --------

@@ -32,7 +32,7 @@ from energyplan.terrain import (
 from energyplan.vehicle import Vehicle
 
 OBJECTIVES = ("energy", "length", "time")
-"""What a plan can be asked to make least."""
+"""Quantities that a plan can minimise."""
 
 TURNING = ("any", "forward")
 """Ways to turn that have a name; others are a radius."""
@@ -73,7 +73,7 @@ def objective_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
 
 
 def is_length(problem: PlanningProblem) -> bool:
-    """Tell whether length is all that counts."""
+    """Return whether length is the only objective."""
     return {name for name, weight in problem.weights.items() if weight > 0} == {"length"}
 
 
@@ -90,26 +90,26 @@ class PlanningProblem:
     start, goal : array_like, shape (3,)
         Poses x, y [m], yaw [rad] of the body frame.
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own; the cost's where it says nothing.
+        Surfaces with power models of their own; the cost's model holds elsewhere.
     objective : {"energy", "length", "time"} or mapping of str to float
-        What to make least. A mapping weighs them: ``{"energy": 1, "time": 50}`` is worth 50 J a
-        second saved. Of the shortest routes ``"length"`` asks for the one of least energy.
+        What to minimise. A mapping gives weights: ``{"energy": 1, "time": 50}`` counts a second as
+        50 J. Of the shortest routes ``"length"`` selects the one of least energy.
     vehicle : Vehicle, optional
         Whose footprint to use, and whether it may drive backwards; that of the cost's model if
         left out.
     heights : HeightMap, optional
         Heights of the ground where it slopes. All power models need a term that reads the slope,
         such as the grade (`energyplan.power.effects.with_weight`).
-        Where surfaces or heights are left out, the ground that the model knows of stands for them,
+        Where surfaces or heights are left out, the ground that the model describes is used,
         such as the tilted plane that a diagnosis found (`energyplan.terrain.laid_out`).
     clearance : float
         Distance that the footprint keeps from obstacles on every side [m]; a path of least energy
         grazes them otherwise. A start or a goal that has less is left, or reached, with what there
         is, and the whole clearance is kept from there on.
     costmap : CostMap, optional
-        Soft costs beside the objective, such as those of an inflated costmap.
+        Soft costs added to the objective, such as those of an inflated costmap.
     costmap_weight : float
-        What a metre at the cost 1 is worth, in the unit of the objective a metre (for energy
+        Value of a metre at the cost 1, in the unit of the objective a metre (for energy
         [J/m]); nothing where left out.
     turning : {"any", "forward"} or float
         How the robot may turn: in any way; so that its treads never run against each other; or on
@@ -253,7 +253,7 @@ class PlanningProblem:
         return whole if not len(clear) or grid.path_free(middle, self.robot) else segment
 
     def allows(self, path: Path) -> bool:
-        """Tell whether a part of a path keeps the clearance, but for what its ends lack."""
+        """Return whether a part of a path keeps the clearance, except for what its ends lack."""
         part = replace(self, start=path.start, goal=path.end)
         return len(path) == 0 or part.first_collision(path) is None
 
@@ -386,7 +386,7 @@ def nearest_free(
 
 
 class MovedStart(NamedTuple):
-    """A free pose beside one that touches an obstacle, and what there is to say of it."""
+    """A free pose near one that touches an obstacle, and a note that explains it."""
 
     pose: Pose
     note: str

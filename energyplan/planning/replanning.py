@@ -33,7 +33,7 @@ from energyplan.terrain import OccupancyGrid
 
 
 def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | None:
-    """Return what is left of a path for a robot on it or beside it."""
+    """Return what is left of a path for a robot on it or near it."""
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)
     from_here = replace(problem, start=here, goal=path.end)
@@ -120,7 +120,7 @@ def replan(
     start : array_like, shape (3,)
         Where the robot is now: x, y [m], yaw [rad] of the body frame.
     map : OccupancyGrid, optional
-        The map now, best made by `OccupancyGrid.updated`, which keeps what was made of the former
+        The current map, best from `OccupancyGrid.updated`, which keeps the tables of the former
         one; the problem's if left out.
     time_limit, effort : float, int
         What planning may spend, as for `plan`.
@@ -158,7 +158,7 @@ def replan(
             f"the former plan is a path that {elsewhere}; give the problem that it answers, or "
             "plan again"
         )
-    # the plan begins beside a start that touched an obstacle
+    # where the start touched an obstacle, the plan begins near it
     problem = replace(problem, start=before.start)
     plan_budget(time_limit, effort)  # says at once what is wrong with them
     now = replace(problem, start=as_pose(start, "start"), map=problem.map if map is None else map)
@@ -187,7 +187,7 @@ def replan(
 
 
 def _only_added(before: PlanningProblem, now: PlanningProblem) -> bool:
-    """Tell whether every cell that is free now was free before."""
+    """Return whether every cell that is free now was free before."""
     if now.map is before.map:
         return True
     old, new = before.terrain.obstacles, now.terrain.obstacles

@@ -64,9 +64,9 @@ class Refining(NamedTuple):
 
     poses: int = 60  # poses of a path, where its motions are no more
     spare: int = 20  # poses beyond the motions of a path, at least
-    piece: float = 0.2  # length of the shortest pieces [m]
-    pivot: float = 0.3  # turn of the smallest pieces [rad]
-    apart: int = 150  # how many poses apart those lie at most that a shortcut joins
+    piece: float = 0.2  # length of the shortest motions [m]
+    pivot: float = 0.3  # turn of the smallest motions [rad]
+    apart: int = 150  # largest index difference of poses that a shortcut joins
     hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
     insert: float = 0.02  # probability that a pose is inserted
     remove: float = 0.06  # probability that a pose is removed

@@ -210,7 +210,7 @@ def _interior(
 
 @inner
 def _inside(px: float, py: float, lo: float, hi: float, af: float, ab: float) -> bool:
-    """Tell whether p satisfies the constraints."""
+    """Return whether p satisfies the constraints."""
     return _reach(px, py, lo, hi)[0] <= af and _reach(-px, -py, lo, hi)[0] <= ab
 
 

@@ -235,7 +235,7 @@ def _part(start: float, stop: float, psi: float, ds: Floats, dtheta: Floats, n: 
     side = 1.0 if stop >= start else -1.0
     here = start
     while side * (stop - here) > 0.0:
-        # headings at which that changes lie half a turn apart
+        # that changes at headings half a turn from each other
         passed = (side * (here - psi) - HALF_PI + ANGLE) // pi + 1.0
         edge = psi + side * (passed * pi + HALF_PI)
         if side * (stop - edge) < 0.0:

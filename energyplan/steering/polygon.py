@@ -179,7 +179,7 @@ def best_extent(
     return best
 
 
-CLOSED = 1e-11  # straight pieces below this length would only make up for rounding
+CLOSED = 1e-11  # straight segments below this length would only make up for rounding
 
 
 @inner

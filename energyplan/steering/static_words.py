@@ -75,7 +75,7 @@ def _cubic(c: float, k: float, N: float) -> float:
 
 @inner
 def free(x: float, y: float, eta: float) -> bool:
-    """Tell whether pivots within the sweep reach ``(x, y)`` without any straight driving."""
+    """Return whether pivots within the sweep reach ``(x, y)`` without any straight driving."""
     ax, ay = abs(x), abs(y)
     if eta < HALF_PI:
         # a disc about (0, -2 cos(eta)), written so that near the origin nothing cancels

@@ -6,8 +6,8 @@ each row of cells, and `Space.next_blocked` shows in one look-up whether a block
 interval, so that a test costs one step per row whatever the obstacles.
 
 A straight motion sweeps a longer rectangle, so its test is as exact as that of a pose. Any other
-motion turns the body about a fixed point; it is halved until the bounding box of each piece's
-sweep, in the frame of its middle pose, is free, or until a middle pose is not. Pieces whose
+motion turns the body about a fixed point; it is halved until the bounding box of each part's
+sweep, in the frame of its middle pose, is free, or until a middle pose is not. Parts whose
 points move less than `TOLERANCE` and that still cannot be shown free count as collisions: that
 is the only pessimism, and there is no false free.
 """
@@ -32,7 +32,7 @@ from energyplan.compilation import (
 )
 
 TOLERANCE = 0.02
-"""Motion of the body's fastest point below which a piece of a motion is not halved [cells]."""
+"""Motion of the body's fastest point below which a part of a motion is not halved [cells]."""
 
 TOUCH = 1e-6
 """Cells nearer than this count as touched [cells]; far above rounding, far below a cell."""
@@ -103,7 +103,7 @@ def next_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> ShortInt
 def _rectangle_free(
     space: Space, x: float, y: float, c: float, s: float, half_x: float, half_y: float
 ) -> bool:
-    """Tell whether a rectangle is free; everything in cells, in the frame of the grid.
+    """Return whether a rectangle is free; everything in cells, in the frame of the grid.
 
     It has its centre at (x, y) and half sides `half_x`, `half_y`; its first axis points along
     (c, s).
@@ -160,7 +160,7 @@ def _rectangle_free(
 
 @inner
 def _box_free(space: Space, box: Body, x: float, y: float, yaw: float) -> bool:
-    """Tell whether a box in the frame of a pose in the world is free."""
+    """Return whether a box in the frame of a pose in the world is free."""
     scale = 1.0 / space.resolution
     turn = yaw - space.yaw
     c = cos(turn)
@@ -177,13 +177,13 @@ def _box_free(space: Space, box: Body, x: float, y: float, yaw: float) -> bool:
 
 @njit
 def pose_free(space: Space, body: Body, x: float, y: float, yaw: float) -> bool:
-    """Tell whether the body is free at a pose in the world [m], [rad]. Exact."""
+    """Return whether the body is free at a pose in the world [m], [rad]. Exact."""
     return _box_free(space, body, x, y, yaw)
 
 
 @njit
 def poses_free(space: Space, body: Body, poses: AnyTable) -> Flags:
-    """Tell for each row (x, y, yaw) whether the body is free there."""
+    """Return for each row (x, y, yaw) whether the body is free there."""
     out = np.empty(len(poses), np.bool_)
     for k in range(len(poses)):
         out[k] = _box_free(space, body, poses[k, 0], poses[k, 1], poses[k, 2])
@@ -229,7 +229,7 @@ def motion_free(
     space: Space, body: Body, x: float, y: float, yaw: float, ds: float, dtheta: float,
     longitudinal: float,
 ) -> bool:  # fmt: skip
-    """Tell whether the body stays free along a motion of constant curvature."""
+    """Return whether the body stays free along a motion of constant curvature."""
     if abs(dtheta) <= STRAIGHT:
         # swept as a straight line at the mean heading; no point strays further than this from it
         size = hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))
@@ -268,7 +268,7 @@ def motion_free(
         at_y = fixed_y - s * longitudinal - c * lateral
         box = _swept_box(body, longitudinal, lateral, half)
         if _box_free(space, box, at_x, at_y, middle):
-            # done with this piece: on to the next one, as wide as the halving allows
+            # done with this part: on to the next one, as wide as the halving allows
             index += 1
             while level > 0 and index % 2 == 0:
                 index >>= 1
@@ -305,7 +305,7 @@ def first_collision(
 def motions_free(
     space: Space, body: Body, starts: AnyTable, ds: Column, dtheta: Column, longitudinal: float,
 ) -> Flags:  # fmt: skip
-    """Tell of many motions, each from its own pose (x, y, yaw), which are free."""
+    """Return which of many motions, each from its own pose (x, y, yaw), are free."""
     out = np.empty(len(starts), np.bool_)
     for k in range(len(starts)):
         out[k] = motion_free(

@@ -32,12 +32,12 @@ class LaidGround(NamedTuple):
     """A model without the terms of the ground, and the ground with what they said."""
 
     model: PowerModel  # the model where no surface says otherwise
-    surfaces: SurfaceMap | None  # grounds with models of their own
+    surfaces: SurfaceMap | None  # surfaces with models of their own
     heights: HeightMap | None  # heights of the ground
 
 
 def knows_ground(model: PowerModel) -> bool:
-    """Tell whether a model has terms of a place: a tilted plane, or another surface."""
+    """Return whether a model has terms of a place: a tilted plane, or another surface."""
     return any(term.name in (*_TILTS, *_BEYOND) for term in model.terms)
 
 

@@ -180,7 +180,7 @@ class OccupancyGrid(ByValue, html.Readable):
 
     @property
     def space(self) -> _collision.Space:
-        """The blocked cells, their distances and the frame; of several threads the first's."""
+        """The blocked cells, their distances and the frame; the first ones computed are kept."""
         found = vars(self).get("space") or new_space(self.blocked, self.origin, self.resolution)
         kept: _collision.Space = vars(self).setdefault("space", found)
         return kept
@@ -199,7 +199,7 @@ class OccupancyGrid(ByValue, html.Readable):
         occupied : array_like of bool, shape (m, n)
             Occupied cells of the patch.
         row, column : int
-            Cell of this map that cell (0, 0) of the patch stands for.
+            Cell of this map that cell (0, 0) of the patch replaces.
         unknown : array_like of bool, shape (m, n), optional
             Cells of the patch of which nothing is known; none if left out.
 
@@ -340,7 +340,7 @@ class OccupancyGrid(ByValue, html.Readable):
         return self.to_world(np.column_stack([columns, np.full(len(columns), row + 0.5)]))
 
     def inside(self, points: ArrayLike) -> BoolArray:
-        """Tell which world points (..., 2) [m] lie on the map."""
+        """Return which world points (..., 2) [m] lie on the map."""
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows lies on no map
             cells = self.to_cells(points)
         return np.asarray(np.all((cells >= 0) & (cells <= self.shape[::-1]), axis=-1))
@@ -361,7 +361,7 @@ class OccupancyGrid(ByValue, html.Readable):
         return np.where(on_map, table[row, column], 0.0)
 
     def footprint_free(self, poses: ArrayLike, vehicle: Vehicle) -> BoolArray:
-        """Tell at which poses the vehicle's footprint is free.
+        """Return at which poses the vehicle's footprint is free.
 
         Exact for the rectangle in every heading: free means that it lies on the map and touches
         no blocked cell.
@@ -408,7 +408,7 @@ class OccupancyGrid(ByValue, html.Readable):
         return None if index < 0 else index
 
     def path_free(self, path: Path, vehicle: Vehicle) -> bool:
-        """Tell whether the vehicle's footprint is free along the whole path.
+        """Return whether the vehicle's footprint is free along the whole path.
 
         Exact for straight lines. Where the vehicle turns there is no false free; a path that
         passes an obstacle within a fiftieth of a cell may count as colliding.
@@ -435,7 +435,7 @@ class OccupancyGrid(ByValue, html.Readable):
         vehicle: Vehicle,
         longitudinal: float = 0.0,
     ) -> BoolArray:
-        """Tell along which of many motions, each from its own pose, the footprint is free.
+        """Return along which of many motions, each from its own pose, the footprint is free.
 
         Parameters
         ----------
@@ -514,7 +514,7 @@ def footprint(vehicle: Vehicle) -> _collision.Body:
 
 
 PIECE = 0.25
-"""Length of the pieces of a path that pay for the cell under their middle [cells]."""
+"""Length of the segments of a path that pay for the cell under their middle [cells]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -546,7 +546,7 @@ class CostMap(ByValue):
     def along(self, path: Path) -> float:
         """Return the costs along a path, times the metres of its reference point [m].
 
-        Pieces of a quarter of a cell pay for the cell under their middle; turns on the spot pay
+        Segments of a quarter of a cell pay for the cell under their middle; turns on the spot pay
         nothing.
         """
         fine = path.subdivide(PIECE * self.resolution)

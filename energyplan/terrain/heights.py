@@ -125,7 +125,7 @@ class HeightMap(ByValue):
         return np.where(moves, np.arctan(rise / np.where(moves, path.ds, 1.0)), on_the_spot)
 
     def cut(self, path: Path) -> Path:
-        """Return a path cut into pieces of half the raster's resolution and 0.1 rad at most."""
+        """Return a path cut into segments of at most half the raster's resolution and 0.1 rad."""
         return path.subdivide(0.5 * self.resolution, 0.1)
 
     def contours(self, ax: Axes, levels: int = 8) -> Axes:

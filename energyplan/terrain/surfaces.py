@@ -1,4 +1,4 @@
-"""Grounds with power models of their own: which one lies where, and what a path costs on them."""
+"""Surfaces with power models of their own: which one lies where, and what a path costs on them."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ class SurfaceMap:
         return Path(path.start, ds, dtheta, path.longitudinal)
 
     def edge_points(self, spacing: float) -> Iterable[FloatArray]:
-        """Yield points along each edge of the surfaces, at most `spacing` [m] apart, (n, 2)."""
+        """Yield points along each edge of the surfaces, spaced by at most `spacing` [m], (n, 2)."""
         for a, e in zip(*self._edges, strict=True):
             count = int(np.hypot(*e) / spacing) + 2
             yield a + np.linspace(0.0, 1.0, count)[:, None] * e

@@ -19,7 +19,7 @@ from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import SurfaceMap
 
 _KEPT = 4
-"""Grounds that a map remembers: those with the surfaces and heights last seen on it."""
+"""Number of `Terrain` objects that a map keeps: those requested last."""
 
 _MOST_SURFACES = 255
 """A cell's class of surface is kept in one byte."""
@@ -40,7 +40,7 @@ class Site:
     map : OccupancyGrid
         Obstacles.
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own, and areas to keep out of.
+        Surfaces with power models of their own, and areas to keep out of.
     heights : HeightMap, optional
         Heights of the ground where it slopes.
     keepout : OccupancyGrid, optional
@@ -157,7 +157,7 @@ class Terrain:
     grid : OccupancyGrid
         Obstacles.
     surfaces : SurfaceMap, optional
-        Grounds with power models of their own, and areas to keep out of.
+        Surfaces with power models of their own, and areas to keep out of.
     heights : HeightMap, optional
         Heights of the ground where it slopes.
 
@@ -252,7 +252,7 @@ class Terrain:
         return {}
 
     def dearest(self, prices: ArrayLike) -> NDArray[np.uint8]:
-        """Return a region of each cell: of those that share it the dearest."""
+        """Return one region per cell: of those that share it, the most expensive."""
         if not self.ground.surfaces:
             return self.regions
         rank = np.argsort(np.argsort(prices, kind="stable"))
@@ -287,7 +287,7 @@ class Terrain:
         return path if self.heights is None else self.heights.cut(path)
 
     def pieces(self, path: Path, cost: EnergyCost) -> tuple[Piece, ...]:
-        """Return what a path consists of on this ground; see `path_pieces`."""
+        """Return the parts of a path on this ground; see `path_pieces`."""
         return path_pieces(path, cost, self.surfaces, self.heights)
 
     @checked()

@@ -44,7 +44,7 @@ def distance_to_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> S
     """Return the distance from each cell's centre to a blocked cell or the map's edge [cells].
 
     Source: Felzenszwalb and Huttenlocher (2012), Theory of Computing 8, 415 to 428: the lower
-    envelope of parabolas. Here they stand on the sides between columns, because the nearest
+    envelope of parabolas. Here they lie on the sides between columns, because the nearest
     point of a blocked cell in another column lies on the side that faces us.
     """
     rows, columns = blocked.shape
@@ -139,7 +139,7 @@ def window_of(mask: NDArray[np.bool_], row: int = 0, column: int = 0) -> Window 
 def place_of_patch(
     patch: tuple[int, ...], shape: tuple[int, int], row: int, column: int
 ) -> tuple[slice, slice]:
-    """Return the rows and columns of a map that a patch stands for, given the shapes of both."""
+    """Return the rows and columns of a map that a patch covers, given the shapes of both."""
     (rows, columns), (height, width) = shape, patch
     if not (0 <= row <= rows - height and 0 <= column <= columns - width):
         raise MapError(
@@ -198,7 +198,7 @@ def tables_of(space: Space) -> Tables:
 
 
 def _kept(space: Space, tables: Tables) -> Tables:
-    """Return the tables that are kept for a map: these, if no other thread was earlier."""
+    """Return the tables kept for a map: these, unless others were stored first."""
     name = id(space.clearance)
     kept = _tables.setdefault(name, tables)
     if kept is tables:

@@ -95,7 +95,7 @@ def ways_to_goal(
 ) -> Ways:
     """Return the shortest ways to the goal from all corners that a short way can touch.
 
-    A* from the goal, over lines that touch the outline at both ends: shortest ways are made of
+    A* from the goal, over lines that touch the outline at both ends: shortest ways consist of
     these.
     """
     n = len(outline.point)

@@ -62,7 +62,7 @@ def gate(
         length += GATES.step
     if open_space or length > GATES.long:
         return length, False
-    # a body that is smaller by what a place and a heading stand for
+    # a body smaller by half a step between places and half a step between headings
     less = 0.5 * GATES.step + 0.5 * spacing * reach
     small = grown(body, -less)
     open_between = np.empty(n, np.bool_)
@@ -153,7 +153,7 @@ def along_line(
     for j in range(n):
         aside = (rates.goal + j * spacing - direction) % pi
         left = aside <= 0.5 * pi
-        # a node stands for the headings up to its neighbours
+        # a node covers the headings up to its neighbours
         lag = max((aside if left else pi - aside) - spacing, 0.0)
         sine[j] = sin(lag)
         cosine[j] = max(cos(lag), 1e-6)
@@ -277,7 +277,7 @@ def to_gate(
 
     For a force ``p = a n / M`` every motion costs at least ``p . d`` for its displacement `d`, and
     ``b - C |p . u|`` for each radian that it turns through a heading `u`, if no heading on the way
-    has ``|n . u| > M``. For the headings a motion passes, told by how far they reach beyond its
+    has ``|n . u| > M``. For the headings a motion passes, given by how far they reach beyond its
     first and last one, the best force of `NORMALS` counts; of all such ranges, the cheapest. To
     turn to and fro within a range more than once only adds to that.
     """

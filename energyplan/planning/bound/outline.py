@@ -173,7 +173,7 @@ def side(outline: Outline, k: int, ux: float, uy: float) -> int:
 def _crosses(
     outline: Outline, k: int, ax: float, ay: float, bx: float, by: float, ux: float, uy: float
 ) -> bool:
-    """Tell whether a line from a to b, along the unit vector u, crosses an edge."""
+    """Return whether a line from a to b, along the unit vector u, crosses an edge."""
     px = outline.edges[k, 0]
     py = outline.edges[k, 1]
     qx = outline.edges[k, 2]

@@ -68,7 +68,7 @@ class Paths:
         self.portfolio.enter(motions)
 
     def enter_between(self, several: Iterable[Segments]) -> bool:
-        """Enter motions between the ends of searches; tell whether there are any."""
+        """Enter motions between the ends of searches; return whether there are any."""
         found = list(several)
         for motions in found:
             self.enter(self.ends.whole(motions))
@@ -76,7 +76,7 @@ class Paths:
 
 
 def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) -> Paths:
-    """Return no paths yet; where an end has no room to turn, searches begin or end beside it."""
+    """Return no paths yet; where an end has no room to turn, searches begin or end near it."""
     tried = [*ways_out(query, budget.part(SHARES.aside)), Ends(query)]
     for ends in tried:
         setting = ends.between(query.setting)
@@ -110,14 +110,14 @@ def find_first(paths: Paths, budget: Budget, finest: float) -> None:
         paths.through_passages = paths.enter_between(found)
         if found:
             return
-    # between ends without room there may be a way where no pose beside them is free
+    # between ends without room there may be a way where no pose near them is free
     if proof is not None and (paths.ends.moved or query.ends_have_margin):
         check_proof(query, setting, proof)
     _search_lattices(paths, budget, finest, tested)
 
 
 def _track_shortest(paths: Paths, budget: Budget) -> bool:
-    """Enter the path along the shortest route, if it can be tracked; tell whether it can."""
+    """Enter the path along the shortest route, if it can be tracked; return whether it can."""
     tracked = track_route(paths.setting, paths.to_go, budget)
     if tracked.motions is None:
         paths.stuck.append(tracked)

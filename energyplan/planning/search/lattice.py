@@ -80,7 +80,7 @@ def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
         through = turning_by(yaw, ahead, setting.goal.yaw)
         turn = max(turn, through - 2.0 * LATTICE.tolerance)
     round_obstacles = setting.least_metre * far + setting.least_radian * turn
-    # turn, drive, turn is never below the least cost: steering is asked only if it can be greater
+    # turn, drive, turn is never below the least cost: steering is tried only if it can be greater
     dx = setting.goal.x - pose.x
     dy = setting.goal.y - pose.y
     above = round_obstacles - setting.steering.per_metre * hypot(dx, dy)
@@ -234,7 +234,7 @@ def grow(
             tree.dtheta[new] = dtheta
             tree.key[new] = key
             if other >= 0:
-                # a stale entry of the heap is told by its cost
+                # a stale entry of the heap is recognised by its cost
                 tree.g[other] = -inf
             counts[1] = push(tree.heap_f, tree.heap_node, counts[1], gg + weight * h, new)
     return RUNNING

@@ -1,8 +1,8 @@
 """Making a drivable path cheaper with exact steering, as long as that gains anything.
 
 `Refiner` works on one path: dynamic programming over its poses finds the shortcuts, then poses are
-moved, removed and inserted at random. The path is free of collisions and no dearer after each
-step, so it can stop at any time.
+moved, removed and inserted at random. The path is free of collisions and costs no more after
+each step, so it can stop at any time.
 
 `Portfolio` divides the budget among several paths. How cheap a path becomes shows only when it is
 refined, and a path that starts cheaper often ends more expensive. So all of them are refined a
@@ -51,9 +51,9 @@ def shortcut(
 ) -> Shortened:
     """Shortcutting: the chain keeps the poses of its cheapest sequence of joins.
 
-    Dynamic programming over all pairs of poses at most `reach` apart in the chain; `cost` of the
-    motions given must be filled in. Every motion costs `stop` more, except one given that goes on
-    as the one given before it; `cost` stays what it is without.
+    Dynamic programming over all pairs of poses within `reach` of each other in the chain; `cost` of
+    the motions given must be filled in. Every motion costs `stop` more, except one given that goes
+    on as the one given before it; `cost` stays what it is without.
     """
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
@@ -139,7 +139,7 @@ def random_number(state: Words) -> float:
 
 @inner
 def _copy(chain: Chain, k: int, other: int) -> None:
-    """Set a place of the chain to what stands at another one."""
+    """Copy one place of the chain to another."""
     put_pose(chain.poses, k, pose_at(chain.poses, other))
     chain.cost[k] = chain.cost[other]
     chain.kept[k] = chain.kept[other]
@@ -329,7 +329,7 @@ class Refiner:
         self._load(segments)
 
     def _load(self, segments: Segments) -> None:
-        """Take motions, cut to pieces, as the chain."""
+        """Set the chain to some motions, cut into short ones."""
         setting = self.setting
         whole = merged(segments)
         path = Path(setting.start, whole.ds, whole.dtheta)
@@ -384,7 +384,7 @@ class Refiner:
         budget.spend(UNITS.steer * left.steered + UNITS.join * left.tested)
 
     def again(self, budget: Budget) -> None:
-        """Cut the path to pieces once more, and seek shortcuts between them."""
+        """Cut the path into short motions once more, and search for shortcuts between them."""
         before = self.chain, self.count, self.cost
         self._load(self.segments)
         self.shortcut(budget)

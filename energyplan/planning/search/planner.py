@@ -8,15 +8,15 @@
    minimum-energy motions, and shortened to a first plan; other searches where that fails.
 3. `_find_more`: up to four routes, each cheapest by its length and turns and the later ones away
    from the former, are tracked as well, a coarse lattice compares routes through open ground, and
-   narrow passages are searched. A lower bound on every path's cost is computed beside them.
-4. `_shorten`: the shortest of all that was found is made shorter in a part of what is left. It is
+   narrow passages are searched. A lower bound on every path's cost is computed in parallel.
+4. `_shorten`: the shortest of all paths found is shortened with a part of what is left. It is
    the answer where length is the objective, and a plan of least energy costs no more.
 5. `_refine`: the paths compete for the budget to be refined. Planning ends when the budget is
    over, the gap to the bound is closed, or nothing is gained any more.
 6. `_with_fewer_stops`: where stops take energy, paths are compared by what driving them takes.
 
 Each path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
-quicker: a single spin stands for pivots to and fro.
+quicker: a single spin replaces pivots back and forth.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def _find_more(paths: Paths, budget: Budget) -> float:
     works = paths.bounding.work(paths.cost, kept)
     if not paths.through_passages:
         works += passage_work(setting, paths.to_go, searching, paths.enter_between)
-    # beside the next turns of the paths known, each at most half of what the former leave
+    # in parallel with the next turns of the known paths, each at most half of what the former leave
     every, left = [*portfolio.turns(paths.enough), *works], searching.left
     for k, work in enumerate(every):
         every[k] = work._replace(units=min(work.units, SHARES.stage * left))
@@ -165,7 +165,7 @@ def _compared(paths: Paths, units: float) -> Work:
 def _shorten(
     paths: Paths, query: CompiledProblem, budget: Budget, beside: Iterable[Work]
 ) -> Segments:
-    """Return the shortest of the paths found, made shorter in a part of what is left."""
+    """Return the shortest of the paths found, shortened with a part of the remaining budget."""
     setting, enough = query.setting, Bounding(query).value * (1.0 + paths.gap)
     short = Portfolio(setting, paths.portfolio.seed)
     known = (query.motions_of(paths.query, one) for one in [*paths.entered, paths.portfolio.best])
@@ -205,14 +205,14 @@ def _with_fewer_stops(
 
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
     """Return the best of some paths with arcs and spins where these are better."""
-    # what the tables made of the cost of a known path is not what the models make of it
+    # the cost of a known path by the tables differs from that by the models
     if query.problem.least_radius > 0:
         return min(paths, key=query.value)
     return _with_fewer_motions(query, _with_wide_arcs(query, min(paths, key=query.value)))
 
 
 def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
-    """Return a path of the same cost in which a single spin stands for pivots that end in place."""
+    """Return a path of the same cost in which a single spin replaces pivots that end in place."""
     ahead, lateral = query.middle
     ds, dtheta = path.ds, path.dtheta
     first = 0
@@ -333,7 +333,7 @@ def compile_planning(
 
 
 def prepare(problem: PlanningProblem, *, guided: bool = True) -> None:
-    """Make what is made once for a map, so that no time limit pays for it.
+    """Compute once what all plans on a map share, so that no time limit pays for it.
 
     These are the distances to obstacles, the surface in each cell, the free configurations of the
     footprint and how they join, and the outlines for the lower bound. All are kept with the map.

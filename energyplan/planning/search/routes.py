@@ -50,7 +50,7 @@ from energyplan.planning.space.queues import (
 )
 
 FACINGS = 16
-"""Sectors of headings that the search tells apart."""
+"""Number of sectors of headings that the search distinguishes."""
 
 
 class Route(NamedTuple):
@@ -295,7 +295,7 @@ def _headings_of_facings() -> Words:
 
 @inner
 def _steps_along() -> IntTable:
-    """Tell which steps lead along a facing: 1 ahead, -1 backwards, 0 more than a sector aside."""
+    """Return which steps lead along a facing: 1 ahead, -1 backwards, 0 more than a sector aside."""
     turn = 2.0 * pi / FACINGS
     along = np.zeros((FACINGS, STEPS), np.int64)
     for b in range(FACINGS):
@@ -308,7 +308,7 @@ def _steps_along() -> IntTable:
 
 @inner
 def _chain_of(to_go: CostToGo, node_of: ShortInts, parent: ShortInts, best: int) -> Ints:
-    """Return the nodes that led to a state, and those from there to the goal."""
+    """Return the nodes on the way to a state, and those from there to the goal."""
     total = 0
     state = best
     while state >= 0:

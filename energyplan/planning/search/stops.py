@@ -1,9 +1,9 @@
-"""Paths that take less once they are driven: fewer stops may be worth a longer way.
+"""Paths that take less once they are driven: fewer stops may justify a longer way.
 
 Energy at a steady speed knows no stops. Driven, each one takes the kinetic energy that the drive
 does not recover, and time in which the computers draw power. What a stop of the best path takes is
-its price. Routes with fewer turns are sought once more, at what the stops take per radian;
-shortcuts are sought at the price, and all that come of it are driven.
+its price. Routes with fewer turns are searched once more, at what the stops take per radian;
+shortcuts are searched at the price, and all paths that result are driven.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Stops(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Part of what is kept for other paths that is worth it: stops cannot give more back."""
+        """Fraction of the budget for paths with fewer stops, by what the stops could give back."""
         part = self.extra / abs(self.energy) if self.energy else 0.0
         return min(max((part - STOPS.least) / (STOPS.most - STOPS.least), 0.0), 1.0)
 
@@ -128,5 +128,5 @@ def _searched(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[S
 
 
 def _key(path: Path) -> tuple[int, float]:
-    """Return what tells paths apart."""
+    """Return a key that identifies a path."""
     return len(path), round(path.length, 6)

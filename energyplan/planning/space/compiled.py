@@ -26,13 +26,13 @@ from energyplan.terrain import OccupancyGrid, Terrain
 from energyplan.terrain.collision import Body, pose_free
 
 SHORT_TRACK = 1e-3
-"""Radius of the pivots that stand for spins where pivots are no cheaper than spins [m]."""
+"""Radius of the pivots that replace spins where pivots are no cheaper than spins [m]."""
 
 MARGIN = 0.04
 """How much the footprint grows on every side while planning [cells].
 
-Optimal paths touch obstacles. The margin keeps them free under another rounding, or cut into other
-pieces, and exceeds what the collision kernels' tolerance can make of that.
+Optimal paths touch obstacles. The margin keeps them free under another rounding or
+subdivision, and exceeds the effect of the collision kernels' tolerance.
 """
 
 LEVELS = 32
@@ -215,7 +215,7 @@ class CompiledProblem:
         return grown(self.body, MARGIN * self.grid.resolution + more)
 
     def has_margin(self, pose: Pose) -> bool:
-        """Tell whether a pose is free with the margin of planning."""
+        """Return whether a pose is free with the margin of planning."""
         return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
 
     @cached_property

@@ -148,7 +148,7 @@ def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> No
 def _undecided(
     clearance: SingleTable, row: int, inner: float, outer: float, pad: int, words: int
 ) -> States:
-    """Tell of each word of a row: 1 free at all headings, 0 at none, -1 undecided."""
+    """Return for each word of a row: 1 free at all headings, 0 at none, -1 undecided."""
     columns = clearance.shape[1]
     out = np.empty(words, np.int8)
     for w in range(words):

@@ -83,7 +83,7 @@ def no_cost_to_go() -> CostToGo:
 
 
 def reached(to_go: CostToGo, kernel: KernelProblem) -> bool:
-    """Tell whether the start leads to the goal."""
+    """Return whether the start leads to the goal."""
     return bool(np.isfinite(cost_at_start(to_go, kernel)))
 
 
@@ -486,7 +486,7 @@ def fill_outside(regions: Regions, near: Flags, back: Singles, distance: Singles
     """Write the distances of the nodes outside the corridor, from those between regions.
 
     Distances among nodes exceed those between regions. The largest excess in the corridor is added,
-    so that no search is led outside as long as a route remains inside.
+    so that no search leaves it as long as a route remains inside.
     """
     least = np.empty(len(near), np.float32)
     for region in range(len(near)):

@@ -53,7 +53,7 @@ class Hills(NamedTuple):
     resolution: float  # distance between nodes [m]
     steepest: float  # steepest slope, as rise over run
     bins: int  # slopes in the price table, from ``-steepest`` to ``steepest``
-    piece: float  # length of the pieces that motions are priced in [m]
+    piece: float  # length of the parts that motions are priced in [m]
 
 
 _FLAT = np.zeros((1, 1))
@@ -305,7 +305,7 @@ def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: F
 
 @inner
 def backs_up(ds: Floats, count: int) -> bool:
-    """Tell whether any of some motions drives backwards."""
+    """Return whether any of some motions drives backwards."""
     least = 0.0
     for k in range(count):
         least = min(least, ds[k])
@@ -334,7 +334,7 @@ def join(
 
     Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
     room at times. Where the robot does not reverse and the exact motion does, the exact one
-    forwards, or one of arcs, stands for it.
+    forwards, or one of arcs, replaces it.
     """
     dx = to.x - pose.x
     dy = to.y - pose.y

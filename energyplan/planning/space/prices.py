@@ -51,7 +51,7 @@ def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Value]) 
 
 
 def _nothing() -> None:
-    """Stand for a part where there is none."""
+    """Return None, as a reference to a missing part."""
 
 
 def steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
@@ -239,7 +239,7 @@ class Prices:
         """Return what arcs on slopes cost at least; arguments as for `motion`.
 
         Where time is weighed otherwise than the cheapest speed weighs it, durations may jump from
-        one direction to the next, so that the fastest admissible speed stands for them.
+        one direction to the next, so that the fastest admissible speed is used instead.
         """
         cost = self.costs[region]
         energy, length, time = self._weights
@@ -280,7 +280,7 @@ class LeastPrices:
     steepest: float  # steepest slope, as rise over run
     height_price: float  # price of height, which is taken off [J/m for energy]
     lateral: float  # how far to the left of the path's reference point the centre lies [m]
-    radius: float  # of the tightest arcs; to and fro on these stands for tighter turns [m]
+    radius: float  # of the tightest arcs; back and forth on these replaces tighter turns [m]
     _kept: _Kept
 
     def price(

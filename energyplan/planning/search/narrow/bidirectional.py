@@ -1,8 +1,8 @@
 """A grid search through a narrow passage, from both of its ends.
 
 Where exact motions from pose to pose of a route are not free, free poses that lie close together
-are sought from one end of the passage and from the other at once. Motions as long as are free then
-lead along them, so that a robot gets sideways through a gap, by going to and fro.
+are searched for from both ends of the passage at once. Motions as long as are free then lead along
+them, so that a robot gets sideways through a gap, by driving back and forth.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ class Escape(NamedTuple):
 def _free(
     space: Space, body: Body, pose: Pose, ds: float, dtheta: float, inwards: bool, counts: Ints
 ) -> bool:
-    """Tell whether a motion is free that starts at a pose, or that ends there."""
+    """Return whether a motion is free that starts at a pose, or that ends there."""
     counts[0] += 1
     begin = arc_end(pose, -ds, -dtheta) if inwards else pose
     return bool(motion_free(space, body, begin.x, begin.y, begin.yaw, ds, dtheta, 0.0))
@@ -180,7 +180,7 @@ def escape(
                 ds = free * share * most_ds
                 dtheta = free * share * most_turn
                 there = arc_end(pose, -ds, -dtheta) if inwards else arc_end(pose, ds, dtheta)
-                # a part of a free motion is free, but for the pieces that it is tested in
+                # a part of a free motion is free, up to the subdivision of its test
                 if not _free(space, body, pose, ds, dtheta, inwards, tested):
                     continue
                 room = _spin_room(space, body, there, tested)
@@ -286,7 +286,7 @@ class Ends:
 
 
 def tight(query: CompiledProblem, end: Pose, turn: float = ESCAPE.turn) -> bool:
-    """Tell whether a start or a goal lacks the margin, or room for a turn [rad]."""
+    """Return whether a start or a goal lacks the margin, or room for a turn [rad]."""
     if surely_has_room(query, end):
         return False
     room = spin_room(query.grid.space, query.body, query.centre(end))
@@ -294,7 +294,7 @@ def tight(query: CompiledProblem, end: Pose, turn: float = ESCAPE.turn) -> bool:
 
 
 def surely_has_room(query: CompiledProblem, end: Pose) -> bool:
-    """Tell whether an end has the margin, and room for the whole turn one way."""
+    """Return whether an end has the margin, and room for the whole turn one way."""
     space, body, pose = query.grid.space, query.body, query.centre(end)
     return query.has_margin(end) and any(
         motion_free(space, body, *pose, 0.0, way, 0.0) for way in (ESCAPE.turn, -ESCAPE.turn)

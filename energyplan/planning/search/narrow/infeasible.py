@@ -294,7 +294,7 @@ class Prover:
         return None
 
     def _look(self, chain: PlaceChain) -> bool:
-        """Halve boxes about the unknown steps of a chain; tell whether there were any."""
+        """Halve boxes about the unknown steps of a chain; return whether there were any."""
         wanted: dict[int, int] = {}
         place, headings = chain.place.tolist(), chain.headings.tolist()
         for k in range(len(place) - 1):
