@@ -30,7 +30,7 @@ from energyplan.errors import EnergyPlanError
 from energyplan.io.files import bundled
 from energyplan.limits.speed import profile
 from energyplan.physics import EFFECTS, Effect, Robot, Sensors, draw_effects, drive, switch_on
-from energyplan.physics.design import Explanation, Option, design, joined, manoeuvres
+from energyplan.physics.design import Hypothesis, Option, design, joined, manoeuvres
 from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, Round, close_loop
 from energyplan.power.effects import catalogue
 from energyplan.vehicle import predict_icr
@@ -284,7 +284,7 @@ def designed(count: int, duration: float = 60.0, noise: float = 20.0) -> None:
     rows = []
     for k in range(count):
         (true, size), other = PAIRS[k % len(PAIRS)]
-        options = [Explanation((true,), values={true: size}), Explanation((other,))]
+        options = [Hypothesis((true,), values={true: size}), Hypothesis((other,))]
         plan = design(MODEL, options, duration=duration, speed=0.6, noise=noise)
         rng = np.random.default_rng(k)
         some: list[ep.Trajectory] = []

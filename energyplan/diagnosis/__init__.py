@@ -44,7 +44,7 @@ from energyplan.diagnosis.result import (
     advice_of_predictions,
     few_drives,
 )
-from energyplan.diagnosis.search import SIGNIFICANCE, Search, SearchResult
+from energyplan.diagnosis.search import SIGNIFICANCE, EffectSearch, SearchResult
 from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words
@@ -158,7 +158,7 @@ def diagnose(
     case = _Case(learned, held_out, vehicle, entries)
     case.limits[:0] = copies
     report(0.1, "choosing effects")
-    search = Search(
+    search = EffectSearch(
         case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects,
         case.held,
     )  # fmt: skip

@@ -35,7 +35,7 @@ from energyplan.fit.estimate import (
     run_effect,
     weighted,
 )
-from energyplan.fit.regressors import Design, held_forces
+from energyplan.fit.regressors import DesignMatrix, held_forces
 from energyplan.fit.solvers import Bounds, lad
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -70,7 +70,7 @@ class Averaged:
 
 
 @dataclass(frozen=True)
-class _Windows:
+class _WindowTotals:
     """Means of plain totals over the longest windows."""
 
     run: NDArray[np.intp]  # (w,): run of each window
@@ -79,7 +79,7 @@ class _Windows:
     power: FloatArray  # (w,): measured power [W]
 
     @classmethod
-    def of(cls, problem: Problem, design: Design) -> _Windows:
+    def of(cls, problem: Problem, design: DesignMatrix) -> _WindowTotals:
         time, power = [], []
         for drive in problem.drives:
             windows = drive.windows[-1]
@@ -117,13 +117,13 @@ class _Member:
 
 
 @dataclass(frozen=True)
-class _Explanation:
+class _RefittedExplanation:
     """The explanation, and how it is fitted again without some of the blocks."""
 
     fitted: Fitted
     names: tuple[str, ...]
     handicap: float
-    whole: Design  # as it predicts future runs
+    whole: DesignMatrix  # as it predicts future runs
     grams: FloatArray  # of what it is fitted to, by block
     own: NDArray[np.bool_]  # which of its terms are fitted
     leaves_nothing: bool
@@ -132,7 +132,7 @@ class _Explanation:
     def of(
         cls, problem: Problem, plain: Problem, fitted: Fitted, parts: Sequence[Part],
         handicap: float,
-    ) -> _Explanation:  # fmt: skip
+    ) -> _RefittedExplanation:  # fmt: skip
         """Prepare an explanation."""
         # What contacts hold on straights was found separately from the fit, and stays as it is.
         own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.model.terms])
@@ -152,7 +152,7 @@ class _Explanation:
             return ()
         return tuple(term for term in terms if term.kind == "loss")
 
-    def member(self, windows: _Windows, fold: NDArray[np.intp]) -> _Member:
+    def member(self, windows: _WindowTotals, fold: NDArray[np.intp]) -> _Member:
         """Fit it without each fold."""
         last = np.searchsorted(windows.block, np.arange(len(self.grams)), side="right") - 1
         refits = left_out(self.grams.sum(axis=0), self.grams, fold[np.maximum(last, 0)])
@@ -172,10 +172,10 @@ class _Table:
     """Window means of the two terms and their extensions."""
 
     problem: Problem
-    windows: _Windows
+    windows: _WindowTotals
     terms: tuple[Term, ...]
-    shown: Design  # what the terms are fitted to
-    design: Design  # as they predict future runs
+    shown: DesignMatrix  # what the terms are fitted to
+    design: DesignMatrix  # as they predict future runs
     fitted: Fitted
     given: dict[str, float]  # terms that every member has, and their coefficients
     measured: tuple[Term, ...]  # those of them that the powers of both sides measure
@@ -183,8 +183,8 @@ class _Table:
 
     @classmethod
     def of(
-        cls, problem: Problem, plain: Problem, explanation: _Explanation, parts: Sequence[Part],
-        common: Sequence[Term],
+        cls, problem: Problem, plain: Problem, explanation: _RefittedExplanation,
+        parts: Sequence[Part], common: Sequence[Term],
     ) -> _Table:  # fmt: skip
         """Average the columns of drives over windows."""
         fitted = explanation.fitted
@@ -206,7 +206,7 @@ class _Table:
             shown = problem.design(terms, None, values, rounds=1)
             shown = replace(shown, rows=tuple(rows * [*still, 1.0] for rows in shown.rows))
         return cls(
-            plain, _Windows.of(plain, explanation.whole), terms, shown, design, fitted, given,
+            plain, _WindowTotals.of(plain, explanation.whole), terms, shown, design, fitted, given,
             measured,
             np.array([values[term.name] for term in PAPER]) if both else None,
         )  # fmt: skip
@@ -304,7 +304,7 @@ def averaged(
     if few and not picked and (count == 1 or not parts):
         return None
     plain = problem.of_totals
-    explanation = _Explanation.of(problem, plain, fitted, parts, float(picked))
+    explanation = _RefittedExplanation.of(problem, plain, fitted, parts, float(picked))
     if few and explanation.leaves_nothing:
         return None
     table = _Table.of(problem, plain, explanation, parts, () if few else common)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from energyplan.fit.drive import Drive, Late, channels_of, column
 from energyplan.fit.estimate import PAPER, WEIGHTS, Problem, fit, solve, squared_errors
-from energyplan.fit.regressors import Design
+from energyplan.fit.regressors import DesignMatrix
 from energyplan.path import FloatArray
 from energyplan.power import Term
 from energyplan.power.effects import Effect
@@ -168,7 +168,7 @@ _VISITS = 3
 
 
 @dataclass(frozen=True)
-class Lines:
+class ContactTraces:
     """Where the contacts of a robot were while it moved."""
 
     drives: Sequence[Drive]  # drives with ``x`` and ``y``
@@ -317,7 +317,7 @@ _BATCH = 128  # sets evaluated at once
 
 
 @dataclass(frozen=True)
-class Candidate:
+class EffectCandidate:
     """An effect with some values of its parameters, and where its columns are."""
 
     part: Part  # the effect
@@ -371,7 +371,7 @@ def terms_of(parts: Sequence[Part]) -> list[Term]:
     return [*PAPER, *(term for part in parts for term in part.terms)]
 
 
-def _columns(candidates: Sequence[Candidate], chosen: Set) -> list[int]:
+def _columns(candidates: Sequence[EffectCandidate], chosen: Set) -> list[int]:
     """Return the columns of a set in the table of all candidates, the paper's first."""
     return [*range(len(PAPER)), *(c for one in chosen for c in candidates[one].columns)]
 
@@ -418,13 +418,13 @@ class Proposals:
     def variants(self, effect: Effect) -> list[Part]:
         """Return an effect with every combination of the values to try of its parameters."""
         if effect.acts == "place":
-            return list(Lines(self.problem.drives, self.problem.vehicle).lines(effect))
+            return list(ContactTraces(self.problem.drives, self.problem.vehicle).lines(effect))
         chosen: list[tuple[tuple[str, float], ...]] = [()]
         for key, values in effect.grid.items():
             chosen = [(*before, (key, value)) for before in chosen for value in values]
         return [Part(effect, params) for params in chosen]
 
-    def candidates_for(self, marked: Problem | None) -> list[Candidate]:
+    def candidates_for(self, marked: Problem | None) -> list[EffectCandidate]:
         """Return all effects with each of their variants; changes where their times are known."""
         found, first = [], len(PAPER)
         # Changes last: they are numbered only once their times are known.
@@ -446,10 +446,12 @@ class Proposals:
                 columns = tuple(range(first, first + len(part.terms)))
                 first += len(columns)
                 change = marked if effect.acts == "change" else None
-                found.append(Candidate(part, columns, float(prior), change))
+                found.append(EffectCandidate(part, columns, float(prior), change))
         return found
 
-    def table(self, problem: Problem, candidates: Sequence[Candidate], about: About) -> Design:
+    def table(
+        self, problem: Problem, candidates: Sequence[EffectCandidate], about: About
+    ) -> DesignMatrix:
         """Columns of the paper's terms and of all candidates, linearised about coefficients."""
         terms = [*PAPER, *(term for one in candidates for term in one.part.terms)]
         values = np.array([about.get(_key(term), 0.0) for term in terms])
@@ -460,8 +462,8 @@ class Proposals:
 
     def scores(
         self,
-        design: Design,
-        candidates: Sequence[Candidate],
+        design: DesignMatrix,
+        candidates: Sequence[EffectCandidate],
         sets: Sequence[Set],
         reference: FloatArray,
     ) -> FloatArray:
@@ -489,7 +491,7 @@ class Proposals:
         prior = [sum(candidates[one].prior for one in chosen) for chosen in sets]
         return np.asarray(found + np.array(prior))
 
-    def _bounds(self, candidates: Sequence[Candidate]) -> FloatArray:
+    def _bounds(self, candidates: Sequence[EffectCandidate]) -> FloatArray:
         """Return ranges of coefficients, (2, columns); infinite if nearly all robots have them."""
         rows = [(-np.inf, np.inf)] * len(PAPER)
         for one in candidates:
@@ -498,15 +500,15 @@ class Proposals:
                 rows.append((low, np.inf if term.kind == "loss" else high))
         return np.array(rows).T
 
-    def compatible(self, candidates: Sequence[Candidate], chosen: Iterable[int]) -> bool:
+    def compatible(self, candidates: Sequence[EffectCandidate], chosen: Iterable[int]) -> bool:
         """Return whether no two candidates share a term."""
         names = [name for one in chosen for name in candidates[one].terms]
         return len(set(names)) == len(names)
 
     def _grow(
         self,
-        design: Design,
-        candidates: Sequence[Candidate],
+        design: DesignMatrix,
+        candidates: Sequence[EffectCandidate],
         start: Set,
         reference: FloatArray,
         limit: int,
@@ -544,12 +546,12 @@ class Proposals:
                 break
         return known
 
-    def pool(self, late: Late, usual: Sequence[Part]) -> tuple[list[Candidate], list[Set]]:
+    def pool(self, late: Late, usual: Sequence[Part]) -> tuple[list[EffectCandidate], list[Set]]:
         """Return the candidates at a time offset, and the best sets of them."""
         problem = self.problem.delayed(late)
         about, marked = self.about(problem, usual, None), None
         pooled: dict[frozenset[str], tuple[float, Labels]] = {}
-        candidates: list[Candidate] = []
+        candidates: list[EffectCandidate] = []
         for stage in range(2):
             candidates = self.candidates_for(marked)
             start = tuple(k for k, one in enumerate(candidates) if one.part in usual)
@@ -611,7 +613,7 @@ class Proposals:
         pooled: Mapping[frozenset[str], tuple[float, Labels]],
         ranked: Sequence[Set],
         known: Mapping[Set, float],
-        candidates: Sequence[Candidate],
+        candidates: Sequence[EffectCandidate],
         stage: int,
     ) -> dict[frozenset[str], tuple[float, Labels]]:
         """Join the best sets of both looks; the second one knows losses and changes better."""

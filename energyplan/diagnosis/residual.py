@@ -15,7 +15,7 @@ import numpy as np
 
 from energyplan.fit.drive import Drive, channels_of
 from energyplan.fit.estimate import Fit, Problem, difference, fit
-from energyplan.fit.regressors import Design, held_forces, window_means
+from energyplan.fit.regressors import DesignMatrix, held_forces, window_means
 from energyplan.fit.run import RunEffect
 from energyplan.motion import CHANNELS
 from energyplan.path import FloatArray
@@ -146,7 +146,7 @@ def dependences(
     return tuple(sorted(every, key=lambda one: -one.explained_variance))
 
 
-def _between_drives(now: Fit, design: Design) -> list[Dependence]:
+def _between_drives(now: Fit, design: DesignMatrix) -> list[Dependence]:
     """Test whether drives differ as a whole, each by a factor of its power."""
     found = RunEffect.between(design, now.values, 0.0)
     if not found.compared:
@@ -176,7 +176,9 @@ def _dependence(
     )  # fmt: skip
 
 
-def _periodic(problem: Problem, now: Fit, errors: FloatArray, design: Design) -> list[Dependence]:
+def _periodic(
+    problem: Problem, now: Fit, errors: FloatArray, design: DesignMatrix
+) -> list[Dependence]:
     """Test for a load that comes and goes with a fixed period, its phase free in each drive."""
     length = np.array([float(drive.t[-1]) for drive in problem.drives])
     # A column for each drive and phase: of very many drives the longest are used.

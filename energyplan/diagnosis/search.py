@@ -18,8 +18,8 @@ from energyplan.diagnosis.candidates import (
     OF_LOG,
     RARE,
     About,
-    Candidate,
-    Lines,
+    ContactTraces,
+    EffectCandidate,
     Part,
     Proposals,
     Set,
@@ -37,7 +37,7 @@ from energyplan.fit.drive import (
     speed_noise,
 )
 from energyplan.fit.estimate import FLOOR, PAPER, ROUNDS, Fit, Problem, by_name, fit
-from energyplan.fit.regressors import Design
+from energyplan.fit.regressors import DesignMatrix
 from energyplan.fit.solvers import innovation_share
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, PowerModel
@@ -69,12 +69,12 @@ def possible(problem: Problem, parts: Sequence[Part], found: Fit) -> bool:
 # -- what a residual counts as evidence, and which explanations drives cannot distinguish ----------
 
 
-def residuals(design: Design, values: FloatArray) -> list[FloatArray]:
+def residuals(design: DesignMatrix, values: FloatArray) -> list[FloatArray]:
     """Return what coefficients leave of each window, at each scale [W]."""
     return [table[:, -1] - table[:, :-1] @ values for table in design.rows]
 
 
-def innovations(design: Design, left: Sequence[FloatArray]) -> FloatArray:
+def innovations(design: DesignMatrix, left: Sequence[FloatArray]) -> FloatArray:
     """Return the share of a residual that its own past does not predict, at each scale."""
     shares = []
     for table, block, residual in zip(design.rows, design.blocks, left, strict=True):
@@ -147,7 +147,7 @@ class SearchResult:
 
 
 @dataclass
-class Evaluated:
+class FittedSet:
     """A set fitted as it is."""
 
     counts: FloatArray
@@ -199,7 +199,7 @@ def settled(part: Part, made: Make, errors: FloatArray) -> FloatArray | None:
     """Move the parameters of a part to where the loss is least."""
     start = part.values
     trial, case = made(start)
-    ground = Lines(case.drives, case.vehicle) if part.effect.acts == "place" else None
+    ground = ContactTraces(case.drives, case.vehicle) if part.effect.acts == "place" else None
     terms = terms_of(trial)
     known = by_name(terms, fit(case.design(terms, errors), errors).values)
     if ground is not None:
@@ -268,7 +268,7 @@ _MOST_SAMPLES = 60_000  # that the search works on
 _MOST_DRIVES = 40  # and of so many drives
 
 
-class Search:
+class EffectSearch:
     """Joint search over a catalogue: pool of sets, exact fits, best set moved and extended."""
 
     def __init__(
@@ -282,7 +282,7 @@ class Search:
         self.quick = Proposals(problem, effects, limit, judged)
         self.progress = progress
         self.whole, self.excerpted = problem, False
-        self.evaluated: dict[tuple[Set, Late], Evaluated] = {}
+        self.evaluated: dict[tuple[Set, Late], FittedSet] = {}
 
     def _best_delay(self, parts: Sequence[Part], problem: Problem) -> Late:
         """Return the time offset of the power at which a model predicts best."""
@@ -317,7 +317,7 @@ class Search:
         means = self.whole.averaged(_PERIOD)
         self.quick.problem = means.excerpt(_MOST_SAMPLES, _MOST_DRIVES)
         self.excerpted = self.quick.problem is not means
-        pools: dict[Late, tuple[list[Candidate], list[Set]]] = {}
+        pools: dict[Late, tuple[list[EffectCandidate], list[Set]]] = {}
         for late in self._delays(nuisance):
             pools[late] = self.quick.pool(late, usual)
         self.progress(0.5, "fitting the best sets")
@@ -340,7 +340,9 @@ class Search:
                 break
         return self._explained(weighed, candidates_at)
 
-    def _explained(self, weighed: Weighed, pools: dict[Late, list[Candidate]]) -> SearchResult:
+    def _explained(
+        self, weighed: Weighed, pools: dict[Late, list[EffectCandidate]]
+    ) -> SearchResult:
         """Return what is weighed as explanations, variants of the same effects as one."""
         # Exact ties go to the effect that comes first in the catalogue.
         keys = sorted(weighed, key=lambda key: (-round(weighed[key], 2), sorted(key[0])))
@@ -435,7 +437,7 @@ class Search:
         return SearchResult((self._refined(one),), tuple(self.quick.untested))
 
     def _weigh_neighbours(
-        self, weighed: Weighed, now: Set, candidates: list[Candidate], late: Late
+        self, weighed: Weighed, now: Set, candidates: list[EffectCandidate], late: Late
     ) -> None:
         """Weigh the neighbours of a set that promise most."""
         one = self._evaluate(now, candidates, late)
@@ -461,19 +463,19 @@ class Search:
             self._weigh(weighed, some, candidates, late)
 
     def _weigh(
-        self, weighed: Weighed, chosen: Set, candidates: Sequence[Candidate], late: Late
+        self, weighed: Weighed, chosen: Set, candidates: Sequence[EffectCandidate], late: Late
     ) -> None:
         """Weigh what of a set earns a place in it."""
         kept = self._reduced(chosen, candidates, late)
         prior = sum(candidates[k].prior for k in kept) + (0.0 if late == ON_TIME else LATE)
         weighed[frozenset(kept), late] = self.score(self._evaluate(kept, candidates, late)) + prior
 
-    def _nearest(self, parts: Sequence[Part], at: int, now: Evaluated) -> Part:
+    def _nearest(self, parts: Sequence[Part], at: int, now: FittedSet) -> Part:
         """Return the line with which a set fits best, of many: the nearest to start from."""
         problem = now.problem.thinned(_SAMPLES)
         about = self.quick.about(now.problem, now.parts, now.errors)
         rest = [part for k, part in enumerate(parts) if k != at]
-        ground = Lines(problem.drives, problem.vehicle)
+        ground = ContactTraces(problem.drives, problem.vehicle)
         best = [*ground.lines(parts[at].effect, fine=True), parts[at]]
         for level in range(ground.levels + 1):
             if level:
@@ -497,7 +499,7 @@ class Search:
         for part in (*rest, *new):
             columns = tuple(range(first, first + len(part.terms)))
             first += len(columns)
-            candidates.append(Candidate(part, columns, 0.0))
+            candidates.append(EffectCandidate(part, columns, 0.0))
         design = self.quick.table(problem, candidates, about)
         own = tuple(range(len(rest)))
         sets = [(*own, len(rest) + k) for k in range(len(new))]
@@ -532,11 +534,13 @@ class Search:
 
         return made
 
-    def score(self, one: Evaluated) -> float:
+    def score(self, one: FittedSet) -> float:
         """Return the logarithm of an evaluated set's likelihood, that of its innovations."""
         return float(self.quick.problem.likelihood(one.fit.errors * one.shares, one.counts))
 
-    def _evaluate(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Evaluated:
+    def _evaluate(
+        self, chosen: Set, candidates: Sequence[EffectCandidate], late: Late
+    ) -> FittedSet:
         """Fit a set as it is, losses included."""
         key = (chosen, late)
         if key not in self.evaluated:
@@ -551,16 +555,16 @@ class Search:
             self.evaluated[key] = self._fitted(problem, parts)
         return self.evaluated[key]
 
-    def _fitted(self, problem: Problem, parts: Sequence[Part]) -> Evaluated:
+    def _fitted(self, problem: Problem, parts: Sequence[Part]) -> FittedSet:
         terms = terms_of(parts)
         design = problem.design(terms, self.quick.errors)
         errors = problem.reference(design)
         found = fit(design, errors)
         sound = possible(problem, parts, found)
         shares = innovations(design, residuals(design, found.values))
-        return Evaluated(design.evidence, shares, errors, found, problem, sound, tuple(parts))
+        return FittedSet(design.evidence, shares, errors, found, problem, sound, tuple(parts))
 
-    def _gain(self, full: Evaluated, less: Evaluated, part: Part, looks: float) -> Gain:
+    def _gain(self, full: FittedSet, less: FittedSet, part: Part, looks: float) -> Gain:
         """Return the gain of a part in a set, over the set without it."""
         floor = self.quick.problem.floor
         scale = 1.0 / (less.errors + floor)
@@ -577,13 +581,13 @@ class Search:
             float(np.sqrt(max(shares.sum(axis=1).max(), 0.0))), float(blocks.sum() - blocks.max()),
         )  # fmt: skip
 
-    def _p_value(self, full: Evaluated, part: Part, looks: float) -> float:
+    def _p_value(self, full: FittedSet, part: Part, looks: float) -> float:
         """Chance of a part's coefficients being this far from zero, over all candidates."""
         own = {term.name for term in part.terms}
         which = [k for k, term in enumerate(terms_of(full.parts)) if term.name in own]
         return min(full.fit.p_value(which) * looks, 1.0) if which else 0.0
 
-    def _missing(self, one: Evaluated) -> float:
+    def _missing(self, one: FittedSet) -> float:
         """Return what a set leaves beyond noise, over the root mean square power."""
         noise, power = [], []
         for drive in one.problem.drives:
@@ -595,7 +599,9 @@ class Search:
         left = one.fit.errors[: len(SCALES)] - limit * means / samples
         return float(np.sqrt(max(left.max(), 0.0) / max(np.mean(power), 1e-300)))
 
-    def _acceptable(self, gain: Gain, one: Candidate, full: Evaluated, less: Evaluated) -> bool:
+    def _acceptable(
+        self, gain: Gain, one: EffectCandidate, full: FittedSet, less: FittedSet
+    ) -> bool:
         """Return whether an effect is large and certain enough, by its set with and without it."""
         large = gain.improvement > WORTHWHILE and gain.share > min(WORTH, self._missing(full))
         if less.sound and not large:
@@ -607,7 +613,7 @@ class Search:
         lasts = gain.lasting > least or (not searched and gain.improvement > gain.error)
         return lasts and gain.p_value < _CHANCE and gain.weight + one.prior > 0.0
 
-    def _reduced(self, chosen: Set, candidates: Sequence[Candidate], late: Late) -> Set:
+    def _reduced(self, chosen: Set, candidates: Sequence[EffectCandidate], late: Late) -> Set:
         """Take out what earns no place, the worst first."""
         now = chosen
         while now:
@@ -629,13 +635,13 @@ class Search:
             now = tuple(k for k in now if k != weak)
         return now
 
-    def _looks(self, one: Candidate) -> float:
+    def _looks(self, one: EffectCandidate) -> float:
         """Return how many effects were searched to find one; 1 if nearly every robot has it."""
         return 1.0 if one.part.effect.usual else float(len(self.quick.effects))
 
     def _gains(
-        self, now: Set, candidates: Sequence[Candidate], late: Late
-    ) -> tuple[dict[int, Gain], dict[int, Evaluated]]:
+        self, now: Set, candidates: Sequence[EffectCandidate], late: Late
+    ) -> tuple[dict[int, Gain], dict[int, FittedSet]]:
         """Return the gain of each effect in a set, and the sets without it."""
         full = self._evaluate(now, candidates, late)
         less = {k: self._evaluate(tuple(j for j in now if j != k), candidates, late) for k in now}

@@ -13,7 +13,7 @@ from scipy.special import fdtrc
 
 from energyplan.fit.doubts import usual_effects, with_usual
 from energyplan.fit.drive import MOMENT, SCALES, Drive, Late, columns_of, prepared, reading_step
-from energyplan.fit.regressors import Design, is_lossy, linearise_drive, window_means
+from energyplan.fit.regressors import DesignMatrix, is_lossy, linearise_drive, window_means
 from energyplan.fit.run import RunEffect
 from energyplan.fit.solvers import jackknife, least_squares
 from energyplan.logs import DriveLog
@@ -96,12 +96,12 @@ def left_out(total: FloatArray, grams: FloatArray, fold: np.ndarray) -> FloatArr
     return solve(total - sums)
 
 
-def weighted(design: Design, errors: FloatArray) -> FloatArray:
+def weighted(design: DesignMatrix, errors: FloatArray) -> FloatArray:
     """Gram matrices of the blocks, summed over scales, each divided by its reference error."""
     return np.asarray(np.tensordot(1.0 / (errors * design.counts), design.grams, 1))
 
 
-def fit(design: Design, errors: FloatArray, by_block: bool = False) -> Fit:
+def fit(design: DesignMatrix, errors: FloatArray, by_block: bool = False) -> Fit:
     """Fit a design and cross-validate it."""
     grams = weighted(design, errors)
     total = grams.sum(axis=0)
@@ -159,7 +159,7 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples spread evenly
 
 
 @dataclass(frozen=True)
-class Tables:
+class LinearisedColumns:
     """Columns of terms on drives, linearised about coefficients."""
 
     columns: list[FloatArray]  # (n, equations, k): of each drive
@@ -171,7 +171,7 @@ class _Tried:
     """Coefficients that were tried: the design about them, and what it says of them."""
 
     values: FloatArray
-    design: Design
+    design: DesignMatrix
     gram: FloatArray
     misfit: float  # negative logarithm of their likelihood
     promised: float  # by how much a full step is to lower it
@@ -304,7 +304,7 @@ class Problem:
         fall = np.log(np.maximum(errors, 0.0) + floor + 1e-300)
         return np.asarray(-0.5 * np.tensordot(count, fall, axes=(0, 0)))
 
-    def tables(self, terms: Sequence[Term], values: FloatArray) -> Tables:
+    def tables(self, terms: Sequence[Term], values: FloatArray) -> LinearisedColumns:
         """Return, for each drive, the columns of the terms and the power they are to explain."""
         columns, targets = [], []
         for drive in self.drives:
@@ -316,12 +316,12 @@ class Problem:
                 found = np.stack([columns_of(t, drive, self.vehicle) for t in terms], axis=-1)
                 columns.append(drive.observed(found))
                 targets.append(drive.measured)
-        return Tables(columns, targets)
+        return LinearisedColumns(columns, targets)
 
-    def design_about(self, terms: Sequence[Term], values: FloatArray) -> Design:
+    def design_about(self, terms: Sequence[Term], values: FloatArray) -> DesignMatrix:
         """Return the design of some terms, losses linearised about `values`."""
         about = self.tables(terms, values)
-        return Design.of(self.drives, about.columns, about.targets)
+        return DesignMatrix.of(self.drives, about.columns, about.targets)
 
     def design(
         self,
@@ -329,7 +329,7 @@ class Problem:
         errors: FloatArray | None = None,
         start: Mapping[str, float] | None = None,
         rounds: int = ROUNDS,
-    ) -> Design:
+    ) -> DesignMatrix:
         """Return the design of some terms: Gauss-Newton where they are not linear."""
         if not any(is_lossy(drive, terms) for drive in self.drives):
             return self.design_about(terms, np.zeros(len(terms)))
@@ -355,7 +355,7 @@ class Problem:
     ) -> _Tried:
         """Linearise losses about coefficients, and weigh these."""
         about = self.tables(terms, values)
-        design = Design.of(self.drives, about.columns, about.targets)
+        design = DesignMatrix.of(self.drives, about.columns, about.targets)
         scale = np.ones(len(design.rows)) if errors is None else errors
         gram = weighted(design, scale).sum(axis=0)
         least = solve(gram)
@@ -387,7 +387,7 @@ class Problem:
                 return found
             linear = possible
 
-    def reference(self, design: Design) -> FloatArray:
+    def reference(self, design: DesignMatrix) -> FloatArray:
         """Return the cross-validated error of a design, plus the floor, at each scale [W^2]."""
         errors = np.full(len(design.rows), 1.0)
         for _ in range(2):
@@ -490,7 +490,7 @@ class Fitted:
         return self.run.deviation if self.run.compared else None
 
 
-def _offset(problem: Problem, design: Design, errors: FloatArray) -> FloatArray:
+def _offset(problem: Problem, design: DesignMatrix, errors: FloatArray) -> FloatArray:
     """Return the covariance of coefficients that an offset of a sensor with steps leaves.
 
     A sensor errs alike whenever it reads the same; a robot at rest is read the same throughout.

@@ -193,7 +193,7 @@ _IDLE = 0.01  # share of the typical size of a block's columns below which it is
 
 
 @dataclass(frozen=True)
-class Design:
+class DesignMatrix:
     """Window means of columns and power, block by block, at every scale."""
 
     rows: tuple[FloatArray, ...]  # (w, k + 1)
@@ -204,7 +204,7 @@ class Design:
     @classmethod
     def of(
         cls, drives: Sequence[Drive], columns: Sequence[FloatArray], targets: Sequence[FloatArray]
-    ) -> Design:
+    ) -> DesignMatrix:
         """Average columns, shape (n, e, k), and power, shape (n, e), of each drive over windows."""
         tables = [
             np.concatenate([values, target[..., None]], axis=-1)
@@ -232,7 +232,7 @@ class Design:
         """Block of each of the longest windows."""
         return self.blocks[len(SCALES) - 1]
 
-    def joined(self, extra: Sequence[FloatArray]) -> Design:
+    def joined(self, extra: Sequence[FloatArray]) -> DesignMatrix:
         """Return the design with further columns, window means at each scale, before the power."""
         rows = tuple(
             np.column_stack([table[:, :-1], more, table[:, -1]])
@@ -240,7 +240,7 @@ class Design:
         )
         return replace(self, rows=rows, ended=None)
 
-    def picked(self, columns: Sequence[int]) -> Design:
+    def picked(self, columns: Sequence[int]) -> DesignMatrix:
         """Return the design with some of its columns."""
         keep = [*columns, -1]
         return replace(self, rows=tuple(table[:, keep] for table in self.rows))
@@ -251,7 +251,7 @@ class Design:
         share = np.bincount(self.drives) / len(self.drives)
         return len(share) >= 4 and float(share.max()) <= _MUCH
 
-    def fixed(self, which: NDArray[np.bool_], values: FloatArray) -> Design:
+    def fixed(self, which: NDArray[np.bool_], values: FloatArray) -> DesignMatrix:
         """Return the design without some columns, whose coefficients are given."""
         rows = tuple(
             np.column_stack(
@@ -261,7 +261,7 @@ class Design:
         )
         return replace(self, rows=rows, ended=None)
 
-    def with_folds(self, most: int) -> Design:
+    def with_folds(self, most: int) -> DesignMatrix:
         """Return the design with blocks joined to `most` at most: whole drives where comparable."""
         number = self.drives if self.comparable else np.arange(len(self.drives))
         count = int(number.max()) + 1
@@ -269,14 +269,14 @@ class Design:
             number = number * most // count
         groups, number = np.unique(number, return_inverse=True)
         owner = np.array([self.drives[np.argmax(number == k)] for k in range(len(groups))])
-        return Design(self.rows, tuple(number[block] for block in self.blocks), owner)
+        return DesignMatrix(self.rows, tuple(number[block] for block in self.blocks), owner)
 
-    def of_drives(self, chosen: NDArray[np.intp]) -> Design:
+    def of_drives(self, chosen: NDArray[np.intp]) -> DesignMatrix:
         """Return the design of some drives only, given in ascending order."""
         kept = np.isin(self.drives, chosen)
         number = np.cumsum(kept) - 1
         masks = [kept[block] for block in self.blocks]
-        return Design(
+        return DesignMatrix(
             tuple(table[mask] for table, mask in zip(self.rows, masks, strict=True)),
             tuple(number[block[mask]] for block, mask in zip(self.blocks, masks, strict=True)),
             np.searchsorted(chosen, self.drives[kept]),

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import fdtrc
 from scipy.stats import t as student
 
-from energyplan.fit.regressors import Design
+from energyplan.fit.regressors import DesignMatrix
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 
@@ -46,7 +46,7 @@ class RunEffect:
     p_value: float = 1.0  # that runs do not differ
 
     @classmethod
-    def between(cls, design: Design, values: FloatArray, length: float) -> RunEffect:
+    def between(cls, design: DesignMatrix, values: FloatArray, length: float) -> RunEffect:
         """Compare runs by their longest windows (Paule's and Mandel's estimate), `length` [s]."""
         # Source: Paule and Mandel (1982), J. Res. NBS 87, 377-385.
         table, owner = design.longest

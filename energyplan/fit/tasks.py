@@ -105,7 +105,7 @@ def identify_tasks(tasks: Mapping[str, FloatArray], vehicle: Vehicle) -> TaskFit
     )
 
 
-class _Fitted(NamedTuple):
+class _EnergyFit(NamedTuple):
     values: FloatArray
     covariance: FloatArray
     rest: FloatArray  # relative errors of the tasks' energies
@@ -116,14 +116,14 @@ class _Fitted(NamedTuple):
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def _fit(columns: Mapping[Term, FloatArray], energy: FloatArray) -> _Fitted:
+def _fit(columns: Mapping[Term, FloatArray], energy: FloatArray) -> _EnergyFit:
     """Fit energies by their relative errors, outliers weighted down; robust covariance."""
     X = np.stack(list(columns.values()), axis=1) / energy[:, None]
     scale = np.sqrt((X * X).sum(axis=0))
     if np.linalg.matrix_rank(X / scale, tol=1e-6) < len(scale):
         if len(scale) > 1 and [*columns][-1].name == "hotel_load":
             unknown = np.diag(np.full(len(scale), np.inf))
-            return _Fitted(np.zeros(len(scale)), unknown, energy, np.zeros_like(X.T))
+            return _EnergyFit(np.zeros(len(scale)), unknown, energy, np.zeros_like(X.T))
         raise NotIdentifiableError(
             "the tasks are all alike: distance and turning grow together; give tasks that differ, "
             "as some with much turning, or record a drive"
@@ -138,7 +138,7 @@ def _fit(columns: Mapping[Term, FloatArray], energy: FloatArray) -> _Fitted:
     inverse = np.linalg.inv(weighted.T @ X)
     meat = (weighted * rest[:, None]).T @ (weighted * rest[:, None])
     covariance = len(energy) / (len(energy) - len(values)) * inverse @ meat @ inverse
-    return _Fitted(values, covariance, rest, inverse @ weighted.T)
+    return _EnergyFit(values, covariance, rest, inverse @ weighted.T)
 
 
 def _of_arcs(model: PowerModel, half: float) -> float:

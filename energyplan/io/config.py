@@ -72,7 +72,7 @@ class ProjectFile(_Strict):
     defaults: dict[str, Any] = {}
 
 
-class _Term(_Strict):
+class _TermEntry(_Strict):
     name: str
     value: Finite
     std_error: Finite | None = None
@@ -85,7 +85,7 @@ class _Model(_Strict):
     kind: Literal["model"] = "model"
     name: str = "model"
     vehicle: dict[str, Any] | str
-    terms: list[_Term]
+    terms: list[_TermEntry]
     covariance: list[list[Finite]] | None = None
     residual: Residual | None = None
 
@@ -373,7 +373,7 @@ def _unusual(given: Mapping[str, Any]) -> Doubts:
             yield (name, *at), text
 
 
-def _term(item: _Term) -> Term:
+def _term(item: _TermEntry) -> Term:
     """Return the catalogue's term with a file's parameters."""
     known = term(item.name)
     if item.unit is not None and item.unit != known.unit:

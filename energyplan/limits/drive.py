@@ -2,9 +2,9 @@
 
 Between two samples the forward speed and the yaw rate change evenly: both accelerations are
 constant there and jump at the samples. The pose follows the speeds; what the samples' poses differ
-from that is spread evenly. `Drive` cuts each interval where a tread, the body or the yaw rate comes
-to a standstill, because friction changes its direction there, and evaluates the whole power model
-at the ends and in the middle of each subinterval. Energies come from Simpson's rule on these, which
+from that is spread evenly. `Traversal` cuts each interval where a tread, the body or the yaw rate
+comes to a standstill, because friction changes its direction there, and evaluates the whole power
+model at the ends and in the middle of each subinterval. Energies come from Simpson's rule on these, which
 is exact while the power is a cubic in time; where it is not, they are halved until it is nearly so.
 """
 
@@ -117,7 +117,7 @@ class Pieces(NamedTuple):
         )
 
 
-class Part(NamedTuple):
+class GroundPieces(NamedTuple):
     """Subintervals on one ground, with their motion."""
 
     model: PowerModel  # the power model there
@@ -136,7 +136,7 @@ class Quadrature(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drive:
+class Traversal:
     """A trajectory with what is known along it and what it is driven on."""
 
     trajectory: Trajectory  # the trajectory
@@ -196,10 +196,10 @@ class Drive:
         """Absolute speed along the heading at begin, middle, end of subintervals [m/s], (m, 3)."""
         return np.abs(self._between(scale * self.trajectory.v, pieces))
 
-    def parts(self, pieces: Pieces, scale: float = 1.0) -> Iterator[Part]:
+    def parts(self, pieces: Pieces, scale: float = 1.0) -> Iterator[GroundPieces]:
         """Yield the motion of subintervals, driven `scale` times as fast, ground by ground."""
         if self.ground.surfaces is None:
-            yield Part(
+            yield GroundPieces(
                 self.ground.model, 0, np.arange(len(pieces.interval)),
                 self._motion(self.ground.model, pieces, scale),
             )  # fmt: skip
@@ -209,7 +209,7 @@ class Drive:
             here = regions == region
             model = self.ground.models[region]
             motion = self._motion(model, pieces.take(here), scale)
-            yield Part(model, int(region), np.flatnonzero(here), motion)
+            yield GroundPieces(model, int(region), np.flatnonzero(here), motion)
 
     def _poses(self, pieces: Pieces) -> FloatArray:
         """Poses at the beginning, in the middle and at the end of subintervals, shape (m, 3, 3)."""

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import InvalidInputError
-from energyplan.limits.drive import Drive, Ground, Pieces
+from energyplan.limits.drive import Ground, Pieces, Traversal
 from energyplan.limits.motor import UNITS, Limit, Limits, largest_within, relative
 from energyplan.limits.motor_kernels import intervals, shortest_window, window_mean
 from energyplan.motion import Motion
@@ -246,7 +246,7 @@ def check(
         battery_return=battery_return,
     )
     ground = Ground(*laid_out(model, trajectory.poses[:, :2], surfaces, heights))
-    drive = LimitedDrive(Drive(trajectory, ground, dict(channels or {})), limits)
+    drive = LimitedDrive(Traversal(trajectory, ground, dict(channels or {})), limits)
     survey = drive.survey()
     violations = sorted(survey.violations, key=lambda v: (v.start, v.end))
     worst = None
@@ -463,13 +463,13 @@ class Survey(NamedTuple):
 class LimitedDrive:
     """A drive with the limits that hold on it."""
 
-    drive: Drive
+    drive: Traversal
     limits: Limits
 
     def survey(self, scale: float = 1.0) -> Survey:
         """Evaluate every limit at the beginning, the middle and the end of every subinterval."""
         drive = self.drive
-        watch = _Watch()
+        watch = _LimitMonitor()
         energy = 0.0
         times: list[FloatArray] = []
         drawn: list[FloatArray] = []
@@ -520,7 +520,7 @@ class LimitedDrive:
                 row[part.which] = value
         return PieceLoads(out[0], out[1], out[2], list(out[3:]))
 
-    def _see_acceleration(self, watch: _Watch, pieces: Pieces, scale: float) -> None:
+    def _see_acceleration(self, watch: _LimitMonitor, pieces: Pieces, scale: float) -> None:
         limit = self.limits.motor.acceleration
         if not np.isfinite(limit):
             return
@@ -535,7 +535,7 @@ class LimitedDrive:
             watch.see(bound, np.repeat(t, 2)[1:-1], np.repeat(rate, 2))
 
 
-class _Watch:
+class _LimitMonitor:
     """Collects peaks and violations, joining intervals that meet where two blocks do."""
 
     def __init__(self) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from energyplan.compilation import AnyTable, Column, Floats, FloatTable, Ints, inner, njit
 from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.limits.course import SETTINGS, Course, Points, Sampled, times
-from energyplan.limits.drive import Drive, Ground
+from energyplan.limits.drive import Ground, Traversal
 from energyplan.limits.feasibility import LimitedDrive, Survey
 from energyplan.limits.motor import Limits, Room, largest_within
 from energyplan.motion import Motion
@@ -157,10 +157,10 @@ class Reach:
         """Return the trajectory that passes the points at given rates."""
         return self.course.timed(self.points, rate, self.period)
 
-    def _drive(self, rate: FloatArray) -> Drive:
+    def _drive(self, rate: FloatArray) -> Traversal:
         trajectory, run = self.sampled(rate)
         along = {name: value[run] for name, value in self.channels.items()}
-        return Drive(trajectory, self.ground, along)
+        return Traversal(trajectory, self.ground, along)
 
     def survey(self, rate: FloatArray) -> Survey:
         """Hold the trajectory of given rates against every limit."""

@@ -199,7 +199,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class _Table:
+class _LineFormat:
     """How the lines are to be read."""
 
     names: tuple[str, ...]
@@ -217,7 +217,7 @@ def read_samples(
     name: str = "log",
 ) -> Iterator[Header | Sample | Trouble]:
     """Read samples from lines, of which one before the readings names the columns."""
-    table: _Table | None = None
+    table: _LineFormat | None = None
     head: list[Line] = []  # up to the first readings
     fresh = False  # whether the next line may name the columns anew
     for line in chain(lines, [None]):
@@ -250,7 +250,7 @@ def _table(
     columns: str | Mapping[str, str | Column] | None,
     needed: Collection[str],
     label: str,
-) -> _Table:
+) -> _LineFormat:
     if not any(one.whole for one in head):
         raise DriveLogError(f"{label}, line {head[-1].number} is cut off; it must name the columns")
     if any("\0" in one.text for one in head):
@@ -281,7 +281,7 @@ def _table(
             f"{missing[0]}=NAME, or give a model without it"
         )
     first = dialect.line - 1
-    return _Table(names, dialect.separator, chosen, basic[3:], (*basic, *needed), first)
+    return _LineFormat(names, dialect.separator, chosen, basic[3:], (*basic, *needed), first)
 
 
 def _number(cell: str) -> float:
@@ -298,7 +298,7 @@ def _number(cell: str) -> float:
     return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
 
 
-def _sample(line: Line, table: _Table, place: str) -> Sample | Trouble:
+def _sample(line: Line, table: _LineFormat, place: str) -> Sample | Trouble:
     """Return the sample of a line, or why there is none."""
     if not line.whole:
         return Trouble(place, "the line is cut off; set aside")

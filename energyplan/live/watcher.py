@@ -139,7 +139,7 @@ def watch(
 
 
 @dataclass
-class _Ground:
+class _GroundLearner:
     """A surface of the map, with its learner and the time driven on it."""
 
     online: OnlineIdentifier
@@ -218,7 +218,7 @@ class _Watch:
             raise InvalidInputError(f"done: the mission has no task {unknown}")
         self._battery_side, self._routes = False, Routes()
         self._period = 0.0
-        self._grounds: dict[int, _Ground] = {}
+        self._grounds: dict[int, _GroundLearner] = {}
         self._clock, self._last = 0.0, -inf  # time driven; time of the last sample
         self._back: list[Sample] = []
         self._told_at = self._looked_at = -inf
@@ -231,7 +231,7 @@ class _Watch:
         self._pose: Pose | None = None
         self._aside: Counter[str] = Counter()
         self._again: dict[str, Trouble] = {}
-        self._here: _Ground | None = None
+        self._here: _GroundLearner | None = None
         self._samples, self._unchecked = 0, list[Sample]()
         self._carries = mission is not None and (
             mission.payload > 0 or any(task.payload for task in mission.tasks)
@@ -391,7 +391,7 @@ class _Watch:
         x, y = sample.channels.get("x"), sample.channels.get("y")
         return 0 if x is None or y is None else int(surfaces.region_at((x, y)))
 
-    def _ground(self, region: int) -> _Ground:
+    def _ground(self, region: int) -> _GroundLearner:
         if region not in self._grounds:
             prior = self._prior
             if prior is None and self._mission is not None:
@@ -400,7 +400,7 @@ class _Watch:
                 prior = known or self._mission.model
             if prior is None:
                 raise InvalidInputError("the robot is not known; give a model or a vehicle")
-            self._grounds[region] = _Ground(
+            self._grounds[region] = _GroundLearner(
                 OnlineIdentifier(prior, battery=self._battery_side, period=self._period),
                 memory=self._memory, prior=prior if isinstance(prior, PowerModel) else None,
                 battery=self._battery_side,

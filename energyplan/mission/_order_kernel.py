@@ -249,7 +249,7 @@ class Label(NamedTuple):
     load: float
 
 
-class Store(NamedTuple):
+class LabelStore(NamedTuple):
     """All labels."""
 
     value: FloatTable  # each label's fields, and the least energy of an order that it leads to [J]
@@ -327,18 +327,18 @@ def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float)
 
 
 @inner
-def _label(store: Store, k: int) -> Label:
+def _label(store: LabelStore, k: int) -> Label:
     v = store.value[k]
     return Label(v[0], v[1], v[2], v[3], v[4], v[5], v[6])
 
 
 @inner
-def _with_room(store: Store, count: int, most: int) -> Store:
+def _with_room(store: LabelStore, count: int, most: int) -> LabelStore:
     """Return a store with room for one more label, unless there are too many."""
     if count < len(store.value) or count >= most:
         return store
     more = min(len(store.value), most - len(store.value))
-    return Store(
+    return LabelStore(
         np.concatenate((store.value, np.empty((more, _FIELDS)))),
         np.concatenate((store.link, np.empty((more, 4), np.int64))),
         store.head,
@@ -347,7 +347,7 @@ def _with_room(store: Store, count: int, most: int) -> Store:
 
 
 @inner
-def _take_out(store: Store, bucket: int, k: int, before: int) -> None:
+def _take_out(store: LabelStore, bucket: int, k: int, before: int) -> None:
     """Take a label out of its bucket; what followed from it stays."""
     if before < 0:
         store.head[bucket] = store.link[k, 3]
@@ -375,7 +375,7 @@ def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[flo
 
 
 @inner
-def _lose(store: Store, promise: tuple[float, bool]) -> None:
+def _lose(store: LabelStore, promise: tuple[float, bool]) -> None:
     """Note what a label that is left out for want of room may have reached."""
     store.lost[0] = min(store.lost[0], promise[0])
     if promise[1]:
@@ -393,7 +393,7 @@ def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
 
 @inner
 def _keep(
-    store: Store, stages: Stages, known: Known, stage: int, place: int, new: Label, count: int
+    store: LabelStore, stages: Stages, known: Known, stage: int, place: int, new: Label, count: int
 ) -> bool:
     """Add a label to its bucket; not where one there is as good, or where nothing comes of it."""
     bucket, ahead = stage * len(stages.need) + place, stages.ahead[stage]
@@ -462,7 +462,7 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
     """
     n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
     places = 1 + n + m
-    store = Store(
+    store = LabelStore(
         np.empty((min(_FEW, stages.most), _FIELDS)),
         np.empty((min(_FEW, stages.most), 4), np.int64),
         np.full(len(stages.after) * places, -1, np.int64),

@@ -19,7 +19,7 @@ import numpy as np
 from energyplan.battery import Battery, BatteryModel
 from energyplan.errors import MissionError
 from energyplan.fit.doubts import unfounded
-from energyplan.limits.drive import Drive, Ground
+from energyplan.limits.drive import Ground, Traversal
 from energyplan.mission.types import Mission, Spreads, Task
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
@@ -272,13 +272,13 @@ class Models(ByValue):
         )
         return replace(self.surfaces, surfaces=tuple(laden), keep_out=())
 
-    def drive(self, trajectory: Trajectory, payload: float) -> Drive:
+    def drive(self, trajectory: Trajectory, payload: float) -> Traversal:
         """Return a trajectory over the surfaces with a payload [kg], as the battery feels it."""
         first, *others = (
             self.model_of(k, payload).battery_side() for k in range(len(self._source_of))
         )
         ground = Ground(first, self.surfaces, self.heights, tuple(others))
-        return Drive(trajectory, ground)
+        return Traversal(trajectory, ground)
 
     def priced(self, trajectory: Trajectory, payload: float) -> Consumption:
         """Return what a trajectory takes with a payload [kg], at the battery."""

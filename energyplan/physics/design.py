@@ -149,7 +149,7 @@ LONGEST = 3600.0  # [s]; beyond it, driving the same again shows as much
 
 
 @dataclass(frozen=True)
-class Explanation:
+class Hypothesis:
     """Effects that may be there in addition to the model's own terms."""
 
     effects: tuple[str, ...]  # names of effects of the catalogue or of terms
@@ -192,7 +192,7 @@ class Design:
 
 def design(
     model: PowerModel,
-    explanations: Sequence[Explanation] = (),
+    explanations: Sequence[Hypothesis] = (),
     *,
     grid: OccupancyGrid | None = None,
     square: float = 6.0,
@@ -267,22 +267,22 @@ def design(
     return Design(trajectory, names, pairs, question.probabilities(pairs), _sentence(names, pairs))
 
 
-def explanations_of(report: Mapping[str, Any]) -> tuple[Explanation, ...]:
+def explanations_of(report: Mapping[str, Any]) -> tuple[Hypothesis, ...]:
     """Return what a diagnosis left open, from the document that ``diagnose --json`` printed."""
     try:
         sizes = {e["name"]: float(e["value"]) for e in report.get("effects", ())}
         if report.get("explanations"):
             found = [
-                Explanation(tuple(e["effects"]), float(e["probability"]), sizes)
+                Hypothesis(tuple(e["effects"]), float(e["probability"]), sizes)
                 for e in report["explanations"]
             ]
             return tuple(sorted(found, key=lambda e: -e.probability))
         own = tuple(e["name"] for e in report["effects"])
-        found = [Explanation(own, 1.0, sizes)]
+        found = [Hypothesis(own, 1.0, sizes)]
         for entry in report["effects"]:
             others = tuple(name for name in own if name != entry["name"])
             found += [
-                Explanation((*others, str(rival)), 1.0, sizes) for rival in entry.get("rivals", ())
+                Hypothesis((*others, str(rival)), 1.0, sizes) for rival in entry.get("rivals", ())
             ]
     except (*NO_NUMBER, KeyError, AttributeError):
         raise InvalidInputError(
@@ -318,7 +318,7 @@ class _Question:
     def __init__(
         self,
         model: PowerModel,
-        explanations: tuple[Explanation, ...],
+        explanations: tuple[Hypothesis, ...],
         noise: float,
         tau: float,
         screened: tuple[Term, ...] = (),

@@ -11,8 +11,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from energyplan import html
 from energyplan.errors import InvalidInputError, UnknownNameError
-from energyplan.limits.drive import Drive
 from energyplan.limits.drive import Ground as ModelledGround
+from energyplan.limits.drive import Traversal
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray, Pose, Trajectory, wrap_angle
 from energyplan.physics.engine import PERIOD, Engine, Run, State
@@ -274,7 +274,7 @@ def energy_predicted(
     regions = () if surfaces is None else surfaces.surfaces
     others = tuple(surface.model.battery_side() for surface in regions)
     driven_on = ModelledGround(law.battery_side(), surfaces, heights, others)
-    return Drive(trajectory, driven_on).breakdown()
+    return Traversal(trajectory, driven_on).breakdown()
 
 
 def drive(

@@ -26,7 +26,7 @@ from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
-from energyplan.physics.design import Explanation, design
+from energyplan.physics.design import Hypothesis, design
 from energyplan.physics.driving import Driven, Sensors, drive, energy_predicted
 from energyplan.physics.engine import require_mujoco
 from energyplan.physics.robot import EngineGround, Robot
@@ -113,24 +113,24 @@ class LearnedEffect:
     unit: str
 
 
-class Learned(NamedTuple):
+class LearnedModel(NamedTuple):
     """A model of all drives so far, the effects in it, and what else may explain them."""
 
     model: PowerModel | None
     effects: tuple[LearnedEffect, ...]
-    explanations: tuple[Explanation, ...] = ()
+    explanations: tuple[Hypothesis, ...] = ()
     note: str = ""
 
 
-def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
+def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> LearnedModel:
     """Diagnose all drives so far, all of each of them."""
     try:
         return _learned(logs, vehicle)
     except (NotIdentifiableError, DriveLogError) as reason:
-        return Learned(None, (), note=f"nothing learned: {reason}")
+        return LearnedModel(None, (), note=f"nothing learned: {reason}")
 
 
-def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
+def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> LearnedModel:
     long = [log for log in logs if log.duration >= SHORTEST]
     total = sum(log.duration for log in long)
     if total < DIAGNOSED:
@@ -139,18 +139,18 @@ def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> Learned:
             f"{total:.0f} s of driving are too short to look for effects; "
             "resistance and friction alone were identified"
         )
-        return Learned(model, (), note=note)
+        return LearnedModel(model, (), note=note)
     outcome = diagnose(long, [log.segment(float(log.t[0]), np.inf) for log in long], vehicle)
     found = tuple(LearnedEffect(e.name, e.value, e.std_error, e.unit) for e in outcome.effects)
     most = outcome.explanations[0].probability
     likely = [e for e in outcome.explanations if e.probability > LIKELY * most]
-    return Learned(outcome.model, found, tuple(map(_explanation, likely)))
+    return LearnedModel(outcome.model, found, tuple(map(_explanation, likely)))
 
 
-def _explanation(found: result.Explanation) -> Explanation:
+def _explanation(found: result.Explanation) -> Hypothesis:
     model = found.model
     sizes = {term.name: model.coefficient(term.name) for term in model.terms}
-    return Explanation(found.effects, found.probability, sizes)
+    return Hypothesis(found.effects, found.probability, sizes)
 
 
 SPEED_SHARE = 0.6
@@ -363,7 +363,7 @@ def close_loop(
 
 
 def _survey(
-    explanations: tuple[Explanation, ...],
+    explanations: tuple[Hypothesis, ...],
     model: PowerModel,
     problem: PlanningProblem,
     speed: float,

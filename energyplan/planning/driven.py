@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import InfeasibleMotionError
-from energyplan.limits.drive import Drive, Ground
+from energyplan.limits.drive import Ground, Traversal
 from energyplan.limits.speed import corner_rounding, profile
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Trajectory
@@ -77,7 +77,7 @@ def drive_path(
             path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
             period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
         )  # fmt: skip
-        drive = Drive(timed, Ground(model, surfaces, heights), cost.channels)
+        drive = Traversal(timed, Ground(model, surfaces, heights), cost.channels)
         energies = drive.interval_energies()
         return DrivenPath(
             trajectory=timed,

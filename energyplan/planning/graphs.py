@@ -51,7 +51,7 @@ _RADII = np.linspace(0.0, 1.0, 9)
 """Radii at which a rounded corner is priced, as fractions of the largest."""
 
 
-class State(NamedTuple):
+class DrivenEdge(NamedTuple):
     """An edge as it is driven."""
 
     source: Hashable
@@ -64,7 +64,7 @@ class State(NamedTuple):
 class Edges:
     """All ways to drive the edges of a graph, as arrays in the order of `states`."""
 
-    states: tuple[State, ...]
+    states: tuple[DrivenEdge, ...]
     start: FloatArray  # (n, 2)
     heading: FloatArray
     length: FloatArray
@@ -96,7 +96,7 @@ def positions(graph: Graph) -> dict[Hashable, tuple[float, float]]:
 def edges_of(graph: Graph, reverse: bool) -> Edges:
     """Return every way to drive a graph's edges; undirected edges can be driven both ways."""
     place = positions(graph)
-    states: list[State] = []
+    states: list[DrivenEdge] = []
     rows: list[tuple[float, ...]] = []
     for source, target, *key in graph.edges(keys=True) if graph.is_multigraph() else graph.edges():
         if source == target:
@@ -110,7 +110,7 @@ def edges_of(graph: Graph, reverse: bool) -> Edges:
                     f"the edge from {a!r} to {b!r} has no length; merge these nodes"
                 )
             for gear in (1, -1) if reverse else (1,):
-                states.append(State(a, b, key[0] if key else None, gear))
+                states.append(DrivenEdge(a, b, key[0] if key else None, gear))
                 rows.append((ax, ay, float(np.arctan2(by - ay, bx - ax)), length, gear))
     table = np.array(rows, float).reshape(-1, 5)
     return Edges(tuple(states), table[:, :2], table[:, 2], table[:, 3], table[:, 4])
@@ -127,7 +127,7 @@ def _straight_prices(edges: Edges, prices: Prices) -> FloatArray:
     return np.asarray(sum(prices.motion(ds * part, 0.0, k) for k, part in enumerate(shares.T)))
 
 
-def _with_costs(graph: Graph, costs: Mapping[State, float]) -> Graph:
+def _with_costs(graph: Graph, costs: Mapping[DrivenEdge, float]) -> Graph:
     """Return a copy of a graph with the cost of its edges, less those of infinite cost.
 
     An edge that is driven both ways has the greater cost of the two.
@@ -212,10 +212,10 @@ def energy_graph(
     reverse: bool = True,
     radius: float = 0.0,
     objective: str | Mapping[str, float] = "energy",
-) -> nx.DiGraph[State]:
+) -> nx.DiGraph[DrivenEdge]:
     """Return the graph of states whose shortest paths are the routes of least energy.
 
-    Its nodes are `State` tuples, with the price of driving that edge straight as ``cost``.
+    Its nodes are `DrivenEdge` tuples, with the price of driving that edge straight as ``cost``.
     Its arcs join an edge to the next one; their ``weight`` is the price of the turn at the
     node between them plus that of the next edge, and ``radius`` [m] defines the turn.
     It may start forwards and go on backwards, in which case it turns on the spot. Prices are
@@ -225,7 +225,7 @@ def energy_graph(
     edges = edges_of(graph, reverse and cost.vehicle.reverse)
     straight = _straight_prices(edges, prices)
     states = edges.states
-    out: nx.DiGraph[State] = nx.DiGraph()
+    out: nx.DiGraph[DrivenEdge] = nx.DiGraph()
     for state, price in zip(states, straight.tolist(), strict=True):
         out.add_node(state, cost=price)
     first, then = _successions(graph, edges)
@@ -283,18 +283,18 @@ def _corners(
 
 
 def _cheapest(
-    states: nx.DiGraph[State],
+    states: nx.DiGraph[DrivenEdge],
     source: Hashable,
     target: Hashable,
-    leave: Callable[[State], float],
-    arrive: Callable[[State], float],
-) -> list[State]:
+    leave: Callable[[DrivenEdge], float],
+    arrive: Callable[[DrivenEdge], float],
+) -> list[DrivenEdge]:
     """Return the cheapest states from one node to another; none if nothing joins them.
 
     `leave` and `arrive` price the first state with the turn onto it, and the turn after the last.
     """
     # two more states for the ends, taken out again whatever happens
-    begin, end = State(source, source, "start", 0), State(target, target, "goal", 0)
+    begin, end = DrivenEdge(source, source, "start", 0), DrivenEdge(target, target, "goal", 0)
     first = [(begin, state, leave(state)) for state in states if state.source == source]
     last = [(state, end, arrive(state)) for state in states if state.target == target]
     try:
@@ -317,7 +317,7 @@ class Route:
     """A route on a graph of places."""
 
     nodes: tuple[Hashable, ...]  # the places, from the source to the target
-    states: tuple[State, ...]  # each edge as it is driven
+    states: tuple[DrivenEdge, ...]  # each edge as it is driven
     path: Path  # the motions
     energy: float  # its energy, priced by the model itself [J]
     cost: float  # the objective's value
@@ -339,7 +339,7 @@ class Roadmap:
         return Prices(self.cost, self.surfaces, self.objective)
 
     @cached_property
-    def states(self) -> nx.DiGraph[State]:
+    def states(self) -> nx.DiGraph[DrivenEdge]:
         """The graph of states; see `energy_graph`."""
         return energy_graph(
             self.graph, self.cost, surfaces=self.surfaces, reverse=self.reverse,
@@ -350,7 +350,7 @@ class Roadmap:
     def _places(self) -> dict[Hashable, tuple[float, float]]:
         return positions(self.graph)
 
-    def _yaw(self, state: State) -> float:
+    def _yaw(self, state: DrivenEdge) -> float:
         """Return the robot's yaw while it drives a state [rad]."""
         (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
         return float(np.arctan2(by - ay, bx - ax)) + (0.0 if state.gear > 0 else np.pi)
@@ -372,7 +372,7 @@ class Roadmap:
     ) -> Route:
         """Return the route between two nodes whose objective is least."""
         _check_nodes(self.graph, source, target)
-        states: list[State] = []
+        states: list[DrivenEdge] = []
         if source != target:
             known = self.states
             states = _cheapest(
@@ -407,7 +407,7 @@ class Roadmap:
     def _drive(
         self,
         source: Hashable,
-        sequence: Sequence[State],
+        sequence: Sequence[DrivenEdge],
         start_yaw: float | None,
         goal_yaw: float | None,
     ) -> Path:
@@ -455,9 +455,9 @@ class PlannedGraph:
     """A graph whose edges were planned among obstacles."""
 
     graph: Graph  # the graph less the edges that are closed [J]
-    paths: dict[State, Path]  # what is driven on each edge, by direction
-    energies: dict[State, float]  # what that takes [J]
-    turns: dict[tuple[State, State], float]  # [J]
+    paths: dict[DrivenEdge, Path]  # what is driven on each edge, by direction
+    energies: dict[DrivenEdge, float]  # what that takes [J]
+    turns: dict[tuple[DrivenEdge, DrivenEdge], float]  # [J]
     closed: tuple[ClosedEdge, ...]  # the edges that no path was found for
 
     def route(self, source: Hashable, target: Hashable) -> Path:
@@ -465,7 +465,7 @@ class PlannedGraph:
         _check_nodes(self.graph, source, target)
         if source == target:
             raise InvalidInputError(f"the route from {source!r} leads to itself; give two places")
-        states: nx.DiGraph[State] = nx.DiGraph()
+        states: nx.DiGraph[DrivenEdge] = nx.DiGraph()
         states.add_nodes_from(self.energies)
         for (here, ahead), energy in self.turns.items():
             states.add_edge(here, ahead, weight=energy + self.energies[ahead])
@@ -488,8 +488,8 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
     """Plan every edge of a graph among obstacles."""
     edges = edges_of(graph, reverse=False)
     compile_planning(problem, tight=True)
-    paths: dict[State, Path] = {}
-    energies: dict[State, float] = {}
+    paths: dict[DrivenEdge, Path] = {}
+    energies: dict[DrivenEdge, float] = {}
     closed = []
     longitudinal = problem.cost.icr.longitudinal
     for state, start, yaw, length in zip(
@@ -513,7 +513,7 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
         paths[state] = path
         energies[state] = problem.terrain.price(path, problem.cost).energy
     turns = _turns(paths, problem)
-    after: dict[State, list[float]] = {}
+    after: dict[DrivenEdge, list[float]] = {}
     for (here, ahead_of_it), energy in turns.items():
         # who turns back where there is another way has come in vain
         if ahead_of_it.target != here.source:
@@ -530,9 +530,11 @@ def _motion(start: Pose, ds: float, turn: float, longitudinal: float) -> Path:
     return Path(start, np.array([ds]), np.array([turn]), longitudinal)
 
 
-def _turns(paths: dict[State, Path], problem: PlanningProblem) -> dict[tuple[State, State], float]:
+def _turns(
+    paths: dict[DrivenEdge, Path], problem: PlanningProblem
+) -> dict[tuple[DrivenEdge, DrivenEdge], float]:
     """Return what turns on the spot from each edge to those that may follow take, where free."""
-    leaving: dict[Hashable, list[State]] = {}
+    leaving: dict[Hashable, list[DrivenEdge]] = {}
     for state in paths:
         leaving.setdefault(state.source, []).append(state)
     found = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Tracking(NamedTuple):
+class RouteTracking(NamedTuple):
     """Constants of turning a route into motions."""
 
     back: tuple[int, ...] = (1, 2, 3, 5, 8, 13, 21)  # how many poses back a pose is joined to
@@ -15,7 +15,7 @@ class Tracking(NamedTuple):
     across: tuple[tuple[float, int], ...] = ((1.0, 600), (0.25, 1500))
 
 
-TRACKING = Tracking()
+TRACKING = RouteTracking()
 
 
 class RouteSearch(NamedTuple):

@@ -127,7 +127,7 @@ def costs_from_message(message: Any) -> CostMap:
     return CostMap(costs, *_placed(message))
 
 
-class _Cells(NamedTuple):
+class _Occupancy(NamedTuple):
     """Cells of a message, shape (rows, columns)."""
 
     values: NDArray[np.int_]
@@ -135,7 +135,7 @@ class _Cells(NamedTuple):
     unknown: NDArray[np.bool_]
 
 
-def _cells(message: Any, occupied_from: int | None) -> _Cells:
+def _cells(message: Any, occupied_from: int | None) -> _Occupancy:
     costs = hasattr(message, "metadata")
     # an update says itself how large it is
     info = message if hasattr(message, "width") else field(message, "metadata" if costs else "info")
@@ -168,7 +168,7 @@ def _cells(message: Any, occupied_from: int | None) -> _Cells:
         )
     cells = data.reshape(int(height), int(width))
     unknown = cells == unknown_value
-    return _Cells(cells.astype(int), (cells >= least) & ~unknown, unknown)
+    return _Occupancy(cells.astype(int), (cells >= least) & ~unknown, unknown)
 
 
 def _placed(message: Any) -> tuple[float, Pose]:

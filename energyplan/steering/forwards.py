@@ -23,7 +23,7 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.path import ANGLE, Pose
 from energyplan.steering.kernels import (
     MIN_RATIO,
-    Between,
+    RelativePose,
     between_poses,
     free_switches,
     straight,
@@ -272,7 +272,7 @@ def _written(word: Forward, x: float, y: float, eta: float, ds: Floats, dtheta: 
 class _Two(NamedTuple):
     """Two poses as both ways of turning see them, and the cheapest word of either."""
 
-    between: Between
+    between: RelativePose
     left: Forward
     right: Forward  # in a mirror, from the opposite middle heading; the better one if it is finite
 

@@ -32,7 +32,7 @@ MAX_SEGMENTS = 256
 MIN_RATIO = 1e-9  # beta / (a C); below it the excursion equation degenerates
 
 
-class Between(NamedTuple):
+class RelativePose(NamedTuple):
     """Two poses, seen from the middle of their headings."""
 
     x: float  # x of the displacement of the midpoint of the tread ICRs, in half slip tracks
@@ -44,7 +44,7 @@ class Between(NamedTuple):
 def between_poses(
     dx: float, dy: float, theta0: float, theta1: float, half_track: float, longitudinal: float,
     lateral: float,
-) -> Between:  # fmt: skip
+) -> RelativePose:  # fmt: skip
     """Return two poses as they are seen from the middle of their headings."""
     if longitudinal != 0.0 or lateral != 0.0:
         c0, s0, c1, s1 = math.cos(theta0), math.sin(theta0), math.cos(theta1), math.sin(theta1)
@@ -55,7 +55,7 @@ def between_poses(
         turn = 0.0
     middle = theta0 + 0.5 * turn
     c, s = math.cos(middle), math.sin(middle)
-    return Between((c * dx + s * dy) / half_track, (c * dy - s * dx) / half_track, turn)
+    return RelativePose((c * dx + s * dy) / half_track, (c * dy - s * dx) / half_track, turn)
 
 
 @njit

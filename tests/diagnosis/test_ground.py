@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis.candidates import Lines
+from energyplan.diagnosis.candidates import ContactTraces
 from energyplan.fit.drive import Drive
 from energyplan.motion import Motion
 from energyplan.power.effects import SLIP_BEYOND, catalogue
@@ -18,12 +18,12 @@ VEHICLE = ROBOT.vehicle
 BORDER = catalogue()["surface_border"]
 
 
-def ground(x: np.ndarray, yaw: np.ndarray, away: float = 0.0) -> Lines:
+def ground(x: np.ndarray, yaw: np.ndarray, away: float = 0.0) -> ContactTraces:
     """The ground under a robot that always moves, ten samples a second."""
     t = 0.1 * np.arange(len(x))
     channels = {"x": x + away, "y": 0.0 * t - away, "yaw": yaw}
     motion = Motion(0.0 * t - 0.2, 0.0 * t + 0.2, VEHICLE.icr, channels)
-    return Lines([replace(Drive.at(motion), t=t)], VEHICLE)
+    return ContactTraces([replace(Drive.at(motion), t=t)], VEHICLE)
 
 
 def test_wheels_cross_a_line_that_the_middle_of_the_robot_does_not() -> None:

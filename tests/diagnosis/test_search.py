@@ -9,7 +9,7 @@ import pytest
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.diagnosis.candidates import mark_changes
-from energyplan.diagnosis.search import Search
+from energyplan.diagnosis.search import EffectSearch
 from energyplan.fit.drive import ON_TIME, prepared
 from energyplan.fit.estimate import PAPER, Problem
 from energyplan.power.effects import (
@@ -26,14 +26,14 @@ NAMES = ("copper_loss", "dragging_wheel_left", "towed_drag")
 
 
 @pytest.fixture
-def search(made: Search) -> Search:
+def search(made: EffectSearch) -> EffectSearch:
     """A search over three effects, on a drive that has them; no set is fitted yet."""
     made.evaluated.clear()
     return made
 
 
 @pytest.fixture(scope="module")
-def made() -> Search:
+def made() -> EffectSearch:
     """The same for all tests: they number candidates differently, and share what was fitted."""
     model = ROBOT
     for term, size in ((COPPER_LOSS, 4e-4), (DRAGGING_LEFT, 40.0), (TOWED_DRAG, 45.0)):
@@ -43,14 +43,14 @@ def made() -> Search:
     )
     effects = [catalogue()[name] for name in NAMES]
     problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
-    found = Search(problem, effects, lambda *_: None, 4)
+    found = EffectSearch(problem, effects, lambda *_: None, 4)
     found.quick.errors = problem.reference(problem.design(ROBOT.terms))
     return found
 
 
 def one_drive(
     model: PowerModel, names: tuple[str, ...], disturbed: float = 0.0, late: float = 0.0
-) -> Search:
+) -> EffectSearch:
     """Return a search over some effects, on a drive with a power that none of them has."""
     log = simulate.drive(
         model, simulate.IDENTIFICATION, rate=10.0, speed=0.7, power_noise=1.0, measured="total",
@@ -60,7 +60,7 @@ def one_drive(
     swing = np.sqrt(2.0) * size * np.sin(2.0 * np.pi * log.t / 23.0)
     log = DriveLog({**log.channels, "power": log.power + swing}, log.name)
     problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
-    made = Search(problem, [catalogue()[name] for name in names], lambda *_: None, 4)
+    made = EffectSearch(problem, [catalogue()[name] for name in names], lambda *_: None, 4)
     made.quick.errors = problem.reference(problem.design(ROBOT.terms))
     return made
 
@@ -89,7 +89,7 @@ def test_a_change_leaves_a_tenth_of_a_drive_on_either_side() -> None:
     assert 0.09 < float(np.mean(marked.drives[0].motion.channels["changed"])) < 0.91
 
 
-def bordered() -> Search:
+def bordered() -> EffectSearch:
     """A search on a drive that begins with spins whose wheels cross a border."""
     line = replace(SLIP_BEYOND, params={"direction": -1.0, "offset": 0.2})
     return one_drive(ROBOT.with_term(line, 0.3), ("surface_border",))

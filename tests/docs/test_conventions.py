@@ -187,8 +187,8 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 
 CHANGING = {
-    "demo._Demo", "diagnosis.search.Evaluated",
-    "live.watcher._Drawn", "live.watcher._Ground", "mission.energy.Models", "output.pages.Page",
+    "demo._Demo", "diagnosis.search.FittedSet", "live.watcher._Drawn",
+    "live.watcher._GroundLearner", "mission.energy.Models", "output.pages.Page",
     "planning.search.first.Paths", "planning.search.lattice.Search", "sources._Definition",
     "terrain.updates.Tables",
 }  # fmt: skip

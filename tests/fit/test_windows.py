@@ -27,7 +27,7 @@ from energyplan.fit.drive import (
     prepared,
     split_drives,
 )
-from energyplan.fit.regressors import Design, linearise_drive
+from energyplan.fit.regressors import DesignMatrix, linearise_drive
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.power import (
@@ -176,11 +176,11 @@ def test_short_logs_are_refused_and_long_ones_thinned(monkeypatch: pytest.Monkey
     assert [len(d.t) for d in prepared([log(20.0)], MODEL.vehicle)] == [167]
 
 
-def designed(lengths: list[int]) -> tuple[list[Drive], Design]:
+def designed(lengths: list[int]) -> tuple[list[Drive], DesignMatrix]:
     drives = [drive(n, 0.1, seed) for seed, n in enumerate(lengths)]
     columns = [np.random.default_rng(9).normal(size=(n, 2, 3)) for n in lengths]
     targets = [np.random.default_rng(8).normal(size=(n, 2)) for n in lengths]
-    return drives, Design.of(drives, columns, targets)
+    return drives, DesignMatrix.of(drives, columns, targets)
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ import pytest
 import energyplan as ep
 from energyplan import Motion
 from energyplan.errors import InvalidInputError
-from energyplan.physics.design import Explanation, design, explanations_of
+from energyplan.physics.design import Hypothesis, design, explanations_of
 from energyplan.power import Sides
 from energyplan.power.effects import term
 
 MODEL = ep.PowerModel.preset("quadriga:full:concrete")
-SPEEDS = (Explanation(("viscous_loss",), values={"viscous_loss": 60.0}), Explanation(("air_drag",)))
+SPEEDS = (Hypothesis(("viscous_loss",), values={"viscous_loss": 60.0}), Hypothesis(("air_drag",)))
 
 
 def test_a_slow_and_a_fast_part_tell_viscous_loss_from_drag() -> None:
@@ -50,7 +50,7 @@ def test_a_screening_drive_shows_what_the_parameters_alone_do_not_ask_for() -> N
 
 def test_what_no_drive_can_tell_is_said() -> None:
     """On level ground an accelerometer feels what inertia asks for."""
-    made = design(MODEL, [Explanation(("linear_inertia",)), Explanation(("specific_force",))])
+    made = design(MODEL, [Hypothesis(("linear_inertia",)), Hypothesis(("specific_force",))])
     assert all(pair.log_odds < 0.01 for pair in made.separates)
     assert dict(made.probabilities_expected)["linear inertia"] == pytest.approx(0.5, abs=0.01)
     assert "not expected to separate" in made.sentence

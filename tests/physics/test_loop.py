@@ -23,7 +23,7 @@ from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, sw
 from energyplan.physics.driving import energy_predicted
 from energyplan.physics.loop import (
     SPEED_SHARE,
-    Learned,
+    LearnedModel,
     Round,
     Steered,
     believed,
@@ -173,7 +173,9 @@ def test_an_interval_that_says_nothing_closes_nothing() -> None:
 
 def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     stuck = MODEL.with_term(term("dragging_wheel_left"), 1e4)
-    monkeypatch.setattr("energyplan.physics.loop.learn", lambda logs, vehicle: Learned(stuck, ()))
+    monkeypatch.setattr(
+        "energyplan.physics.loop.learn", lambda logs, vehicle: LearnedModel(stuck, ())
+    )
     made = close_loop(
         PROBLEM,
         EngineDrives(switch_on(Robot.from_model(MODEL), [Effect("payload", 30.0)])),

@@ -53,7 +53,7 @@ FACINGS = 16
 """Number of sectors of headings that the search distinguishes."""
 
 
-class Route(NamedTuple):
+class PricedRoute(NamedTuple):
     """A route whose turns are priced."""
 
     chain: Ints  # its nodes, from the start to the goal
@@ -108,7 +108,9 @@ def cheapest_routes(
 
 
 @njit
-def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int) -> Route:
+def cheapest_route(
+    to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int
+) -> PricedRoute:
     """Return the nodes along the way that is cheapest by its length and its turns."""
     places = to_go.places
     space = setting.space
@@ -144,7 +146,7 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
     none = np.empty(0, np.int64)
     start = node_at(to_go, space, setting.start)
     if start < 0 or to_go.distance[start] == inf:
-        return Route(none, inf, 0)
+        return PricedRoute(none, inf, 0)
     count = 0
     size = 0
     yaw = setting.start.yaw - space.yaw
@@ -252,8 +254,8 @@ def cheapest_route(to_go: CostToGo, setting: KernelProblem, penalties: Floats, m
                 size = push(heap_f, heap_state, size, gg + hh, count)
                 count += 1
     if best < 0:
-        return Route(none, inf, looked)
-    return Route(_chain_of(to_go, node_of, parent, best), least, looked)
+        return PricedRoute(none, inf, looked)
+    return PricedRoute(_chain_of(to_go, node_of, parent, best), least, looked)
 
 
 @inner
