@@ -4,8 +4,9 @@ Between two samples the forward speed and the yaw rate change evenly: both accel
 constant there and jump at the samples. The pose follows the speeds; what the samples' poses differ
 from that is spread evenly. `Traversal` cuts each interval where a tread, the body or the yaw rate
 comes to a standstill, because friction changes its direction there, and evaluates the whole power
-model at the ends and in the middle of each subinterval. Energies come from Simpson's rule on these, which
-is exact while the power is a cubic in time; where it is not, they are halved until it is nearly so.
+model at the ends and in the middle of each subinterval. Energies come from Simpson's rule on these,
+which is exact while the power is a cubic in time; where it is not, they are halved until it nearly
+is.
 """
 
 from __future__ import annotations

@@ -284,7 +284,7 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     assert not left.value.code
     told = json.loads(capsys.readouterr().out)
     assert told["feasible"]
-    names = [task for one in told["robots"] for task in one["tasks"]]
+    names = [task["name"] for one in told["robots"] for task in one["tasks"]]
     assert len(names) == len(set(names)) == 4
     assert told["after_failure"]["robot"] == "alpha"
     assert {one["name"] for one in told["after_failure"]["robots"]} <= {"beta", "gamma"}
