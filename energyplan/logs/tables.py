@@ -580,9 +580,11 @@ def read_table(
         return join([read_table(file, error) for file in files], shifts, clock)
     file = Path(path)
     with _reading(file, error):
-        if _suffix(file, error) == ".parquet":
-            return _read_parquet(file, error)
-        return _read_csv(file, error)
+        parquet = _suffix(file, error) == ".parquet"
+        found = _read_parquet(file, error) if parquet else _read_csv(file, error)
+    if found.columns and not any(map(len, found.columns.values())):
+        raise error(f"{found.source}: no row follows the names of the columns; record it again")
+    return found
 
 
 _SHIFTS = {"s": 1.0, "min": 60.0, "h": 3600.0}

@@ -130,7 +130,7 @@ HEAD = "t,v_left,v_right,power\n"
     [
         ("", "is empty"),
         ("\n", "is empty"),
-        (HEAD, "0 usable samples"),
+        (HEAD, "no row follows the names of the columns"),
         (HEAD + "0,1,1,5\n", "1 usable samples"),
         ("0,1,1,5\n1,1,1,5\n", "line 1 holds numbers"),
         (HEAD.replace(",", ";") + "0;1;1;5\n", "1 usable samples"),
