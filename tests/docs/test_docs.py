@@ -395,6 +395,19 @@ def test_the_readme_has_the_figures_of_the_model_card() -> None:
     assert f"{inside.partition(' (')[0]} lay in their 90 % interval" in said
 
 
+def test_the_tests_that_pages_name_exist() -> None:
+    named = [
+        (page.stem, place, word)
+        for page in PAGES
+        for place, word in re.findall(r"(tests/[\w/.]+) -k (\w+)", page.read_text())
+    ]
+    assert len(named) > 8
+    for page, place, word in named:
+        found = ROOT / place
+        texts = [file.read_text() for file in ([found] if found.is_file() else found.rglob("*.py"))]
+        assert any(re.search(rf"def test_\w*{word}", text) for text in texts), (page, place, word)
+
+
 def imported(code: str) -> Iterator[str]:
     """Yield the names of this package that code imports."""
     for node in ast.walk(ast.parse(code)):
