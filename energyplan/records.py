@@ -648,12 +648,12 @@ UNITS: dict[str, dict[str, float]] = {
     "mass": {"kg": 1.0, "g": 1e-3},
     "fraction": {"%": 0.01},
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
-    "temperature": {"C": 1.0},
+    "temperature": {"degC": 1.0, "°C": 1.0, "C": 1.0},
     "angle": {"rad": 1.0, "deg": radians(1.0)},
 }
 _BARE = {"charge": (1000.0, "Ah")}
 """Below how much a plain number is doubted, and the unit that was meant: no robot has so little."""
-_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%]*)\s*")
+_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%°]*)\s*")
 
 
 def amount(kind: str, value: Any, doubted: bool = True) -> Any:
@@ -667,7 +667,10 @@ def amount(kind: str, value: Any, doubted: bool = True) -> Any:
             raise ValueError("give a number" + (f", in {', '.join(units)}" if units else ""))
         value, unit = float(found[1]), found[2]
         if unit and unit not in units:
-            raise ValueError(f"the unit of a {kind} is one of {', '.join(units)}, or none for SI")
+            plain = next((name for name, factor in units.items() if factor == 1.0), "SI")
+            raise ValueError(
+                f"the unit of a {kind} is one of {', '.join(units)}, or none for {plain}"
+            )
     if isinstance(value, bool):
         raise ValueError("give a number")
     least, meant = _BARE.get(kind, (0.0, ""))

@@ -348,3 +348,10 @@ def test_annotations_of_public_functions_are_understood() -> None:
             told = records._kinds(value.__wrapped__)
             wanted = set(inspect.signature(value).parameters) - {"options"}
             assert wanted & set(told), name
+
+
+@pytest.mark.parametrize("text", ["-5 degC", "-5 °C", "-5 C", "-5"])
+def test_temperatures_are_written_in_degrees_of_either_spelling(text: str) -> None:
+    assert records.amount("temperature", text) == -5.0
+    with pytest.raises(ValueError, match="one of degC, °C, C, or none for degC"):
+        records.amount("temperature", "268 K")

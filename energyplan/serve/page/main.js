@@ -342,7 +342,9 @@ function verdicts(told) {
     one.tint = several ? TINTS[k % TINTS.length] : "--least";
     for (const { trajectory } of one.legs) chart.route(trajectory.x.map((x, j) => [x, trajectory.y[j]]), one.tint);
   });
-  say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.`, told.tasks.some((task) => task.verdict !== "reachable"));
+  const less = (told.remedies ?? []).map(({ amount }) =>
+    ` Leave the chargers at ${(100 * amount).toFixed(0)} %: ${(told.time_saved / 60).toFixed(0)} min less.`);
+  say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.${less.join("")}`, told.tasks.some((task) => task.verdict !== "reachable"));
   told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
   const full = (soc) => soc == null ? "–" : `${(100 * soc).toFixed(0)} %`;
   const named = (one, text) => (several ? `${one.name}: ${text}` : text);
