@@ -701,7 +701,6 @@ Coulombs = Annotated[float, amount_of("charge")]
 Finite = Annotated[float, amount_of("number"), Field(allow_inf_nan=False)]
 Celsius = Annotated[float, amount_of("temperature"), Field(allow_inf_nan=False)]
 ABOVE, FROM = Field(gt=0), Field(ge=0)
-FINITE = Field(ge=0, allow_inf_nan=False)
 
 
 def instance_of(*wanted: type) -> _Fits:

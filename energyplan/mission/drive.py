@@ -13,8 +13,8 @@ import numpy as np
 from energyplan.mission._order_kernel import GRAM
 from energyplan.mission.energy import Consumption, Estimate
 from energyplan.mission.routes import Leg, Legs
-from energyplan.mission.types import ROUNDING, Charger, Mission
-from energyplan.path import FloatArray, Pose, Trajectory
+from energyplan.mission.types import Charger, Mission
+from energyplan.path import ROUNDING, FloatArray, Pose, Trajectory
 
 Kind = Literal["start", "drive", "wait", "work", "charge", "end"]
 

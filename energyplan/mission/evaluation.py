@@ -22,7 +22,8 @@ from energyplan.mission.drive import SAGS, Attempt, Simulation, Status
 from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport, stops
 from energyplan.mission.routes import Legs, Progress, Routes, Scene
-from energyplan.mission.types import ROUNDING, Mission, Remedy
+from energyplan.mission.types import Mission, Remedy
+from energyplan.path import ROUNDING
 from energyplan.records import checked
 
 

@@ -36,8 +36,8 @@ from energyplan.mission._order_kernel import (
 from energyplan.mission.drive import Attempt, Simulation, Status, Visit
 from energyplan.mission.energy import Estimate
 from energyplan.mission.routes import Progress
-from energyplan.mission.types import ROUNDING, Task
-from energyplan.path import FloatArray
+from energyplan.mission.types import Task
+from energyplan.path import ROUNDING, FloatArray
 
 Record = TypeVar("Record", OrderProblem, Stages)
 

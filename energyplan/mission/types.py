@@ -154,9 +154,6 @@ Place = Annotated[Pose, PlainValidator(_pose)]
 LARGEST = 1e12
 """Largest instant [s] or prize of a task."""
 
-ROUNDING = 1e-9
-"""Relative difference of numbers that are the same but for rounding."""
-
 Name = Annotated[str, Field(min_length=1)]
 Duration = Annotated[Time, Within((0, 1e8), (0, 86400), "s")]
 ToolPower = Annotated[Power, Within((0, 1e6), (0, 2e4), "W")]

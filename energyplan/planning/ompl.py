@@ -22,7 +22,7 @@ from typing_extensions import override
 
 from energyplan.compilation import njit
 from energyplan.errors import TimeLimitError, UnknownNameError
-from energyplan.path import Pose
+from energyplan.path import ROUNDING, Pose
 from energyplan.planning.budget import UNLIMITED, Budget
 from energyplan.planning.plans import Candidate
 from energyplan.planning.problem import PlanningProblem
@@ -35,10 +35,6 @@ from energyplan.terrain.collision import pose_free
 
 MOTION, ESTIMATE = 0.5, 0.1
 """Units of work per motion that OMPL requests, and per round or cost that it estimates."""
-
-
-ROUNDING = 1e-9
-"""Fraction by which a cost summed over parts of a motion may lie below that of the whole."""
 
 
 def _pose(state: Any) -> Pose:
@@ -81,6 +77,7 @@ class EnergyObjective(base.OptimizationObjective):
         self._budget.spend(ESTIMATE)
         a, b = _pose(first), _pose(second)
         least = steer_energy(b.x - a.x, b.y - a.y, a.yaw, b.yaw, self._setting.steering)
+        # the costs of the parts of a motion may add up to less than that of the whole
         return base.Cost(least * (1.0 - ROUNDING))
 
 

@@ -36,15 +36,12 @@ from energyplan.errors import (
     UnknownNameError,
     UnsupportedPlannerError,
 )
-from energyplan.path import FloatArray, Path
+from energyplan.path import ROUNDING, FloatArray, Path
 from energyplan.planning.budget import SHARES, Budget, plan_budget
 from energyplan.planning.driven import DrivenPath, drive_plan
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.records import check_fields, checked
-
-ROUNDING = 1e-9
-"""By what fraction a lower bound may lie above the cost of a path: rounding."""
 
 
 @dataclass(frozen=True)

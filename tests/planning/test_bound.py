@@ -14,7 +14,7 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.io.maps import read_map
-from energyplan.path import Path, Pose
+from energyplan.path import ROUNDING, Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
 from energyplan.planning.bound import EFFORT, corners, line, lower_bound
 from energyplan.planning.bound.corners import DiscEnds, ways_to_goal
@@ -30,7 +30,6 @@ from energyplan.planning.bound.line import (
 )
 from energyplan.planning.bound.outline import DETAILS, no_links, outline_for, sight
 from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
-from energyplan.planning.plans import ROUNDING
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import term
