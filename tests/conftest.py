@@ -21,7 +21,7 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("varied", deadline=None)
 settings.load_profile("repeatable")
 
-collect_ignore = ["fuzz", "mutation.py"]  # scripts for the night
+collect_ignore = ["mutation.py"]  # a script for the night
 
 
 @pytest.hookimpl(wrapper=True)

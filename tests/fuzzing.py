@@ -1,8 +1,7 @@
-"""What both fuzzers share: sound files, how they are broken, and what counts as an answer.
+"""Sound files for `test_fuzz`, how they are broken, and what counts as an answer.
 
-`test_fuzz` draws inputs with hypothesis, `fuzz/parsers` with atheris, which follows the branches
-that an input takes. An answer is a result without a NaN or a named error. What is none: any other
-exception, a warning of NumPy's, more than a minute or more than half a gigabyte for one input.
+An answer is a result without a NaN or a named error. What is none: any other exception, a warning
+of NumPy's, more than a minute or more than half a gigabyte for one input.
 """
 
 from __future__ import annotations
