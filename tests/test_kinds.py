@@ -57,6 +57,11 @@ cells = partial(
 DATES = pd.date_range("2026", periods=2)
 
 
+def log(*times: float, power: float = 9.0) -> ep.DriveLog:
+    same = dict.fromkeys(("v_left", "v_right"), [1.0] * len(times))
+    return ep.DriveLog.from_columns({"t": times, **same, "power": [power] * len(times)})
+
+
 def robot(**changes: object) -> ep.Vehicle:
     sizes = {"mass": 20, "wheelbase": 0.3, "track": 0.4, "length": 0.5, "width": 0.45}
     return ep.Vehicle.from_geometry("small", **sizes | changes)  # type: ignore[arg-type]
@@ -191,6 +196,17 @@ ep.MotorLimits(continuous_power=100.0, peak_power=50.0) | below continuous_power
 ep.MotorLimits(force=float('nan')) | motor limit force is nan
 ep.Vehicle.preset('jakal') | unknown vehicle preset 'jakal'; known: .*jackal
 robot(mass=0) | mass is 0; give 0.05 to
+# nothing, or too little
+log() | 0 usable samples are left, two are needed
+log(0) | 1 usable samples are left
+log(0, 0) | the row repeats the one before
+log(0, 1, power=math.nan) | power has no usable reading
+ep.identify([], VEHICLE) | no logs; give at least one drive
+ep.speed.profile(ep.Path((0, 0, 0), [], []), MODEL) | the path has no length
+ep.OccupancyGrid(np.zeros((0, 0), bool), 0.1) | shape \(0, 0\)
+LOG.segment(0.01, 0.02) | 0 samples lie in 0.01 <= t < 0.02 s
+mission(tasks=[]) | the mission has no task; list at least one
+ep.Battery('none', 3600.0, [], [], 0.1) | soc_points is \[\]
 """
 """What Python is given, and what the message says."""
 

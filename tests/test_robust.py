@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -99,34 +98,6 @@ def test_a_log_whose_heading_jumps_by_whole_turns_is_the_same_log() -> None:
 
 
 # -- empty and degenerate input -----------------------------------------------------------------
-
-
-def _log(**columns: object) -> ep.DriveLog:
-    return ep.DriveLog.from_columns(columns)
-
-
-EMPTY: dict[str, Callable[[], object]] = {
-    "log without samples": lambda: _log(t=[], v_left=[], v_right=[], power=[]),
-    "log of one sample": lambda: _log(t=[0], v_left=[1], v_right=[1], power=[9]),
-    "log of one instant": lambda: _log(t=[0, 0], v_left=[1, 1], v_right=[1, 1], power=[9, 9]),
-    "log without a reading": lambda: _log(t=[0, 1], v_left=[1, 1], v_right=[1, 1],
-                                          power=[math.nan] * 2),
-    "identification without logs": lambda: ep.identify([], MODEL.vehicle),
-    "path without segments": lambda: ep.speed.profile(
-        ep.Path(Pose(0, 0, 0), ds=[], dtheta=[]), MODEL),
-    "map without cells": lambda: ep.OccupancyGrid(np.zeros((0, 0), bool), resolution=0.1),
-    "segment between two samples": lambda: simulate.drive(MODEL, "spin").segment(0.01, 0.02),
-    "mission without tasks": lambda: ep.Mission(
-        model=MODEL, map=ep.OccupancyGrid(np.zeros((9, 9), bool), resolution=1.0),
-        battery=ep.Battery.preset("quadriga"), start=(4, 4, 0), tasks=[]),
-    "battery without a curve": lambda: ep.Battery("none", 3600.0, [], [], 0.1),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", EMPTY)
-def test_what_is_empty_is_refused_by_name(case: str) -> None:
-    with pytest.raises(EnergyPlanError):
-        EMPTY[case]()
 
 
 def test_start_at_the_goal_takes_nothing() -> None:

@@ -127,21 +127,6 @@ def test_the_same_route_twice_is_told_of_once(run: Run) -> None:
     assert result.err.count("the path has no length") == 1
 
 
-def test_interrupting_is_clean(
-    run: Run, spiral: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("energyplan.io.logs.read_log", interrupted)
-    out = tmp_path / "model.yaml"
-    out.write_text("as it was")
-    result = run("identify", spiral, "--vehicle", "quadriga", "--out", out)
-    assert result.code == 130
-    assert result.err == "energyplan: interrupted; no file is half written\n"
-    assert out.read_text() == "as it was"
-
-
 def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     asc, areas, picture = (tmp_path / f"range.{end}" for end in ("asc", "geojson", "svg"))
     options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",

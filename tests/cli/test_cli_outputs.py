@@ -349,6 +349,10 @@ design --model model.yaml --duration 1e9 | give
 export lattice --model model.yaml --out l.json --resolution 1e-9 | give
 export graph none.geojson --map office.yaml --model model.yaml | none.geojson: no nodes or no edges
 {plan} --former none.csv | none.csv
+watch - | give --model, --vehicle or --mission
+watch - --model a --vehicle b | give one of them
+watch none.csv --vehicle quadriga --once | none.csv cannot be read
+identify none.csv --vehicle quadriga --angle 9rad | goes with --spin
 serve . --port=99999 | '99999' should be less than
 """
 

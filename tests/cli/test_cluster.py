@@ -131,17 +131,6 @@ def test_logs_and_route_graphs_are_answered_by_the_same_function(
         assert {key: found[str(file)][key] for key in alone} == alone
 
 
-def test_missions_in_python_take_the_cluster_for_an_executor(
-    address: str, missions: list[Path]
-) -> None:
-    asked = [read_mission(file) for file in missions[:3]]
-    with cluster(address) as executor:
-        found = {one.index: one.report for one in ep.evaluate_many(asked, executor)}
-    assert sorted(found) == [0, 1, 2]
-    for k, report in found.items():
-        assert report is not None and report.energy == ep.evaluate(asked[k]).energy
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -12,19 +12,19 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import corridors
 import numpy as np
 import pytest
 import shapely
+from commands import Run
+from corridors import at
+from worlds import tiny
 
 from energyplan import (
-    Battery,
     DriveLog,
     Mission,
-    OccupancyGrid,
-    Pose,
     PowerModel,
     SurfaceMap,
-    Task,
     evaluate,
     identify,
     simulate,
@@ -33,6 +33,7 @@ from energyplan import (
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import fit_residual
 from energyplan.fit.online import OnlineIdentifier
+from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.tables import write_log
 from energyplan.live import (
     Changed,
@@ -47,6 +48,7 @@ from energyplan.live import (
     lines_of,
 )
 from energyplan.live.watcher import Settings
+from energyplan.mission import Spreads
 from energyplan.terrain import Surface
 
 MARBLE = PowerModel.preset("quadriga:full:marble")
@@ -268,21 +270,12 @@ def test_nothing_to_begin_with_and_settings_out_of_range_are_refused() -> None:
 # -- the mission ---------------------------------------------------------------------------------
 
 CAPACITY = 40e3
-FLAT = np.array([10.0, 10.0])
-TINY = Battery("tiny", CAPACITY / 10.0, np.array([0.0, 1.0]), FLAT, 0.0)
-
-
-CORRIDOR = OccupancyGrid(np.zeros((30, 350), bool), 0.1)
 
 
 def corridor(**changes: object) -> Mission:
-    values = {
-        "model": MARBLE, "map": CORRIDOR, "battery": TINY,
-        "start": Pose(3.0, 1.5, 0.0), "planning_effort": 5_000, "reserve": 0.0,
-        "confidence": 0.5,
-        "tasks": (Task("near", Pose(8.0, 1.5, 0.0), dwell=2.0), Task("far", Pose(20.0, 1.5, 0.0))),
-    }  # fmt: skip
-    return Mission(**{**values, **changes})  # type: ignore[arg-type]
+    tasks = at("near", 8.0, dwell=2.0), at("far", 20.0)
+    values = {"model": MARBLE, "spreads": Spreads(), **changes}
+    return corridors.corridor(CAPACITY, tasks, 3.0, **values)
 
 
 def along(power: float, soc: str = "") -> list[str]:
@@ -324,7 +317,7 @@ def test_a_measured_charge_is_believed_and_one_that_cannot_be_is_told() -> None:
 def test_a_harder_ground_takes_the_mission_out_of_reach() -> None:
     """As expected 22 m of way and 5 m back take what there is; drawn was three times as much."""
     straight = float(2 * MARBLE.coefficients[1])
-    mission = corridor(battery=replace(TINY, capacity=1.2 * straight * 34 / 10.0))
+    mission = corridor(battery=tiny(1.2 * straight * 34))
     assert evaluate(mission).feasible
     events = told(along(1.8 * straight * 0.5), prior=None, mission=mission)
     report = only(events, Reassessed)[-1].report
@@ -383,8 +376,6 @@ def test_the_command_prints_a_json_line_for_each_event_and_keeps_the_model(tmp_p
     kinds = [event["event"] for event in events]
     assert kinds[-3:] == ["trouble", "learned", "ended"]
     assert "the line is cut off; set aside" in events[-1]["set_aside"]
-    from energyplan.io.config import read_model
-
     values = [term["value"] for term in events[-1]["models"][0]["terms"]]
     assert read_model(model).coefficients == pytest.approx(values)
 
@@ -413,51 +404,17 @@ def test_the_command_ends_well_with_ctrl_c_and_with_a_closed_pipe(tmp_path: Path
             assert process.wait() == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["watch", "-"], "give --model, --vehicle or --mission"),
-        (["watch", "-", "--model", "a", "--vehicle", "b"], "give one of them"),
-        (["watch", "none.csv", "--vehicle", "quadriga", "--once"], "none.csv cannot be read"),
-        (["identify", "none.csv", "--vehicle", "quadriga", "--angle", "9rad"], "goes with --spin"),
-    ],
-)
-def test_what_cannot_be_is_one_line(
-    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    from energyplan import cli
-
-    monkeypatch.setattr("sys.argv", ["energyplan", *arguments])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    printed = capsys.readouterr()
-    assert left.value.code == 2
-    assert message in printed.err
-    assert len(printed.err.splitlines()) == 1
-
-
-def test_the_icr_of_a_spin_by_its_angle(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_icr_of_a_spin_by_its_angle(tmp_path: Path, run: Run) -> None:
     """Eq. 5: half the difference of the treads' ways over the angle."""
-    from energyplan import cli
-
     t = np.arange(0.0, 20.0, 0.05)
     speed = np.full(len(t), 0.3)
     log = DriveLog({"t": t, "v_left": -speed, "v_right": speed, "power": 0 * t})
     file = write_log(log, tmp_path / "spin.csv")
     out = tmp_path / "vehicle.yaml"
-    words = ["identify", str(file), "--vehicle", "quadriga", "--spin", "--angle", "720deg"]
-    monkeypatch.setattr("sys.argv", ["energyplan", *words, "--out", str(out), "--json"])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    assert not left.value.code
-    found = json.loads(capsys.readouterr().out)
+    found = run("identify", file, "--vehicle", "quadriga", "--spin", "--angle", "720deg",
+                "--out", out, "--json").json  # fmt: skip
     expected = 0.3 * t[-1] / (4 * np.pi)
     assert found["icr"]["left"] == pytest.approx(expected)
-    from energyplan.io.config import read_vehicle
-
     assert read_vehicle(str(out)).icr.left == pytest.approx(expected)
 
 

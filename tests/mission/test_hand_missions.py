@@ -6,17 +6,17 @@ enumerated by lines of arithmetic that share nothing with the library.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations, product
 from typing import Any
 
 import numpy as np
 import pytest
 from by_day import by_day
-from test_corridor import METRE, charger, corridor
+from corridors import METRE, at, charger, corridor
 from worlds import tiny
 
-from energyplan.mission import Mission, Task, evaluate
+from energyplan.mission import Mission, evaluate
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import VISCOUS_LOSS
@@ -24,17 +24,7 @@ from energyplan.power.effects import VISCOUS_LOSS
 START = 15.0
 
 
-@dataclass
-class Answer:
-    """The best of all tours: worth first, then energy."""
-
-    worth: float = -1.0
-    energy: float = np.inf
-
-
-def tour(
-    mission: Mission, stops: list[tuple[str, float]], metres: dict[str, float]
-) -> float | None:
+def tour(mission: Mission, stops: list[tuple[str, float]]) -> float | None:
     """Energy of a tour along the corridor [J], or None if the battery does not last for it."""
     full = mission.battery.full_energy
     floor = mission.reserve * full
@@ -57,11 +47,11 @@ def tour(
     return None if left - home < floor - 1e-6 else spent + home
 
 
-def enumerated(mission: Mission) -> Answer:
-    """Try every subset in every order that is allowed, with every charge between."""
+def enumerated(mission: Mission) -> tuple[float, float]:
+    """Return worth and energy of the best tour, of all subsets, orders and charges."""
     tasks = {task.name: task for task in mission.tasks}
     whole = 1.0 + sum(task.prize for task in mission.tasks)
-    names, best = list(tasks), Answer()
+    names, best = list(tasks), (-1.0, np.inf)
     for count in range(len(names) + 1):
         for order in permutations(names, count):
             if mission.order == "given" and list(order) != [n for n in names if n in order]:
@@ -72,9 +62,9 @@ def enumerated(mission: Mission) -> Answer:
                 for dock, name in zip(charges, (*order, None), strict=True):
                     stops += [] if dock is None else [(dock.name, dock.pose.x)]
                     stops += [] if name is None else [(name, tasks[name].pose.x)]
-                energy = tour(mission, stops, {})
-                if energy is not None and (-worth, energy) < (-best.worth, best.energy - 1e-6):
-                    best = Answer(worth, energy)
+                energy = tour(mission, stops)
+                if energy is not None and (-worth, energy) < (-best[0], best[1] - 1e-6):
+                    best = worth, energy
     return best
 
 
@@ -83,42 +73,38 @@ def drawn(seed: int, order: str) -> Mission:
     rng = np.random.default_rng(seed)
     places = rng.choice(np.arange(4, 31), 3, replace=False).astype(float)
     tasks = tuple(
-        Task(
-            f"t{k}", Pose(float(x), 1.5, 0.0), prize=float(rng.integers(1, 5)),
-            required=bool(rng.random() < 0.4), dwell=float(rng.choice([0.0, 60.0])), power=10.0,
-        )
+        at(f"t{k}", float(x), prize=float(rng.integers(1, 5)), required=bool(rng.random() < 0.4),
+           dwell=float(rng.choice([0.0, 60.0])), power=10.0)
         for k, x in enumerate(places)
     )  # fmt: skip
     docks = (charger(float(rng.integers(5, 30)), "dock"),) if rng.random() < 0.5 else ()
-    asked = corridor(
-        float(rng.uniform(1500, 9000)), {"x": 9.0}, START, soc=float(rng.uniform(0.4, 1.0)),
+    return corridor(
+        float(rng.uniform(1500, 9000)), tasks, START, soc=float(rng.uniform(0.4, 1.0)),
         reserve=float(rng.choice([0.0, 0.1])), order=order, chargers=docks,
     )  # fmt: skip
-    return replace(asked, tasks=tasks)
 
 
 @pytest.mark.parametrize("order", ["given", "free"])
 @pytest.mark.parametrize("seed", by_day(range(20), range(4)))
 def test_the_best_of_all_tours_is_found(seed: int, order: str) -> None:
     asked = drawn(seed, order)
-    best, report = enumerated(asked), evaluate(asked)
+    (best, least), report = enumerated(asked), evaluate(asked)
     whole = 1.0 + sum(task.prize for task in asked.tasks)
     worth = sum(
         task.prize + whole * task.required
         for task in asked.tasks
         if report.task(task.name).verdict == "reachable"
     )
-    assert worth == pytest.approx(max(best.worth, 0.0))
+    assert worth == pytest.approx(max(best, 0.0))
     if order == "free":
         assert report.proven
-        assert report.energy == pytest.approx(best.energy, rel=2e-3)
+        assert report.energy == pytest.approx(least, rel=2e-3)
     else:
-        assert report.energy >= best.energy * (1 - 2e-3)
+        assert report.energy >= least * (1 - 2e-3)
 
 
 # -- closed forms --------------------------------------------------------------------------------
 
-FAR = {"end": 29.0}
 CLOSED: dict[str, tuple[dict[str, Any], float, float]] = {
     # what is changed, energy [J], state of charge at the end; 14 m there and back, 1e4 J
     "plain": ({}, 28 * METRE, 1 - 28 * METRE / 1e4),
@@ -139,9 +125,10 @@ def test_a_task_in_closed_form(name: str) -> None:
     changes, energy, soc = CLOSED[name]
     changes = dict(changes)
     dwell, power = changes.pop("tool", (0.0, 0.0))
-    task = Task("end", Pose(changes.pop("at", 29.0), 1.5, 0.0), dwell=dwell, power=power)
-    report = evaluate(replace(corridor(1e4, FAR, START, **changes), tasks=(task,)))
+    task = at("end", changes.pop("at", 29.0), dwell=dwell, power=power)
+    report = evaluate(corridor(1e4, (task,), START, **changes))
     assert report.feasible
+    assert (report.order, report.end) == (("end",), "home" if "home" in changes else "start")
     assert report.energy == pytest.approx(energy, rel=1e-3, abs=1e-6)
     assert report.soc_end == pytest.approx(soc, abs=1e-3)
     # at confidence 0.5 nothing is held back
@@ -168,9 +155,8 @@ def test_a_battery_with_resistance_in_small_steps(resistance: float, hotel: floa
     model = PowerModel.preset("quadriga:empty:marble")
     model = model.with_term(HOTEL, hotel) if hotel else model
     pack = replace(tiny(6e4), resistance=resistance, ocv_points=np.array([30.0, 30.0]))
-    task = Task("end", Pose(25.0, 1.5, 0.0), dwell=120.0, power=25.0)
-    asked = corridor(6e4, FAR, START, model=model, battery=pack, speed=0.4)
-    report = evaluate(replace(asked, tasks=(task,)))
+    task = at("end", 25.0, dwell=120.0, power=25.0)
+    report = evaluate(corridor(6e4, (task,), START, model=model, battery=pack, speed=0.4))
     assert report.feasible
     told = 20 * METRE + 120 * 25.0 + hotel * report.duration
     assert report.energy == pytest.approx(told, rel=2e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -48,7 +49,9 @@ def test_every_mission_comes_back_once_and_a_failed_one_with_its_error(pools: An
 
 
 def test_routes_are_planned_first_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    routes, variants = Routes(), [rooms(soc=soc) for soc in (0.9, 0.7, 0.5)]
+    """For all that does not change them, also where they come from another process."""
+    battery = replace(rooms().battery, health=0.9)
+    routes, variants = Routes(), [rooms(soc=0.9), rooms(battery=battery), rooms(reserve=0.25)]
     planned: list[tuple[Any, Any]] = []
     monkeypatch.setattr(
         "energyplan.mission.routes.plan",
@@ -58,7 +61,9 @@ def test_routes_are_planned_first_and_once(monkeypatch: pytest.MonkeyPatch) -> N
         assert all(one.error is None for one in evaluate_many(variants, pool, routes))
     assert len({frozenset(pair) for pair in planned}) == len(planned) > 0
     again = len(planned)
-    evaluate(rooms(soc=0.8), routes=routes)
+    for same in (rooms(soc=0.8), rooms(time=5.0, name="b")):
+        evaluate(same, routes=routes)
+        evaluate(same, routes=pickle.loads(pickle.dumps(routes)))
     assert len(planned) == again
     for other in (rooms(soc=0.8), rooms(model=ep.PowerModel.preset("quadriga:empty:concrete"))):
         evaluate(other)

@@ -19,7 +19,7 @@ from energyplan.mission import Charger, Mission, MissionReport, Spreads, Task, e
 from energyplan.mission.routes import Routes
 from energyplan.motion import Motion
 from energyplan.path import Pose
-from energyplan.power import HOTEL, PowerModel, Residual
+from energyplan.power import PowerModel, Residual
 from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
 from energyplan.vehicle import Vehicle
 
@@ -47,32 +47,6 @@ def mission(tasks: list[Task], **changes: Any) -> Mission:
 
 
 # -- energies ------------------------------------------------------------------------------------
-
-
-def test_straight_drive_and_dwell_are_the_closed_form():
-    work = Task("work", Pose(11.0, 5.0, 0.0), dwell=600.0, power=50.0)
-    report = evaluate(mission([work]))
-    # 90 N a side over 10 m, tool power, and the same way back in reverse.
-    assert report.task("work").energy == pytest.approx(2 * 90 * 10 + 600 * 50, rel=1e-6)
-    assert report.energy == pytest.approx(2 * 90 * 20 + 600 * 50, rel=1e-6)
-    assert report.feasible
-    assert report.order == ("work",)
-    assert report.end == "start"
-    assert report.task("work").soc_after > report.soc_end
-
-
-def test_payload_interpolates_table_two_on_the_way():
-    marble = "quadriga:empty:marble"
-    tasks = [
-        Task("first", Pose(5.0, 5.0, 0.0), payload=-32.0),
-        Task("second", Pose(9.0, 5.0, 0.0), payload=-32.0),
-    ]
-    loaded = {marble: {64.0: known("quadriga:full:marble")}}
-    report = evaluate(mission(tasks, payload=64.0, payload_models=loaded))
-    # K is 110 N with a full tank, 90 N with an empty one, 100 N in between.
-    assert report.task("first").energy == pytest.approx(2 * 110 * 4, rel=1e-6)
-    assert report.task("second").energy == pytest.approx(2 * 100 * 4, rel=1e-6)
-    assert report.energy == pytest.approx(2 * (110 * 4 + 100 * 4 + 90 * 8), rel=1e-6)
 
 
 def test_payload_alone_raises_the_slip_moment_by_the_wheel_loads():
@@ -216,19 +190,6 @@ def test_motor_limits():
     assert "force" in turned.detail
 
 
-def test_there_but_not_back_is_out_of_reach():
-    # 10 m take 1800 J: enough to get there with the reserve of 10 % left, not to get back.
-    for energy, verdict in ((3600 / 0.9 + 10, "reachable"), (3600 / 0.9 - 10, "unreachable")):
-        report = evaluate(
-            mission([Task("far", Pose(11.0, 5.0, 0.0))], battery=tiny(energy), reserve=0.1)
-        )
-        assert report.task("far").verdict == verdict
-    far = report.task("far")
-    assert far.reason == "battery"
-    assert far.shortfall == pytest.approx(9.0, rel=0.02)
-    assert "battery" in far.remedy
-
-
 def test_blocked_by_an_earlier_task():
     tasks = [
         Task("long", Pose(5.0, 5.0, 0.0), dwell=100.0, power=80.0),
@@ -276,30 +237,6 @@ def test_driving_slower_spares_a_weak_battery():
     assert told.reason == "battery"
     assert "drive at up to 0.225 m/s" in told.remedy
     assert evaluate(replace(low, speed=0.225)).feasible
-
-
-def test_time_windows():
-    tasks = [
-        Task("wait", Pose(5.0, 5.0, 0.0), window=(120.0, np.inf)),
-        Task("gone", Pose(9.0, 5.0, 0.0), window=(0.0, 60.0)),
-        Task("never", Pose(11.0, 5.0, 0.0), window=(0.0, 1.0)),
-    ]
-    report = evaluate(mission(tasks, model=known().with_term(HOTEL, 30.0)))
-    assert report.task("wait").start == pytest.approx(120.0)
-    assert report.task("gone").reason == "blocked_by_earlier"
-    assert report.task("gone").remedy.startswith("drop 'wait'")
-    assert report.task("never").reason == "late"
-    assert not report.task("never").reachable_alone
-
-
-def test_return_rules():
-    dock = Charger("dock", Pose(9.0, 5.0, 0.0), power=50.0)
-    task = [Task("far", Pose(11.0, 5.0, 0.0))]
-    ends = {
-        rule: evaluate(mission(task, chargers=(dock,), return_to=rule)).end
-        for rule in ("start", "charger", "any")
-    }
-    assert ends == {"start": "start", "charger": "dock", "any": "dock"}
 
 
 # -- free order ----------------------------------------------------------------------------------

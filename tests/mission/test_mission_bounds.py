@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from test_corridor import corridor
+from corridors import corridor
 
 from energyplan.mission.routes import Legs, shortest_ways
 from energyplan.path import Pose

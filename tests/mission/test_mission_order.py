@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ from scipy.optimize import linprog
 
 from energyplan.mission import order as orders
 from energyplan.mission.order import OrderProblem, loads_of, shared, solve
+
+Stops = tuple[int, ...]
 
 
 def problem(
@@ -110,26 +114,30 @@ def scheduled(p: OrderProblem, stops: tuple[int, ...], hurried: tuple[bool, ...]
     return energy + home if solved.status == 0 else None
 
 
-def best_schedule(p: OrderProblem) -> tuple[float, float]:
-    """Worth and energy of the best tour over every order, subset, charge and way of driving."""
+def best_tour(
+    p: OrderProblem, energy_of: Callable[[OrderProblem, Stops], float | None]
+) -> tuple[float, float]:
+    """Worth and energy of the best tour: every order of every subset, with every charge."""
     chargers = range(p.tasks + 1, p.tasks + 1 + len(p.capacity))
-    ways = (False, True)[: len(p.time)]
-    found = scheduled(p, (), ())
-    best = (-1.0, np.inf) if found is None else (0.0, found)
-    for count in range(1, p.tasks + 1):
+    best = (-1.0, np.inf)
+    for count in range(p.tasks + 1):
         for order in permutations(range(1, p.tasks + 1), count):
-            worth = float(p.prize[[k - 1 for k in order]].sum())
-            if worth < best[0] - 1e-9:
+            worth = worth_of(p, order)
+            if worth < best[0] - 1e-9 or (p.given and list(order) != sorted(order)):
                 continue
             for charges in product((0, *chargers), repeat=count + 1):
-                stops = [s for pair in zip(charges, (*order, 0), strict=True) for s in pair if s]
-                for hurried in product(ways, repeat=len(stops)):
-                    energy = scheduled(p, tuple(stops), hurried)
-                    if energy is None:
-                        continue
-                    if worth > best[0] + 1e-9 or energy < best[1]:
-                        best = (worth, energy)
+                pairs = zip(charges, (*order, 0), strict=True)
+                energy = energy_of(p, tuple(stop for pair in pairs for stop in pair if stop))
+                if energy is not None and (worth > best[0] + 1e-9 or energy < best[1]):
+                    best = worth, energy
     return best
+
+
+def best_scheduled(p: OrderProblem, stops: Stops) -> float | None:
+    """Energy of a tour by the best way of driving each of its legs."""
+    ways = product((False, True)[: len(p.time)], repeat=len(stops))
+    found = [energy for way in ways if (energy := scheduled(p, stops, way)) is not None]
+    return min(found, default=None)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -155,15 +163,15 @@ def test_charging_stops_early_and_hurry_pays_where_windows_press(seed, options):
     p = p._replace(**changes)
     order = solve(p)
     assert order is not None
-    worth, energy = best_schedule(p)
+    worth, energy = best_tour(p, best_scheduled)
     assert worth_of(p, order.stops) == pytest.approx(max(worth, 0.0))
     if worth >= 0:
         assert order.energy == pytest.approx(energy)
         assert scheduled(p, order.stops, order.hurried) == pytest.approx(energy)
 
 
-def drive(p: OrderProblem, stops: tuple[int, ...]) -> tuple[float, float] | None:
-    """Energy and time of a tour, or None where it cannot be driven; independent of the solver."""
+def driven(p: OrderProblem, stops: Stops) -> float | None:
+    """Energy of a tour with whole charges, or None where it cannot be driven."""
     left, spent, clock, load, node = p.budget, 0.0, p.start_time, p.payload, 0
     for stop in stops:
         use = p.energy[p.at(load), 0, node, stop]
@@ -187,26 +195,7 @@ def drive(p: OrderProblem, stops: tuple[int, ...]) -> tuple[float, float] | None
             left = filled
         node = stop
     home = p.finish[p.at(load), node]
-    return None if home > left else (spent + home, clock + p.finish_time[node])
-
-
-def brute_force(p: OrderProblem) -> tuple[float, float]:
-    """Worth and energy of the best tour, over every order of every subset with every charge."""
-    best = (0.0, 0.0) if drive(p, ()) else (-1.0, np.inf)
-    chargers = range(p.tasks + 1, p.tasks + 1 + len(p.capacity))
-    for count in range(p.tasks + 1):
-        for order in permutations(range(1, p.tasks + 1), count):
-            for charges in product((0, *chargers), repeat=count + 1):
-                stops: list[int] = []
-                for charge, task in zip(charges, (*order, 0), strict=True):
-                    stops += [charge] if charge else []
-                    stops += [task] if task else []
-                driven = drive(p, tuple(stops))
-                if driven is not None:
-                    worth = float(p.prize[[k - 1 for k in order]].sum())
-                    if (-worth, driven[0]) < (-best[0], best[1]):
-                        best = (worth, driven[0])
-    return best
+    return None if home > left else spent + home
 
 
 def worth_of(p: OrderProblem, stops: tuple[int, ...]) -> float:
@@ -228,14 +217,12 @@ def worth_of(p: OrderProblem, stops: tuple[int, ...]) -> float:
 def test_equals_brute_force(seed, options):
     p = problem(seed, **options)
     order = solve(p)
-    worth, energy = brute_force(p)
+    worth, energy = best_tour(p, driven)
     assert order.proven
     assert worth_of(p, order.stops) == pytest.approx(max(worth, 0.0))
-    driven = drive(p, order.stops)
     if worth >= 0:
-        assert driven is not None
         assert order.energy == pytest.approx(energy)
-        assert driven[0] == pytest.approx(energy)
+        assert driven(p, order.stops) == pytest.approx(energy)
 
 
 def test_nine_tasks_equal_the_best_of_all_orders():
@@ -264,15 +251,7 @@ def test_a_far_task_is_reached_from_charger_to_charger(near):
     far = 5 - near
     at = np.array([0.0, 8.0, 3.0, 6.0] if near == 2 else [0.0, 8.0, 6.0, 3.0])
     way = np.abs(at[:, None] - at)
-    p = problem(0, 1, budget=4.0, chargers=2)._replace(
-        energy=way[None, None],
-        finish=way[None, :, 0],
-        time=way[None],
-        finish_time=way[:, 0],
-        service=np.zeros(1),
-        service_time=np.zeros(1),
-        capacity=np.full(2, 4.0),
-    )
+    p = small(way.tolist(), budget=4.0, capacity=np.full(2, 4.0))
     found = solve(p)
     assert found.stops == (near, far, 1, far, near)
     assert found.energy == 16.0
@@ -285,9 +264,7 @@ def test_a_search_that_is_not_proven_comes_close(seed, options, monkeypatch):
     exact = solve(p)
     monkeypatch.setattr(orders, "EXACT", 6)
     found = solve(p)
-    driven = drive(p, found.stops)
-    assert driven is not None
-    assert driven[0] == pytest.approx(found.energy)
+    assert driven(p, found.stops) == pytest.approx(found.energy)
     assert worth_of(p, found.stops) >= 0.95 * worth_of(p, exact.stops)
     if worth_of(p, found.stops) == worth_of(p, exact.stops):
         assert exact.energy - 1e-9 <= found.energy <= 1.03 * exact.energy
@@ -299,16 +276,7 @@ def test_a_search_that_is_not_proven_comes_close(seed, options, monkeypatch):
 def test_a_given_order_is_the_best_that_overtakes_nothing(seed, options):
     """Against every subset in its order, with every charge before, between and after."""
     p = problem(seed, 5, budget=6.0, **options)._replace(given=True)
-    found, best = solve(p), (-1.0, np.inf)
-    chargers = range(p.tasks + 1, p.tasks + 1 + len(p.capacity))
-    for chosen in product((False, True), repeat=p.tasks):
-        mine = [k + 1 for k in range(p.tasks) if chosen[k]]
-        for charges in product((0, *chargers), repeat=len(mine) + 1):
-            stops = [s for pair in zip(charges, (*mine, 0), strict=True) for s in pair if s]
-            driven = drive(p, tuple(stops))
-            worth = worth_of(p, tuple(mine))
-            if driven is not None and (-worth, driven[0]) < (-best[0], best[1]):
-                best = worth, driven[0]
+    found, best = solve(p), best_tour(p, driven)
     assert worth_of(p, found.stops) == pytest.approx(max(best[0], 0.0))
     if not options.get("windows"):  # a charge may stop early for a window
         assert found.energy <= best[1] + 1e-6 or best[0] < 0
@@ -327,8 +295,8 @@ def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
     worth = np.ones(5)
 
     def alone(p: OrderProblem, tasks: tuple[int, ...]) -> float:
-        tours = [drive(p, tuple(t + 1 for t in order)) for order in permutations(tasks)]
-        return min((tour[0] for tour in tours if tour is not None), default=np.inf)
+        tours = [driven(p, tuple(t + 1 for t in order)) for order in permutations(tasks)]
+        return min((tour for tour in tours if tour is not None), default=np.inf)
 
     best = min(
         sum(alone(p, tuple(t for t in range(5) if who[t] == r)) for r, p in enumerate(robots))
@@ -336,8 +304,8 @@ def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
     )
     own, left = shared(robots, worth)
     assert left == []
-    told = [drive(p, tuple(t + 1 for t in tasks)) for p, tasks in zip(robots, own, strict=True)]
-    found = sum(tour[0] for tour in told if tour is not None)
+    told = [driven(p, tuple(t + 1 for t in tasks)) for p, tasks in zip(robots, own, strict=True)]
+    found = sum(tour for tour in told if tour is not None)
     assert best - 1e-9 <= found <= 1.003 * best
 
 
@@ -366,8 +334,8 @@ def test_an_order_without_room_for_its_labels_tells_a_bound():
         best, found = solve(p), solve(p, widths)
         assert best.proven
         if found.stops:
-            driven = scheduled(p, found.stops, found.hurried)
-            assert driven == pytest.approx(found.energy)
+            alone = scheduled(p, found.stops, found.hurried)
+            assert alone == pytest.approx(found.energy)
         assert worth_of(p, found.stops) <= worth_of(p, best.stops) + 1e-9
         if not np.isnan(found.bound):
             # the bound tells that no order is worth more
@@ -382,15 +350,18 @@ def test_an_order_without_room_for_its_labels_tells_a_bound():
     assert open_ones > bounds  # of some not even the worth is known
 
 
+def small(energy: list[list[float]], **changes: Any) -> OrderProblem:
+    """One task to be visited with no time pressing: nodes are the start, it, and a charger."""
+    way = np.array(energy, float)
+    return problem(0, 1, chargers=len(way) - 2)._replace(
+        energy=way[None, None], finish=way[None, :, 0], time=np.abs(way)[None],
+        finish_time=np.abs(way[:, 0]), service=np.zeros(1), service_time=np.zeros(1), **changes,
+    )  # fmt: skip
+
+
 def test_round_trips_that_give_energy_away_are_no_reason_to_leave_anything_out():
     """Down to the charger and up again gives a joule: only a model can do that, but it may."""
-    energy = np.array([[0, 2, -3], [2, 0, 2], [2, 2, 0]], float)
-    p = OrderProblem(
-        np.zeros(1), energy[None, None], energy[None, :, 0], time=np.abs(energy)[None],
-        finish_time=np.abs(energy[:, 0]), service=np.zeros(1), service_time=np.zeros(1),
-        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), prize=np.ones(1), change=np.zeros(1),
-        capacity=np.array([4.5]), charge_power=np.ones(1), budget=1.0,
-    )  # fmt: skip
+    p = small([[0, 2, -3], [2, 0, 2], [2, 2, 0]], capacity=np.array([4.5]), budget=1.0)
     order = solve(p)
     assert order.stops == (2, 1)
     assert order.energy == pytest.approx(-3 + 2 + 2)
@@ -399,13 +370,7 @@ def test_round_trips_that_give_energy_away_are_no_reason_to_leave_anything_out()
 @pytest.mark.parametrize(("full", "possible"), [(np.inf, True), (12.0, True), (10.5, False)])
 def test_what_comes_back_finds_no_room_in_a_full_battery(full, possible):
     """Down to the task gives 2, up again takes 11.5 of the 10 at the start."""
-    energy = np.array([[0, -2], [11.5, 0]], float)
-    p = OrderProblem(
-        np.zeros(1), energy[None, None], energy[None, :, 0], time=np.ones((1, 2, 2)),
-        finish_time=np.ones(2), service=np.zeros(1), service_time=np.zeros(1),
-        window=np.array([[0.0, np.inf]]), idle=np.zeros(1), prize=np.ones(1), change=np.zeros(1),
-        capacity=np.zeros(0), charge_power=np.zeros(0), budget=10.0, full=full,
-    )  # fmt: skip
+    p = small([[0, -2], [11.5, 0]], budget=10.0, full=full)
     assert solve(p).stops == ((1,) if possible else ())
 
 

@@ -8,14 +8,13 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from test_corridor import METRE, charger, corridor
+from corridors import METRE, at, charger, corridor
 
 from energyplan.io.files import bundled
 from energyplan.io.mission import read_mission
-from energyplan.mission import MissionReport, Routes, Task, evaluate
+from energyplan.mission import MissionReport, Routes, evaluate
 from energyplan.output import documents, text
 from energyplan.output.pages import mission_page
-from energyplan.path import Pose
 from energyplan.power import PowerModel, Residual
 
 
@@ -65,12 +64,8 @@ def test_headline_counts_and_flags_agree(
 
 def test_route_and_times_are_those_of_the_drive() -> None:
     """5 m at 0.5 m/s to a window at 60 s, 30 s of work; charge; 10 s of work; home."""
-    tasks = (
-        Task("early", Pose(10.0, 1.5, 0.0), dwell=30.0, window=(60.0, 1e4)),
-        Task("far", Pose(25.0, 1.5, 0.0), dwell=10.0),
-    )
-    docked = corridor(5000.0, {"x": 9.0}, 5.0, speed=0.5, chargers=(charger(15, "dock"),))
-    asked = replace(docked, tasks=tasks)
+    tasks = at("early", 10.0, dwell=30.0, window=(60.0, 1e4)), at("far", 25.0, dwell=10.0)
+    asked = corridor(5000.0, tasks, 5.0, speed=0.5, chargers=(charger(15, "dock"),))
     report = evaluate(asked)
     early, far = report.tasks
     assert (early.start, early.departure) == (60.0, 90.0)
@@ -120,9 +115,8 @@ def test_legs_and_chargers_are_told_for_programs() -> None:
 
 
 def test_the_timetable_has_no_gap_and_the_headline_tells_how_long_it_charges() -> None:
-    asked = corridor(5000.0, {"a": 9.0, "b": 25.0}, 5.0, chargers=(charger(15, "dock"),))
-    tasks = replace(asked.tasks[0], dwell=30.0, window=(60.0, 1e4)), asked.tasks[1]
-    report = evaluate(replace(asked, tasks=tasks))
+    tasks = at("a", 9.0, dwell=30.0, window=(60.0, 1e4)), at("b", 25.0)
+    report = evaluate(corridor(5000.0, tasks, 5.0, chargers=(charger(15, "dock"),)))
     told = report.timetable
     assert [one.kind for one in told][:4] == ["drive", "wait", "work", "drive"]
     for before, after in pairwise(told):

@@ -7,24 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_corridor import METRE, charger, corridor
+from corridors import METRE, at, charger, corridor
 from worlds import tiny
 
-from energyplan.mission import Charger, Mission, Task, evaluate
+from energyplan.mission import Charger, Task, evaluate
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import with_weight
 from energyplan.terrain import HeightMap
 
 ORDERS = pytest.mark.parametrize("order", ["given", "free"])
-
-
-def at(name: str, x: float, **changes: Any) -> Task:
-    return Task(name, Pose(x, 1.5, 0.0), **changes)
-
-
-def with_tasks(mission: Mission, *tasks: Task) -> Mission:
-    return replace(mission, tasks=tasks)
 
 
 DOCKED = {"chargers": (charger(25, "dock"),)}
@@ -56,8 +48,7 @@ CASES: dict[str, tuple[dict[str, Any], tuple[Task, ...], float, tuple[str, ...]]
 def test_what_is_easily_forgotten(name: str, order: str) -> None:
     """From 15 m with charge for 11 m, where nothing else is said."""
     changes, tasks, energy, stops = CASES[name]
-    asked = corridor(11 * METRE, {"x": 20.0}, 15.0, order=order, **changes)
-    report = evaluate(with_tasks(asked, *tasks))
+    report = evaluate(corridor(11 * METRE, tasks, 15.0, order=order, **changes))
     assert report.left_out == ()
     assert report.energy == pytest.approx(energy, rel=1e-3)
     assert report.order[: len(stops)] == stops
@@ -81,10 +72,8 @@ def test_a_charger_that_gives_less_than_standing_takes(order: str) -> None:
 
 @ORDERS
 def test_a_window_that_closed_before_the_start(order: str) -> None:
-    asked = with_tasks(
-        corridor(1e4, {"x": 20.0}, 15.0, order=order, time=1000.0, speed=0.5),
-        at("late", 20.0, window=(0.0, 500.0)), at("fine", 25.0),
-    )  # fmt: skip
+    tasks = at("late", 20.0, window=(0.0, 500.0)), at("fine", 25.0)
+    asked = corridor(1e4, tasks, 15.0, order=order, time=1000.0, speed=0.5)
     report = evaluate(asked)
     assert (report.task("late").verdict, report.task("late").reason) == ("unreachable", "late")
     assert report.task("fine").verdict == "reachable"
@@ -99,11 +88,8 @@ def test_a_window_that_closed_before_the_start(order: str) -> None:
 @ORDERS
 def test_a_window_of_one_instant(order: str) -> None:
     """It opens and closes at 100 s: the robot waits there and begins in time."""
-    asked = with_tasks(
-        corridor(1e4, {"x": 20.0}, 15.0, order=order, speed=0.5),
-        at("now", 20.0, window=(100.0, 100.0)), at("then", 25.0),
-    )  # fmt: skip
-    report = evaluate(asked)
+    tasks = at("now", 20.0, window=(100.0, 100.0)), at("then", 25.0)
+    report = evaluate(corridor(1e4, tasks, 15.0, order=order, speed=0.5))
     assert report.feasible
     assert report.task("now").start == pytest.approx(100.0)
 
@@ -140,15 +126,13 @@ def test_a_payload_that_is_taken_and_left(order: str) -> None:
     """With 10 kg each metre takes half as much again; nothing is left before it is taken."""
     model = PowerModel.preset("quadriga:empty:marble")
     heavy = model.with_coefficients(1.5 * model.coefficients)
-    asked = corridor(
-        1e5, {"x": 20.0}, 15.0, order=order, model=model,
-        payload_models={model.name: {10.0: heavy}},
-    )  # fmt: skip
     take, leave = at("take", 20.0, payload=10.0), at("leave", 30.0, payload=-10.0)
-    report = evaluate(with_tasks(asked, take, leave))
+    models = {model.name: {10.0: heavy}}
+    asked = corridor(1e5, (take, leave), 15.0, order=order, model=model, payload_models=models)
+    report = evaluate(asked)
     assert report.feasible
     assert report.energy == pytest.approx((5 + 1.5 * 10 + 15) * METRE, rel=1e-3)
-    turned = evaluate(with_tasks(asked, leave, take))
+    turned = evaluate(replace(asked, tasks=(leave, take)))
     if order == "free":
         assert turned.order == ("take", "leave")
         assert turned.proven
@@ -167,6 +151,6 @@ def test_tasks_that_take_the_last_joule(order: str) -> None:
 
 
 def test_a_task_that_lasts_for_years_is_out_of_reach() -> None:
-    asked = corridor(25 * METRE, {"end": 25.0}, 15.0)
-    (task,) = evaluate(with_tasks(asked, at("end", 25.0, dwell=1e8, power=30.0))).tasks
+    years = at("end", 25.0, dwell=1e8, power=30.0)
+    (task,) = evaluate(corridor(25 * METRE, (years,), 15.0)).tasks
     assert (task.verdict, task.reason) == ("unreachable", "battery")

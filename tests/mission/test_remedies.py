@@ -9,17 +9,17 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from by_day import by_day
+from corridors import METRE, at, charger, corridor
 from numpy.typing import ArrayLike
-from test_corridor import METRE, charger, corridor
 from troubled_missions import trials
 from worlds import tiny
 
 from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError
-from energyplan.mission import Mission, Remedy, Routes, Spreads, Task, evaluate
+from energyplan.mission import Mission, Remedy, Routes, Spreads, evaluate
 from energyplan.mission.types import RemedyKind
 from energyplan.output import documents
-from energyplan.path import FloatArray, Pose
+from energyplan.path import FloatArray
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import HOTEL, PowerModel
 
@@ -103,14 +103,11 @@ def troubled() -> dict[str, Mission]:
         asked[name] = corridor(
             1.0, {"end": 29.0}, 5.0, battery=pack, chargers=(charger(15, "a"), charger(25, "b"))
         )
-    hurried = corridor(1e6, {"soon": 25.0}, 5.0, speed=0.25)
-    soon = replace(hurried.tasks[0], window=(0.0, 60.0))
-    long = Task("long", Pose(29.0, 1.5, 0.0), dwell=100.0)
-    asked["late"] = replace(hurried, tasks=(soon,))
-    asked["late in turn"] = replace(hurried, tasks=(long, soon), speed=0.5)
-    weighed = corridor(6000.0, {"optional": 5.0, "required": 25.0}, 15.0)
-    optional, required = weighed.tasks
-    asked["given up"] = replace(weighed, tasks=(replace(optional, required=False), required))
+    soon, long = at("soon", 25.0, window=(0.0, 60.0)), at("long", 29.0, dwell=100.0)
+    asked["late"] = corridor(1e6, (soon,), 5.0, speed=0.25)
+    asked["late in turn"] = corridor(1e6, (long, soon), 5.0, speed=0.5)
+    weighed = at("optional", 5.0, required=False), at("required", 25.0)
+    asked["given up"] = corridor(6000.0, weighed, 15.0)
     return asked
 
 
@@ -228,13 +225,11 @@ def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypat
 def charged(**changes: Any) -> Mission:
     """Two tools far from each other that need most of 1 kWh each, charged at 500 W in between."""
     docks = (charger(5.0, "near"), charger(29.0, "far"))
-    asked = corridor(
-        3.6e6, {"a": 6.0, "b": 28.0}, 5.0, soc=0.5, reserve=0.2,
-        **{"chargers": tuple(replace(one, until=0.9) for one in docks), **changes},
+    work = at("a", 6.0, dwell=4000.0, power=300.0), at("b", 28.0, dwell=2000.0, power=500.0)
+    return corridor(
+        3.6e6, work, 5.0, soc=0.5, reserve=0.2,
+        chargers=tuple(replace(one, until=0.9) for one in docks), **changes,
     )  # fmt: skip
-    a, b = asked.tasks
-    work = (replace(a, dwell=4000.0, power=300.0), replace(b, dwell=2000.0, power=500.0))
-    return replace(asked, tasks=work)
 
 
 @pytest.mark.parametrize("order", ["given", "free"])

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import Run
+from corridors import METRE, at, corridor
 from worlds import tiny
 
-from energyplan import cli, watch
+from energyplan import watch
 from energyplan.errors import InvalidInputError, MissionError
 from energyplan.io.maps import write_map
 from energyplan.io.mission import read_mission
@@ -21,20 +23,16 @@ from energyplan.mission import (
     MissionReport,
     Robot,
     RobotState,
+    Spreads,
     Task,
     evaluate,
 )
 from energyplan.output.pages import mission_page
 from energyplan.path import Pose
-from energyplan.power import PowerModel
 from energyplan.ros import mission_answer
 from energyplan.terrain import OccupancyGrid
 
-MODEL = PowerModel.preset("quadriga:empty:marble")
-METRE = 180.0
-"""Energy of a metre [J]: 90 N on each side."""
-HALL = OccupancyGrid(np.zeros((30, 350), bool), 0.1)
-TASKS = tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in (("a", 6.0), ("b", 12.0), ("c", 30.0)))
+TASKS = at("a", 6.0), at("b", 12.0), at("c", 30.0)
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -44,11 +42,8 @@ def robot(name: str, x: float, energy: float = 1e5, **changes: Any) -> Robot:
 
 
 def shared(*robots: Robot, tasks: tuple[Task, ...] = TASKS, **changes: Any) -> Mission:
-    values: dict[str, Any] = {
-        "planning_effort": 5_000, "reserve": 0.0, "confidence": 0.5, "order": "free",
-        "return_to": "start", **changes,
-    }  # fmt: skip
-    return Mission(MODEL, HALL, tiny(1e5), Pose(4.0, 1.5, 0.0), tasks, robots=robots, **values)
+    values = {"order": "free", "return_to": "start", "spreads": Spreads(), **changes}
+    return corridor(1e5, tasks, 4.0, robots=robots, **values)
 
 
 def names(report: MissionReport) -> tuple[str, ...]:
@@ -84,8 +79,7 @@ def test_a_weak_battery_leaves_a_task_to_the_other() -> None:
 
 def test_a_shared_charger_is_waited_for_and_two_places_spare_that() -> None:
     """Both hold 9 m of charge; with the 40 m that the dock gives they do the rest."""
-    tasks = tuple(Task(name, Pose(x, 1.5, 0.0)) for name, x in (("w", 3.0), ("e", 31.0)))
-    tasks = tuple(replace(task, needs=(task.name,)) for task in tasks)
+    tasks = at("w", 3.0, needs=("w",)), at("e", 31.0, needs=("e",))
     dock = Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0)
     robots = [replace(robot(name, x, 40 * METRE, soc=0.225), skills=(task,))
               for name, x, task in (("left", 14.0, "e"), ("right", 20.0, "w"))]  # fmt: skip
@@ -156,7 +150,7 @@ def test_many_robots_and_tasks() -> None:
 
     From 3 m to 14 and back, from 16 m to 21.5 and back, from 30 m to 24 and back.
     """
-    tasks = tuple(Task(f"t{k}", Pose(4.0 + 2.5 * k, 1.5, 0.0)) for k in range(11))
+    tasks = tuple(at(f"t{k}", 4.0 + 2.5 * k) for k in range(11))
     report = evaluate(shared(*(robot(f"r{x}", x) for x in (3.0, 16.0, 30.0)), tasks=tasks))
     assert report.left_out == ()
     assert not report.proven
@@ -165,8 +159,7 @@ def test_many_robots_and_tasks() -> None:
 
 def test_chargers_are_never_taken_twice() -> None:
     """Four robots that all have to charge at one dock with two places."""
-    tasks = tuple(Task(f"t{k}", Pose(4.0 + 8.0 * k, 1.5, 0.0), required=False) for k in range(4))
-    tasks = tuple(replace(task, needs=(task.name,)) for task in tasks)
+    tasks = tuple(at(f"t{k}", 4.0 + 8.0 * k, required=False, needs=(f"t{k}",)) for k in range(4))
     dock = Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0, places=2)
     robots = [replace(robot(f"r{k}", x, 40 * METRE, soc=0.25), skills=(f"t{k}",))
               for k, x in enumerate((20.0, 22.0, 12.0, 14.0))]  # fmt: skip
@@ -185,7 +178,7 @@ def test_robots_that_make_no_sense_are_refused() -> None:
     with pytest.raises(MissionError, match="colour: a robot has no such key"):
         robot("one", 4.0, colour="red")
     with pytest.raises(MissionError, match="robot 'one': task 'a'") as refused:
-        shared(one, tasks=(Task("x", Pose(8.0, 1.5, 0.0), needs=("arm",)), *_outside()))
+        shared(one, tasks=(at("x", 8.0, needs=("arm",)), at("a", -1.0)))
     assert refused.value.place == ("tasks", 1, "pose")
     with pytest.raises(MissionError, match="'one' has the skills for no task"):
         shared(one, tasks=(replace(TASKS[0], needs=("arm",)),))
@@ -196,10 +189,6 @@ def test_robots_that_make_no_sense_are_refused() -> None:
         shared(one).resume_robots({"three": RobotState(Pose(1, 1, 0), 1.0)})
     with pytest.raises(MissionError, match="several robots; use resume_robots"):
         shared(one).resume((1, 1, 0), 1.0)
-
-
-def _outside() -> tuple[Task, ...]:
-    return (replace(TASKS[0], pose=Pose(-1.0, 1.5, 0.0)),)
 
 
 def test_a_log_is_of_one_robot() -> None:
@@ -265,9 +254,7 @@ def test_what_is_wrong_with_a_file_is_told_with_its_line(
         read_mission(file)
 
 
-def test_the_command_tells_who_does_what_and_who_takes_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_tells_who_does_what_and_who_takes_over(tmp_path: Path, run: Run) -> None:
     """The example in a hall without walls; the example itself stands in the documentation."""
     text = (ROOT / "examples" / "fleet_warehouse.yaml").read_text()
     text = text.replace("map: warehouse.yaml", "map: hall.yaml")
@@ -275,14 +262,9 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     write_map(OccupancyGrid(np.zeros((65, 115), bool), 0.2), tmp_path / "hall.yaml")
     file = tmp_path / "fleet.yaml"
     file.write_text(text)
-    words = ["energyplan", "mission", str(file), "--json", "--fail", "alpha@100"]
     page, drives = tmp_path / "page.html", tmp_path / "drives"
-    more = ["--effort", "500", "--report", str(page), "--trajectories", str(drives)]
-    monkeypatch.setattr("sys.argv", [*words, *more])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    assert not left.value.code
-    told = json.loads(capsys.readouterr().out)
+    told = run("mission", file, "--json", "--fail", "alpha@100", "--effort", 500,
+               "--report", page, "--trajectories", drives).json  # fmt: skip
     assert told["feasible"]
     names = [task["name"] for one in told["robots"] for task in one["tasks"]]
     assert len(names) == len(set(names)) == 4
@@ -292,8 +274,6 @@ def test_the_command_tells_who_does_what_and_who_takes_over(
     assert all(f">{one}</h2>" in page.read_text() for one in ("alpha", "beta", "gamma"))
     answered = json.loads(mission_answer(text.replace("3000", "500"), tmp_path))
     assert [one["tasks"] for one in answered["robots"]] == [one["tasks"] for one in told["robots"]]
-    monkeypatch.setattr("sys.argv", [*words[:3], "--fail", "alpha"])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    assert left.value.code == 2
-    assert "write NAME@SECONDS" in capsys.readouterr().err
+    left = run("mission", file, "--fail", "alpha")
+    assert left.code == 2
+    assert "write NAME@SECONDS" in left.err

@@ -7,7 +7,7 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from test_corridor import charger, corridor
+from corridors import at, charger, corridor
 
 from energyplan.mission import Mission, Spreads, Task, evaluate
 from energyplan.path import Pose
@@ -17,17 +17,15 @@ SPREADS = replace(Spreads.none(), speed=0.1, dwell=0.2, waiting=1.0)
 
 def rounds(order: str, **changes: float) -> Mission:
     """Three tasks along a corridor; the second opens late, so that some robots wait for it."""
-    asked = corridor(
-        1e6, {"x": 20.0}, 5.0, order=order, speed=0.5, confidence=0.95, spreads=SPREADS,
+    tasks = (
+        at("a", 12.0, dwell=60.0),
+        at("b", 20.0, dwell=40.0, window=(changes.get("opens", 0.0), 1e6)),
+        at("c", 29.0, window=(0.0, 1e6)),
+    )
+    return corridor(
+        1e6, tasks, 5.0, order=order, speed=0.5, confidence=0.95, spreads=SPREADS,
         coefficient_spread=0.01, waiting=changes.get("waiting", 0.0),
     )  # fmt: skip
-    opens = changes.get("opens", 0.0)
-    tasks = (
-        Task("a", Pose(12.0, 1.5, 0.0), dwell=60.0),
-        Task("b", Pose(20.0, 1.5, 0.0), dwell=40.0, window=(opens, 1e6)),
-        Task("c", Pose(29.0, 1.5, 0.0), window=(0.0, 1e6)),
-    )
-    return replace(asked, tasks=tasks)
 
 
 def drawn(mission: Mission, count: int) -> np.ndarray:
@@ -103,9 +101,9 @@ def test_a_charge_ends_in_time_at_the_bound(order):
 @pytest.mark.parametrize("order", ["given", "free"])
 def test_half_a_turn_in_place_is_a_spin_where_a_window_presses(order):
     """Three pivots take as much as a spin on this ground, and more than twice the time."""
-    asked = corridor(1e5, {"x": 15.0}, 15.0, order=order, speed=0.5)
     turned = Task("turned", Pose(15.0, 1.5, np.pi))
-    calm = evaluate(replace(asked, tasks=(turned,)))
+    asked = corridor(1e5, (turned,), 15.0, order=order, speed=0.5)
+    calm = evaluate(asked)
     radians = np.pi * asked.vehicle.icr.left / 0.5
     soon = replace(turned, window=(0.0, 1.25 * radians))
     pressed = evaluate(replace(asked, tasks=(soon,)))

@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from test_corridor import charger, corridor
+from corridors import at, charger, corridor
 
 from energyplan.battery import Battery
-from energyplan.mission import Mission, Remedy, Spreads, Task, evaluate
-from energyplan.path import Pose
+from energyplan.mission import Mission, Remedy, Spreads, evaluate
 from energyplan.power import HOTEL, PowerModel
 
 
@@ -41,21 +40,20 @@ def troubled(seed: int) -> Mission:
         if rng.random() < 0.3:
             window = (0.0, float(rng.uniform(20, 1000)))
         tasks.append(
-            Task(
-                f"t{k}", Pose(float(rng.uniform(4, 31)), 1.5, 0.0), prize=float(rng.integers(1, 5)),
+            at(
+                f"t{k}", float(rng.uniform(4, 31)), prize=float(rng.integers(1, 5)),
                 dwell=float(rng.choice([0.0, 200.0, 600.0])),
                 power=float(rng.choice([0.0, 60.0, 150.0])),
                 required=bool(rng.random() < 0.5), window=window,
             )
         )  # fmt: skip
     docks = (charger(float(rng.uniform(4, 31)), "dock"),) if rng.random() < 0.3 else ()
-    asked = corridor(
-        1e4, {"x": 9.0}, 15.0, soc=float(rng.uniform(0.5, 1.0)), confidence=0.9,
+    return corridor(
+        1e4, tuple(tasks), 15.0, soc=float(rng.uniform(0.5, 1.0)), confidence=0.9,
         reserve=float(rng.choice([0.0, 0.1, 0.2])), order=str(rng.choice(["given", "free"])),
         chargers=docks, speed=float(rng.choice([0.3, 0.6])) if rng.random() < 0.5 else None,
         model=model, battery=pack, coefficient_spread=0.05, spreads=Spreads(),
     )  # fmt: skip
-    return replace(asked, tasks=tuple(tasks))
 
 
 def trials(seeds: Iterable[int]) -> Iterator[Trial]:
