@@ -13,41 +13,34 @@ from commands import Run
 from PIL import Image
 
 import energyplan as ep
-from energyplan import PowerModel, Trajectory, simulate
+from energyplan import PowerModel, Trajectory
 from energyplan.html import number
 from energyplan.io.bags import opened_bag
 from energyplan.io.config import write_model
 from energyplan.io.files import bundled
 from energyplan.io.maps import write_map
-from energyplan.io.tables import read_trajectory, write_log, write_path, write_trajectory
+from energyplan.io.tables import read_trajectory, write_path, write_trajectory
+from energyplan.power.effects import term
 from energyplan.reach import most_power
 
-MODEL = PowerModel.preset("quadriga:full:marble")
+CONCRETE = "quadriga:empty:concrete"
+OFFICE = ("--map", bundled("office.yaml"), "--model", CONCRETE, "--start", "1.2,2,90deg")
 pytestmark = pytest.mark.usefixtures("little_effort")
-
-
-@pytest.fixture(scope="module")
-def spiral(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    log = simulate.drive(MODEL, "spiral", power_noise=10.0, speed_noise=0.005, seed=4)
-    return write_log(log, tmp_path_factory.mktemp("logs") / "spiral.csv")
 
 
 def test_compare_reports_both_routes(run: Run, tmp_path: Path) -> None:
     report = tmp_path / "routes.html"
-    result = run("compare", "--map", bundled("office.yaml"), "--model", "quadriga:full:marble",
-                 "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--report", report,
-                 "--json")  # fmt: skip
-    assert result.code == 0
+    told = run("compare", *OFFICE, "--goal", "3.9,2,90deg", "--report", report, "--json").json
     page = report.read_text()
     assert page.startswith("<!doctype html>")
     body = page[page.index("<body>") :]
-    assert f"{100 * result.json['saving']:.1f} % of the shortest route" in body
+    assert f"{100 * told['saving']:.1f} % of the shortest route" in body
     for key in ("energy_optimal", "shortest"):
-        assert result.json[key]["effort_limit"] == 5000  # of `little_effort`: no clock, but work
-        assert f">{number(result.json[key]['length'])}</td>" in body
+        assert told[key]["effort_limit"] == 5000  # of `little_effort`: no clock, but work
+        assert f">{number(told[key]['length'])}</td>" in body
     assert body.count("<figure>") == 3
     end = body[body.index("<footer>") :]
-    assert f"energyplan compare --map {bundled('office.yaml')} --model quadriga:full:marble" in end
+    assert f"energyplan compare --map {bundled('office.yaml')} --model {CONCRETE}" in end
     for name in ("office.yaml", "office.png"):
         assert hashlib.sha256(bundled(name).read_bytes()).hexdigest() in end
 
@@ -108,8 +101,7 @@ def test_check_writes_nothing_where_no_speed_is_slow_enough(run: Run, tmp_path: 
 
 
 def test_plan_and_compare_write_tables_recordings_and_pictures(run: Run, tmp_path: Path) -> None:
-    options = ("--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--start", "1.2,2,90deg", "--goal", "3.9,2,90deg", "--effort", 1000)  # fmt: skip
+    options = (*OFFICE, "--goal", "3.9,2,90deg", "--effort", 1000)
     out, plot, recorded = (tmp_path / name for name in ("path.csv", "path.png", "routes.mcap"))
     assert run("plan", *options, "--out", out, "--plot", plot).code == 0
     assert out.read_text().startswith("x,y,yaw\n")
@@ -121,16 +113,14 @@ def test_plan_and_compare_write_tables_recordings_and_pictures(run: Run, tmp_pat
 
 
 def test_the_same_route_twice_is_told_of_once(run: Run) -> None:
-    result = run("compare", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-                 "--start", "1.2,2,90deg", "--goal", "1.2,2,90deg", "--effort", 100)  # fmt: skip
+    result = run("compare", *OFFICE, "--goal", "1.2,2,90deg", "--effort", 100)
     assert result.code == 0
     assert result.err.count("the path has no length") == 1
 
 
 def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     asc, areas, picture = (tmp_path / f"range.{end}" for end in ("asc", "geojson", "svg"))
-    options = ("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--start", "1.2,2,90deg", "--json")  # fmt: skip
+    options = ("range", *OFFICE, "--json")
     result = run(*options, "--energy", 2000, "--reserve", 0.25, "--out", asc,
                  "--contours", areas, "--plot", picture)  # fmt: skip
     assert result.code == 0
@@ -146,10 +136,9 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
 
 
 def test_range_takes_what_a_battery_holds_above_the_reserve(run: Run) -> None:
-    told = run("range", "--map", bundled("office.yaml"), "--model", "quadriga:empty:concrete",
-               "--start", "1.2,2,90deg", "--battery", "quadriga", "--soc", 0.0015,
-               "--reserve", 0.5, "--json").json["contours"]  # fmt: skip
-    power = ep.EnergyCost(PowerModel.preset("quadriga:empty:concrete"), battery=True)
+    told = run("range", *OFFICE, "--battery", "quadriga", "--soc", 0.0015, "--reserve", 0.5,
+               "--json").json["contours"]  # fmt: skip
+    power = ep.EnergyCost(PowerModel.preset(CONCRETE), battery=True)
     usable = 0.5 * ep.Battery.preset("quadriga").usable_energy(most_power(power), 0.0015)
     assert (told[-1]["energy"] if told else 0.0) == pytest.approx(float(usable))
 
@@ -171,3 +160,34 @@ def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> No
     told = soft.json["energy"] + soft.json["soft_cost"]
     assert soft.json["cost"] == pytest.approx(told)
     assert soft.json["cost"] < plain.json["energy"] + 2000
+
+
+def test_a_path_that_is_shut_has_no_way_round(run: Run, tmp_path: Path) -> None:
+    hall = tmp_path / "hall.yaml"
+    asked = ("--map", hall, "--model", CONCRETE, "--start", "3,4,0", "--effort", 3000)
+    former = tmp_path / "path.csv"
+    former.write_text("x,y,yaw\n1,4,0\n11,4,0\n")
+    cells = np.zeros((80, 120), bool)
+    cells[:, 60:64] = True
+    write_map(ep.OccupancyGrid(cells, 0.1), hall)
+    assert run("plan", "--former", former, *asked, "--strict").code == 3
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("export", "lattice", "--resolution", 0.1, "--out"), ("export", "table", "--out")],
+    ids=lambda c: c[0],
+)
+def test_what_knows_no_map_says_that_it_leaves_a_slope_out(
+    run: Run, tmp_path: Path, command: tuple[object, ...]
+) -> None:
+    level = PowerModel.preset(CONCRETE)
+    tilted = ep.write_model(level.with_term(term("tilt_x"), 20.0), tmp_path / "tilted.yaml")
+    plain = ep.write_model(level, tmp_path / "level.yaml")
+    out = {"lattice": "out.json", "table": "out.csv"}[str(command[1])]
+    code, _, err = run(*command, tmp_path / out, "--model", tilted)
+    assert code == 0, err
+    assert "left out" in err
+    code, _, err = run(*command, tmp_path / out, "--model", plain)
+    assert code == 0, err
+    assert "left out" not in err

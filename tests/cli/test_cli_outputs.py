@@ -108,9 +108,7 @@ def test_only_what_is_read_is_guarded(folder: Path, run: Run) -> None:
 def test_one_drive_is_cut_into_what_is_learned_from_and_what_is_judged_on(
     folder: Path, run: Run
 ) -> None:
-    code, out, error = run("diagnose", "a.csv", "--vehicle", "robot.yaml", "--json")
-    assert code == 0, error
-    told = json.loads(out)
+    told = run("diagnose", "a.csv", "--vehicle", "robot.yaml", "--json").json
     (learned,), (judged,) = told["training"], told["judging"]
     cut = learned.rpartition(" to ")[2].removesuffix(" s")
     assert judged.startswith(f"a.csv from {cut} to ")
@@ -129,9 +127,7 @@ def test_short_drives_are_judged_on_whole_and_what_was_set_aside_counts_once(
         blank = ",".join("" for _ in rows[0].split(","))
         lines = [rows[0], *rows[1 + first : 1 + last], blank]
         (folder / name).write_text("\n".join(lines) + "\n")
-    code, out, error = run("diagnose", *parts, "--vehicle", "robot.yaml", "--json")
-    assert code == 0, error
-    told = json.loads(out)
+    told = run("diagnose", *parts, "--vehicle", "robot.yaml", "--json").json
     assert told["training"] == ["long.csv from 0 to 26.97 s", "one.csv"]
     assert told["judging"] == ["long.csv from 26.97 to 44.95 s", "two.csv"]
     assert {name: sum(of.values()) for name, of in told["set_aside"].items()} == dict.fromkeys(
@@ -283,9 +279,7 @@ def test_all_that_follows_holdout_is_held_out(
     folder: Path, run: Run, arguments: tuple[str, ...]
 ) -> None:
     vehicle = ("--vehicle", "robot.yaml", "--json")
-    code, out, error = run("diagnose", *vehicle, *arguments)
-    assert code == 0, error
-    told = json.loads(out)
+    told = run("diagnose", *vehicle, *arguments).json
     assert told["training"] == ["a.csv"]
     assert told["judging"] == ["c.csv", "d.csv"]
 

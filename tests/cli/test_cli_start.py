@@ -13,6 +13,7 @@ from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 
 import energyplan as ep
 from energyplan import simulate
+from energyplan.io.config import write_vehicle
 from energyplan.io.logs import read_log
 from energyplan.io.start import Given, start
 from energyplan.io.tables import write_log
@@ -136,13 +137,9 @@ def test_a_wrong_wheel_radius_is_told_by_identify(tmp_path: Path, run: Run) -> N
     fast = {name: np.array(values) for name, values in log.channels.items()}
     fast |= {name: fast[name] * 0.1651 / RADIUS for name in ("v_left", "v_right")}
     file = write_log(ep.DriveLog(fast), tmp_path / "fast.csv")
-    ep_vehicle = tmp_path / "robot.yaml"
-    from energyplan.io.config import write_vehicle
-
-    write_vehicle(ROBOT, ep_vehicle)
-    code, text, _ = run("identify", file, "--vehicle", ep_vehicle, "--json")
-    assert code == 0
-    assert any("wheel radius is not" in warning for warning in json.loads(text)["warnings"])
+    ep_vehicle = write_vehicle(ROBOT, tmp_path / "robot.yaml")
+    told = run("identify", file, "--vehicle", ep_vehicle, "--json").json
+    assert any("wheel radius is not" in warning for warning in told["warnings"])
 
 
 def test_a_bag_of_an_unknown_robot_needs_a_radius_from_somewhere(tmp_path: Path, run: Run) -> None:
@@ -159,12 +156,10 @@ def test_the_topics_of_a_bag_are_found(tmp_path: Path, run: Run, pose: bool) -> 
     log = drive()
     file, out = bag(tmp_path, log, pose), tmp_path / "p.yaml"
     radius = () if pose else ("--wheel-radius", RADIUS)
-    code, text, error = run("start", file, *MEASURES, *radius, "--out", out, "--json")
-    assert code == 0, error
-    assert all(check["ok"] for check in json.loads(text)["checks"])
-    code, text, error = run("identify", file, "--project", out, "--json")
-    assert code == 0, error
-    terms = {term["name"]: term["value"] for term in json.loads(text)["terms"]}
+    begun = run("start", file, *MEASURES, *radius, "--out", out, "--json").json
+    assert all(check["ok"] for check in begun["checks"])
+    told = run("identify", file, "--project", out, "--json").json
+    terms = {term["name"]: term["value"] for term in told["terms"]}
     assert terms["traction_resistance"] == pytest.approx(22.0, rel=0.05)
     assert terms["slip_friction"] == pytest.approx(0.6, rel=0.05)
     if not pose:
@@ -217,28 +212,23 @@ def test_a_preset_that_a_mission_names_is_told(tmp_path: Path) -> None:
 def test_hoisted_drives_tell_the_friction_inside(shared_data: Path, run: Run) -> None:
     logs = sorted((shared_data / "drive").glob("husky_hoisted_*.csv"))
     command = ("identify", *logs, "--vehicle", "husky_a200", "--hoisted", "--json")
-    code, text, error = run(*command, "--motor-constant", 21.4)
-    assert code == 0, error
-    sides = {side["side"]: side for side in json.loads(text)["sides"]}
+    told = run(*command, "--motor-constant", 21.4).json
+    sides = {side["side"]: side for side in told["sides"]}
     # 21.4 N/A times the mean current beyond the dead band: 0.6 to 1.0 A left, 1.2 to 2.1 A right
     assert 12.0 < sides["left"]["force"] < 22.0
     assert 25.0 < sides["right"]["force"] < 45.0
     assert sides["left"]["slope"] > 3 * sides["left"]["slope_error"]
     assert len(sides["left"]["classes"]) >= 8
-    assert not any("yaw" in warning for warning in json.loads(text)["warnings"])
-    code, text, _ = run(*command)
-    assert any("--motor-constant" in warning for warning in json.loads(text)["warnings"])
+    assert not any("yaw" in warning for warning in told["warnings"])
+    assert any("--motor-constant" in warning for warning in run(*command).json["warnings"])
 
 
 def test_terms_are_chosen(tmp_path: Path, run: Run) -> None:
     file = write_log(drive(), tmp_path / "own.csv")
     command = ("identify", file, "--vehicle", "quadriga", "--json")
-    code, text, _ = run(*command, "--terms", "slip_friction,traction_resistance,hotel_load")
-    assert code == 0
-    names = [term["name"] for term in json.loads(text)["terms"]]
-    assert names == ["slip_friction", "traction_resistance", "hotel_load"]
-    code, text, _ = run(*command, "--terms", "traction_resistance")
-    assert [term["name"] for term in json.loads(text)["terms"]] == ["traction_resistance"]
+    for names in ("slip_friction,traction_resistance,hotel_load", "traction_resistance"):
+        terms = run(*command, "--terms", names).json["terms"]
+        assert [term["name"] for term in terms] == names.split(",")
     code, _, error = run(*command, "--terms", "hotel")
     assert code == 2
     assert "hotel_load" in error
@@ -255,3 +245,33 @@ def test_powers_without_sign_are_told_once(tmp_path: Path, run: Run) -> None:
     assert text.count("never negative") == 1
     assert "these terms are wrong" in text
     assert "unseen driving: stretches of" in text
+
+
+def test_start_without_a_project_checks_a_log_all_the_same(tmp_path: Path, run: Run) -> None:
+    log = simulate.drive(ep.PowerModel.preset("quadriga:full:marble"), "spiral", rate=10.0, seed=3)
+    table = write_log(log, tmp_path / "drive.csv")
+    told = run("start", table, "--track", 0.5, "--wheelbase", 0.475, "--mass", 147)
+    assert told.code == 0 and "v_left" in told.out and "give --out PROJECT.yaml" in told.out
+    project = tmp_path / "robot.yaml"
+    with table.open("a") as rows:
+        rows.write("300" + (len(log.channels) - 1) * ",1e308")  # whose square is no number
+    assert run("start", table, "--like", "quadriga", "--out", project).code == 0
+    assert "assumed mass" not in run("start", table, "--project", project).out
+    table.write_text("t,velL,velR,note\n0,1,1,start\n1,1,1,go\n")
+    told = run("start", table)
+    assert told.code == 2 and "nothing seems to be power" in told.err and "note" in told.err
+
+
+def test_topic_maps_are_chosen_by_name(tmp_path: Path, run: Run) -> None:
+    """A map finds the joints' topic or not; either way the answer names the map."""
+    writer = pytest.importorskip("rosbags.rosbag1").Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    file = tmp_path / "drive.bag"
+    with writer(file) as made:
+        store = get_typestore(Stores.ROS1_NOETIC)
+        connection = made.add_connection("/rosout", "std_msgs/msg/String", typestore=store)
+        made.write(connection, 10**9, b"")
+    for topics, words in (("jackal", ("'jackal'", "/rosout")), ("tractor", ("tractor", "warthog"))):
+        told = run("identify", file, "--vehicle", "jackal", "--topics", topics)
+        assert told.code == 2 and all(word in told.err for word in words)

@@ -207,21 +207,6 @@ def test_data_are_frozen() -> None:
     assert thawed == CHANGING
 
 
-def test_no_two_neighbouring_fields_share_a_comment() -> None:
-    copied = []
-    for path in sorted((ROOT / "energyplan").rglob("*.py")):
-        lines = path.read_text().splitlines()
-        for each in (n for n in ast.walk(parsed(path)) if isinstance(n, ast.ClassDef)):
-            ends = [n.end_lineno or 0 for n in each.body if isinstance(n, ast.AnnAssign)]
-            said = [lines[end - 1].partition("  # ")[2] for end in ends]
-            copied += [
-                f"{path.relative_to(ROOT)}:{end}: {two}"
-                for end, one, two in zip(ends[1:], said, said[1:], strict=False)
-                if one and one == two
-            ]
-    assert copied == []
-
-
 def test_the_package_states_the_licence_of_all_that_it_contains() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     stated = {file for pattern in project["license-files"] for file in ROOT.glob(pattern)}

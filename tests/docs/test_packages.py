@@ -188,13 +188,3 @@ def test_a_lock_names_no_address_and_no_folder(lock: Path) -> None:
     assert text.count("--hash=sha256:") > 100
     assert "://" not in text
     assert "file:" not in text
-
-
-@pytest.mark.parametrize("form", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")))
-def test_a_form_asks_for_what_is_needed(form: Path) -> None:
-    body = yaml.safe_load(form.read_text())["body"]
-    required = {one["id"] for one in body if one.get("validations", {}).get("required")}
-    if form.stem == "bug":
-        assert required == {"command", "output", "version"}
-        assert "files" in {one["id"] for one in body}
-    assert required

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -12,15 +11,6 @@ import yaml
 ROOT = Path(__file__).resolve().parents[2]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*"))
 TARGETS = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-
-
-def _strings(value: Any) -> list[str]:
-    """Return all texts of a document, with one for each value of a matrix."""
-    if isinstance(value, dict):
-        return [text for part in value.values() for text in _strings(part)]
-    if isinstance(value, list):
-        return [text for part in value for text in _strings(part)]
-    return [str(value)]
 
 
 @pytest.mark.parametrize("file", WORKFLOWS, ids=lambda file: file.name)
@@ -62,8 +52,3 @@ def test_actions_are_pinned_to_a_commit_and_say_its_release() -> None:
     for action in used:
         local = action.startswith("./") and (ROOT / action / "action.yml").exists()
         assert local or re.fullmatch(r"[\w/-]+@[0-9a-f]{40} # v[\d.]+", action), action
-
-
-def test_what_runs_at_night_and_on_a_release() -> None:
-    night = " ".join(_strings(yaml.safe_load((WORKFLOWS[0].parent / "nightly.yml").read_text())))
-    assert {"nightly", "recheck", "fuzz", "gates", "pages"} <= set(night.split())

@@ -49,6 +49,7 @@ from energyplan.live import (
 )
 from energyplan.live.watcher import Settings
 from energyplan.mission import Spreads
+from energyplan.power.effects import with_weight
 from energyplan.terrain import Surface
 
 MARBLE = PowerModel.preset("quadriga:full:marble")
@@ -223,8 +224,6 @@ def test_columns_units_and_separators_are_as_in_any_log() -> None:
 
 
 def test_the_channels_that_a_model_needs_are_asked_for() -> None:
-    from energyplan.power.effects import with_weight
-
     with pytest.raises(DriveLogError, match="the model needs slope; map a column"):
         told([HEADER, *steady(30)], prior=with_weight(MARBLE))
 

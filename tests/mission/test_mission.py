@@ -117,30 +117,6 @@ def test_the_bound_holds_as_often_as_it_says(residual):
     assert np.mean(energies) == pytest.approx(report.energy, rel=0.01)
 
 
-def test_charge_at_the_bound_is_the_battery_run_with_that_energy():
-    model = known("quadriga:empty:concrete", spread=0.2)
-    report = evaluate(mission(TASKS, model=model, battery=tiny(60 * WH), reserve=0.05))
-    assert report.feasible
-    # An ideal battery: state of charge is energy.
-    assert report.soc_end == pytest.approx(1 - report.energy / (60 * WH), rel=1e-4)
-    assert report.soc_end_lower == pytest.approx(1 - report.energy_upper / (60 * WH), rel=1e-4)
-
-
-def test_errors_of_legs_that_share_a_model_add_up():
-    model = known("quadriga:empty:concrete", spread=0.05)
-    report = evaluate(mission(TASKS[:1], model=model, confidence=0.95))
-    twice = evaluate(
-        mission([TASKS[0], replace(TASKS[0], name="again")], model=model, confidence=0.95)
-    )
-    first, again = twice.tasks
-    assert again.energy == pytest.approx(TASKS[0].dwell * TASKS[0].power)
-    margin = report.energy_upper - report.energy
-    assert twice.energy_upper - twice.energy == pytest.approx(margin)
-    # Independent legs would give the root of the sum of squares, 0.71 of this.
-    there = first.energy_upper - first.energy
-    assert margin == pytest.approx(2 * there, rel=0.1)
-
-
 def test_a_bound_that_nothing_supports_is_refused():
     with pytest.raises(MissionError, match="neither a covariance nor a hold-out error"):
         evaluate(mission(TASKS, model=PowerModel.preset("quadriga:empty:marble")))

@@ -6,7 +6,8 @@ simulator has its equations from the paper and from textbooks and shares no code
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -71,65 +72,40 @@ def missions() -> dict[str, Mission]:
     }
 
 
-@dataclass
-class Draws:
-    """What chance decided, an array over all draws for each.
+def drawn(mission: Mission, count: int, rng: np.random.Generator) -> SimpleNamespace:
+    """Return what chance decides, an array over all draws for each; by task for what tasks do.
 
-    Parameters
-    ----------
-    model, run, holdout, ground, hotel : ndarray, shape (n,)
-        Factors of the power of driving: the identified traction, this run, the model's error,
-        this day's ground, and hotel load.
-    tool, dwell, wait : dict
-        Power [W], duration [s] and waiting [s] of each task.
-    gauge, capacity, health, temperature : ndarray, shape (n,)
-        Error of the gauge, factor of the capacity, health, and temperature [degC].
+    `model`, `run`, `holdout`, `ground` and `hotel` are relative errors of the power of driving:
+    the identified traction, this run, the model, this day's ground, and hotel load.
     """
+    spreads, battery = mission.spreads, mission.battery
+    assert isinstance(battery, Battery)
+    assert mission.model.residual is not None
 
-    model: np.ndarray
-    run: np.ndarray
-    holdout: np.ndarray
-    ground: np.ndarray
-    hotel: np.ndarray
-    tool: dict[str, np.ndarray]
-    dwell: dict[str, np.ndarray]
-    wait: dict[str, np.ndarray]
-    gauge: np.ndarray
-    capacity: np.ndarray
-    health: np.ndarray
-    temperature: np.ndarray
+    def normal(spread: float) -> np.ndarray:
+        return rng.normal(0.0, 1.0, count) * spread
 
-    @classmethod
-    def of(cls, mission: Mission, count: int, rng: np.random.Generator) -> Draws:
-        """Draw."""
-        spreads, battery = mission.spreads, mission.battery
-        assert isinstance(battery, Battery)
-        assert mission.model.residual is not None
-
-        def normal(spread: float) -> np.ndarray:
-            return rng.normal(0.0, 1.0, count) * spread
-
-        tools = {task.power: 1.0 + normal(spreads.power) for task in mission.tasks}
-        worn = battery.health + normal(spreads.health)
-        return cls(
-            model=normal(0.03), run=normal(mission.model.residual.run_spread or 0.0),
-            holdout=normal(mission.model.residual.energy_error),
-            ground=normal(mission.coefficient_spread),
-            hotel=normal(0.05) + normal(mission.coefficient_spread),
-            tool={t.name: t.power * tools[t.power] for t in mission.tasks},
-            dwell={t.name: np.maximum(t.dwell * (1.0 + normal(spreads.dwell)), 0.0)
-                   for t in mission.tasks},
-            wait={t.name: rng.exponential(mission.waiting, count) for t in mission.tasks},
-            gauge=normal(spreads.soc), capacity=1.0 + normal(spreads.capacity),
-            health=np.maximum(worn, 0.05),
-            temperature=battery.temperature + normal(spreads.temperature),
-        )  # fmt: skip
+    tools = {task.power: 1.0 + normal(spreads.power) for task in mission.tasks}
+    worn = battery.health + normal(spreads.health)
+    return SimpleNamespace(
+        model=normal(0.03), run=normal(mission.model.residual.run_spread or 0.0),
+        holdout=normal(mission.model.residual.energy_error),
+        ground=normal(mission.coefficient_spread),
+        hotel=normal(0.05) + normal(mission.coefficient_spread),
+        tool={t.name: t.power * tools[t.power] for t in mission.tasks},
+        dwell={t.name: np.maximum(t.dwell * (1.0 + normal(spreads.dwell)), 0.0)
+               for t in mission.tasks},
+        wait={t.name: rng.exponential(mission.waiting, count) for t in mission.tasks},
+        gauge=normal(spreads.soc), capacity=1.0 + normal(spreads.capacity),
+        health=np.maximum(worn, 0.05),
+        temperature=battery.temperature + normal(spreads.temperature),
+    )  # fmt: skip
 
 
 class Pack:
     """A battery in small steps: source, resistance, one RC pair, Peukert's law."""
 
-    def __init__(self, battery: Battery, draws: Draws, soc: float) -> None:
+    def __init__(self, battery: Battery, draws: SimpleNamespace, soc: float) -> None:
         self.battery = battery
         warm = np.interp(draws.temperature, battery.derating_temperature, battery.derating_factor)
         self.capacity = battery.capacity * draws.capacity * draws.health * warm
@@ -163,13 +139,11 @@ class Pack:
 def simulated(report: MissionReport, count: int, seed: int = 0) -> np.ndarray:
     """Drive a mission so many times; return the states of charge at its end, shape (count,)."""
     mission, rng = report.mission, np.random.default_rng(seed)
-    draws, residual = Draws.of(mission, count, rng), mission.model.residual
+    draws, residual = drawn(mission, count, rng), mission.model.residual
     assert residual is not None
     assert isinstance(mission.battery, Battery)
-    pack, chargers = (
-        Pack(mission.battery, draws, mission.soc),
-        {c.name: c for c in mission.chargers},
-    )
+    pack = Pack(mission.battery, draws, mission.soc)
+    until = {charger.name: charger.until for charger in mission.chargers}
     factor = 1.0 + draws.run + draws.holdout
     idle = HOTEL_LOAD * (1.0 + draws.hotel + draws.holdout)
     for before, stop in zip(report.route, report.route[1:], strict=False):
@@ -185,5 +159,5 @@ def simulated(report: MissionReport, count: int, seed: int = 0) -> np.ndarray:
             pack.draw(idle, draws.wait[stop.name])
             pack.draw(idle + draws.tool[stop.name], draws.dwell[stop.name])
         if stop.kind == "charge":
-            pack.charge(chargers[stop.name].until)
+            pack.charge(until[stop.name])
     return pack.soc
