@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import shapely
+from corridors import CORRIDOR, at, corridor
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from worlds import tiny
@@ -133,86 +134,77 @@ def test_a_model_whose_error_of_energy_is_infinite_is_refused(confidence):
 # -- verdicts ------------------------------------------------------------------------------------
 
 
-def walled() -> OccupancyGrid:
-    grid = hall()
-    return grid.with_blocked(shapely.box(10.0, 0.0, 10.4, 10.0))
+WALLED = CORRIDOR.with_blocked(shapely.box(10.0, 0.0, 10.4, 3.0))
+SAGGING = replace(tiny(1e6), resistance=0.2, cutoff_voltage=9.0)
+WEAK = replace(known().vehicle, motor=replace(known().vehicle.motor, force=150.0))
+LONG, SHORT, LATE = (
+    at("long", 5.0, dwell=100.0, power=80.0), at("short", 9.0, dwell=10.0, power=10.0),
+    at("late", 9.0, dwell=100.0, power=80.0),
+)  # fmt: skip
 
 
-def test_no_path():
-    tasks = [Task("near", Pose(5.0, 5.0, 0.0)), Task("behind", Pose(12.0, 5.0, 0.0))]
-    report = evaluate(mission(tasks, map=walled()))
-    behind = report.task("behind")
-    assert (behind.verdict, behind.reason) == ("unreachable", "no_path")
-    assert not behind.reachable_alone
-    assert np.isnan(behind.energy)
-    assert behind.remedy.startswith("clear the route or move the task")
-    assert report.task("near").verdict == "reachable"
+class Refused(NamedTuple):
+    """A mission whose last task cannot be done, and what is said of it."""
+
+    mission: Mission
+    reason: str
+    said: str
+    shortfall: float = 0.0  # [J]
+    remedied: Mission | None = None
+    short_of_it: Mission | None = None
+
+
+FAR = at("far", 11.0, dwell=100.0, power=100.0)
+AFAR = corridor(20000.0, (FAR,), 1.0, soc=0.6, reserve=0.2)
+QUICK = corridor(1.0, {"go": 5.0}, 1.0, battery=SAGGING, speed=0.3)
+REFUSED = {
+    "behind a wall": Refused(
+        corridor(1e6, {"near": 5.0, "behind": 12.0}, 1.0, map=WALLED),
+        "no_path", "clear the route or move the task",
+    ),
+    # turning on the spot takes mu S / B = 120 N a side beyond what the motor has
+    "too weak a motor": Refused(
+        corridor(1e6, (at("ahead", 5.0), Task("turned", Pose(5.0, 1.5, np.pi))), 1.0,
+                 model=replace(known(), vehicle=WEAK)),
+        "motor", "force",
+    ),
+    # 8000 + 100 + 8000 + 2 * 90 * 16 J are needed, 13500 J are there
+    "after others": Refused(
+        corridor(15000.0, (LONG, SHORT, LATE), 1.0, reserve=0.1), "blocked_by_earlier",
+        "drop 'long'", 8000 + 100 + 8000 + 2 * 90 * 16 - 13500,
+        corridor(15000.0, (SHORT, LATE), 1.0, reserve=0.1),
+    ),
+    # 13600 J and a fifth of 20000 J are 88 % of the battery
+    "too little charge": Refused(
+        AFAR, "battery", "charge to 88 % before leaving", 13600 + 4000 - 12000,
+        replace(AFAR, soc=0.88), replace(AFAR, soc=0.87),
+    ),
+    "a load that pulls the terminals to 8.5 V": Refused(
+        corridor(1.0, (at("drill", 5.0, dwell=60.0, power=60.0),), 1.0, battery=SAGGING, speed=0.1),
+        "battery", "the voltage sags below cut-off at 40 s under 60 W",
+    ),
+    # 45 W are the most that leave 9 V; 180 N take that at 0.25 m/s, full speed takes 216 W
+    "too fast for the voltage": Refused(
+        QUICK, "battery", "drive at up to 0.225 m/s", 0.0, replace(QUICK, speed=0.225)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_why_a_task_cannot_be_done_and_what_would_help(name):
+    wrong = REFUSED[name]
+    report = evaluate(wrong.mission)
+    *others, task = (report.task(one.name) for one in wrong.mission.tasks)
     assert not report.feasible
-    assert [row[0] for row in report.tables[0].rows] == ["behind", "near"]
-
-
-def test_motor_limits():
-    # Turning on the spot takes mu S / B = 120 N a side beyond what the motor has.
-    model = known()
-    weak = replace(model.vehicle, motor=replace(model.vehicle.motor, force=150.0))
-    tasks = [
-        Task("ahead", Pose(5.0, 5.0, 0.0)),
-        Task("turned", Pose(5.0, 5.0, np.pi)),
-    ]
-    report = evaluate(mission(tasks, model=replace(model, vehicle=weak)))
-    assert report.task("ahead").verdict == "reachable"
-    turned = report.task("turned")
-    assert (turned.verdict, turned.reason) == ("unreachable", "motor")
-    assert "force" in turned.detail
-
-
-def test_blocked_by_an_earlier_task():
-    tasks = [
-        Task("long", Pose(5.0, 5.0, 0.0), dwell=100.0, power=80.0),
-        Task("short", Pose(9.0, 5.0, 0.0), dwell=10.0, power=10.0),
-        Task("late", Pose(9.0, 5.0, 0.0), dwell=100.0, power=80.0),
-    ]
-    report = evaluate(mission(tasks, battery=tiny(15000.0), reserve=0.1))
-    late = report.task("late")
-    assert (late.verdict, late.reason) == ("unreachable", "blocked_by_earlier")
-    assert late.reachable_alone
-    # 8000 + 100 + 8000 + 2 * 90 * 16 J are needed, 13500 J are there.
-    assert late.shortfall == pytest.approx(8000 + 100 + 8000 + 2 * 90 * 16 - 13500, rel=1e-3)
-    assert late.remedy.startswith("drop 'long'")
-    without = evaluate(mission(tasks[1:], battery=tiny(15000.0), reserve=0.1))
-    assert without.feasible
-
-
-def test_remedies_hold():
-    task = [Task("far", Pose(11.0, 5.0, 0.0), dwell=100.0, power=100.0)]
-    low = mission(task, battery=tiny(20000.0), soc=0.6, reserve=0.2)
-    told = evaluate(low).task("far")
-    assert told.reason == "battery"
-    # 13600 J and a fifth of 20000 J are 88 % of the battery.
-    assert "charge to 88 % before leaving" in told.remedy
-    assert evaluate(replace(low, soc=0.88)).feasible
-    assert not evaluate(replace(low, soc=0.87)).feasible
-
-
-def test_the_voltage_must_hold_under_the_load():
-    sagging = replace(tiny(1e6), resistance=0.2, cutoff_voltage=9.0)
-    task = [Task("drill", Pose(5.0, 5.0, 0.0), dwell=60.0, power=60.0)]
-    # 60 W pull the terminals to 8.5 V.
-    drill = evaluate(mission(task, battery=sagging, speed=0.1)).task("drill")
-    assert drill.reason == "battery"
-    assert drill.shortfall == 0.0
-    assert drill.detail == "the voltage sags below cut-off at 40 s under 60 W"
-
-
-def test_driving_slower_spares_a_weak_battery():
-    # 45 W are the most that leave 9 V; 180 N take that at 0.25 m/s, full speed takes 216 W.
-    sagging = replace(tiny(1e6), resistance=0.2, cutoff_voltage=9.0)
-    task = [Task("go", Pose(5.0, 5.0, 0.0))]
-    low = mission(task, battery=sagging, speed=0.3)
-    told = evaluate(low).task("go")
-    assert told.reason == "battery"
-    assert "drive at up to 0.225 m/s" in told.remedy
-    assert evaluate(replace(low, speed=0.225)).feasible
+    assert {one.verdict for one in others} <= {"reachable"}
+    assert (task.verdict, task.reason) == ("unreachable", wrong.reason)
+    assert wrong.said in f"{task.detail}; {task.remedy}"
+    assert task.shortfall == pytest.approx(wrong.shortfall, rel=1e-3)
+    assert task.reachable_alone == (wrong.reason == "blocked_by_earlier")
+    assert np.isnan(task.energy) == (wrong.reason in ("no_path", "motor"))
+    assert report.tables[0].rows[0][0] == task.name
+    assert wrong.remedied is None or evaluate(wrong.remedied).feasible
+    assert wrong.short_of_it is None or not evaluate(wrong.short_of_it).feasible
 
 
 # -- free order ----------------------------------------------------------------------------------
@@ -274,8 +266,7 @@ def test_the_rest_of_a_mission_costs_what_is_left_of_it():
     whole = mission(TASKS, model=model)
     told = evaluate(whole)
     done = told.tasks[:2]
-    at = TASKS[1].pose
-    rest = whole.resume(at, soc=done[1].soc_after, done=["a", "b"], time=500.0)
+    rest = whole.resume(TASKS[1].pose, soc=done[1].soc_after, done=["a", "b"], time=500.0)
     assert rest.home == whole.start
     again = evaluate(rest)
     assert [t.name for t in again.tasks] == ["c", "d"]
@@ -307,7 +298,7 @@ def test_a_corrected_model_takes_the_place_of_the_old_one():
         ({"soc": np.nan}, "soc is nan", ("soc",)),
         ({"confidence": 1.0}, "confidence", ("confidence",)),
         ({"start": Pose(50.0, 5.0, 0.0)}, "outside the map", ("start",)),
-        ({"map": walled(), "start": Pose(10.2, 5.0, 0.0)}, "nearest free pose", ("start",)),
+        ({"map": WALLED, "start": Pose(10.2, 1.5, 0.0), "tasks": (LONG,)}, "nearest", ("start",)),
         ({"return_to": "charger"}, "has none", ("return_to",)),
         ({"payload": -1.0}, "payload", ("payload",)),
     ],

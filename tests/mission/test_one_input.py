@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -20,9 +19,6 @@ import shapely
 from numpy.typing import NDArray
 
 import energyplan as ep
-from energyplan.io.config import read_model, write_model
-from energyplan.io.geojson import write_surfaces
-from energyplan.io.maps import write_map
 from energyplan.mission import Charger, Mission, Robot, Routes, Spreads, Task, evaluate
 from energyplan.mission.routes import Legs
 from energyplan.output import documents
@@ -357,49 +353,6 @@ def test_shared_routes_have_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     for speed in (0.5, 0.6, 0.7):
         evaluate(replace(asked, speed=speed), routes=routes)
     assert 0 < len(routes) <= 10  # of two scenes
-
-
-# -- the service -----------------------------------------------------------------------------------
-
-
-def test_the_service_sees_a_speed_limit_that_was_lowered(tmp_path: Path) -> None:
-    pytest.importorskip("fastapi", reason="the service needs the extra serve")
-    from fastapi.testclient import TestClient
-
-    from energyplan.serve import create_app
-
-    def asked(client: TestClient, limit: float) -> float:
-        area = SpeedLimit(shapely.box(2, 0, 5, 5), limit)
-        write_surfaces(SurfaceMap((), (), (area,)), tmp_path / "ground.geojson")
-        answer = client.post("/api/mission", json={"mission": "round.yaml"})
-        assert answer.status_code == 200, answer.text
-        return float(answer.json()["duration"])
-
-    write_map(OccupancyGrid(cells(0, 0, 0, 0), CELL), tmp_path / "hall.yaml")
-    (tmp_path / "round.yaml").write_text(
-        "model: quadriga:empty:marble\nmap: hall.yaml\nsurfaces: ground.geojson\n"
-        "battery: quadriga\nstart: [1.2, 2.5, 0]\nconfidence: 0.5\nplanning_effort: 100\n"
-        "speed: 1.0\ntasks:\n- {name: look, pose: [6, 2.5, 0]}\n"
-    )
-    with TestClient(create_app(tmp_path), "http://127.0.0.1") as client:
-        quick, slow = asked(client, 1.0), asked(client, 0.1)
-    with TestClient(create_app(tmp_path), "http://127.0.0.1") as fresh:
-        assert asked(fresh, 0.1) == slow > quick + 2 * 0.9 * (3.0 / 0.1 - 3.0 / 1.0)
-
-
-def test_the_store_reads_a_model_anew_when_a_field_of_its_vehicle_changes(tmp_path: Path) -> None:
-    pytest.importorskip("fastapi", reason="the service needs the extra serve")
-    from energyplan.serve.store import Store
-
-    (part,) = (p for p in PARTS if p.kind is Vehicle and p.question is mission)
-    store, before = Store(tmp_path), model()
-    for name, value in part.changes.items():
-        now = changed(model(), ("vehicle",), {name: value()})
-        write_model(now, tmp_path / "m.yaml")
-        found = store.named("m.yaml", read_model)
-        assert found.vehicle == now.vehicle != before.vehicle, name
-        assert store.named("m.yaml", read_model) is found
-        before = now
 
 
 def test_routes_are_planned_by_work_of_which_each_has_less_where_they_are_many(
