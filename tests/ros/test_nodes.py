@@ -41,7 +41,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, JointState
 
-CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE, SHUTDOWN = 1, 2, 3, 4, 5
+CONFIGURE, ACTIVATE, DEACTIVATE = 1, 3, 4
 HALL = np.zeros((60, 80))
 WALLED = HALL.copy()
 WALLED[:, 40:42] = 100
@@ -99,6 +99,10 @@ class Running:
         request = ChangeState.Request()
         request.transition.id = number
         return bool(self.ask(ChangeState, "planner_server/change_state", request).success)
+
+    def activate(self) -> None:
+        assert self.change(CONFIGURE)
+        assert self.change(ACTIVATE)
 
     def state(self) -> str:
         return str(self.ask(GetState, "planner_server/get_state").current_state.label)
@@ -199,8 +203,7 @@ def start() -> Iterator[Start]:
 def active(start: Start) -> Running:
     """A planner that is active and knows the hall."""
     found = start()
-    assert found.change(CONFIGURE)
-    assert found.change(ACTIVATE)
+    found.activate()
     hear(found.node, "/map", grid_message(HALL))
     return found
 
@@ -329,8 +332,7 @@ def test_the_bond_beats_while_the_simulated_clock_stands_still(start: Start) -> 
     found = start("-p", "use_sim_time:=true")
     beats: list[Any] = []
     found.client.create_subscription(Status, "bond", beats.append, 10)
-    assert found.change(CONFIGURE)
-    assert found.change(ACTIVATE)
+    found.activate()
     until(lambda: len(beats) >= 4)
     assert {(one.id, one.active, one.heartbeat_timeout) for one in beats} == {
         ("planner_server", True, 4.0)
@@ -402,8 +404,7 @@ def test_masks_and_patches_of_another_frame_are_refused(active: Running, capfd: 
 
 def test_the_result_says_why_there_is_no_map(start: Start) -> None:
     found = start("-p", "map_topic:=floor")
-    assert found.change(CONFIGURE)
-    assert found.change(ACTIVATE)
+    found.activate()
     assert "no map has come on floor" in found.plan().error_msg
     message = grid_message(HALL)
     message.info.resolution = 0.0
