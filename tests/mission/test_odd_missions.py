@@ -154,3 +154,24 @@ def test_a_task_that_lasts_for_years_is_out_of_reach() -> None:
     years = at("end", 25.0, dwell=1e8, power=30.0)
     (task,) = evaluate(corridor(25 * METRE, (years,), 15.0)).tasks
     assert (task.verdict, task.reason) == ("unreachable", "battery")
+
+
+def test_energies_that_cancel_do_not_blow_the_power_up() -> None:
+    """Up and down a hill the energy nearly cancels; the uncertainty of the power does not."""
+    x = np.linspace(0, 35, 71)
+    hill = np.interp(x, [0, 7, 11, 24, 35], [0.0, 0.0, 0.3, -1.1, -1.1])
+    model = with_weight(PowerModel.preset("quadriga:empty:marble"))
+    asked = corridor(
+        1e6, {"below": 25.0}, 5.0, model=model, heights=HeightMap(np.tile(hill, (8, 1)), 0.5),
+        confidence=0.95, coefficient_spread=0.05, return_to="any",
+    )  # fmt: skip
+    report = evaluate(asked)
+    line = report.timeline
+    there = line.t <= report.task("below").start
+    # the charge at the bound never falls faster than a quarter above what is expected at most
+    moving = np.diff(line.t[there]) > 0
+    step = np.diff(line.t[there])[moving]
+    fall = -np.diff(line.soc[there])[moving] / step
+    bound = -np.diff(line.soc_lower[there])[moving] / step
+    assert bound.max() < 1.35 * fall.max()
+    assert report.energy_upper > report.energy
