@@ -89,6 +89,18 @@ class Wire:
             use_start=start is not None,
         )  # fmt: skip
 
+    def result(self, found: ros.Answer) -> Any:
+        """Fill an action's result with an answer, and send it."""
+        more = {} if self.distribution == "humble" else {"error_code": 9, "error_msg": "?"}
+        empty = self.make(
+            "nav2_msgs/action/ComputePath_Result",
+            path=self.make("nav_msgs/msg/Path", header=self.header(), poses=[]),
+            planning_time=self.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0), **more,
+        )  # fmt: skip
+        filled = ros.fill_result(empty, found, "map", self.stamp, self.store.types.__getitem__)
+        assert filled is empty
+        return self.sent(filled)
+
     def through(self, goals: list[Any], start: Any) -> Any:
         if self.distribution == "kilted":
             goals = self.make("nav_msgs/msg/Goals", header=self.header(), goals=goals)
@@ -107,6 +119,7 @@ def jazzy() -> Wire:
 
 HALL = np.zeros((80, 80), int)
 HALL[:, 78:] = 100
+GRID = ros.grid_from_message(Wire("jazzy").map(HALL))
 
 
 def test_a_map_comes_with_its_turned_origin_and_unknown_cells(wire: Wire) -> None:
@@ -240,9 +253,7 @@ def test_a_goal_is_planned_and_its_result_sent(wire: Wire) -> None:
     same = ep.plan(ep.PlanningProblem(grid, COST, (2, 2, 0), (5, 4, 0.5)), effort=20_000)
     assert found.energy == pytest.approx(same.energy, rel=1e-9)
     assert found.lower_bound <= found.energy * (1 + 1e-9)
-    result = empty_result(wire)
-    assert ros.fill_result(result, found, "map", wire.stamp, wire.store.types.__getitem__) is result
-    result = wire.sent(result)
+    result = wire.result(found)
     np.testing.assert_allclose(
         ros.pose_from_message(result.path.poses[-1], "map"), (5, 4, 0.5), atol=1e-6
     )
@@ -251,21 +262,10 @@ def test_a_goal_is_planned_and_its_result_sent(wire: Wire) -> None:
     assert hasattr(result, "error_code") is (wire.distribution != "humble")
 
 
-def empty_result(wire: Wire) -> Any:
-    more = {} if wire.distribution == "humble" else {"error_code": 9, "error_msg": "?"}
-    return wire.make(
-        "nav2_msgs/action/ComputePath_Result",
-        path=wire.make("nav_msgs/msg/Path", header=wire.header(), poses=[]),
-        planning_time=wire.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
-        **more,
-    )
-
-
 def test_goals_are_driven_through_in_order(wire: Wire) -> None:
-    grid = ros.grid_from_message(wire.map(HALL))
     goals = [wire.stamped(4, 2, 0), wire.stamped(4, 4, 1.57)]
     request = wire.sent(wire.through(goals, wire.stamped(2, 2, 0)))
-    found = ros.answer(request, grid, COST, effort=40_000)
+    found = ros.answer(request, GRID, COST, effort=40_000)
     assert found.code == ros.ThroughPosesError.NONE, found.message
     assert len(found.plans) == 2
     assert found.energy == pytest.approx(sum(p.energy for p in found.plans))
@@ -274,12 +274,11 @@ def test_goals_are_driven_through_in_order(wire: Wire) -> None:
 
 
 def test_viapoints_of_newer_goals_come_before_the_goal(jazzy: Wire) -> None:
-    grid = ros.grid_from_message(jazzy.map(HALL))
     request = SimpleNamespace(
         goal=jazzy.stamped(4, 4, 0), start=jazzy.stamped(2, 2, 0), planner_id="", use_start=True,
         viapoints=[jazzy.stamped(3, 2, 0)],
     )  # fmt: skip
-    problems = ros.request_to_problems(request, grid, COST)
+    problems = ros.request_to_problems(request, GRID, COST)
     assert [(p.start, p.goal) for p in problems] == [
         ((2, 2, 0), (3, 2, 0)), ((3, 2, 0), (4, 4, 0)),
     ]  # fmt: skip
@@ -295,17 +294,16 @@ def test_poses_in_other_frames_are_brought_into_the_maps(wire: Wire) -> None:
         ),
     )  # fmt: skip
     frames = {"odom": wire.sent(transform), "base": wire.sent(transform)}
-    grid = ros.grid_from_message(wire.map(HALL))
     request = wire.to_pose(wire.stamped(2, -1, 0.5, "odom"))
     (problem,) = ros.request_to_problems(
-        request, grid, COST, base="base", lookup=frames.__getitem__, clearance=0.1
+        request, GRID, COST, base="base", lookup=frames.__getitem__, clearance=0.1
     )
     np.testing.assert_allclose(problem.start, (1, 2, np.pi / 2), atol=1e-12)
     np.testing.assert_allclose(problem.goal, (2, 4, np.pi / 2 + 0.5), atol=1e-12)
     assert problem.clearance == 0.1
     started = wire.to_pose(wire.stamped(2, -1, 0.5, "odom"), wire.stamped(2, 2, 0))
-    assert ros.answer(started, grid, COST).code == 202  # no way to transform
-    assert ros.answer(wire.to_pose(wire.stamped(2, 2, 0)), grid, COST).code == 202  # no start
+    assert ros.answer(started, GRID, COST).code == 202  # no way to transform
+    assert ros.answer(wire.to_pose(wire.stamped(2, 2, 0)), GRID, COST).code == 202  # no start
     none = ros.answer(started, None, COST)
     assert none.code == 200 and "no map" in none.message
 
@@ -339,24 +337,20 @@ def test_what_cannot_be_has_nav2s_code(
     request = jazzy.to_pose(*ends, there, planner) if one else jazzy.through(ends, there)
     found = ros.answer(jazzy.sent(request), grid, COST, effort=50_000)
     assert (found.code, found.plans) == (code, ()) and found.message
-    result = ros.fill_result(
-        empty_result(jazzy), found, "map", jazzy.stamp, jazzy.store.types.__getitem__
-    )
-    assert jazzy.sent(result).error_code == code and len(result.path.poses) == 0
+    result = jazzy.result(found)
+    assert result.error_code == code and len(result.path.poses) == 0
 
 
 def test_a_cancelled_goal_ends(jazzy: Wire) -> None:
-    grid = ros.grid_from_message(jazzy.map(HALL))
     request = jazzy.to_pose(jazzy.stamped(6, 2, 0), jazzy.stamped(2, 2, 0))
     with pytest.raises(CancelledError):
-        ros.answer(request, grid, COST, effort=50_000, unwanted=lambda: True)
+        ros.answer(request, GRID, COST, effort=50_000, unwanted=lambda: True)
 
 
 @pytest.mark.parametrize("through", [False, True])
 def test_the_same_goal_again_is_planned_on_from_the_answer_before(
     wire: Wire, through: bool
 ) -> None:
-    grid = ros.grid_from_message(wire.map(HALL))
     goal = wire.stamped(5, 4, 0.5)
 
     def ask(start: Any, over: ep.OccupancyGrid, **before: Any) -> ros.Answer:
@@ -364,60 +358,57 @@ def test_the_same_goal_again_is_planned_on_from_the_answer_before(
         request = wire.through([goal], there) if through else wire.to_pose(goal, there)
         return ros.answer(wire.sent(request), over, COST, effort=5000, **before)
 
-    first = ask((2, 2, 0), grid)
+    first = ask((2, 2, 0), GRID)
     here = first.plans[0].path.subdivide(0.1, 0.1).vertices[6]
     # the map comes again, unchanged: nothing is searched
     rest = ask(here, ros.grid_from_message(wire.map(HALL)), former=first)
     assert rest.code.name == "NONE" and rest.plans[0].effort == 0
     assert rest.energy < first.energy
     # and a chain of answers
-    assert ask(here, grid, former=rest).energy == pytest.approx(rest.energy, rel=1e-6)
+    assert ask(here, GRID, former=rest).energy == pytest.approx(rest.energy, rel=1e-6)
     # a box on the way
-    x, y = grid.to_cells(rest.plans[0].path.subdivide(0.1, 0.1).vertices[-12][:2]).astype(int)
-    shut = grid.updated(np.ones((2, 2), bool), row=int(y), column=int(x))
+    x, y = GRID.to_cells(rest.plans[0].path.subdivide(0.1, 0.1).vertices[-12][:2]).astype(int)
+    shut = GRID.updated(np.ones((2, 2), bool), row=int(y), column=int(x))
     round_it = ask(here, shut, former=rest)
     assert round_it.code.name == "NONE"
     assert round_it.energy > rest.energy
     assert shut.path_free(round_it.plans[0].path, COST.vehicle)
     # which is taken away again
-    assert ask(here, grid, former=round_it).energy < round_it.energy
+    assert ask(here, GRID, former=round_it).energy < round_it.energy
 
 
 def test_a_start_that_was_moved_off_an_obstacle_is_left_behind(jazzy: Wire) -> None:
-    grid = ros.grid_from_message(jazzy.map(HALL))
     goal, front = jazzy.stamped(4, 4, 0), COST.vehicle.footprint[1, 0]
     touching = jazzy.to_pose(goal, jazzy.stamped(7.82 - front, 2, 0))
-    first = ros.answer(touching, grid, COST, effort=5000)
+    first = ros.answer(touching, GRID, COST, effort=5000)
     assert "touches an obstacle" in first.notes[0]
     for here in first.plans[0].path.poses()[[20, 60]]:
         again = ros.answer(
-            jazzy.to_pose(goal, jazzy.stamped(*here)), grid, COST, effort=5000, former=first
+            jazzy.to_pose(goal, jazzy.stamped(*here)), GRID, COST, effort=5000, former=first
         )
         assert (again.code.name, again.message) == ("NONE", "")
 
 
 def test_another_goal_or_cost_is_planned_anew(jazzy: Wire) -> None:
-    grid = ros.grid_from_message(jazzy.map(HALL))
     start = jazzy.stamped(2, 2, 0)
     request = jazzy.to_pose(jazzy.stamped(5, 4, 0.5), start)
-    first = ros.answer(request, grid, COST, effort=2000)
+    first = ros.answer(request, GRID, COST, effort=2000)
     other = jazzy.to_pose(jazzy.stamped(5, 3, 0.5), start)
-    assert ros.answer(other, grid, COST, effort=2000, former=first).plans[0].path.end.y == (
+    assert ros.answer(other, GRID, COST, effort=2000, former=first).plans[0].path.end.y == (
         pytest.approx(3.0)
     )
     dear = ep.EnergyCost(ep.PowerModel.preset("quadriga:full:concrete"))
-    changed = ros.answer(request, grid, dear, effort=2000, former=first)
+    changed = ros.answer(request, GRID, dear, effort=2000, former=first)
     assert changed.energy > first.energy and changed.plans[0].effort > 0
     failed = ros.answer(request, None, COST, former=first)
     assert failed.plans == ()
-    assert ros.answer(request, grid, COST, effort=2000, former=failed).code.name == "NONE"
+    assert ros.answer(request, GRID, COST, effort=2000, former=failed).code.name == "NONE"
 
 
 def test_a_plan_is_told_as_diagnostics(wire: Wire) -> None:
-    grid = ros.grid_from_message(wire.map(HALL))
     request = wire.to_pose(wire.stamped(5, 4, 0.5), wire.stamped(2, 2, 0))
-    found = ros.answer(request, grid, COST, effort=5_000)
-    failed = ros.answer(wire.to_pose(wire.stamped(50, 4, 0)), grid, COST)
+    found = ros.answer(request, GRID, COST, effort=5_000)
+    failed = ros.answer(wire.to_pose(wire.stamped(50, 4, 0)), GRID, COST)
     for answer, level in ((found, 0), (failed, 2)):
         message = wire.sent(
             ros.diagnostics_message(
@@ -562,22 +553,21 @@ def test_a_plan_is_recorded_with_its_map(tmp_path: Path) -> None:
 
 
 def test_an_update_goes_into_the_map(jazzy: Wire) -> None:
-    grid = ros.grid_from_message(jazzy.map(HALL))
-    grid.space  # noqa: B018  what is made of it is kept
+    GRID.space  # noqa: B018  what is made of it is kept
     patch = SimpleNamespace(
         header=jazzy.header(), x=10, y=20, width=3, height=2,
         data=np.array([0, 100, -1, 65, 64, 0], np.int8),
     )  # fmt: skip
-    now = ros.updated_grid(grid, patch)
+    now = ros.updated_grid(GRID, patch)
     np.testing.assert_array_equal(now.occupied[20:22, 10:13], [[0, 1, 0], [1, 0, 0]])
     assert now.unknown is not None
     assert now.unknown.sum() == 1
     assert now.unknown[20, 12]
-    assert (now.occupied != grid.occupied).sum() == 2
+    assert (now.occupied != GRID.occupied).sum() == 2
     with pytest.raises(MapError, match="does not lie on the map"):
-        ros.updated_grid(grid, SimpleNamespace(**{**vars(patch), "x": 78}))
+        ros.updated_grid(GRID, SimpleNamespace(**{**vars(patch), "x": 78}))
     with pytest.raises(MessageError, match="data has 6"):
-        ros.updated_grid(grid, SimpleNamespace(**{**vars(patch), "width": 4}))
+        ros.updated_grid(GRID, SimpleNamespace(**{**vars(patch), "width": 4}))
 
 
 def test_costs_of_a_costmap_become_soft_costs(jazzy: Wire) -> None:
