@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from statistics import NormalDist
 from typing import Any, get_args
 
@@ -16,7 +17,7 @@ from worlds import tiny
 
 from energyplan.battery import BatteryRun
 from energyplan.errors import MissionError
-from energyplan.mission import Mission, Remedy, Routes, Spreads, evaluate
+from energyplan.mission import Mission, MissionReport, Remedy, Routes, Spreads, evaluate
 from energyplan.mission.types import RemedyKind
 from energyplan.output import documents
 from energyplan.path import FloatArray
@@ -111,11 +112,16 @@ def troubled() -> dict[str, Mission]:
     return asked
 
 
+@cache
+def reported(name: str, order: str) -> MissionReport:
+    return evaluate(replace(troubled()[name], order=order))
+
+
 @pytest.mark.parametrize("order", ["given", "free"])
 @pytest.mark.parametrize("name", list(troubled()))
 def test_every_remedy_that_is_told_holds(name: str, order: str) -> None:
-    asked = replace(troubled()[name], order=order)
-    told = [task for task in evaluate(asked).tasks if task.verdict == "unreachable"]
+    report = reported(name, order)
+    asked, told = report.mission, [t for t in report.tasks if t.verdict == "unreachable"]
     for task in told:
         assert task.remedies, task
         for remedy in task.remedies:
@@ -125,7 +131,7 @@ def test_every_remedy_that_is_told_holds(name: str, order: str) -> None:
     if order == "given":
         assert told
     if name == "given up":
-        assert evaluate(asked).feasible
+        assert report.feasible
         assert [(task.name, task.reason) for task in told] == [("optional", "blocked_by_earlier")]
 
 
@@ -151,7 +157,7 @@ def test_what_takes_no_charge_is_said_where_charge_is_needed_and_where_not(order
 
 
 def test_each_kind_of_remedy_is_told_of_some_mission() -> None:
-    reports = [evaluate(asked) for asked in (*troubled().values(), charged())]
+    reports = [evaluate(charged()), *(reported(name, "given") for name in troubled())]
     kinds = {
         remedy.kind
         for report in reports
