@@ -341,7 +341,7 @@ def test_the_bond_beats_while_the_simulated_clock_stands_still(start: Start) -> 
     until(lambda: not all(one.active for one in beats))
     beats.clear()
     assert found.change(DEACTIVATE)
-    until(lambda: beats and not beats[-1].active)
+    until(lambda: not all(one.active for one in beats))
 
 
 @pytest.mark.parametrize("stopped", [False, True])
