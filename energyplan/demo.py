@@ -7,10 +7,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from shapely import box
 
 from energyplan import simulate
@@ -42,6 +41,9 @@ from energyplan.planning.search.planner import kernels
 from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHOWN = "quadriga:full:marble"
 """The drive that is drawn; the others are in a table."""

@@ -23,11 +23,11 @@ HTML = (".html", ".htm")
 RECORDING = ".mcap"
 
 
-def writes(*suffixes: str) -> Callable[..., Path | None]:
+def writes(*suffixes: str, draws: bool = False) -> Callable[..., Path | None]:
     """Return the callback of an option that names a file, or a folder if it has no suffixes.
 
-    Such an option is checked before the command begins: its suffix, its folder, and that it is none
-    of the files that are read.
+    Such an option is checked before the command begins: its suffix, its folder, that it is none
+    of the files that are read, and that what `draws` pictures is installed.
     """
 
     def callback(ctx: typer.Context, param: typer.CallbackParam, value: Path | None) -> Path | None:
@@ -38,6 +38,8 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
                 check_output(value, suffixes)
             else:
                 check_output_folder(value)
+            if draws:
+                import energyplan.output.plots  # noqa: F401
             ctx.meta.setdefault(OUTPUTS, {})[param.name] = value
         return value
 
@@ -119,9 +121,11 @@ OutModel = Annotated[
 ]
 Report = Annotated[
     Path | None,
-    Option("--report", callback=writes(*HTML), help="Write a report to this HTML file."),
+    Option(callback=writes(*HTML, draws=True), help="Write a report to this HTML file."),
 ]
-Plot = Annotated[Path | None, Option(callback=writes(*IMAGES), help="Draw it: .png, .svg or .pdf.")]
+Plot = Annotated[
+    Path | None, Option(callback=writes(*IMAGES, draws=True), help="Draw it: .png, .svg or .pdf.")
+]
 PoseText = Annotated[str, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")]
 AtBattery = Annotated[
     bool,

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.errors import DriveLogError, InvalidInputError, MissingDependencyError
+from energyplan.errors import DriveLogError, InvalidInputError, needs_extra
 from energyplan.logs.align import Series, align, usable
 from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess
@@ -484,8 +484,14 @@ class Columns:
                 self._text[label] = f"{place}: {label!r} is {str(series.iloc[k])[:40]!r}"
                 self._numbers[label].clear()
             else:
-                self._numbers[label].append(np.where(np.abs(values) < ANY[1], values, np.nan))
+                self._numbers[label].append(_sane(values))
         self.rows += len(frame)
+
+    def add_numbers(self, cells: FloatArray) -> None:
+        """Take in the next rows of a table that holds nothing but numbers."""
+        for parts, values in zip(self._numbers.values(), cells.T, strict=True):
+            parts.append(_sane(values))
+        self.rows += len(cells)
 
     def table(self, file: Path, error: type[InvalidInputError]) -> Recording:
         """Return what was read."""
@@ -505,6 +511,10 @@ class Columns:
         return Recording(
             file.name, numbers, self._text, first=self._first, unit=self._unit, error=error
         )
+
+
+def _sane(values: FloatArray) -> FloatArray:
+    return np.where(np.abs(values) < ANY[1], values, np.nan)
 
 
 _ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
@@ -745,9 +755,19 @@ def _cells(data: bytes, mark: str) -> NDArray[np.intp]:
     return np.diff(lines, prepend=-1) - 1
 
 
-def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
-    import pandas as pd
+def _numbers(data: bytes, separator: str, shape: tuple[int, int]) -> FloatArray | None:
+    """Return the cells of a table that holds nothing but numbers; None of any other."""
+    if not data or shape[0] * shape[1] > MAX_CELLS:
+        return None
+    mark = None if separator == _SPACES else separator
+    try:
+        cells = np.loadtxt(io.BytesIO(data), delimiter=mark, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return cells if cells.shape == shape else None  # blank lines are skipped, but counted
 
+
+def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     data = _bytes(file, error)
     dialect = find_dialect(data[:_AHEAD], len(data) < _AHEAD, file, error)
     # Zeros at the end are what a file system leaves that lost its power.
@@ -759,6 +779,14 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
         )
     most = MAX_CELLS // len(names)
     columns = Columns(names, dialect.line, "line", dialect.decimal)
+    rows = len(ends) + (not data.endswith(b"\n"))
+    numbers = _numbers(data, dialect.separator, (rows, len(names)))
+    if numbers is not None:
+        columns.add_numbers(numbers)
+        return columns.table(file, error)
+    with needs_extra("logs", f"reading {file}, a table of more than numbers,"):
+        import pandas as pd
+
     # before 3.1 pandas is wrong in the last bit of one number of six by default
     old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
@@ -863,13 +891,10 @@ def _with_line(problem: str, first: int) -> str:
 
 
 def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
-    try:
+    with needs_extra("parquet", f"reading {file}"):
+        import pandas  # noqa: F401 - for the conversion
         import pyarrow as pa
         import pyarrow.parquet as pq
-    except ImportError:
-        raise MissingDependencyError(
-            f"reading {file} needs pyarrow; install it with pip install 'energyplan[parquet]'"
-        ) from None
     try:
         with pq.ParquetFile(file) as parquet:
             shape = parquet.metadata.num_rows, parquet.metadata.num_columns

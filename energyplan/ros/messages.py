@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.errors import FrameError, InvalidInputError, MessageError, MissingDependencyError
+from energyplan.errors import FrameError, InvalidInputError, MessageError, needs_extra
 from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.records import NO_NUMBER
@@ -236,12 +236,8 @@ FRAME = "map"
 
 def need_rosbags() -> None:
     """Check that recordings can be written."""
-    try:
+    with needs_extra("bags", "writing .mcap"):
         import rosbags.rosbag2  # noqa: F401
-    except ImportError as error:
-        raise MissingDependencyError(
-            "writing .mcap needs rosbags; install it with pip install 'energyplan[bags]'"
-        ) from error
 
 
 def write_recording(

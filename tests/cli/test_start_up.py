@@ -54,4 +54,66 @@ def test_a_check_loads_neither_fitting_nor_plotting(tmp_path: Path) -> None:
     table.write_text("t,x,y,yaw,v,omega\n0,0,0,0,0.5,0\n1,0.5,0,0,0.5,0\n2,1,0,0,0.5,0\n")
     command = ["check", str(table), "--model", "quadriga:empty:concrete"]
     loaded(*command)
-    assert loaded(*command) == "['pandas']"  # which reads the table
+    assert loaded(*command) == "[]"
+
+
+SMALL = """
+import sys
+sys.modules["pandas"] = sys.modules["matplotlib"] = None
+from energyplan.cli import main
+main()
+"""
+MISSION = f"""
+model: quadriga:full:concrete
+map: {MAPS / "office.yaml"}
+battery: quadriga
+confidence: 0.5
+start: [1.2, 2.0, 90deg]
+tasks: [{{name: look, pose: [3.9, 2.0, 90deg]}}]
+"""
+DATED = "time,v_left,v_right,power\n" + "".join(
+    f"2026-03-01 10:00:{k:02},0.5,0.5,100\n" for k in range(60)
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("small")
+    (place / "mission.yaml").write_text(MISSION)
+    (place / "dated.csv").write_text(DATED)
+    return place
+
+
+@pytest.mark.parametrize(
+    ("commands", "extra"),
+    [
+        (
+            [
+                ["plan", *GROUND, *ENDS, "--trajectory", "timed.csv"],
+                ["check", "timed.csv", "--model", "quadriga:full:concrete", "--out", "slow.csv"],
+            ],
+            None,
+        ),
+        ([["mission", "mission.yaml", "--effort", "1000", "--trajectories", "legs"]], None),
+        ([["start", "dated.csv", "--like", "jackal"]], "logs"),
+        ([["plan", *GROUND, *ENDS, "--plot", "route.png"]], "plots"),
+        ([["mission", "mission.yaml", "--report", "mission.html"]], "plots"),
+        ([["demo"]], "plots"),
+    ],
+    ids=lambda value: " ".join(line[0] for line in value) if isinstance(value, list) else value,
+)
+def test_without_pandas_and_matplotlib(
+    commands: list[list[str]], extra: str | None, folder: Path
+) -> None:
+    """A plan, a check and a mission need neither; what does names the extra that has it."""
+    for words in commands:
+        done = subprocess.run(
+            [sys.executable, "-c", SMALL, *words],
+            capture_output=True, text=True, check=False, cwd=folder,
+        )  # fmt: skip
+        if extra is None:
+            assert done.returncode == 0, done.stderr
+        else:
+            assert done.returncode == 2
+            assert len(done.stderr.splitlines()) == 1
+            assert f"install it with pip install 'energyplan[{extra}]'" in done.stderr
