@@ -1,4 +1,4 @@
-"""Missions a minute on a cluster: ``python benchmarks/many.py [--out docs/cluster.md]``.
+"""Missions a minute on a cluster: ``python benchmarks/many.py``.
 
 The bundled mission of a warehouse from different charges, with routes of little work, on one worker
 of this machine and on two, after one mission on each. It needs the extra ``cluster``.
@@ -40,10 +40,7 @@ def measured(workers: int, files: list[Path]) -> str:
 
 
 def main() -> None:
-    """Print the table, or write it into a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, metavar="PAGE")
-    given = parser.parse_args()
+    """Print the table."""
     mission = yaml.safe_load(bundled("mission_warehouse.yaml").read_text())
     rows = [
         "| workers | missions | time | missions a minute of time and worker | CPU time of one |",
@@ -55,11 +52,7 @@ def main() -> None:
             files.append(Path(folder) / f"{k:02d}.yaml")
             files[-1].write_text(yaml.safe_dump({**mission, "soc": 1.0 - 0.02 * k}))
         rows += [measured(workers, files[: COUNT * workers]) for workers in (1, 2)]
-    text = "\n".join(rows)
-    if given.out is None:
-        print(text)
-    else:
-        write(given.out, "the cluster", text)
+    print("\n".join(rows))
 
 
 if __name__ == "__main__":
