@@ -6,7 +6,6 @@ of this machine and on two, after one mission on each. It needs the extra ``clus
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from functools import partial
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import yaml
 from distributed import Client
-from pages import write
 
 from energyplan.cli.routes import evaluated_mission
 from energyplan.io.files import bundled

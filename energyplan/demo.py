@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from shapely import box
@@ -42,9 +42,6 @@ from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 SHOWN = "quadriga:full:marble"
 """The drive that is drawn; the others are in a table."""
 
@@ -72,7 +69,7 @@ class _Demo:
         self.files.append(file)
         return file
 
-    def picture(self, name: str, figure: Figure, caption: str) -> None:
+    def picture(self, name: str, figure: Any, caption: str) -> None:
         atomic_write(self.path(name), png(figure))
         figure.set_layout_engine("none")  # it has been laid out, and the page shows it as it is
         self.page.picture(figure, caption)

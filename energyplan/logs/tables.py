@@ -462,9 +462,7 @@ class Columns:
             if label in self._text:
                 continue
             if pd.api.types.is_datetime64_any_dtype(series):
-                stamps = series.to_numpy("datetime64[ns]")
-                seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
-                self._numbers[label].append(np.asarray(seconds, float))
+                self._numbers[label].append(_since_1970(series))
                 continue
             if not pd.api.types.is_numeric_dtype(series):  # text, or integers beyond 64 bits
                 series = series.astype("string").str.strip()
@@ -484,13 +482,13 @@ class Columns:
                 self._text[label] = f"{place}: {label!r} is {str(series.iloc[k])[:40]!r}"
                 self._numbers[label].clear()
             else:
-                self._numbers[label].append(_sane(values))
+                self._numbers[label].append(values)
         self.rows += len(frame)
 
     def add_numbers(self, cells: FloatArray) -> None:
         """Take in the next rows of a table that holds nothing but numbers."""
         for parts, values in zip(self._numbers.values(), cells.T, strict=True):
-            parts.append(_sane(values))
+            parts.append(values)
         self.rows += len(cells)
 
     def table(self, file: Path, error: type[InvalidInputError]) -> Recording:
@@ -500,6 +498,7 @@ class Columns:
             for name, parts in self._numbers.items()
             if name not in self._text
         }
+        numbers = {n: np.where(np.abs(v) < ANY[1], v, np.nan) for n, v in numbers.items()}
         for name in self._of_day & set(numbers):
             numbers[name] = _over_midnight(numbers[name])
         # Where lines end with a separator, a column without a name holds nothing.
@@ -511,10 +510,6 @@ class Columns:
         return Recording(
             file.name, numbers, self._text, first=self._first, unit=self._unit, error=error
         )
-
-
-def _sane(values: FloatArray) -> FloatArray:
-    return np.where(np.abs(values) < ANY[1], values, np.nan)
 
 
 _ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
@@ -757,7 +752,7 @@ def _cells(data: bytes, mark: str) -> NDArray[np.intp]:
 
 def _numbers(data: bytes, separator: str, shape: tuple[int, int]) -> FloatArray | None:
     """Return the cells of a table that holds nothing but numbers; None of any other."""
-    if not data or shape[0] * shape[1] > MAX_CELLS:
+    if not data:
         return None
     mark = None if separator == _SPACES else separator
     try:
@@ -777,9 +772,10 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
         raise error(
             f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"
         )
-    most = MAX_CELLS // len(names)
     columns = Columns(names, dialect.line, "line", dialect.decimal)
-    rows = len(ends) + (not data.endswith(b"\n"))
+    rows, most = len(ends) + (not data.endswith(b"\n")), MAX_CELLS // len(names)
+    if rows > most:
+        raise error(f"{file} has more than {most} rows of {len(names)} columns; split it")
     numbers = _numbers(data, dialect.separator, (rows, len(names)))
     if numbers is not None:
         columns.add_numbers(numbers)
@@ -818,10 +814,6 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
                     parts.append(frame)
                     continue
                 columns.add(frame)
-                if columns.rows > most:
-                    raise error(
-                        f"{file} has more than {most} rows of {len(names)} columns; split it"
-                    )
     except pd.errors.EmptyDataError:
         pass
     except pd.errors.ParserWarning:

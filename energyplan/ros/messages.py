@@ -234,12 +234,6 @@ FRAME = "map"
 """Frame of all messages."""
 
 
-def need_rosbags() -> None:
-    """Check that recordings can be written."""
-    with needs_extra("bags", "writing .mcap"):
-        import rosbags.rosbag2  # noqa: F401
-
-
 def write_recording(
     paths: Mapping[str, Path], file: str | File, grid: OccupancyGrid | None = None
 ) -> None:
@@ -248,9 +242,9 @@ def write_recording(
     Each path is a nav_msgs/Path on the topic of its name, the map a nav_msgs/OccupancyGrid on
     ``/map``. All have the time 0, so the same plan makes the same file.
     """
-    need_rosbags()
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+    with needs_extra("bags", f"writing {file}"):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     make = store.types.__getitem__

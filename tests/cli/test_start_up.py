@@ -59,7 +59,8 @@ def test_a_check_loads_neither_fitting_nor_plotting(tmp_path: Path) -> None:
 
 SMALL = """
 import sys
-sys.modules["pandas"] = sys.modules["matplotlib"] = None
+for name in ("pandas", "matplotlib", "rosbags"):
+    sys.modules[name] = None
 from energyplan.cli import main
 main()
 """
@@ -97,15 +98,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ([["mission", "mission.yaml", "--effort", "1000", "--trajectories", "legs"]], None),
         ([["start", "dated.csv", "--like", "jackal"]], "logs"),
         ([["plan", *GROUND, *ENDS, "--plot", "route.png"]], "plots"),
+        ([["plan", *GROUND, *ENDS, "--out", "path.mcap"]], "bags"),
         ([["mission", "mission.yaml", "--report", "mission.html"]], "plots"),
         ([["demo"]], "plots"),
     ],
     ids=lambda value: " ".join(line[0] for line in value) if isinstance(value, list) else value,
 )
-def test_without_pandas_and_matplotlib(
+def test_without_optional_packages(
     commands: list[list[str]], extra: str | None, folder: Path
 ) -> None:
-    """A plan, a check and a mission need neither; what does names the extra that has it."""
+    """A plan, a check and a mission need none; what does names the extra that has it."""
     for words in commands:
         done = subprocess.run(
             [sys.executable, "-c", SMALL, *words],

@@ -32,7 +32,9 @@ PAGE = answers.HERE.parents[1] / "docs" / "reference" / "json.md"
 TABLES = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE.read_text(), re.M | re.S))
 SECTIONS: dict[str, list[tuple[str, str]]] = {}
 for title, text in TABLES.items():
-    for name, keys, meaning in re.findall(r"^\|(?: `([^|]+)` \|)? (`[^|]+) \| (.+) \|$", text, re.M):
+    for name, keys, meaning in re.findall(
+        r"^\|(?: `([^|]+)` \|)? (`[^|]+) \| (.+) \|$", text, re.M
+    ):
         SECTIONS.setdefault(name or title, []).append((keys, meaning))
 DESCRIBED = {
     name: section
