@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import own_robot
 import pytest
 
 import energyplan
@@ -59,7 +60,7 @@ def test_a_check_loads_neither_fitting_nor_plotting(tmp_path: Path) -> None:
 
 SMALL = """
 import sys
-for name in ("pandas", "matplotlib", "rosbags"):
+for name in sys.argv.pop(1).split():
     sys.modules[name] = None
 from energyplan.cli import main
 main()
@@ -82,35 +83,43 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("small")
     (place / "mission.yaml").write_text(MISSION)
     (place / "dated.csv").write_text(DATED)
+    own_robot.bag(place, own_robot.drive())
     return place
 
 
+BARE = "pandas matplotlib rosbags"
+MEASURES = ["--track", "0.4", "--wheelbase", "0.62", "--mass", "30"]
+
+
 @pytest.mark.parametrize(
-    ("commands", "extra"),
+    ("commands", "missing", "extra"),
     [
         (
             [
                 ["plan", *GROUND, *ENDS, "--trajectory", "timed.csv"],
                 ["check", "timed.csv", "--model", "quadriga:full:concrete", "--out", "slow.csv"],
             ],
+            BARE,
             None,
         ),
-        ([["mission", "mission.yaml", "--effort", "1000", "--trajectories", "legs"]], None),
-        ([["start", "dated.csv", "--like", "jackal"]], "logs"),
-        ([["plan", *GROUND, *ENDS, "--plot", "route.png"]], "plots"),
-        ([["plan", *GROUND, *ENDS, "--out", "path.mcap"]], "bags"),
-        ([["mission", "mission.yaml", "--report", "mission.html"]], "plots"),
-        ([["demo"]], "plots"),
+        ([["mission", "mission.yaml", "--effort", "1000", "--trajectories", "legs"]], BARE, None),
+        ([["start", "bag", *MEASURES]], "pandas matplotlib", None),
+        ([["start", "bag", *MEASURES]], BARE, "bags"),
+        ([["start", "dated.csv", "--like", "jackal"]], BARE, "logs"),
+        ([["plan", *GROUND, *ENDS, "--plot", "route.png"]], BARE, "plots"),
+        ([["plan", *GROUND, *ENDS, "--out", "path.mcap"]], BARE, "bags"),
+        ([["mission", "mission.yaml", "--report", "mission.html"]], BARE, "plots"),
+        ([["demo"]], BARE, "plots"),
     ],
     ids=lambda value: " ".join(line[0] for line in value) if isinstance(value, list) else value,
 )
 def test_without_optional_packages(
-    commands: list[list[str]], extra: str | None, folder: Path
+    commands: list[list[str]], missing: str, extra: str | None, folder: Path
 ) -> None:
     """A plan, a check and a mission need none; what does names the extra that has it."""
     for words in commands:
         done = subprocess.run(
-            [sys.executable, "-c", SMALL, *words],
+            [sys.executable, "-c", SMALL, missing, *words],
             capture_output=True, text=True, check=False, cwd=folder,
         )  # fmt: skip
         if extra is None:
