@@ -27,13 +27,11 @@ finally:
 """
 
 
-def loaded(*arguments: str) -> str:
-    """Return which of the slow modules a command has loaded when it ends."""
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, *arguments], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stderr.splitlines()[-1]
+def run(folder: Path, code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True, text=True, check=False, cwd=folder,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -43,19 +41,16 @@ def loaded(*arguments: str) -> str:
         ["plan", *GROUND, *ENDS],
         ["compare", *GROUND, *ENDS],
         ["range", *GROUND, "--start", "2,2,0", "--energy", "500"],
+        ["check", "trajectory.csv", "--model", "quadriga:empty:concrete"],
     ],
 )
-def test_planning_loads_neither_fitting_nor_plotting(arguments: list[str]) -> None:
-    loaded(*arguments)  # what had to be compiled loads what it is compiled with
-    assert loaded(*arguments) == "[]"
-
-
-def test_a_check_loads_neither_fitting_nor_plotting(tmp_path: Path) -> None:
-    table = tmp_path / "trajectory.csv"
-    table.write_text("t,x,y,yaw,v,omega\n0,0,0,0,0.5,0\n1,0.5,0,0,0.5,0\n2,1,0,0,0.5,0\n")
-    command = ["check", str(table), "--model", "quadriga:empty:concrete"]
-    loaded(*command)
-    assert loaded(*command) == "[]"
+def test_plans_and_checks_load_neither_fitting_nor_plotting(
+    arguments: list[str], folder: Path
+) -> None:
+    run(folder, RUN, *arguments)  # what had to be compiled loads what it is compiled with
+    done = run(folder, RUN, *arguments)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.splitlines()[-1] == "[]"
 
 
 SMALL = """
@@ -83,6 +78,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("small")
     (place / "mission.yaml").write_text(MISSION)
     (place / "dated.csv").write_text(DATED)
+    (place / "trajectory.csv").write_text(
+        "t,x,y,yaw,v,omega\n0,0,0,0,0.5,0\n1,0.5,0,0,0.5,0\n2,1,0,0,0.5,0\n"
+    )
     own_robot.bag(place, own_robot.drive())
     return place
 
@@ -118,10 +116,7 @@ def test_without_optional_packages(
 ) -> None:
     """A plan, a check and a mission need none; what does names the extra that has it."""
     for words in commands:
-        done = subprocess.run(
-            [sys.executable, "-c", SMALL, missing, *words],
-            capture_output=True, text=True, check=False, cwd=folder,
-        )  # fmt: skip
+        done = run(folder, SMALL, missing, *words)
         if extra is None:
             assert done.returncode == 0, done.stderr
         else:
