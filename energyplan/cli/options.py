@@ -24,7 +24,7 @@ HTML = (".html", ".htm")
 RECORDING = ".mcap"
 _PACKAGES = {
     **dict.fromkeys((*IMAGES, *HTML), ("plots", "matplotlib")),
-    **dict.fromkeys(TABLES[2:], ("parquet", "pyarrow")),
+    **dict.fromkeys((".parquet", ".pq"), ("parquet", "pyarrow")),
     RECORDING: ("bags", "rosbags"),
 }  # extra and package that files of a kind are written with
 
