@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -776,7 +777,9 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     rows, most = len(ends) + (not data.endswith(b"\n")), MAX_CELLS // len(names)
     if rows > most:
         raise error(f"{file} has more than {most} rows of {len(names)} columns; split it")
-    numbers = _numbers(data, dialect.separator, (rows, len(names)))
+    # Pandas reads a large table five times as fast; a small one is read before it is imported.
+    small = len(data) <= _AHEAD or find_spec("pandas") is None
+    numbers = _numbers(data, dialect.separator, (rows, len(names))) if small else None
     if numbers is not None:
         columns.add_numbers(numbers)
         return columns.table(file, error)
