@@ -1,4 +1,4 @@
-"""Missions a minute on a cluster: ``python benchmarks/many.py [--out docs/cluster.md]``.
+"""Missions a minute on a cluster: ``python benchmarks/many.py``.
 
 The bundled mission of a warehouse from different charges, with routes of little work, on one worker
 of this machine and on two, after one mission on each. It needs the extra ``cluster``.
@@ -6,7 +6,6 @@ of this machine and on two, after one mission on each. It needs the extra ``clus
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from functools import partial
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import yaml
 from distributed import Client
-from pages import write
 
 from energyplan.cli.routes import evaluated_mission
 from energyplan.io.files import bundled
@@ -40,10 +38,7 @@ def measured(workers: int, files: list[Path]) -> str:
 
 
 def main() -> None:
-    """Print the table, or write it into a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, metavar="PAGE")
-    given = parser.parse_args()
+    """Print the table."""
     mission = yaml.safe_load(bundled("mission_warehouse.yaml").read_text())
     rows = [
         "| workers | missions | time | missions a minute of time and worker | CPU time of one |",
@@ -55,11 +50,7 @@ def main() -> None:
             files.append(Path(folder) / f"{k:02d}.yaml")
             files[-1].write_text(yaml.safe_dump({**mission, "soc": 1.0 - 0.02 * k}))
         rows += [measured(workers, files[: COUNT * workers]) for workers in (1, 2)]
-    text = "\n".join(rows)
-    if given.out is None:
-        print(text)
-    else:
-        write(given.out, "the cluster", text)
+    print("\n".join(rows))
 
 
 if __name__ == "__main__":

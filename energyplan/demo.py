@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from shapely import box
 
 from energyplan import simulate
@@ -70,7 +69,7 @@ class _Demo:
         self.files.append(file)
         return file
 
-    def picture(self, name: str, figure: Figure, caption: str) -> None:
+    def picture(self, name: str, figure: Any, caption: str) -> None:
         atomic_write(self.path(name), png(figure))
         figure.set_layout_engine("none")  # it has been laid out, and the page shows it as it is
         self.page.picture(figure, caption)

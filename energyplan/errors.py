@@ -6,7 +6,8 @@ Bad input derives from both `EnergyPlanError` and `ValueError`; a question that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 
 class EnergyPlanError(Exception):
@@ -166,6 +167,20 @@ class UnsupportedPlannerError(PlanningError):
 
 class MissingDependencyError(EnergyPlanError, ImportError):
     """An optional package is missing; the message names the extra to install."""
+
+
+@contextmanager
+def needs_extra(extra: str, what: str) -> Iterator[None]:
+    """Import optional packages; where one is missing, say which extra is needed for `what`."""
+    try:
+        yield
+    except ImportError as error:
+        package = (error.name or "energyplan").partition(".")[0]
+        if package == "energyplan":  # no package is missing: the import failed in another way
+            raise
+        raise MissingDependencyError(
+            f"{what} needs {package}; install it with pip install 'energyplan[{extra}]'"
+        ) from error
 
 
 class BatteryError(InvalidInputError):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from energyplan.errors import InvalidInputError, PathError
+from energyplan.errors import InvalidInputError, PathError, needs_extra
 from energyplan.records import NO_NUMBER, ByValue, amount, checked, described, numbers
 
 if TYPE_CHECKING:
@@ -371,7 +371,8 @@ class Trajectory(ByValue):
             Columns ``t``, ``x``, ``y``, ``yaw``, ``v``, ``omega``; ``Trajectory(**frame)`` makes
             the trajectory again.
         """
-        import pandas as pd
+        with needs_extra("logs", "a DataFrame"):
+            import pandas as pd
 
         return pd.DataFrame({one.name: np.array(getattr(self, one.name)) for one in fields(self)})
 

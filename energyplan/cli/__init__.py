@@ -15,7 +15,7 @@ from typer.main import get_command
 from energyplan.cli import learn, loop, programs, routes
 from energyplan.cli.answers import INTERRUPTED, give_up_stdout, warn
 from energyplan.cli.app import app, misuse
-from energyplan.errors import EnergyPlanError, MissingDependencyError, TimeLimitError
+from energyplan.errors import EnergyPlanError, TimeLimitError
 
 __all__ = ["app", "commands", "main"]
 
@@ -39,7 +39,7 @@ def main() -> None:
         code = commands()(prog_name="energyplan", standalone_mode=False) or 0
         if sys.stdout is not None:
             sys.stdout.flush()
-    except (TimeLimitError, MissingDependencyError) as error:
+    except TimeLimitError as error:
         code = _fail(str(error), 1)
     except BrokenPipeError:
         give_up_stdout()

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 from typer import Argument, Option
 
-from energyplan.errors import InvalidInputError
+from energyplan.errors import InvalidInputError, needs_extra
 
 OUTPUTS = "energyplan.outputs"
 """Where the context of a command keeps the files that it will write."""
@@ -21,13 +22,18 @@ GEOJSON = (".geojson", ".json")
 YAML = (".yaml", ".yml")
 HTML = (".html", ".htm")
 RECORDING = ".mcap"
+_PACKAGES = {
+    **dict.fromkeys((*IMAGES, *HTML), ("plots", "matplotlib")),
+    **dict.fromkeys((".parquet", ".pq"), ("parquet", "pyarrow")),
+    RECORDING: ("bags", "rosbags"),
+}  # extra and package that files of a kind are written with
 
 
 def writes(*suffixes: str) -> Callable[..., Path | None]:
     """Return the callback of an option that names a file, or a folder if it has no suffixes.
 
-    Such an option is checked before the command begins: its suffix, its folder, and that it is none
-    of the files that are read.
+    Such an option is checked before the command begins: its suffix, its folder, that it is none
+    of the files that are read, and that what writes it is installed.
     """
 
     def callback(ctx: typer.Context, param: typer.CallbackParam, value: Path | None) -> Path | None:
@@ -38,6 +44,9 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
                 check_output(value, suffixes)
             else:
                 check_output_folder(value)
+            if found := _PACKAGES.get(value.suffix.lower()):
+                with needs_extra(found[0], f"writing {value}"):
+                    import_module(found[1])
             ctx.meta.setdefault(OUTPUTS, {})[param.name] = value
         return value
 
@@ -119,7 +128,7 @@ OutModel = Annotated[
 ]
 Report = Annotated[
     Path | None,
-    Option("--report", callback=writes(*HTML), help="Write a report to this HTML file."),
+    Option(callback=writes(*HTML), help="Write a report to this HTML file."),
 ]
 Plot = Annotated[Path | None, Option(callback=writes(*IMAGES), help="Draw it: .png, .svg or .pdf.")]
 PoseText = Annotated[str, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")]

@@ -64,11 +64,7 @@ class Routing:
     def problem(
         self, site: SiteOptions, drive: DriveOptions, start: Pose, goal: Pose, **more: Any
     ) -> PlanningProblem:
-        """Return what is to be planned; a recording that could not be written is refused."""
-        if self.out and self.out.suffix == opt.RECORDING:
-            from energyplan.ros.messages import need_rosbags
-
-            need_rosbags()
+        """Return what is to be planned."""
         turning: str | float = self.turning
         with suppress(ValueError):
             turning = float(turning)

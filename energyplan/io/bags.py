@@ -26,8 +26,8 @@ from energyplan.errors import (
     ConfigError,
     DriveLogError,
     EnergyPlanError,
-    MissingDependencyError,
     UnknownNameError,
+    needs_extra,
 )
 from energyplan.io.documents import Document, Loc, load
 from energyplan.io.files import is_file
@@ -462,14 +462,10 @@ class Bag:
 @contextmanager
 def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})) -> Iterator[Bag]:
     """Open a bag; what goes wrong inside it becomes a named error."""
-    try:
+    with needs_extra("bags", f"reading {file}"):
         from rosbags import rosbag1, rosbag2
         from rosbags.serde import SerdeError
         from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
-    except ImportError:
-        raise MissingDependencyError(
-            f"reading {file} needs rosbags; install it with pip install 'energyplan[bags]'"
-        ) from None
     unsound: tuple[type[Exception], ...] = (
         *_UNSOUND, *_database_errors(), SerdeError, TypesysError, rosbag1.ReaderError,
         rosbag2.ReaderError, RuntimeError, _zstd().ZstdError,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from energyplan import __version__
-from energyplan.errors import InvalidInputError, MissingDependencyError
+from energyplan.errors import InvalidInputError, needs_extra
 from energyplan.io.files import atomic_write, files_behind
 
 Line = dict[str, Any]
@@ -21,12 +21,8 @@ Line = dict[str, Any]
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
     """Connect to Dask's scheduler at an address; ``local`` starts a worker on each core."""
-    try:
+    with needs_extra("cluster", "a cluster"):
         from distributed import Client
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "a cluster needs Dask; pip install 'energyplan[cluster]'"
-        ) from error
     try:
         local = {"threads_per_worker": 1, "silence_logs": logging.CRITICAL}
         client = Client(timeout=10, **(local if address == "local" else {"address": address}))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 import io
 import json
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
-from energyplan.errors import InvalidInputError, MapError, MissingDependencyError, PathError
+from energyplan.errors import InvalidInputError, MapError, PathError, needs_extra
 from energyplan.io.files import atomic_write
 from energyplan.logs import DriveLog
 from energyplan.logs.guess import guess
@@ -230,22 +231,23 @@ def write_log(log: DriveLog, file: str | File) -> File:
 
 
 def _write(file: str | File, columns: Mapping[str, FloatArray]) -> File:
-    """Write columns; numbers as the shortest text that reads back the same."""
-    import pandas as pd  # slow to import, and needed only where a file is written
-
+    """Write columns; numbers as the shortest text that reads back the same, NaN as no text."""
     target = File(file)
-    frame = pd.DataFrame(dict(columns))
     suffix = target.suffix.lower()
     if suffix in (".parquet", ".pq"):
+        with needs_extra("parquet", f"writing {target}"):
+            import pyarrow as pa
+            import pyarrow.parquet as pq
+
         stream = io.BytesIO()
-        try:
-            frame.to_parquet(stream)
-        except ImportError:
-            raise MissingDependencyError(
-                f"writing {target} needs pyarrow; install it with pip install 'energyplan[parquet]'"
-            ) from None
+        pq.write_table(pa.table(dict(columns)), stream)
         return atomic_write(target, stream.getvalue())
-    text = frame.to_csv(index=False, lineterminator="\n").encode()
+    lines = io.StringIO()
+    table = csv.writer(lines, lineterminator="\n")
+    table.writerow(columns)
+    cells = (["" if v != v else v for v in values.tolist()] for values in columns.values())
+    table.writerows(zip(*cells, strict=True))
+    text = lines.getvalue().encode()
     if suffix == ".csv":
         return atomic_write(target, text)
     if suffix == ".gz":

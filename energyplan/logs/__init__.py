@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan import html
-from energyplan.errors import DriveLogError, MissingChannelError
+from energyplan.errors import DriveLogError, MissingChannelError, needs_extra
 from energyplan.logs.align import (
     Series,
     block_bounds,
@@ -139,7 +139,8 @@ class DriveLog(ReadOnly, html.Readable):
 
     def to_frame(self) -> pd.DataFrame:
         """Return the log as a pandas DataFrame with a column for each channel."""
-        import pandas as pd
+        with needs_extra("logs", "a DataFrame"):
+            import pandas as pd
 
         return pd.DataFrame({key: np.array(values) for key, values in self.channels.items()})
 

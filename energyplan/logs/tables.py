@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.errors import DriveLogError, InvalidInputError, MissingDependencyError
+from energyplan.errors import DriveLogError, InvalidInputError, needs_extra
 from energyplan.logs.align import Series, align, usable
 from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess
@@ -462,9 +463,7 @@ class Columns:
             if label in self._text:
                 continue
             if pd.api.types.is_datetime64_any_dtype(series):
-                stamps = series.to_numpy("datetime64[ns]")
-                seconds = (stamps - np.datetime64(0, "ns")) / np.timedelta64(1, "s")
-                self._numbers[label].append(np.asarray(seconds, float))
+                self._numbers[label].append(_since_1970(series))
                 continue
             if not pd.api.types.is_numeric_dtype(series):  # text, or integers beyond 64 bits
                 series = series.astype("string").str.strip()
@@ -484,8 +483,14 @@ class Columns:
                 self._text[label] = f"{place}: {label!r} is {str(series.iloc[k])[:40]!r}"
                 self._numbers[label].clear()
             else:
-                self._numbers[label].append(np.where(np.abs(values) < ANY[1], values, np.nan))
+                self._numbers[label].append(values)
         self.rows += len(frame)
+
+    def add_numbers(self, cells: FloatArray) -> None:
+        """Take in the next rows of a table that holds nothing but numbers."""
+        for parts, values in zip(self._numbers.values(), cells.T, strict=True):
+            parts.append(values)
+        self.rows += len(cells)
 
     def table(self, file: Path, error: type[InvalidInputError]) -> Recording:
         """Return what was read."""
@@ -494,6 +499,7 @@ class Columns:
             for name, parts in self._numbers.items()
             if name not in self._text
         }
+        numbers = {n: np.where(np.abs(v) < ANY[1], v, np.nan) for n, v in numbers.items()}
         for name in self._of_day & set(numbers):
             numbers[name] = _over_midnight(numbers[name])
         # Where lines end with a separator, a column without a name holds nothing.
@@ -745,9 +751,19 @@ def _cells(data: bytes, mark: str) -> NDArray[np.intp]:
     return np.diff(lines, prepend=-1) - 1
 
 
-def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
-    import pandas as pd
+def _numbers(data: bytes, separator: str, shape: tuple[int, int]) -> FloatArray | None:
+    """Return the cells of a table that holds nothing but numbers; None of any other."""
+    if not data:
+        return None
+    mark = None if separator == _SPACES else separator
+    try:
+        cells = np.loadtxt(io.BytesIO(data), delimiter=mark, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return cells if cells.shape == shape else None  # blank lines are skipped, but counted
 
+
+def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     data = _bytes(file, error)
     dialect = find_dialect(data[:_AHEAD], len(data) < _AHEAD, file, error)
     # Zeros at the end are what a file system leaves that lost its power.
@@ -757,8 +773,19 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
         raise error(
             f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"
         )
-    most = MAX_CELLS // len(names)
     columns = Columns(names, dialect.line, "line", dialect.decimal)
+    rows, most = len(ends) + (not data.endswith(b"\n")), MAX_CELLS // len(names)
+    if rows > most:
+        raise error(f"{file} has more than {most} rows of {len(names)} columns; split it")
+    # Pandas reads a large table five times as fast; a small one is read before it is imported.
+    small = len(data) <= _AHEAD or find_spec("pandas") is None
+    numbers = _numbers(data, dialect.separator, (rows, len(names))) if small else None
+    if numbers is not None:
+        columns.add_numbers(numbers)
+        return columns.table(file, error)
+    with needs_extra("logs", f"reading {file}, a table of more than numbers,"):
+        import pandas as pd
+
     # before 3.1 pandas is wrong in the last bit of one number of six by default
     old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
@@ -790,10 +817,6 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
                     parts.append(frame)
                     continue
                 columns.add(frame)
-                if columns.rows > most:
-                    raise error(
-                        f"{file} has more than {most} rows of {len(names)} columns; split it"
-                    )
     except pd.errors.EmptyDataError:
         pass
     except pd.errors.ParserWarning:
@@ -863,13 +886,10 @@ def _with_line(problem: str, first: int) -> str:
 
 
 def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
-    try:
+    with needs_extra("parquet", f"reading {file}"):
+        import pandas  # noqa: F401 - for the conversion
         import pyarrow as pa
         import pyarrow.parquet as pq
-    except ImportError:
-        raise MissingDependencyError(
-            f"reading {file} needs pyarrow; install it with pip install 'energyplan[parquet]'"
-        ) from None
     try:
         with pq.ParquetFile(file) as parquet:
             shape = parquet.metadata.num_rows, parquet.metadata.num_columns

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from energyplan import __version__
 from energyplan.errors import InvalidInputError
@@ -23,6 +22,8 @@ from energyplan.path import wrap_angle
 from energyplan.power.empirical import described, signal
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from energyplan.comparison import Comparison
     from energyplan.diagnosis import Diagnosis
     from energyplan.logs import DriveLog

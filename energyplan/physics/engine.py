@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.linalg import eigh
 
-from energyplan.errors import InvalidInputError, MissingDependencyError, PhysicsError
+from energyplan.errors import InvalidInputError, PhysicsError, needs_extra
 from energyplan.path import FloatArray, Pose
 from energyplan.physics.robot import EngineGround, Robot
 from energyplan.vehicle import GRAVITY
@@ -398,13 +398,8 @@ _RATIO = 1e7  # stiffness of the tangential directions over the normal one
 
 def require_mujoco() -> Any:
     """Return the engine's module."""
-    try:
+    with needs_extra("physics", "driving in a physics engine"):
         import mujoco
-    except ImportError:
-        raise MissingDependencyError(
-            "driving in a physics engine needs MuJoCo; install the extra: "
-            "pip install 'energyplan[physics]'"
-        ) from None
     return mujoco
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.errors import FrameError, InvalidInputError, MessageError, MissingDependencyError
+from energyplan.errors import FrameError, InvalidInputError, MessageError, needs_extra
 from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.records import NO_NUMBER
@@ -234,16 +234,6 @@ FRAME = "map"
 """Frame of all messages."""
 
 
-def need_rosbags() -> None:
-    """Check that recordings can be written."""
-    try:
-        import rosbags.rosbag2  # noqa: F401
-    except ImportError as error:
-        raise MissingDependencyError(
-            "writing .mcap needs rosbags; install it with pip install 'energyplan[bags]'"
-        ) from error
-
-
 def write_recording(
     paths: Mapping[str, Path], file: str | File, grid: OccupancyGrid | None = None
 ) -> None:
@@ -252,9 +242,9 @@ def write_recording(
     Each path is a nav_msgs/Path on the topic of its name, the map a nav_msgs/OccupancyGrid on
     ``/map``. All have the time 0, so the same plan makes the same file.
     """
-    need_rosbags()
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+    with needs_extra("bags", f"writing {file}"):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     make = store.types.__getitem__

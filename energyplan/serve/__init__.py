@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from energyplan.errors import InvalidInputError, MissingDependencyError
+from energyplan.errors import InvalidInputError, needs_extra
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -47,12 +47,8 @@ def create_app(
     hosts: tuple[str, ...] = LOOPBACK,
 ) -> FastAPI:
     """Return the service as an ASGI application."""
-    try:
+    with needs_extra("serve", "the service"):
         from energyplan.serve.api import application
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "the service needs FastAPI; pip install 'energyplan[serve]'"
-        ) from error
     return application(Path(folder), token, workers, waiting, hosts)
 
 
@@ -112,13 +108,9 @@ def listen(host: str, port: int) -> socket.socket:
 
 def server(app: FastAPI) -> Any:
     """Return what serves an application; it stops all work when it ends."""
-    try:
+    with needs_extra("serve", "the service"):
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the service needs uvicorn; pip install 'energyplan[serve]'"
-        ) from error
 
     most = _MOST
     with suppress(ImportError):  # Windows has no such limit

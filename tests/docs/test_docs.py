@@ -452,3 +452,15 @@ def test_every_page_is_in_the_table_of_contents() -> None:
     listed = re.findall(r"^(\w[\w/]*)$", (DOCS / "index.md").read_text(), re.MULTILINE)
     pages = {page.stem for page in PAGES[1:]} - {"index"}
     assert pages == {name for name in listed if "/" not in name}
+
+
+def test_the_messages_of_the_troubleshooting_page_exist() -> None:
+    page = (DOCS / "troubleshooting.md").read_text()
+    messages = re.findall(r"^\| `(.+?)` \|", page, re.MULTILINE)
+    assert len(messages) > 10
+    parsed = (ast.parse(file.read_text()) for file in (ROOT / "energyplan").rglob("*.py"))
+    texts = [
+        node.value for tree in parsed for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]  # fmt: skip
+    assert [one for one in messages if not any(one in text for text in texts)] == []

@@ -163,7 +163,17 @@ def test_the_image_starts_commands_with_options_that_exist() -> None:
     assert {words[0] for words in called} == {"pip", "useradd", "energyplan"}
     (installed,) = (words[-1] for words in called if words[0] == "pip")
     assert installed == ".[serve]"
-    assert "serve" in PROJECT["optional-dependencies"]
+
+
+def test_pages_install_extras_that_exist_and_one_page_lists_all() -> None:
+    extras = set(PROJECT["optional-dependencies"])
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *ROS.rglob("*.md")]
+    for page in [*pages, ROOT / "Containerfile", ROOT / ".ci" / "run"]:
+        named = re.findall(r"(?:\bpip.*|install )(?:energyplan|\.)\[([\w,]+)\]", page.read_text())
+        assert {one for names in named for one in names.split(",")} <= extras, page
+    start = (ROOT / "docs" / "getting_started.md").read_text()
+    table = start.partition("| extra |")[2].partition("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == extras
 
 
 def test_hooks_are_the_tools_of_lint() -> None:

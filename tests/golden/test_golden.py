@@ -29,7 +29,13 @@ def test_the_answer_is_as_it_was(name: str, folder: Path) -> None:
 
 
 PAGE = answers.HERE.parents[1] / "docs" / "reference" / "json.md"
-SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE.read_text(), re.M | re.S))
+TABLES = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE.read_text(), re.M | re.S))
+SECTIONS: dict[str, list[tuple[str, str]]] = {}
+for title, text in TABLES.items():
+    for name, keys, meaning in re.findall(
+        r"^\|(?: `([^|]+)` \|)? (`[^|]+) \| (.+) \|$", text, re.M
+    ):
+        SECTIONS.setdefault(name or title, []).append((keys, meaning))
 DESCRIBED = {
     name: section
     for name, answer in answers.ANSWERS.items()
@@ -42,7 +48,7 @@ DESCRIBED = {
 def test_the_page_describes_the_keys_of_an_answer(name: str) -> None:
     """A row is a key and its meaning; of a list of records the meaning names their keys."""
     (document,) = json.loads(answers.file(name).read_text())
-    table = re.findall(r"^\| (`.+?) \| (.+) \|$", SECTIONS[DESCRIBED[name]], re.M)
+    table = SECTIONS[DESCRIBED[name]]
     said = {key: text for keys, text in table for key in re.findall(r"`(\w+)`", keys)}
     assert said.keys() - answers.DROPPED == document.keys() - {"preset"}
     for key, text in said.items():

@@ -427,13 +427,13 @@ def test_a_remedy_is_what_mends_the_log(tmp_path: Path) -> None:
 def test_a_file_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     """Also where a side is turned round, and where a second drive is held against the first."""
     count = Counter()
-    read = pd.read_csv
+    read = np.loadtxt
 
     def counted(*args: object, **options: object) -> object:
         count["csv"] += 1
         return read(*args, **options)
 
-    monkeypatch.setattr(pd, "read_csv", counted)
+    monkeypatch.setattr(np, "loadtxt", counted)
     if kind == "csv":
         extra = {"power": AT.power, "gyro_z": AT.yaw_rate}
         files = [written(tmp_path, "a.csv", **extra | {"left_speed": -AT.left}),

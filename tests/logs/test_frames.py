@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +11,7 @@ import pytest
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
+from energyplan.logs.tables import read_table
 
 MODEL = ep.PowerModel.preset("quadriga:empty:marble")
 
@@ -36,6 +39,22 @@ def test_frames_of_other_programs_are_read_as_files_are() -> None:
     assert log.channel("v_left") == pytest.approx(0.5)
     assert [one.count for one in log.set_aside] == [1]
     assert any("state" in warning for warning in log.warnings)
+
+
+def test_numbers_are_read_alike_with_and_without_other_columns(tmp_path: Path) -> None:
+    """A table of numbers alone is read by NumPy, any other by pandas."""
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-9, 9, (200, 3))
+    rows = [",".join(map(repr, row)) for row in numbers.tolist()]
+    rows[7] = "1e400, -0 ,1E30"
+    plain, mixed = tmp_path / "plain.csv", tmp_path / "mixed.csv"
+    plain.write_text("\n".join(["a,b,c", *rows]))
+    mixed.write_text("\n".join(["a,b,c,word", *(f"{row},x" for row in rows)]))
+    one, other = (read_table(file, DriveLogError) for file in (plain, mixed))
+    assert list(other.text) == ["word"]
+    for name in "abc":
+        np.testing.assert_array_equal(one.column(name), other.column(name))
+    np.testing.assert_array_equal(np.delete(one.column("b"), 7), np.delete(numbers[:, 1], 7))
 
 
 @pytest.mark.parametrize(

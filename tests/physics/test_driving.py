@@ -236,7 +236,7 @@ def test_without_the_extra_the_error_names_it(
             "--goal", "20,12,90deg"]  # fmt: skip
     for command in (["drive", str(file)], loop):
         code, _, err = run_command([*command, *model], capsys)
-        assert code == 1
+        assert code == 2
         assert "energyplan[physics]" in err
     # A design needs no engine.
     assert run_command(["design", *model, "--duration", "20"], capsys)[0] == 0

@@ -4,6 +4,11 @@ Every axis has its unit. Colours are those of Okabe and Ito, which suit colour-b
 lines that may coincide differ in style as well.
 """
 
+from energyplan.errors import needs_extra
+
+with needs_extra("plots", "a picture"):
+    import matplotlib  # noqa: F401
+
 from energyplan.output.plots.drives import (
     bin_means,
     breakdown,
