@@ -57,26 +57,6 @@ def csv_text(channels, **renamed):
 # -- reading ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["drive.csv", "drive.csv.gz"])
-def test_text_files_hold_what_was_written(tmp_path, noisy, name):
-    log = DriveLog.read(write(tmp_path, csv_text(noisy.channels), name))
-    assert set(log.channels) == set(noisy.channels)
-    for channel, values in noisy.channels.items():
-        assert_array_equal(log.channels[channel], values)
-    assert log.set_aside == ()
-    assert log.warnings == ()
-
-
-def test_parquet_holds_what_was_written(tmp_path, noisy):
-    pandas = pytest.importorskip("pandas")
-    pytest.importorskip("pyarrow")
-    file = tmp_path / "drive.parquet"
-    pandas.DataFrame(dict(noisy.channels)).to_parquet(file)
-    log = DriveLog.read(file)
-    for channel, values in noisy.channels.items():
-        assert_array_equal(log.channels[channel], values)
-
-
 def test_lines_are_counted_across_pieces(tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "_CHUNK", 7)
     rows = [f"{k},1,1,5,{'word' if k == 33 else k}" for k in range(40)]
@@ -123,48 +103,6 @@ def test_bad_mappings_are_refused(tmp_path, noisy, columns, words):
 
 
 HEAD = "t,v_left,v_right,power\n"
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("", "is empty"),
-        ("\n", "is empty"),
-        (HEAD, "no row follows the names of the columns"),
-        (HEAD + "0,1,1,5\n", "1 usable samples"),
-        ("0,1,1,5\n1,1,1,5\n", "line 1 holds numbers"),
-        (HEAD.replace(",", ";") + "0;1;1;5\n", "1 usable samples"),
-        ("t,v_left,v_left,power\n0,1,1,5\n", "'v_left' twice"),
-        ("t,v_left,power\n0,1,5\n1,1,5\n", "'v_right' is missing"),
-        ("t,v_left,v_right\n0,1,5\n1,1,5\n", "power is missing"),
-        (HEAD + "0,1,1,5\n1,1,oops,5\n", "line 3: 'v_right' is 'oops'"),
-        (HEAD + "0,1,1,5\n1,1,1,5\n\n0.5,1,1,5\n", "line 5: t does not increase"),
-        (HEAD + "0,1,1,5\n1,1,1,5\n1,1,1,6\n", "line 4: t does not increase"),
-        (HEAD + "0,1,1,5,9\n1,1,1,5,9\n", "more cells"),
-        (HEAD + "0,1,1,5\n1,1,1,5,9\n", "in line 3"),
-        (HEAD + '0,1,1,"5\n', "no table"),
-        (b"\xff\xfe\x00", "save it as UTF-8"),
-        (HEAD.encode() + b"0,1,\xff,5\n", "line 2: 'v_right' is"),
-        (b"t,v_left\n\x81,1\n", "byte 9 is no UTF-8"),
-        (b"t\x00,v_left\n", "NUL"),
-        (HEAD + "0,30,1,5\n1,30,1,5\n2,30,1,5\n", "line 2, line 3, line 4: v_left is 30 m/s"),
-        (HEAD + "0,1,1,5\n60,1,1,5\n120,1,1,5\n", "time step of t is 60 s"),
-    ],
-)
-def test_malformed_text_is_refused_with_its_place(tmp_path, content, words):
-    with pytest.raises(DriveLogError, match=words) as caught:
-        DriveLog.read(write(tmp_path, content))
-    assert "drive.csv" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["drive.csv.gz", "drive.parquet", "drive.txt", "missing"])
-def test_files_of_another_kind_are_refused(tmp_path, name):
-    file = tmp_path / name
-    if name != "missing":
-        file.write_bytes(b"PAR1 this is nothing of the kind")
-    with pytest.raises(DriveLogError, match=name):
-        DriveLog.read(file)
 
 
 def test_truncated_and_exploding_gzip_are_refused(tmp_path, monkeypatch):
