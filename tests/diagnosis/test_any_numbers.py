@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from by_day import by_day
+from made_drives import sized
 
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan.errors import EnergyPlanError
@@ -19,19 +20,13 @@ from energyplan.live import lines_of, watch
 from energyplan.output import documents
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel
-from energyplan.vehicle import Vehicle
 
 FACTORS = (1e-6, 1e-3, 1e3, 1e6)
 Channels = dict[str, FloatArray]
 
 
 def robot(mass: float) -> PowerModel:
-    size = (mass / 60.0) ** (1 / 3)
-    vehicle = Vehicle.from_geometry(
-        "any", mass=mass, wheelbase=0.5 * size, track=0.55 * size, length=0.9 * size,
-        width=0.7 * size,
-    )  # fmt: skip
-    return PowerModel.paper(vehicle, K=0.05 * mass * 9.81, mu=0.6)
+    return PowerModel.paper(sized((mass / 60.0) ** (1 / 3)), K=0.05 * mass * 9.81, mu=0.6)
 
 
 WAYS = 18

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from made_drives import sized
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.averaging import averaged
@@ -60,10 +61,7 @@ def one_way(rate: float, measured: str, size: float) -> tuple[DriveLog, DriveLog
     Wide turns take less than the model has for them, so that in left turns alone a drag of the
     outer side is as good a reason as any: and says nothing true of right turns.
     """
-    vehicle = Vehicle.from_geometry(
-        "any", mass=60.0 * size**3, wheelbase=0.5 * size, track=0.55 * size, length=0.9 * size,
-        width=0.7 * size,
-    )  # fmt: skip
+    vehicle = sized(size)
     K, mu = 0.04 * vehicle.mass * 9.81, 0.7
     model = PowerModel.paper(vehicle, K, mu).with_term(MOBILISATION, 0.6 * mu)
     rng = np.random.default_rng(3)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from by_day import by_day
+from made_drives import pair, sized
 
 from energyplan import DriveLog, diagnose, simulate
 from energyplan.fit.drive import prepared
@@ -28,12 +29,8 @@ from energyplan.vehicle import Vehicle
 def _robot(rng: np.random.Generator) -> PowerModel:
     """A robot of random size, from a small rover to one of a hundred kilograms."""
     size = float(rng.uniform(0.5, 1.3))
-    mass = 40.0 * size**3 * float(rng.uniform(0.7, 1.5))
-    vehicle = Vehicle.from_geometry(
-        "random", mass=mass, wheelbase=0.5 * size, track=0.55 * size, length=0.9 * size,
-        width=0.7 * size,
-    )  # fmt: skip
-    K = float(rng.uniform(0.06, 0.12)) * mass * 9.81 / 2
+    vehicle = sized(size, 40.0 * size**3 * float(rng.uniform(0.7, 1.5)))
+    K = float(rng.uniform(0.06, 0.12)) * vehicle.mass * 9.81 / 2
     return PowerModel.paper(vehicle, K=K, mu=float(rng.uniform(0.3, 0.8)))
 
 
@@ -83,9 +80,7 @@ def test_losses_of_each_side_are_found_on_robots_of_any_size(seed: int) -> None:
     size = 0.04 / K  # 8 % of what rolling takes at half a metre a second
     truth = model.with_term(COPPER_LOSS, size).with_term(DRAGGING_LEFT, 0.4 * K)
     noise = {"power_noise": 0.01 * K, "speed_noise": 0.003, "without": {"accel_x"}}
-    train = simulate.identification_drive(truth, seed=seed, **noise)
-    unseen = simulate.validation_drive(truth, seed=seed + 50, **noise)
-    told = diagnose(train, unseen, model.vehicle)
+    told = diagnose(*pair(truth, seed, seed + 50, **noise), model.vehicle)
     sizes = {effect.name: effect for effect in told.effects}
     assert "copper_loss" in sizes
     assert "dragging_wheel_left" in sizes
@@ -107,19 +102,9 @@ def _tracked(model: PowerModel, seed: int) -> DriveLog:
     moment = 0.9 * limit * np.sin(2 * np.pi * t / 23.0 + rng.uniform(0, 6))
     K = model.coefficient("traction_resistance")
     forces = (K - moment / track, K + moment / track)
-    powers = []
-    for force, v in zip(forces, (motion.v_left, motion.v_right), strict=True):
-        power = force * v
-        for term in model.terms:
-            value = model.coefficient(term.name)
-            if term.name == "drive_efficiency":
-                powers_lost = value * np.maximum(power, 0.0)
-            elif term.name == "regeneration_efficiency":
-                powers_lost = value * np.maximum(-power, 0.0)
-            else:
-                continue
-            power = power + powers_lost
-        powers.append(power)
+    lost, returning = _losses(model)
+    pushed = [force * v for force, v in zip(forces, (motion.v_left, motion.v_right), strict=True)]
+    powers = [p + lost * np.maximum(p, 0.0) + returning * np.maximum(-p, 0.0) for p in pushed]
     columns = {
         "v_left": motion.v_left, "v_right": motion.v_right, "p_left": powers[0],
         "p_right": powers[1], "yaw_rate": motion.omega,
@@ -143,33 +128,26 @@ LOSSY = (
 )
 
 
-def _round_trip(model: PowerModel) -> float:
-    """Return what comes back of drawn power: of the efficiencies powers tell that alone."""
+def _losses(model: PowerModel) -> tuple[float, float]:
+    """Return the shares that are lost of power drawn and of power returned."""
     lost, returning = (
         model.coefficient(name) if model.has(name) else 0.0
         for name in ("drive_efficiency", "regeneration_efficiency")
     )
-    return (1.0 - returning) / (1.0 + lost)
+    return lost, returning
 
 
 def test_sides_that_push_against_each_other_are_named_where_that_costs_energy() -> None:
     told = diagnose(_tracked(LOSSY, 1), _tracked(LOSSY, 2), LOSSY.vehicle)
     names = [effect.name for effect in told.effects]
     assert names[-1] == "wheel_fight"
-    assert _round_trip(told.model) == pytest.approx(0.85 * 0.5, abs=0.02)
-    model = told.model
+    lost, returning = _losses(told.model)
+    # of the efficiencies, powers tell what comes back of drawn power
+    assert (1.0 - returning) / (1.0 + lost) == pytest.approx(0.85 * 0.5, abs=0.02)
     # A planner counts it: a straight line costs more than its traction resistance.
-    straight = Motion.from_twist(0.5, 0.0, model.vehicle.icr)
-    without = PowerModel(
-        model.vehicle,
-        tuple(t for t in model.terms if t.name != "wheel_fight"),
-        [
-            v
-            for t, v in zip(model.terms, model.coefficients, strict=True)
-            if t.name != "wheel_fight"
-        ],
-    )
-    assert float(model.power(straight)) > 1.05 * float(without.power(straight))
+    straight = told.model.breakdown(Motion.from_twist(0.5, 0.0, LOSSY.vehicle.icr))
+    fight = float(straight["wheel_fight"])
+    assert fight > 0.05 * (sum(map(float, straight.values())) - fight)
     assert abs(told.after.energy_error) < 0.02
 
 

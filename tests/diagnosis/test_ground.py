@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_drives import pair
 
-from energyplan import DriveLog, PowerModel, diagnose, simulate
+from energyplan import DriveLog, PowerModel, diagnose
 from energyplan.diagnosis.candidates import ContactTraces
 from energyplan.fit.drive import Drive
 from energyplan.motion import Motion
@@ -82,10 +83,7 @@ def test_a_border_that_wheels_cross_in_spins_is_found_to_centimetres(away: float
     line = replace(SLIP_BEYOND, params={"direction": direction, "offset": offset})
     truth = model.with_term(line, 0.2)
     noise = {"power_noise": 3.0, "speed_noise": 0.003, "without": {"accel_x"}}
-    drives = (
-        simulate.identification_drive(truth, seed=1, **noise),
-        simulate.validation_drive(truth, seed=2, **noise),
-    )
+    drives = pair(truth, **noise)
     told = diagnose(
         *(shifted(log, away) for log in drives), model.vehicle, effects=[BORDER], choose=False
     )

@@ -48,12 +48,6 @@ def test_a_robot_sets_down_no_more_than_half_of_itself() -> None:
     assert found.verdict == "unexplained"
 
 
-def test_a_load_that_is_set_down_is_still_found() -> None:
-    found = told(0.0, 0.7)
-    (change,) = (effect for effect in found.effects if effect.name == "payload_change")
-    assert abs(change.value + 0.3 * ROBOT.vehicle.mass) < 0.05 * ROBOT.vehicle.mass
-
-
 @pytest.mark.parametrize(
     ("size", "error", "missing", "why"),
     [

@@ -12,40 +12,9 @@ from energyplan.diagnosis.candidates import mark_changes
 from energyplan.diagnosis.search import EffectSearch
 from energyplan.fit.drive import ON_TIME, prepared
 from energyplan.fit.estimate import PAPER, Problem
-from energyplan.power.effects import (
-    COPPER_LOSS,
-    DRAGGING_LEFT,
-    SLIP_BEYOND,
-    TOWED_DRAG,
-    VISCOUS_LOSS,
-    catalogue,
-)
+from energyplan.power.effects import SLIP_BEYOND, VISCOUS_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
-NAMES = ("copper_loss", "dragging_wheel_left", "towed_drag")
-
-
-@pytest.fixture
-def search(made: EffectSearch) -> EffectSearch:
-    """A search over three effects, on a drive that has them; no set is fitted yet."""
-    made.evaluated.clear()
-    return made
-
-
-@pytest.fixture(scope="module")
-def made() -> EffectSearch:
-    """The same for all tests: they number candidates differently, and share what was fitted."""
-    model = ROBOT
-    for term, size in ((COPPER_LOSS, 4e-4), (DRAGGING_LEFT, 40.0), (TOWED_DRAG, 45.0)):
-        model = model.with_term(term, size)
-    log = simulate.drive(
-        model, simulate.IDENTIFICATION, rate=5.0, speed=0.7, power_noise=2.0, measured="total"
-    )
-    effects = [catalogue()[name] for name in NAMES]
-    problem = Problem(prepared([log], ROBOT.vehicle), ROBOT.vehicle)
-    found = EffectSearch(problem, effects, lambda *_: None, 4)
-    found.quick.errors = problem.reference(problem.design(ROBOT.terms))
-    return found
 
 
 def one_drive(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog, PowerModel, identify, simulate
-from energyplan.fit.drive import Drive, Hold, prepared
+from energyplan.fit.drive import Drive, prepared
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 NOISE = 5.0
@@ -48,23 +48,10 @@ def test_readings_are_predicted_as_what_they_are(mean: bool, measured: str) -> N
     assert np.all(thin.starts % (EACH // 4) == 0)
 
 
-def test_a_mean_is_that_of_the_time_before_a_reading() -> None:
-    values = np.arange(12.0)
-    starts = np.repeat([0, 4, 8], 4)
-    np.testing.assert_allclose(Hold(starts, 4).shown(values), starts)
-    np.testing.assert_allclose(
-        Hold(starts, 4, mean=True).shown(np.column_stack([values, 2.0 * values])),
-        np.repeat([[0.0, 0.0], [1.5, 3.0], [5.5, 11.0]], 4, axis=0),
-    )
-
-
-def test_what_is_read_with_every_row_is_not_held() -> None:
+def test_what_is_read_with_every_row_or_side_by_side_is_not_held() -> None:
+    """Where sides are read in turn, their sum is no reading at any instant."""
     log = simulate.drive(MODEL, "spiral", rate=20.0, power_noise=NOISE, seed=2)
     assert Drive.of(log, MODEL.vehicle).hold is None
-
-
-def test_sides_that_are_read_at_instants_of_their_own_are_not_held() -> None:
-    """Their sum then changes twice a reading, and is no reading at any instant."""
     together = read_seldom(False, "sides")
     late = np.maximum(np.arange(len(together)) - EACH // 2, 0)
     apart = {**together.channels, "p_right": together.channels["p_right"][late]}

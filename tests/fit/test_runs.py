@@ -13,7 +13,6 @@ from energyplan.fit.estimate import Problem, joint_fit
 from energyplan.fit.identification import _draw_at_rest
 from energyplan.motion import Motion
 from energyplan.power import SLIP, TRACTION, PowerModel
-from energyplan.power.effects import COPPER_LOSS
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 TERMS = (SLIP, TRACTION)
@@ -64,18 +63,6 @@ def test_stretches_without_a_gap_are_rows_of_all_drives_one_below_the_other() ->
     pieces = pieces_of(drives)
     told = [(piece.start, piece.stop) for piece in pieces]
     assert told == [(0, 150), (150, 400), (400, 800), (800, 830), (830, 1200)]
-
-
-@pytest.mark.parametrize("errors", [None, np.array([3.0, 2.0, 1.0])])
-def test_a_fit_with_losses_starts_from_that_without(errors: np.ndarray | None) -> None:
-    rng = np.random.default_rng(1)
-    left, right = np.repeat(rng.uniform(0.2, 0.8, size=(2, 20)), 20, axis=1)
-    motion = Motion(left, right, MODEL.vehicle.icr)
-    exact = Drive("exact", 0.1 * np.arange(400), motion, MODEL.power(motion))
-    problem = Problem([exact], MODEL.vehicle)
-    start = problem._start((*TERMS, COPPER_LOSS), errors)
-    assert start == pytest.approx({t.name: MODEL.coefficient(t.name) for t in TERMS}, rel=1e-7)
-    assert problem._start(TERMS, errors) == {}
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 import energyplan as ep
-from energyplan.errors import DriveLogError
-from energyplan.logs.mapping import SINCE, TOTAL, count_rate, parse_columns
+from energyplan.logs.mapping import TOTAL, count_rate
 
 RATE = 20.0
 
@@ -28,12 +27,6 @@ def test_a_counter_tells_the_speed_where_it_runs_over_too(bits: int | None) -> N
     found = count_rate(t, counts, TOTAL) / (5000.0 if bits != 32 else 2e9)
     # One count over two rows, and the curvature of the speed.
     np.testing.assert_allclose(found, speed, atol=RATE / 2 / 5000.0 + 0.003)
-
-
-def test_counts_from_row_to_row_tell_the_same_as_those_that_go_on() -> None:
-    t, _, counts = counted()
-    since = np.diff(counts, prepend=0.0)
-    np.testing.assert_allclose(count_rate(t, since, SINCE), count_rate(t, counts, TOTAL))
 
 
 def test_a_counter_that_is_set_back_begins_anew() -> None:
@@ -76,8 +69,3 @@ def test_counters_of_several_wheels_run_over_one_by_one() -> None:
     )  # fmt: skip
     for name in ("v_left", "v_right"):
         np.testing.assert_allclose(log.channel(name), speed, atol=0.01)
-
-
-def test_counts_without_their_length_are_asked_for_it() -> None:
-    with pytest.raises(DriveLogError, match=r"metres per count with it, as in .*\[ticks\*0.0001\]"):
-        parse_columns("v_left=enc[counts]")
