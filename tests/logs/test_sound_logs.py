@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from made_drives import sized
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
@@ -14,7 +15,6 @@ from energyplan.io.start import Given, start
 from energyplan.power import PowerModel
 from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA
 from energyplan.simulate import Setpoint, drive
-from energyplan.vehicle import Vehicle
 
 Columns = dict[str, np.ndarray]
 KINDS = ("teleop", "survey", "path", "spins", "straights", "circles")
@@ -28,10 +28,7 @@ def robot(rng: np.random.Generator) -> PowerModel:
     """Return a robot of 5 kg to 2 t, whose turns cost much or little."""
     mass = float(np.exp(rng.uniform(np.log(5.0), np.log(2000.0))))
     size = (mass / 60.0) ** (1 / 3)
-    vehicle = Vehicle.from_geometry(
-        "any", mass=mass, wheelbase=0.5 * size, track=0.55 * size, length=0.8 * size,
-        width=0.7 * size,
-    )  # fmt: skip
+    vehicle = sized(size)
     K, mu = float(rng.uniform(0.015, 0.1)) * mass * 9.81 / 2, float(rng.uniform(0.2, 1.0))
     model = PowerModel.paper(vehicle, K=K, mu=mu).with_term(LINEAR_INERTIA, mass)
     return model.with_term(ANGULAR_INERTIA, mass * (0.3 * size) ** 2)
@@ -93,10 +90,7 @@ def test_no_sound_log_is_refused_or_called_a_mistake(kind: str) -> None:
 
 def of(*points: Setpoint, rate: float = 20.0, mu: float = 0.9, K: float = 4.0) -> Columns:
     """Return the columns of a drive of a robot whose slip costs far more than its wheels."""
-    vehicle = Vehicle.from_geometry(
-        "own", mass=60.0, wheelbase=0.5, track=0.55, length=0.8, width=0.7
-    )
-    model = PowerModel.paper(vehicle, K=K, mu=mu)
+    model = PowerModel.paper(sized(1.0), K=K, mu=mu)
     log = drive(model, points, rate=rate, power_noise=0.5, speed_noise=0.002, without={"accel_x"})
     return {name: np.array(values) for name, values in log.channels.items()}
 
