@@ -29,15 +29,11 @@ def test_a_robot_that_only_stands_is_told_so() -> None:
 def test_standstill_says_nothing_about_friction_and_makes_nothing_surer() -> None:
     log = simulate.identification_drive(MODEL, seed=1, **NOISE)
     count = 20_000
-    late = log.t[-1] + 0.05 * np.arange(1, count + 1)
     parked = {
-        name: np.concatenate([values, np.full(count, values[-1])])
+        name: np.append(values, np.full(count, 0.0 if name[:2] in ("v_", "p_") else values[-1]))
         for name, values in log.channels.items()
     }
-    still = dict.fromkeys(("v_left", "v_right", "p_left", "p_right"), np.zeros(count))
-    for name, values in still.items():
-        parked[name] = np.concatenate([log.channels[name], values])
-    parked["t"] = np.concatenate([log.t, late])
+    parked["t"][len(log) :] += 0.05 * np.arange(1, count + 1)
     short, long = (identify(one, MODEL.vehicle) for one in (log, DriveLog(parked)))
     for name, error in short.std_error.items():
         assert long.model.coefficient(name) == pytest.approx(short.model.coefficient(name))

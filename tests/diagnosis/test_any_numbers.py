@@ -81,15 +81,6 @@ def strange(channels: Channels, rng: np.random.Generator, way: int) -> Channels:
     return made
 
 
-def finite(document: Any) -> bool:
-    """Tell whether no number of a document is NaN or infinite."""
-    if isinstance(document, dict):
-        return all(finite(value) for value in document.values())
-    if isinstance(document, list | tuple):
-        return all(finite(value) for value in document)
-    return not isinstance(document, float) or bool(np.isfinite(document))
-
-
 @pytest.mark.parametrize("seed", by_day(range(90), range(WAYS)))
 def test_each_command_answers_or_refuses_by_name(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -133,4 +124,4 @@ def test_each_command_answers_or_refuses_by_name(tmp_path: Path, seed: int) -> N
             except EnergyPlanError as problem:
                 assert len(str(problem)) > 25, name
                 continue
-            assert finite(json.loads(json.dumps(told))), name
+            json.dumps(told, allow_nan=False)

@@ -13,15 +13,7 @@ from energyplan import DriveLog, diagnose, simulate
 from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem, fit, problem_of
 from energyplan.motion import Motion
-from energyplan.power import (
-    DRIVE_LOSS,
-    HOTEL,
-    REGENERATION_LOSS,
-    SLIP,
-    TRACTION,
-    PowerModel,
-)
-from energyplan.power.effects import COPPER_LOSS, DRAGGING_LEFT
+from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import Vehicle
 
@@ -52,11 +44,11 @@ def test_which_side_drags_is_told_where_treads_are_always_as_fast_as_each_other(
     rng = np.random.default_rng(seed)
     model = _robot(rng)
     drag = 0.4 * model.coefficient("traction_resistance")
-    truth = model.with_term(DRAGGING_LEFT, drag)
+    truth = model.with_term(effects.DRAGGING_LEFT, drag)
     noise = 0.02 * float(np.max(truth.power(Motion.from_twist(0.4, 0.5, model.vehicle.icr))))
     log = simulate.drive(truth, _straights_and_spins(rng), power_noise=noise, seed=seed)
     problem = Problem(prepared([log], model.vehicle), model.vehicle)
-    terms = (SLIP, TRACTION, DRAGGING_LEFT)
+    terms = (SLIP, TRACTION, effects.DRAGGING_LEFT)
 
     def found(case: Problem) -> Any:
         design = case.design(terms)
@@ -78,7 +70,7 @@ def test_losses_of_each_side_are_found_on_robots_of_any_size(seed: int) -> None:
     model = _robot(rng)
     K = model.coefficient("traction_resistance")
     size = 0.04 / K  # 8 % of what rolling takes at half a metre a second
-    truth = model.with_term(COPPER_LOSS, size).with_term(DRAGGING_LEFT, 0.4 * K)
+    truth = model.with_term(effects.COPPER_LOSS, size).with_term(effects.DRAGGING_LEFT, 0.4 * K)
     noise = {"power_noise": 0.01 * K, "speed_noise": 0.003, "without": {"accel_x"}}
     told = diagnose(*pair(truth, seed, seed + 50, **noise), model.vehicle)
     sizes = {effect.name: effect for effect in told.effects}
@@ -123,8 +115,8 @@ def _tracked(model: PowerModel, seed: int) -> DriveLog:
 
 LOSSY = (
     PowerModel.preset("quadriga:full:concrete")
-    .with_term(DRIVE_LOSS, 1 / 0.85 - 1)
-    .with_term(REGENERATION_LOSS, 0.5)
+    .with_term(effects.DRIVE_LOSS, 1 / 0.85 - 1)
+    .with_term(effects.REGENERATION_LOSS, 0.5)
 )
 
 
@@ -166,7 +158,7 @@ def test_motors_that_return_little_are_no_sensors_without_a_sign(
     returned: float, hotel: float
 ) -> None:
     model = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, hotel)
-    truth = model.with_term(REGENERATION_LOSS, 1.0 - returned)
+    truth = model.with_term(effects.REGENERATION_LOSS, 1.0 - returned)
     log = simulate.identification_drive(truth, seed=1, **NOISE)
     assert _equations(log, model.vehicle) == 2
     if returned == 1.0:

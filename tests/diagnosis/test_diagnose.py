@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -384,39 +385,20 @@ def test_the_centre_of_mass_is_found_from_the_motion() -> None:
 
 # -- recorded drives ------------------------------------------------------------------------------
 
-TRUE = {
-    "com_offset": "centre_of_mass",
-    "copper_loss": "copper_loss",
-    "hotel_load": "hotel_load",
-    "inertia": "linear_inertia",
-    "load_change": "payload_change",
-    "slope": "tilted_plane",
-    "viscous": "viscous_loss",
-    "warmup": "warm_up",
-}
-
-
-def _true_size(scenario: str, side_car: dict[str, Any]) -> float:
-    effect, true = side_car["effects"][scenario], side_car["true"]
-    match scenario:
-        case "com_offset":
-            return float(np.hypot(effect["forward_m"], effect["left_m"]))
-        case "copper_loss":
-            return float(
-                effect["R_ohm"] * (true["wheel_radius_m"] / effect["kt_Nm_per_A_at_wheel"]) ** 2
-            )
-        case "hotel_load":
-            return float(effect["power_W_total"])
-        case "inertia":
-            return float(true["mass_equivalent_straight_kg"])
-        case "load_change":
-            return float(effect["mass_after_kg"] - effect["mass_before_kg"])
-        case "slope":
-            return float(np.radians(effect["angle_deg"]))
-        case "viscous":
-            return float(effect["N_per_mps_per_side"])
-        case _:
-            return float(effect["relative_excess_at_0"] * true["K_internal_N_per_side"])
+TRUE: dict[str, tuple[str, Callable[[dict[str, Any], dict[str, Any]], float]]] = {
+    "com_offset": ("centre_of_mass", lambda e, _: np.hypot(e["forward_m"], e["left_m"])),
+    "copper_loss": ("copper_loss", lambda e, robot: (
+        e["R_ohm"] * (robot["wheel_radius_m"] / e["kt_Nm_per_A_at_wheel"]) ** 2)),
+    "hotel_load": ("hotel_load", lambda e, _: e["power_W_total"]),
+    "inertia": ("linear_inertia", lambda _, robot: robot["mass_equivalent_straight_kg"]),
+    "load_change": ("payload_change", lambda e, _: e["mass_after_kg"] - e["mass_before_kg"]),
+    "slope": ("tilted_plane", lambda e, _: np.radians(e["angle_deg"])),
+    "viscous": ("viscous_loss", lambda e, _: e["N_per_mps_per_side"]),
+    "warmup": ("warm_up", lambda e, robot: (
+        e["relative_excess_at_0"] * robot["K_internal_N_per_side"])),
+}  # fmt: skip
+"""By what the engine hides: its name here, and its size by what the engine says of it and of the
+robot."""
 
 
 def _recorded(folder: Path, stem: str) -> tuple[Diagnosis, Diagnosis]:
@@ -426,8 +408,9 @@ def _recorded(folder: Path, stem: str) -> tuple[Diagnosis, Diagnosis]:
         DriveLog.read(folder / f"{stem}_{drive}.csv.gz") for drive in ("ident", "valid")
     )
     # Every drive of the engine has inertia, whatever else it hides.
-    names = ["linear_inertia", "angular_inertia", TRUE.get(stem.rpartition("_s")[0])]
-    told = [catalogue()[name] for name in dict.fromkeys(names) if name is not None]
+    hidden = [TRUE[name][0] for name in [stem.rpartition("_s")[0]] if name in TRUE]
+    names = dict.fromkeys(["linear_inertia", "angular_inertia", *hidden])
+    told = [catalogue()[name] for name in names]
     return (
         diagnose(train, unseen, vehicle),
         diagnose(train, unseen, vehicle, effects=told, choose=False),
@@ -443,11 +426,13 @@ def test_a_physics_engines_hidden_effect_is_found(
     folder = shared_data / "quadriga_mujoco"
     told, oracle = _recorded(folder, f"{scenario}_s{seed}")
     side_car = json.loads((folder / f"{scenario}_s{seed}_ident.json").read_text())
+    name, size = TRUE[scenario]
     first = told.effects[0]
-    assert first.name == TRUE[scenario] or TRUE[scenario] in first.rivals
-    found = next(effect for effect in told.effects if effect.name == TRUE[scenario])
-    assert found.value == pytest.approx(_true_size(scenario, side_car), rel=0.15)
-    assert TRUE[scenario] in {effect.name for effect in oracle.effects}
+    assert name == first.name or name in first.rivals
+    found = next(effect for effect in told.effects if effect.name == name)
+    true = size(side_car["effects"][scenario], side_car["true"])
+    assert found.value == pytest.approx(true, rel=0.15)
+    assert name in {effect.name for effect in oracle.effects}
     assert told.after.rmse < told.before.rmse
     assert told.after.rmse <= 1.15 * oracle.after.rmse
     assert abs(told.after.energy_error) < 0.02

@@ -24,18 +24,7 @@ from energyplan.fit.identification import PowerRegression
 from energyplan.io.husky import read_husky
 from energyplan.logs import DriveLog
 from energyplan.output import documents
-from energyplan.power import (
-    DRIVE_LOSS,
-    HOTEL,
-    REGENERATION_LOSS,
-    SLIP,
-    TABLE_II,
-    TRACTION,
-    PowerModel,
-    Term,
-    effects,
-)
-from energyplan.power.effects import LINEAR_INERTIA
+from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Term, effects
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import TreadICR, Vehicle
 
@@ -372,14 +361,14 @@ def test_without_yaw_the_icr_is_kept_and_said_so(truth: PowerModel) -> None:
         ("spin", (SLIP, TRACTION), r"slip_friction.*traction.*straight lines"),
         ([Setpoint(0.3, 0.6, 30.0)], (SLIP, TRACTION), r"slip_friction.*traction.*straight lines"),
         # no motor generates then, so that every power has the same factor
-        (["spin", "straight"], (SLIP, TRACTION, DRIVE_LOSS), "drive_efficiency"),
+        (["spin", "straight"], (SLIP, TRACTION, effects.DRIVE_LOSS), "drive_efficiency"),
     ],
 )
 def test_what_a_drive_does_not_show_is_refused(
     truth: PowerModel, pattern: object, terms: tuple[Term, ...], words: str
 ) -> None:
     log = simulate.drive(truth, pattern, seed=1, **NOISE)
-    log = log if DRIVE_LOSS in terms else log.segment(2.5, 29.0)
+    log = log if effects.DRIVE_LOSS in terms else log.segment(2.5, 29.0)
     with pytest.raises(NotIdentifiableError, match=words):
         identify(log, truth.vehicle, terms=terms)
 
@@ -441,7 +430,7 @@ def test_bad_requests(truth: PowerModel, spiral: DriveLog) -> None:
 
 
 def test_nonlinear_fit_of_exact_data_is_exact(truth: PowerModel) -> None:
-    model = truth.with_term(effects.COPPER_LOSS, 2e-4).with_term(REGENERATION_LOSS, 0.6)
+    model = truth.with_term(effects.COPPER_LOSS, 2e-4).with_term(effects.REGENERATION_LOSS, 0.6)
     log = simulate.identification_drive(model)
     found = identify(log, truth.vehicle, terms=model.terms)
     np.testing.assert_allclose(found.model.coefficients, model.coefficients, rtol=1e-4)
@@ -584,7 +573,7 @@ def test_samples_that_were_left_out_are_counted():
 def test_a_model_that_lacks_something_is_told() -> None:
     """Losses, which friction takes over, and a warm-up, which nothing does."""
     truth = PowerModel.preset("quadriga:full:concrete")
-    lossy = truth.with_term(DRIVE_LOSS, 0.25).with_term(REGENERATION_LOSS, 0.5)
+    lossy = truth.with_term(effects.DRIVE_LOSS, 0.25).with_term(effects.REGENERATION_LOSS, 0.5)
     found, warming, plain = (
         identify(simulate.identification_drive(model, power_noise=5.0, seed=1), truth.vehicle)
         for model in (lossy, truth.with_term(effects.term("warm_up"), 60.0), truth)
@@ -600,7 +589,7 @@ def test_a_model_that_lacks_something_is_told() -> None:
 
 
 def test_inertia_that_every_drive_has_is_no_alarm() -> None:
-    truth = PowerModel.preset("quadriga:full:concrete").with_term(LINEAR_INERTIA, 147.0)
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(effects.LINEAR_INERTIA, 147.0)
     log = simulate.identification_drive(truth, power_noise=5.0, seed=1)
     found = identify(log, truth.vehicle)
     assert found.residual.rmse > 1.2 * found.adequacy.residual

@@ -1,4 +1,4 @@
-"""Bags written with rosbags come back as the drive that was simulated."""
+"""Bags written with rosbags come back as the drive that was simulated; damaged ones are refused."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from small_bags import BATTERY, IMU, JOINTS, ODOMETRY, Recorder, heading
+from small_bags import BATTERY, IMU, JOINTS, ODOMETRY, POWER, TOPICS, Recorder, heading
+from small_bags import record as record_joints
 
 from energyplan.errors import DriveLogError, UnknownNameError
 from energyplan.io.bags import is_bag
@@ -247,3 +248,44 @@ def test_fast_channels_are_averaged_and_holes_stay_holes():
     keep = (t < 20.05) | (t > 23.05)
     holed = align(Series(t[keep], values[keep]), clock)
     assert_allclose(np.isnan(holed.values), (clock > 20.1) & (clock < 23.1))
+
+
+PACKED = ("mcap-zstd", "mcap-lz4", "sqlite-message", "sqlite-file", "ros1-bz2", "ros1-lz4")
+
+
+@pytest.mark.parametrize("kind", PACKED)
+def test_compressed_bags_are_read_and_damaged_parts_refused_by_name(tmp_path, kind):
+    """Bytes in the middle of the compressed part are lost; its beginning is overwritten."""
+    path = record_joints(tmp_path / ("drive.bag" if kind.startswith("ros1") else "drive"), kind)
+    assert read_log(path, topics=TOPICS).power.tolist() == POWER
+    file = path if path.is_file() else next(f for f in path.iterdir() if f.suffix != ".yaml")
+    sound = file.read_bytes()
+    magic = {"bz2": b"BZh9", "lz4": b"\x04\x22\x4d\x18"}.get(kind[-3:], b"\x28\xb5\x2f\xfd")
+    start = sound.rindex(magic) if kind == "sqlite-message" else sound.index(magic)
+    for spoiled in (
+        sound[: start + 6] + bytes(20) + sound[start + 26 :],
+        sound[:start] + b"none" + sound[start + 4 :],
+    ):
+        file.write_bytes(spoiled)
+        with pytest.raises(DriveLogError, match="no sound bag"):
+            read_log(path, topics=TOPICS)
+
+
+def test_what_would_be_read_whole_before_it_is_known_for_a_bag_is_refused(tmp_path):
+    file = tmp_path / "none.bag"
+    file.write_bytes(bytes(10_000))
+    with pytest.raises(DriveLogError, match="does not begin as a ROS 1 bag"):
+        read_log(file, topics=TOPICS)
+    (tmp_path / "metadata.yaml").write_bytes(b"a" * (9 << 20))
+    with pytest.raises(DriveLogError, match=r"metadata\.yaml is larger than 8 MiB"):
+        read_log(tmp_path, topics=TOPICS)
+
+
+@pytest.mark.parametrize("kind", ["ros1-bz2", "ros1-lz4"])
+def test_a_small_bag_that_unpacks_to_much_is_refused(tmp_path, monkeypatch, kind):
+    file = record_joints(tmp_path / "a.bag", kind, padding=1 << 20)
+    assert file.stat().st_size < 1 << 15
+    assert read_log(file, topics=TOPICS).power.tolist() == POWER
+    monkeypatch.setattr("energyplan.io.bags._LARGEST_CHUNK", 1 << 19)
+    with pytest.raises(DriveLogError, match="unpacks to over 0 MiB"):
+        read_log(file, topics=TOPICS)
