@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from by_day import by_day
 from made_drives import pair, sized
 
 from energyplan import DriveLog, diagnose, identify, simulate
-from energyplan.errors import NotIdentifiableError
+from energyplan.errors import EnergyPlanError, NotIdentifiableError
 from energyplan.fit.drive import quiet
+from energyplan.io.start import Given, start
+from energyplan.live import lines_of, watch
+from energyplan.output import documents
+from energyplan.path import FloatArray
 from energyplan.power import PowerModel
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
@@ -78,7 +88,7 @@ def test_what_is_at_an_end_of_its_range_is_told() -> None:
 
 
 def test_a_holdout_in_another_state_is_no_proof_that_nothing_is_missing() -> None:
-    log, _ = pair(MODEL, **NOISE)
+    log = simulate.identification_drive(MODEL, seed=1, **NOISE)
     heavy = replace(MODEL, coefficients=1.4 * MODEL.coefficients)
     told = diagnose(log, simulate.validation_drive(heavy, seed=2, **NOISE), MODEL.vehicle)
     assert not told.effects
@@ -88,3 +98,109 @@ def test_a_holdout_in_another_state_is_no_proof_that_nothing_is_missing() -> Non
         "alone fit the training drives" in line and "not the hold-out drives" in line
         for line in told.advice
     )
+
+
+FACTORS = (1e-6, 1e-3, 1e3, 1e6)
+Channels = dict[str, FloatArray]
+
+
+def robot(mass: float) -> PowerModel:
+    return PowerModel.paper(sized((mass / 60.0) ** (1 / 3)), K=0.05 * mass * 9.81, mu=0.6)
+
+
+WAYS = 18
+
+
+def strange(channels: Channels, rng: np.random.Generator, way: int) -> Channels:
+    """Spoil a log in one way."""
+    made = {name: np.array(values) for name, values in channels.items()}
+    count = len(made["t"])
+    name = str(rng.choice([each for each in made if each != "t"]))
+    speeds, factor = ("v_left", "v_right"), float(rng.choice(FACTORS))
+    first = int(rng.integers(0, count))
+    match way:
+        case 0:
+            few = int(rng.integers(2, 6))
+            return {each: values[:few] for each, values in made.items()}
+        case 1:
+            made[name][:] = 0.0
+        case 2 | 3 as kind:
+            made |= {each: np.full(count, 0.5 * (kind - 2)) for each in speeds}
+        case 4:
+            made[name][first : first + int(rng.integers(1, count))] = np.nan
+        case 5:
+            made["t"][first:] -= rng.choice([0.01, 1.0, 100.0])
+        case 6:
+            made[name] *= factor
+        case 7:
+            made = {each: v * (1.0 if each == "t" else factor) for each, v in made.items()}
+        case 8:
+            made[name][:] = rng.normal()
+        case 9:
+            made["t"] *= factor
+        case 10:
+            made[name][first] = rng.choice([np.inf, -np.inf, 1e300, 1e18])
+        case 11:
+            made[name] = rng.normal(size=count)
+        case 12:
+            made[name] = -made[name]
+        case 13:  # one manoeuvre, or less
+            part = slice(first, first + int(rng.integers(2, 100)))
+            return {each: values[part] for each, values in made.items()}
+        case 14:
+            made |= {each: np.round(8 * made[each] / made[each].max()) for each in speeds}
+        case 15:
+            made |= {each: np.zeros(count) for each in ("x", "y", "yaw", "yaw_rate")}
+        case 16:
+            made |= {each: np.zeros(count) for each in made if each.startswith("p")}
+        case _:
+            kept = rng.random(count) < 0.3
+            kept[:2] = True
+            return {each: values[kept] for each, values in made.items()}
+    return made
+
+
+@pytest.mark.parametrize("seed", by_day(range(90), range(WAYS)))
+def test_each_command_answers_or_refuses_by_name(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mass = float(rng.choice([1.0, 3.0, 60.0, 470.0, 5000.0]))
+    model = robot(mass)
+    drive: dict[str, Any] = {"duration": 40.0, "rate": 5.0, "power_noise": 0.01 * mass}
+    pattern = str(rng.choice(["survey", "stop_and_go"]))
+    log = simulate.drive(model, pattern, speed_noise=0.003, seed=seed, **drive)
+    other = simulate.drive(model, "survey", seed=seed + 1, **drive)
+    channels = strange(dict(log.channels), rng, seed % WAYS)
+    if seed >= WAYS and rng.random() < 0.3:
+        channels = strange(channels, rng, int(rng.integers(0, WAYS)))
+    file = tmp_path / "strange.csv"
+    header = ",".join(channels)
+    np.savetxt(file, np.column_stack(list(channels.values())), "%.9g", ",", header=header,
+               comments="")  # fmt: skip
+
+    def watched() -> list[Any]:
+        with file.open("rb") as lines:
+            return [
+                documents.event(event)
+                for event in watch(lines_of(lines), model.vehicle, None, name="strange")
+            ]
+
+    def read() -> DriveLog:
+        return DriveLog.read(file)
+
+    given = Given(track=0.5, wheelbase=0.5, mass=mass)
+    commands: dict[str, Callable[[], Any]] = {
+        "start": lambda: documents.start(start(file, given)),
+        "identify": lambda: documents.identification(identify(read(), model.vehicle)),
+        "learned from": lambda: documents.diagnosis(diagnose(read(), other, model.vehicle)),
+        "held out": lambda: documents.diagnosis(diagnose(other, read(), model.vehicle)),
+        "watch": watched,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)  # NumPy's: a NaN on its way
+        for name, command in commands.items():
+            try:
+                told = command()
+            except EnergyPlanError as problem:
+                assert len(str(problem)) > 25, name
+                continue
+            json.dumps(told, allow_nan=False)

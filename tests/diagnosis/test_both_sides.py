@@ -1,7 +1,8 @@
-"""Powers of both sides: what their sum hides, and sides that push against each other."""
+"""Powers of both sides: what their sum hides, sides that push against each other, and losses."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,14 @@ import pytest
 from by_day import by_day
 from made_drives import pair, sized
 
-from energyplan import DriveLog, diagnose, simulate
+from energyplan import DriveLog, Vehicle, check, diagnose, simulate
+from energyplan.diagnosis import Diagnosis
 from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem, fit, problem_of
+from energyplan.io.tables import read_trajectory
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects
 from energyplan.simulate import Setpoint
-from energyplan.vehicle import Vehicle
 
 
 def _robot(rng: np.random.Generator) -> PowerModel:
@@ -172,3 +174,60 @@ NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.002, "without": {"
 
 def _equations(log: DriveLog, vehicle: Vehicle) -> int:
     return problem_of([log], vehicle, ()).drives[0].equations
+
+
+PLACE = Path("driven")
+QUADRIGA = Vehicle.preset("quadriga:full")
+TRUE = {
+    "copper_loss": {"slip_friction": 0.661, "traction_resistance": 118.0, "copper_loss": 0.000632},
+    # over the efficiency; what powers tell of both efficiencies is the round trip
+    "driver_efficiency": {
+        "slip_friction": 0.751, "traction_resistance": 134.1, "regeneration_efficiency": 0.472,
+    },
+}  # fmt: skip
+
+
+def driven(shared_data: Path, scenario: str) -> dict[str, DriveLog]:
+    files = sorted((shared_data / PLACE).glob(f"{scenario}_*.csv.gz"))
+    return {file.name.removesuffix(".csv.gz"): DriveLog.read(file) for file in files}
+
+
+@pytest.fixture(scope="module", params=sorted(TRUE))
+def told(request: pytest.FixtureRequest, shared_data: Path) -> tuple[str, Diagnosis]:
+    """Learn from four of six drives that a tracking controller made."""
+    every = driven(shared_data, request.param)
+    rest = [log for name, log in every.items() if "_1_" not in name]
+    judged = [log for name, log in every.items() if "_1_" in name]
+    return request.param, diagnose(rest, judged, QUADRIGA)
+
+
+@pytest.mark.shared
+def test_coefficients_of_working_drives_are_right(told: tuple[str, Diagnosis]) -> None:
+    scenario, found = told
+    for name, true in TRUE[scenario].items():
+        assert found.model.coefficient(name) == pytest.approx(true, rel=0.05), name
+
+
+@pytest.mark.shared
+def test_plans_are_priced(told: tuple[str, Diagnosis], shared_data: Path) -> None:
+    scenario, found = told
+    for one, route in zip(found.predictions, ("least", "shortest"), strict=True):
+        wanted = read_trajectory(shared_data / PLACE / f"{scenario}_1_{route}_trajectory.csv")
+        assert check(wanted, found.model).energy == pytest.approx(one.measured, rel=0.06)
+        low, high = one.energy_interval
+        assert low < one.measured < high
+
+
+@pytest.mark.shared
+def test_the_owner_is_told_what_the_sides_waste(told: tuple[str, Diagnosis]) -> None:
+    _, found = told
+    heat = found.effects[-1]
+    assert heat.name == "wheel_fight"
+    assert heat.unit == "W"
+    assert 0.02 < heat.details["share of the energy"] < 0.17
+    assert [line for line in found.advice if "a dead band of the heading" in line]
+    average = found.average
+    assert average is not None
+    if average.explanation_error < average.cautious_error:
+        assert not [line for line in found.advice if "do not believe" in line]
+        assert not [line for line in found.advice if "suspicion" in line]

@@ -1,4 +1,4 @@
-"""Vehicle and model files: they read back the same, and complaints name file, line and key."""
+"""Files read back the same: vehicles, models, paths, trajectories, logs; none is half written."""
 
 from __future__ import annotations
 
@@ -16,11 +16,19 @@ from energyplan.errors import (
     EnergyPlanError,
     InvalidInputError,
     StorageError,
-    UnknownNameError,
     UnusualValueWarning,
 )
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.files import atomic_write
+from energyplan.io.tables import (
+    read_path,
+    read_trajectory,
+    write_log,
+    write_path,
+    write_trajectory,
+)
+from energyplan.logs import DriveLog
+from energyplan.path import Path, Pose, Trajectory
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import HOTEL, WARM_UP, empirical_term
 from energyplan.vehicle import GRAVITY, MotorLimits, TreadICR, Vehicle
@@ -121,14 +129,6 @@ def test_a_model_written_by_hand(tmp_path):
     assert read_model(write(tmp_path, without)).covariance is None
 
 
-def test_model_presets(tmp_path):
-    assert read_model("quadriga:full:marble").coefficient("traction_resistance") == 110.0
-    with pytest.raises(UnknownNameError, match="quadriga:full:marble"):
-        read_model("quadriga:full:gravel")
-    with pytest.raises(UnknownNameError, match="husky_a200"):
-        read_vehicle("husky")
-
-
 def test_a_term_that_no_file_could_name_is_refused(tmp_path):
     base = PowerModel.preset("quadriga:empty:marble")
     odd = base.with_term(replace(HOTEL, name="my_own"), 3.0)
@@ -209,3 +209,71 @@ def test_a_coefficient_beyond_all_numbers_is_refused_without_a_warning(tmp_path,
     with pytest.raises(EnergyPlanError, match="motion must cost energy"):
         EnergyCost(read_model(file))
     assert [one.category for one in recwarn.list] == [UnusualValueWarning]  # none of NumPy's
+
+
+KINDS = ("it.csv", "it.csv.gz", "it.parquet")
+
+
+@pytest.fixture
+def path():
+    """Arcs, a spin, a reversal and a turn across the heading pi."""
+    return Path(
+        Pose(1.0, -2.0, 3.0),
+        ds=[1.3, 0.0, -0.7, 0.47 * 2.5],
+        dtheta=[0.4, 1.9, 0.3, 2.5],
+        longitudinal=0.03,
+    )
+
+
+def trajectory():
+    t = np.linspace(0.0, 8.0, 161)
+    v, omega = 0.5 * np.sin(t), 1.2 * np.cos(0.5 * t)
+    fine = np.linspace(0.0, 8.0, 16001)
+    yaw = 3.0 + 2.4 * np.sin(0.5 * fine)
+    rate = 0.5 * np.sin(fine)
+    x, y = (
+        np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (f[1:] + f[:-1]))])[::100]
+        for f in (rate * np.cos(yaw), rate * np.sin(yaw))
+    )
+    return Trajectory(t, x, y, yaw[::100], v, omega)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_paths_read_back_the_same(tmp_path, path, name):
+    again = read_path(write_path(path, tmp_path / name), longitudinal=path.longitudinal)
+    assert again.length == pytest.approx(path.length, abs=1e-9)
+    assert again.turning == pytest.approx(path.turning, abs=1e-9)
+    assert_allclose(again.vertices, path.poses(), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_trajectories_read_back_the_same(tmp_path, name):
+    there = trajectory()
+    back = read_trajectory(write_trajectory(there, tmp_path / name))
+    for key, value in vars(there).items():
+        assert_array_equal(getattr(back, key), value)
+
+
+def test_wrapped_headings_are_unwrapped(tmp_path):
+    there = trajectory()
+    wrapped = Trajectory(
+        there.t, there.x, there.y, np.angle(np.exp(1j * there.yaw)), there.v, there.omega
+    )
+    back = read_trajectory(write_trajectory(wrapped, tmp_path / "it.csv"))
+    assert_allclose(np.diff(back.yaw), np.diff(there.yaw), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_logs_read_back_the_same(tmp_path, name):
+    log = simulate.drive(PowerModel.preset("quadriga:full:marble"), "survey", power_noise=5.0)
+    again = DriveLog.read(write_log(log, tmp_path / name))
+    assert list(again.channels)[:5] == ["t", "v_left", "v_right", "p_left", "p_right"]
+    for channel, values in log.channels.items():
+        assert_array_equal(again.channels[channel], values)
+    assert (again.set_aside, again.warnings) == ((), ())
+
+
+def test_unknown_kinds_of_file_are_refused(tmp_path, path):
+    with pytest.raises(InvalidInputError, match="unknown type"):
+        write_path(path, tmp_path / "it.xlsx")
+    assert not (tmp_path / "it.xlsx").exists()

@@ -163,19 +163,6 @@ def test_a_side_in_the_mirror_is_turned_on_a_winding_path_too(tmp_path: Path) ->
     assert "v_left had the opposite sign, which was corrected" in made.notes
 
 
-@pytest.mark.parametrize("name", ["power", "current"])
-def test_powers_of_few_digits_are_doubted(name: str) -> None:
-    at = sensors(ROVER)
-    columns = {"t": at.t, "v_left": at.left, "v_right": at.right, "yaw_rate": at.yaw_rate}
-    columns |= {"power": at.power} if name == "power" else {"voltage": at.volts, "current": at.amps}
-    assert ep.DriveLog.from_columns(columns).warnings == ()
-    usual = float(np.median(np.abs(columns[name])))
-    for step, told in ((0.3, True), (0.03, False)):
-        rough = {**columns, name: step * usual * np.round(columns[name] / (step * usual))}
-        warnings = ep.DriveLog.from_columns(rough).warnings
-        assert any(f"{name} comes in steps of" in text for text in warnings) == told
-
-
 def test_stamps_in_two_columns_serve(tmp_path: Path) -> None:
     made = start(write("stamps_in_two_columns", sensors(ROVER), tmp_path), Given(**ROVER.measures))
     assert made.project.columns["t"].written == "header.stamp.sec + 1e-09*header.stamp.nanosec"
