@@ -62,6 +62,7 @@ def test_a_speed_that_beats_with_its_encoder_is_still_a_speed() -> None:
     assert np.all(cleaned.v_left[:20] == 0.0)
 
 
+@pytest.mark.usefixtures("few_effects")
 def test_a_copy_makes_nothing_surer_and_is_no_test() -> None:
     log, unseen = pair(MODEL, **NOISE)
     copies = [DriveLog(dict(log.channels), f"copy {k}") for k in range(4)]

@@ -18,13 +18,7 @@ import pytest
 import shapely
 from PIL import Image
 
-from energyplan.errors import (
-    ConfigError,
-    DriveLogError,
-    InvalidInputError,
-    MapError,
-    MissionError,
-)
+from energyplan import errors
 from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.geojson import read_surfaces
@@ -102,31 +96,31 @@ class Kind(NamedTuple):
     read: Callable[[Path], object]
     name: str
     right: str = ""
-    error: type[InvalidInputError] = InvalidInputError
+    error: type[errors.InvalidInputError] = errors.InvalidInputError
 
 
 KINDS = {
-    "vehicle": Kind(read_vehicle, "it.yaml", DIMENSIONS, ConfigError),
-    "wheels": Kind(read_vehicle, "it.yaml", WHEELS, ConfigError),
-    "model": Kind(read_model, "it.yaml", MODEL, ConfigError),
-    "topics": Kind(TopicMap.read, "topics.yaml", error=ConfigError),
-    "mission": Kind(read_mission, "round.yaml", MISSION, MissionError),
+    "vehicle": Kind(read_vehicle, "it.yaml", DIMENSIONS, errors.ConfigError),
+    "wheels": Kind(read_vehicle, "it.yaml", WHEELS, errors.ConfigError),
+    "model": Kind(read_model, "it.yaml", MODEL, errors.ConfigError),
+    "topics": Kind(TopicMap.read, "topics.yaml", error=errors.ConfigError),
+    "mission": Kind(read_mission, "round.yaml", MISSION, errors.MissionError),
     "mission of a service": Kind(
-        partial(read_mission, inside=True), "round.yaml", MISSION, MissionError
+        partial(read_mission, inside=True), "round.yaml", MISSION, errors.MissionError
     ),
-    "map": Kind(read_map, "m.yaml", HEADER, MapError),
-    "movingai": Kind(read_map, "a.map", error=MapError),
-    "obstacles": Kind(read_map, "o.geojson", error=MapError),
+    "map": Kind(read_map, "m.yaml", HEADER, errors.MapError),
+    "movingai": Kind(read_map, "a.map", error=errors.MapError),
+    "obstacles": Kind(read_map, "o.geojson", error=errors.MapError),
     "surfaces": Kind(read_surfaces, "s.geojson"),
-    "site": Kind(partial(read_site, inside=True), "yard.yaml", SITE, MapError),
-    "heights": Kind(read_heights, "h.asc", ASC, MapError),
+    "site": Kind(partial(read_site, inside=True), "yard.yaml", SITE, errors.MapError),
+    "heights": Kind(read_heights, "h.asc", ASC, errors.MapError),
     "path": Kind(read_path, "it.csv"),
     "drive": Kind(read_drive, "it.csv"),
     "trajectory": Kind(read_trajectory, "it.csv"),
-    "log": Kind(DriveLog.read, "it.csv", HEAD, DriveLogError),
-    "packed log": Kind(DriveLog.read, "it.csv.gz", error=DriveLogError),
-    "parquet": Kind(DriveLog.read, "it.parquet", error=DriveLogError),
-    "text": Kind(DriveLog.read, "it.txt", error=DriveLogError),
+    "log": Kind(DriveLog.read, "it.csv", HEAD, errors.DriveLogError),
+    "packed log": Kind(DriveLog.read, "it.csv.gz", error=errors.DriveLogError),
+    "parquet": Kind(DriveLog.read, "it.parquet", error=errors.DriveLogError),
+    "text": Kind(DriveLog.read, "it.txt", error=errors.DriveLogError),
 }
 TABLES = {
     "surfaces": r"""
@@ -473,5 +467,5 @@ def test_a_malformed_file_is_refused_with_its_place(
 def test_what_is_no_file_is_refused_by_its_name(
     read: Callable[[str], object], name: str, words: str
 ) -> None:
-    with pytest.raises(InvalidInputError, match=words):
+    with pytest.raises(errors.InvalidInputError, match=words):
         read(name)

@@ -9,24 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from test_bad_files import DIMENSIONS, MODEL, WHEELS
 
-from energyplan import simulate
+from energyplan import errors, simulate
 from energyplan.cost import EnergyCost
-from energyplan.errors import (
-    ConfigError,
-    EnergyPlanError,
-    InvalidInputError,
-    StorageError,
-    UnusualValueWarning,
-)
+from energyplan.io import tables
 from energyplan.io.config import read_model, read_vehicle, write_model, write_vehicle
 from energyplan.io.files import atomic_write
-from energyplan.io.tables import (
-    read_path,
-    read_trajectory,
-    write_log,
-    write_path,
-    write_trajectory,
-)
 from energyplan.logs import DriveLog
 from energyplan.path import Path, Pose, Trajectory
 from energyplan.power import PowerModel, Residual
@@ -132,7 +119,7 @@ def test_a_model_written_by_hand(tmp_path):
 def test_a_term_that_no_file_could_name_is_refused(tmp_path):
     base = PowerModel.preset("quadriga:empty:marble")
     odd = base.with_term(replace(HOTEL, name="my_own"), 3.0)
-    with pytest.raises(ConfigError, match="my_own"):
+    with pytest.raises(errors.ConfigError, match="my_own"):
         write_model(odd, tmp_path / "m.yaml")
     assert not (tmp_path / "m.yaml").exists()
 
@@ -152,7 +139,7 @@ def test_what_is_unusual_is_accepted_and_said_with_its_line(tmp_path):
         (model, read_model, ("2, vehicle.loads.0: 0 is unusual",)),
         (MODEL.replace("0.5,", "50,"), read_model, ("4, terms.0.value: 50 is unusual",)),
     ):
-        with pytest.warns(UnusualValueWarning) as said:
+        with pytest.warns(errors.UnusualValueWarning) as said:
             read(write(tmp_path, text))
         told = [str(one.message) for one in said]
         assert len(told) == len(words)
@@ -166,7 +153,7 @@ def test_atomic_write_keeps_the_old_file_when_it_fails(tmp_path, monkeypatch):
     file = tmp_path / "deep" / "it.txt"
     atomic_write(file, "old")
     monkeypatch.setattr("os.fsync", lambda handle: (_ for _ in ()).throw(OSError(28, "disk full")))
-    with pytest.raises(StorageError, match="disk full"):
+    with pytest.raises(errors.StorageError, match="disk full"):
         atomic_write(file, "new")
     assert file.read_text() == "old"
     assert [entry.name for entry in file.parent.iterdir()] == ["it.txt"]
@@ -181,9 +168,9 @@ def test_atomic_write_keeps_permissions_and_links(tmp_path):
     assert link.is_symlink()
     assert file.read_bytes() == b"new"
     assert file.stat().st_mode & 0o777 == 0o640
-    with pytest.raises(InvalidInputError, match="cannot be written"):
+    with pytest.raises(errors.InvalidInputError, match="cannot be written"):
         atomic_write(tmp_path, "a folder")
-    with pytest.raises(InvalidInputError, match="cannot be written"):
+    with pytest.raises(errors.InvalidInputError, match="cannot be written"):
         atomic_write("nul\0name", "x")
 
 
@@ -206,9 +193,9 @@ def test_any_word_is_a_name(tmp_path, name):
 
 def test_a_coefficient_beyond_all_numbers_is_refused_without_a_warning(tmp_path, recwarn):
     file = write(tmp_path, MODEL.replace("value: 0.5", "value: 1.0e+308"))
-    with pytest.raises(EnergyPlanError, match="motion must cost energy"):
+    with pytest.raises(errors.EnergyPlanError, match="motion must cost energy"):
         EnergyCost(read_model(file))
-    assert [one.category for one in recwarn.list] == [UnusualValueWarning]  # none of NumPy's
+    assert [one.category for one in recwarn.list] == [errors.UnusualValueWarning]  # none of NumPy's
 
 
 KINDS = ("it.csv", "it.csv.gz", "it.parquet")
@@ -240,7 +227,9 @@ def trajectory():
 
 @pytest.mark.parametrize("name", KINDS)
 def test_paths_read_back_the_same(tmp_path, path, name):
-    again = read_path(write_path(path, tmp_path / name), longitudinal=path.longitudinal)
+    again = tables.read_path(
+        tables.write_path(path, tmp_path / name), longitudinal=path.longitudinal
+    )
     assert again.length == pytest.approx(path.length, abs=1e-9)
     assert again.turning == pytest.approx(path.turning, abs=1e-9)
     assert_allclose(again.vertices, path.poses(), atol=1e-9)
@@ -249,7 +238,7 @@ def test_paths_read_back_the_same(tmp_path, path, name):
 @pytest.mark.parametrize("name", KINDS)
 def test_trajectories_read_back_the_same(tmp_path, name):
     there = trajectory()
-    back = read_trajectory(write_trajectory(there, tmp_path / name))
+    back = tables.read_trajectory(tables.write_trajectory(there, tmp_path / name))
     for key, value in vars(there).items():
         assert_array_equal(getattr(back, key), value)
 
@@ -259,14 +248,14 @@ def test_wrapped_headings_are_unwrapped(tmp_path):
     wrapped = Trajectory(
         there.t, there.x, there.y, np.angle(np.exp(1j * there.yaw)), there.v, there.omega
     )
-    back = read_trajectory(write_trajectory(wrapped, tmp_path / "it.csv"))
+    back = tables.read_trajectory(tables.write_trajectory(wrapped, tmp_path / "it.csv"))
     assert_allclose(np.diff(back.yaw), np.diff(there.yaw), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_logs_read_back_the_same(tmp_path, name):
     log = simulate.drive(PowerModel.preset("quadriga:full:marble"), "survey", power_noise=5.0)
-    again = DriveLog.read(write_log(log, tmp_path / name))
+    again = DriveLog.read(tables.write_log(log, tmp_path / name))
     assert list(again.channels)[:5] == ["t", "v_left", "v_right", "p_left", "p_right"]
     for channel, values in log.channels.items():
         assert_array_equal(again.channels[channel], values)
@@ -274,6 +263,6 @@ def test_logs_read_back_the_same(tmp_path, name):
 
 
 def test_unknown_kinds_of_file_are_refused(tmp_path, path):
-    with pytest.raises(InvalidInputError, match="unknown type"):
-        write_path(path, tmp_path / "it.xlsx")
+    with pytest.raises(errors.InvalidInputError, match="unknown type"):
+        tables.write_path(path, tmp_path / "it.xlsx")
     assert not (tmp_path / "it.xlsx").exists()
