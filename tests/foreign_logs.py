@@ -1,13 +1,18 @@
-"""Drive logs as different robots and people write them, each made from a simulated drive."""
+"""Drive logs as different robots and people write them, each made from a simulated drive.
+
+`READ` are logs from which the right coefficients must come, `REFUSED` those that are refused, with
+what is said and what has them read then. All are tables of *name: what is written*.
+"""
 
 from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,6 +23,7 @@ from energyplan.vehicle import Vehicle
 
 EPOCH = 1_770_000_000.25
 RPM, DEG = 30 / np.pi, 180 / np.pi
+WHEELS = ("fl", "fr", "rl", "rr")
 
 
 @dataclass(frozen=True)
@@ -98,167 +104,118 @@ class At:
                  for side, extra in zip((self.left, self.right), noise, strict=True)]  # fmt: skip
         return {n: r * rate / self.robot.radius for n, r in zip(names, rates, strict=True)}
 
+    def joints(self, name: str, left: float = 1.0, right: float = 1.0) -> dict[str, np.ndarray]:
+        """Return the rates of both sides' wheels times factors, by a name with the side in it."""
+        rates = left * self.left / self.robot.radius, right * self.right / self.robot.radius
+        return {
+            name.format(side): rate for side, rate in zip(("left", "right"), rates, strict=True)
+        }
+
+    def counts(self, per_metre: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return what encoders of the left and the right side have counted."""
+        left, right = (np.floor(per_metre * self.summed(v)) for v in (self.left, self.right))
+        return left, right
+
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        """Return an integral over the time."""
+        steps = 0.5 * np.diff(self.t) * (values[1:] + values[:-1])
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    def speeds(self) -> dict[str, np.ndarray]:
+        """Return the time, both sides' speeds and the yaw rate by names that are understood."""
+        return {
+            "time": self.t, "left_speed": self.left, "right_speed": self.right,
+            "gyro_z": self.yaw_rate,
+        }  # fmt: skip
+
+
+Files = dict[str, bytes]
+"""What is written, by how the names of the files end."""
+
 
 def csv(
-    columns: object, file: Path, *, head: str = "", encoding: str = "utf-8", **options: Any
-) -> Path:
-    """Write columns as text, with something before them if need be."""
+    columns: object, suffix: str = ".csv", *, head: str = "", encoding: str = "utf-8",
+    **options: Any,
+) -> Files:  # fmt: skip
+    """Return columns as text, with something before them if need be."""
     data = (head + pd.DataFrame(columns).to_csv(index=False, **options)).encode(encoding)
-    file.write_bytes(gzip.compress(data) if file.suffix == ".gz" else data)
-    return file
+    return {suffix: gzip.compress(data) if suffix.endswith(".gz") else data}
 
 
-# -- logs that are to be read -----------------------------------------------------------------
+Writer = Callable[[At], Files]
 
 
-def four_wheels_in_rpm(at: At, folder: Path) -> Path:
-    return csv({
-        "timestamp_ms": np.round(1e3 * (EPOCH + at.t)).astype(np.int64),
-        **at.wheels(RPM, ("FL (rpm)", "FR (rpm)", "RL (rpm)", "RR (rpm)")), "batt_V": at.volts,
-        "batt_I [mA]": 1e3 * at.amps, "gyro_z_dps": DEG * at.yaw_rate,
-    }, folder / "telemetry.csv")  # fmt: skip
+def write(name: str, at: At, folder: Path) -> Path:
+    """Write a log; of several files, the names are joined as a reader is given them."""
+    made = REFUSED[name].write(at) if name in REFUSED else READ[name](at)
+    for suffix, data in made.items():
+        (folder / f"{name}{suffix}").write_bytes(data)
+    return Path("+".join(str(folder / f"{name}{suffix}") for suffix in made))
 
 
-def four_motors(at: At, folder: Path) -> Path:
-    names = tuple(f"wheel_{wheel}_speed_radps" for wheel in ("fl", "fr", "rl", "rr"))
-    left, right = 1e3 * at.p_left / at.volts, 1e3 * at.p_right / at.volts
-    return csv({
-        "Time": at.t, **at.wheels(1.0, names), "current_fl_wheel_mA": 0.6 * left,
-        "current_fr_wheel_mA": 0.45 * right, "current_rl_wheel_mA": 0.4 * left,
-        "current_rr_wheel_mA": 0.55 * right, "vbat_mV": 1e3 * at.volts, "imu_wz": at.yaw_rate,
-    }, folder / "motors.csv")  # fmt: skip
+# -- what takes more than a line -------------------------------------------------------------------
 
 
-def german(at: At, folder: Path) -> Path:
-    return csv({
-        "Uhrzeit": [stamp.isoformat() for stamp in at.stamps.tz_localize("Europe/Berlin")],
-        "v links [km/h]": 3.6 * at.left, "v rechts [km/h]": 3.6 * at.right,
-        "Leistung [kW]": 1e-3 * at.power, "Gierrate [°/s]": DEG * at.yaw_rate,
-    }, folder / "Fahrt 1.csv", sep=";", decimal=",", encoding="cp1252")  # fmt: skip
-
-
-def utf16(at: At, folder: Path) -> Path:
-    return csv({
-        " time [ns] ": at.nanoseconds, " left speed [mm/s] ": 1e3 * at.left,
-        " right speed [mm/s] ": 1e3 * at.right, " power [W] ": at.power,
-        " heading [deg] ": DEG * at.yaw % 360,
-    }, folder / "unicode.csv", sep="\t", encoding="utf-16")  # fmt: skip
-
-
-def byte_order_mark(at: At, folder: Path) -> Path:
-    house = at.house().rename(columns=" {} ".format)
-    return csv(house, folder / "bom.csv", encoding="utf-8-sig")
-
-
-def units_in_a_second_row(at: At, folder: Path) -> Path:
-    names = ("time", "wheel speed left", "wheel speed right", "bus voltage", "bus current", "yaw")
-    head = ",".join(f'"{name}"' for name in names) + '\n"ms","rpm","rpm","V","A","deg"\n'
-    rate = RPM / at.robot.radius
-    cells = (1e3 * at.t, rate * at.left, rate * at.right, at.volts, at.amps, DEG * at.yaw)
-    return csv(np.stack(cells, axis=1), folder / "two_rows.csv", head=head, header=False)
-
-
-def remarks_before_the_names(at: At, folder: Path) -> Path:
-    return csv({
-        "Time_s": at.t, "velL_cm_s": 100 * at.left, "velR_cm_s": 100 * at.right,
-        "power_kW": 1e-3 * at.power, "yaw_rate_rad_s": at.yaw_rate,
-    }, folder / "remarks.csv", head="# robot: rover 7\n# firmware 2.1, started 2026-05-04\n\n"
-    )  # fmt: skip
-
-
-def words_for_nothing(at: At, folder: Path) -> Path:
+def words_for_nothing(at: At) -> Files:
+    """As loggers write what is missing, and zeros at the end as after a loss of power."""
     cells = at.house().map("{:.6f}".format)
     words = ("nan", "NULL", "-", "inf", "n/a", "#N/A", "-inf", "None", "NaN", "---", "?", "N/A",
              "missing", "--", "1.#QNAN", "1.#INF")  # fmt: skip
     for k, word in enumerate(words):
         cells.loc[30 + 17 * k, ("power", "v_left", "yaw_rate")[k % 3]] = word
     cells.iloc[0] = "nan"
-    file = csv(cells, folder / "words.csv")
-    file.write_bytes(file.read_bytes() + bytes(99))  # as after a loss of power
-    return file
+    return {".csv": csv(cells)[".csv"] + bytes(99)}
 
 
-def two_recordings(at: At, folder: Path) -> Path:
-    """The second with its own line of names, and its own clock."""
-    second = At(drive(at.robot, seed=9), at.robot).house()
-    return csv(second, folder / "both.csv", head=at.house().to_csv(index=False))
+def units_in_a_second_row(at: At) -> Files:
+    names = ("time", "wheel speed left", "wheel speed right", "bus voltage", "bus current", "yaw")
+    head = ",".join(f'"{name}"' for name in names) + '\n"ms","rpm","rpm","V","A","deg"\n'
+    wheels = at.joints("{}", RPM, RPM).values()
+    cells = (1e3 * at.t, *wheels, at.volts, at.amps, DEG * at.yaw)
+    return csv(np.stack(cells, axis=1), head=head, header=False)
 
 
-def a_part_twice(at: At, folder: Path) -> Path:
-    """As a logger writes that loses its connection and sends its buffer again."""
-    house = at.house()
-    return csv(pd.concat([house[:600], house[500:]]), folder / "twice.csv")
-
-
-def stamps_in_whole_seconds(at: At, folder: Path) -> Path:
-    stamps = at.stamps.strftime("%I:%M:%S %p")
-    return csv(at.house().assign(t=stamps).rename(columns={"t": "Time"}), folder / "seconds.csv")
-
-
-def json_lines(at: At, folder: Path) -> Path:
+def json_lines(at: At) -> Files:
     """An object a row, with objects in it; one row is empty."""
-    file = folder / "telemetry.jsonl"
     rows = (
         {"stamp": EPOCH + t, "wheels": {"left": left, "right": right},
          "battery": {"voltage": volts, "current": amps}, "imu": {"gyro": [0.0, 0.0, rate]}}
         for t, left, right, volts, amps, rate in zip(
             at.t, at.left, at.right, at.volts, at.amps, at.yaw_rate, strict=True)
     )  # fmt: skip
-    file.write_text("\n".join(["", *map(json.dumps, rows)]))
-    return file
+    return {".jsonl": "\n".join(["", *map(json.dumps, rows)]).encode()}
 
 
-def topics_named_for_power(at: At, folder: Path) -> Path:
-    wheel = "/joint_states/{}_wheel/velocity".format
-    return csv({
-        "Time": EPOCH + at.t, wheel("left"): at.left / at.robot.radius,
-        wheel("right"): at.right / at.robot.radius, "/power/battery/voltage": at.volts,
-        "/power/battery/current": -at.amps, "/odom/pose/pose/position.x": at.log.channel("x"),
-        "/odom/pose/pose/position.y": at.log.channel("y"), "/imu/angular_velocity.z": at.yaw_rate,
-    }, folder / "paths.csv")  # fmt: skip
-
-
-def bare_names_in_thousandths(at: At, folder: Path) -> Path:
-    """Sides with no more than their name, and units that the weight alone tells."""
-    return csv({
-        "ts": at.nanoseconds // 1000, "left_cmd": 1.1 * at.left, "left_meas": at.left,
-        "right_cmd": 1.1 * at.right, "right_meas": at.right, "v_batt": np.round(1e3 * at.volts),
-        "i_batt": np.round(1e3 * at.amps), "Drehrate [Grad/s]": DEG * at.yaw_rate,
-    }, folder / "bare.csv")  # fmt: skip
-
-
-def sides_in_turn(at: At, folder: Path) -> Path:
+def sides_in_turn(at: At) -> Files:
     """Each row holds the power of one side; at rest, of both."""
     even = np.arange(len(at.t)) % 2 == 0
     rest = (np.abs(at.left) < 0.01) & (np.abs(at.right) < 0.01)
-    return csv({
-        "t": at.t, "v_left": at.left, "v_right": at.right, "yaw_rate": at.yaw_rate,
-        "p_left": np.where(even | rest, at.p_left, np.nan),
-        "p_right": np.where(~even | rest, at.p_right, np.nan),
-    }, folder / "in_turn.csv")  # fmt: skip
+    powers = {"p_left": np.where(even | rest, at.p_left, np.nan),
+              "p_right": np.where(~even | rest, at.p_right, np.nan)}  # fmt: skip
+    return csv({**at.house().drop(columns="power"), **powers})
 
 
-def what_changed_alone(at: At, folder: Path) -> Path:
+def what_changed_alone(at: At) -> Files:
     """A reading is written where it differs from the one before, to a thousandth of its range."""
     columns = {"v_left": at.left, "v_right": at.right, "p_left": at.p_left, "p_right": at.p_right,
                "yaw_rate": at.yaw_rate}  # fmt: skip
     sizes = {name: 1e-3 * np.ptp(values) for name, values in columns.items()}
     rows = pd.DataFrame({n: np.round(v / sizes[n]) * sizes[n] for n, v in columns.items()})
     written = rows.where(rows.ne(rows.shift()))
-    return csv(written.assign(t=at.t)[written.notna().any(axis=1)], folder / "on_change.csv")
+    return csv(written.assign(t=at.t)[written.notna().any(axis=1)])
 
 
-def readings_in_rows(at: At, folder: Path) -> Path:
+def readings_in_rows(at: At) -> Files:
     """A reading a row, as a broker of messages stores them."""
-    readings = {"wheel/left/velocity": at.left / at.robot.radius, "battery/voltage": at.volts,
-                "wheel/right/velocity": at.right / at.robot.radius, "battery/current": at.amps,
-                "imu/angular_velocity/z": at.yaw_rate, "mode": ["auto"] * len(at.t)}  # fmt: skip
+    readings = {**at.joints("wheel/{}/velocity"), "battery/voltage": at.volts, "battery/current":
+                at.amps, "imu/angular_velocity/z": at.yaw_rate,
+                "mode": ["auto"] * len(at.t)}  # fmt: skip
     rows = pd.concat([pd.DataFrame({"timestamp": at.stamps, "topic": name, "value": values})
                       for name, values in readings.items()])  # fmt: skip
-    return csv(rows.sort_values("timestamp", kind="stable"), folder / "readings.csv")
+    return csv(rows.sort_values("timestamp", kind="stable"))
 
 
-def signals_with_units(at: At, folder: Path) -> Path:
+def signals_with_units(at: At) -> Files:
     """A signal a row with its number and unit, each at its own time, as a bus is recorded."""
     signals = (
         ("WheelSpeedLeft", 3.6 * at.left, "km/h"),
@@ -270,481 +227,427 @@ def signals_with_units(at: At, folder: Path) -> Path:
         pd.DataFrame({"Timestamp": at.t + 0.002 * k, "Id": 257 + k, "Signal": name, "Value": values,
                       "Unit": unit}) for k, (name, values, unit) in enumerate(signals)
     ])  # fmt: skip
-    return csv(rows.sort_values("Timestamp"), folder / "bus.csv")
+    return csv(rows.sort_values("Timestamp"))
 
 
-def knots(at: At, folder: Path) -> Path:
-    return csv({
-        "utc": at.stamps, "left_speed_kn": at.left / 0.514444,
-        "right_speed_kn": at.right / 0.514444, "watts": at.power, "gyro_z": at.yaw_rate,
-    }, folder / "boat.csv")  # fmt: skip
+def in_rows(time: str, *parts: tuple[np.ndarray, dict[str, np.ndarray]]) -> Files:
+    """Return a row for each message, of topics that each have a clock and columns of their own."""
+    rows = pd.concat([pd.DataFrame({time: t, **columns}) for t, columns in parts])
+    return csv(rows.sort_values(time))
 
 
-def coarse_stamps(at: At, folder: Path) -> Path:
-    return csv(at.house().assign(t=np.round(at.t * 4) / 4), folder / "coarse.csv")
-
-
-def a_row_for_each_message(at: At, folder: Path) -> Path:
-    """As PlotJuggler writes what several topics hold."""
-    joints = {"__time": EPOCH + at.t, "/joints/left_wheel/velocity": at.left / at.robot.radius,
-              "/joints/right_wheel/velocity": at.right / at.robot.radius}  # fmt: skip
-    battery = {"__time": EPOCH + at.t + 0.006, "/battery_state/voltage": at.volts,
-               "/battery_state/current": -at.amps}  # fmt: skip
-    imu = {"__time": EPOCH + at.t + 0.004, "/imu/data/angular_velocity/z": at.yaw_rate}
-    rows = pd.concat([pd.DataFrame(part) for part in (joints, battery, imu)])
-    return csv(rows.sort_values("__time"), folder / "plotjuggler.csv")
-
-
-def stamps_in_two_columns(at: At, folder: Path) -> Path:
+def stamps_in_two_columns(at: At) -> Files:
     """As stamps of ROS messages are flattened."""
     seconds = np.floor(EPOCH + at.t)
     return csv({
         "header.stamp.sec": seconds.astype(int),
         "header.stamp.nanosec": np.round((EPOCH + at.t - seconds) * 1e9).astype(int),
-        "wheel_left.velocity": at.left / at.robot.radius,
-        "wheel_right.velocity": at.right / at.robot.radius,
-        "battery.voltage": at.volts, "battery.current": -at.amps,
+        **at.joints("wheel_{}.velocity"), "battery.voltage": at.volts, "battery.current": -at.amps,
         "imu.angular_velocity.z": at.yaw_rate,
-    }, folder / "stamps.csv")  # fmt: skip
+    })  # fmt: skip
 
 
-def date_and_time_of_day(at: At, folder: Path) -> Path:
-    frame = at.house().assign(t=at.stamps.strftime("%H:%M:%S.%f")).rename(columns={"t": "time"})
-    return csv({"date": at.stamps.strftime("%d.%m.%Y"), **frame}, folder / "clock.csv")
-
-
-def american_dates(at: At, folder: Path) -> Path:
-    written = at.stamps.strftime("%m/%d/%Y %I:%M:%S.%f %p")
-    return csv(at.house().assign(t=written), folder / "american.csv")
-
-
-def aligned_by_spaces(at: At, folder: Path) -> Path:
-    file = folder / "aligned.txt"
-    file.write_text(f"# {at.house().to_string(index=False, float_format='%.6f')}\n")
-    return file
-
-
-def newest_first(at: At, folder: Path) -> Path:
-    return csv(at.house()[::-1], folder / "newest_first.csv")
-
-
-def units_in_names(at: At, folder: Path) -> Path:
-    return csv({
-        "t_ms": 1e3 * at.t, "v_left_kmh": 3.6 * at.left, "v_right_kmh": 3.6 * at.right,
-        "current_mA": 1e3 * at.amps, "voltage_mV": 1e3 * at.volts, "yaw_deg": DEG * at.yaw,
-        "yaw_rate_deg_s": DEG * at.yaw_rate,
-    }, folder / "suffixes.csv.gz")  # fmt: skip
-
-
-def rostopic_echo(at: At, folder: Path) -> Path:
-    return csv({
-        "%time": at.nanoseconds, "field.header.seq": np.arange(len(at.t)),
-        "field.header.stamp": at.nanoseconds, "field.left_vel": at.left,
-        "field.right_vel": at.right, "field.voltage": at.volts, "field.current": -at.amps,
-    }, folder / "echo.csv")  # fmt: skip
-
-
-def counts(at: At, side: np.ndarray, per_metre: float, first: float = 0.0) -> np.ndarray:
-    """Return what an encoder of a side has counted."""
-    steps = 0.5 * np.diff(at.t) * (side[1:] + side[:-1])
-    return np.floor(first + per_metre * np.concatenate([[0.0], np.cumsum(steps)]))
-
-
-def position(at: At) -> dict[str, np.ndarray]:
-    """Return where a satellite receiver sees the robot, 48 degrees north."""
+def flight_controller(at: At) -> Files:
+    """A row for each message: encoders, battery, gyroscope and position of an autopilot."""
     degree = 111_195.08
-    return {
+    position = {
         "gps.latitude": 48.0 + at.log.channel("y") / degree,
         "gps.longitude": 11.0 + at.log.channel("x") / degree / np.cos(np.radians(48.0)),
     }
+    left, right = at.counts(1e4)
+    us = np.round(1e6 * at.t)
+    return in_rows(
+        "TimeUS", (us, {"WENC.LeftTicks": left, "WENC.RightTicks": right}),
+        (us + 3e3, {"BAT.Volt": at.volts, "BAT.Curr": at.amps}),
+        (us + 5e3, {"IMU.GyrZ": at.yaw_rate}),
+        (us[::2] + 6e3, {name: values[::2] for name, values in position.items()}),
+    )  # fmt: skip
 
 
-def encoders_of_four_wheels(at: At, folder: Path) -> Path:
-    """Counters of 16 bits; those of the left count down on the way ahead."""
-    left, right = counts(at, at.left, 8000.0), counts(at, at.right, 8000.0)
+def flattened_messages(at: At) -> Files:
+    """As messages are flattened: w is a part of a quaternion, x and y are of a magnetometer too."""
+    turn = {"x": 0.0 * at.yaw, "y": 0.0 * at.yaw, "z": np.sin(0.5 * at.yaw),
+            "w": np.cos(0.5 * at.yaw)}  # fmt: skip
     return csv({
-        "time": at.t, "enc_fl": -left % 65536, "enc_fr": right % 65536, "enc_rl": -left % 65536,
-        "enc_rr": (right + 40000) % 65536, "x": at.log.channel("x"), "y": at.log.channel("y"),
-        "yaw": at.yaw, "power_w": at.power,
-    }, folder / "wheels.csv")  # fmt: skip
+        "__time": EPOCH + at.t, **at.joints("/joint_states/{}_wheel_joint/velocity"),
+        **{f"/imu/orientation/{axis}": cells for axis, cells in turn.items()},
+        "/tf/base_link/rotation/w": turn["w"], "/imu/angular_velocity/z": at.yaw_rate,
+        "/imu/mag/x": np.cos(at.yaw), "/imu/mag/y": -np.sin(at.yaw),
+        "/battery_state/voltage": at.volts, "/battery_state/current": -at.amps,
+        "/battery_state/percentage": 0.9 - 1e-5 * at.t,
+    })  # fmt: skip
 
 
-def encoders_from_row_to_row(at: At, folder: Path) -> Path:
-    left, right = (np.diff(counts(at, side, 5e4), prepend=0.0) for side in (at.left, at.right))
-    return csv({
-        "time": at.t, "encoder_count_l": left, "encoder_count_r": right,
-        "ground speed [km/h]": 1.8 * (at.left + at.right), "gyro_z": at.yaw_rate,
-        "power": at.power,
-    }, folder / "steps.csv")  # fmt: skip
+def rows_in_bursts(at: At) -> Files:
+    """Five rows at once, with the times of their arrival."""
+    rows = np.arange(len(at.t))
+    last = np.minimum(rows // 5 * 5 + 4, rows[-1])
+    arrival = at.t[last] + 1e-4 * (rows - last) + 0.01 * np.sin(last)
+    return csv(at.house().assign(t=arrival))
 
 
-def encoders_that_tell_a_rate(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "enc_left_tps": np.round(4e4 * at.left),
-        "enc_right_tps": np.round(4e4 * at.right), "pose_x": at.log.channel("x"),
-        "pose_y": at.log.channel("y"), "heading": at.yaw, "power_w": at.power,
-    }, folder / "rates.csv")  # fmt: skip
+def files_of_controllers(at: At) -> Files:
+    """A file for each side's motor controller, and one for the battery."""
+    sides = {"left": (at.t, at.left, at.p_left), "right": (at.t + 0.003, at.right, at.p_right)}
+    files: Files = {}
+    for name, (t, speed, power) in sides.items():
+        amps = np.round(10 * power / at.volts, 3)
+        files |= csv({"t": t, "speed": speed / at.robot.radius, "current_dA": amps}, f"-{name}.csv")
+    return files | csv({"t": at.t[::5], "voltage": at.volts[::5]}, "-pack.csv")
 
 
-def status_topic(at: At, folder: Path) -> Path:
+def status_topic(at: At) -> Files:
     """As a controller's status messages and odometry come out of a bag."""
+    left, right = at.counts(7000.0)
     return csv({
         "Time": EPOCH + at.t, "status.header.seq": np.arange(len(at.t)),
         "status.left_driver_current": at.p_left / at.volts,
         "status.right_driver_current": at.p_right / at.volts,
         "status.left_driver_voltage": at.volts, "status.right_driver_voltage": at.volts,
         "status.left_motor_temp": 31.0, "status.right_motor_temp": 32.0,
-        "status.left_ticks": counts(at, at.left, 7000.0) % 65536,
-        "status.right_ticks": counts(at, at.right, 7000.0) % 65536,
+        "status.left_ticks": left % 65536, "status.right_ticks": right % 65536,
         "odom.twist.twist.linear.x": 0.5 * (at.left + at.right),
         "odom.twist.twist.angular.z": at.yaw_rate,
-    }, folder / "status.csv")  # fmt: skip
+    })  # fmt: skip
 
 
-def flight_controller(at: At, folder: Path) -> Path:
-    """A row for each message: encoders, battery, gyroscope and position of an autopilot."""
-    parts: tuple[tuple[dict[str, np.ndarray], int, float], ...] = (
-        ({"WENC.LeftTicks": counts(at, at.left, 1e4),
-          "WENC.RightTicks": counts(at, at.right, 1e4)}, 1, 0.0),
-        ({"BAT.Volt": at.volts, "BAT.Curr": at.amps}, 1, 3e3),
-        ({"IMU.GyrZ": at.yaw_rate}, 1, 5e3),
-        (position(at), 2, 6e3),
-    )  # fmt: skip
-    rows = [
-        pd.DataFrame({"TimeUS": np.round(1e6 * at.t + late), **columns})[::step]
-        for columns, step, late in parts
-    ]
-    return csv(pd.concat(rows).sort_values("TimeUS"), folder / "rover.csv")
-
-
-def flattened_messages(at: At, folder: Path) -> Path:
-    """As messages are flattened: w is a part of a quaternion, x and y are of a magnetometer too."""
-    wheel = "/joint_states/{}_wheel_joint/velocity".format
-    turn = {"z": np.sin(0.5 * at.yaw), "w": np.cos(0.5 * at.yaw)}
-    still = dict.fromkeys("xy", np.zeros(len(at.t)))
-    return csv({
-        "__time": EPOCH + at.t, wheel("left"): at.left / at.robot.radius,
-        wheel("right"): at.right / at.robot.radius,
-        **{f"/imu/orientation/{axis}": cells for axis, cells in {**still, **turn}.items()},
-        "/tf/base_link/rotation/w": turn["w"], "/imu/angular_velocity/z": at.yaw_rate,
-        "/imu/mag/x": np.cos(at.yaw), "/imu/mag/y": -np.sin(at.yaw),
-        "/battery_state/voltage": at.volts, "/battery_state/current": -at.amps,
-        "/battery_state/percentage": 0.9 - 1e-5 * at.t,
-    }, folder / "flat.csv")  # fmt: skip
-
-
-def days(at: At, folder: Path) -> Path:
-    """As spreadsheets count time."""
-    house = at.house().assign(t=46_000.0 + at.t / 86400.0)
-    return csv(house.rename(columns={"t": "Date Time"}), folder / "sheet.csv")
-
-
-def motors_in_the_mirror(at: At, folder: Path) -> Path:
-    """Rates of motors before a gear; those of the left turn backwards on the way ahead."""
-    rate = 30 * RPM / at.robot.radius
-    return csv({
-        "time": at.t, "motor_left_rpm": -rate * at.left, "motor_right_rpm": rate * at.right,
-        "x": 5e5 + at.log.channel("x"), "y": 5e6 + at.log.channel("y"), "gyro_z": at.yaw_rate,
-        "power": at.power,
-    }, folder / "mirror.csv")  # fmt: skip
-
-
-def rows_in_bursts(at: At, folder: Path) -> Path:
-    """Five rows at once, with the times of their arrival."""
-    rows = np.arange(len(at.t))
-    last = np.minimum(rows // 5 * 5 + 4, rows[-1])
-    arrival = at.t[last] + 1e-4 * (rows - last) + 0.01 * np.sin(last)
-    return csv(at.house().assign(t=arrival), folder / "bursts.csv")
-
-
-def rates_beside_a_blank_gyroscope(at: At, folder: Path) -> Path:
-    house = at.house().assign(yaw_rate=np.nan)
-    wheels = {f"wheel_{side}": house[f"v_{side}"] / at.robot.radius for side in ("left", "right")}
-    named = house.drop(columns=["v_left", "v_right"]).assign(
-        **{f"{name} [rad/s]": values for name, values in wheels.items()}
-    )
-    return csv(named, folder / "blank.csv")
-
-
-def a_counter_that_overflows(at: At, folder: Path) -> Path:
-    """Milliseconds in sixteen bits."""
-    house = at.house().assign(t=(np.round(1e3 * at.t) + 30_000) % 65_536)
-    return csv(house.rename(columns={"t": "t_ms"}), folder / "overflow.csv")
-
-
-def files_of_controllers(at: At, folder: Path) -> Path:
-    """A file for each side's motor controller, and one for the battery."""
-    sides = {"left": (at.t, at.left, at.p_left), "right": (at.t + 0.003, at.right, at.p_right)}
-    for name, (t, speed, power) in sides.items():
-        amps = np.round(10 * power / at.volts, 3)
-        csv({"t": t, "speed": speed / at.robot.radius, "current_dA": amps}, folder / f"{name}.csv")
-    pack = csv({"t": at.t[::5], "voltage": at.volts[::5]}, folder / "pack.csv")
-    return Path(f"{folder}/left.csv+{folder}/right.csv+{pack}")
-
-
-# -- logs that are to be refused, or doubted ------------------------------------------------------
-
-
-def speed_and_yaw_rate(at: At, folder: Path) -> Path:
-    turn = (at.right - at.left) / at.robot.track
-    return csv({
-        "time": at.t, "linear_velocity_x": 0.5 * (at.left + at.right), "angular_velocity_z": turn,
-        "battery_voltage": at.volts, "battery_current": at.amps,
-    }, folder / "odometry.csv")  # fmt: skip
-
-
-def numbered_axes(at: At, folder: Path) -> Path:
-    turns = 1 / (2 * np.pi * at.robot.radius)
-    return csv({
-        "time": at.t, "axis0.encoder.vel_estimate": turns * at.left,
-        "axis1.encoder.vel_estimate": turns * at.right, "vbus_voltage": at.volts, "ibus": at.amps,
-    }, folder / "axes.csv", sep=";")  # fmt: skip
-
-
-def electrical_rates(at: At, folder: Path) -> Path:
-    rate = 7 * 20 * RPM / at.robot.radius
-    return csv({
-        "ms_today": np.round(1e3 * at.t) + 4321, "input_voltage": at.volts,
-        "left_erpm": np.round(rate * at.left), "right_erpm": np.round(rate * at.right),
-        "left_current_motor": 2 * at.p_left / at.volts,
-        "right_current_motor": 2 * at.p_right / at.volts,
-        "left_current_in": at.p_left / at.volts, "right_current_in": at.p_right / at.volts,
-    }, folder / "controllers.csv", sep=";")  # fmt: skip
-
-
-def torques(at: At, folder: Path) -> Path:
+def torques(at: At) -> Files:
     """As a simulator writes what its joints do."""
-    columns = {"sim_time": at.t}
-    for side, speed, power in (("left", at.left, at.p_left), ("right", at.right, at.p_right)):
-        rate = speed / at.robot.radius
-        columns[f"{side}_wheel_joint_velocity"] = rate
+    columns = {"sim_time": at.t, **at.joints("{}_wheel_joint_velocity"), "world_yaw": at.yaw}
+    for side, power in (("left", at.p_left), ("right", at.p_right)):
+        rate = columns[f"{side}_wheel_joint_velocity"]
         columns[f"{side}_wheel_joint_effort"] = np.divide(
             power, rate, out=np.zeros_like(rate), where=rate != 0
         )
-    return csv({**columns, "world_yaw": at.yaw}, folder / "joints.csv")
+    return csv(columns)
 
 
-def sides_in_letters(at: At, folder: Path) -> Path:
-    """Either power fits a whole robot's as well as the other: one alone is half of it."""
-    return csv({
-        "time": at.t, "v_left": at.left, "v_right": at.right, "power_a": at.p_left,
-        "power_b": at.p_right, "yaw_rate": at.yaw_rate,
-    }, folder / "letters.csv")  # fmt: skip
-
-
-def units_in_cells(at: At, folder: Path) -> Path:
-    house = at.house()
-    return csv(house.assign(v_left=house["v_left"].map("{:.4f} m/s".format)), folder / "cells.csv")
-
-
-def thousands(at: At, folder: Path) -> Path:
-    written = (1e3 * at.house()["power"]).map("{:,.1f}".format)
-    return csv({**at.house().drop(columns="power"), "power [mW]": written}, folder / "k.csv")
-
-
-def currents_without_sign(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "v_left": at.left, "v_right": at.right, "yaw_rate": at.yaw_rate,
-        "u": at.volts, "i_left": np.abs(at.p_left / at.volts),
-        "i_right": np.abs(at.p_right / at.volts),
-    }, folder / "unsigned.csv")  # fmt: skip
-
-
-def two_robots(at: At, folder: Path) -> Path:
-    other = At(drive(at.robot, seed=4), at.robot)
-    shift = len(at.t) // 3
+def two_robots(at: At) -> Files:
+    other, shift = At(drive(at.robot, seed=4), at.robot), len(at.t) // 3
     return csv({
         "time": at.t, "robot1/left_speed": at.left, "robot1/right_speed": at.right,
         "robot1/power": at.power, "robot2/left_speed": np.roll(other.left, shift),
         "robot2/right_speed": np.roll(other.right, shift),
         "robot2/power": np.roll(other.power, shift),
-    }, folder / "two.csv")  # fmt: skip
+    })  # fmt: skip
 
 
-def packs_in_series(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "v_left": at.left, "v_right": at.right, "battery1_voltage": 0.5 * at.volts,
-        "battery2_voltage": 0.5 * at.volts, "battery_current": at.amps, "yaw_rate": at.yaw_rate,
-    }, folder / "packs.csv")  # fmt: skip
-
-
-def row_numbers(at: At, folder: Path) -> Path:
-    return csv(at.house().assign(t=np.arange(len(at.t))).rename(columns={"t": "n"}),
-               folder / "rows.csv")  # fmt: skip
-
-
-def a_dead_wheel(at: At, folder: Path) -> Path:
+def one_wheel(at: At, name: str, factor: float) -> Files:
+    """Return four wheels' rates of which that of one is another."""
     wheels = at.wheels(RPM, ("fl_rpm", "fr_rpm", "rl_rpm", "rr_rpm"))
-    wheels["rl_rpm"] = 0.0 * wheels["rl_rpm"]
-    return csv({"time": at.t, **wheels, "power": at.power}, folder / "dead.csv")
+    return csv({"time": at.t, **wheels, name: factor * wheels[name], "power": at.power})
 
 
-def a_wheel_in_the_mirror(at: At, folder: Path) -> Path:
-    wheels = at.wheels(RPM, ("fl_rpm", "fr_rpm", "rl_rpm", "rr_rpm"))
-    wheels["rr_rpm"] = -wheels["rr_rpm"]
-    return csv({"time": at.t, **wheels, "power": at.power}, folder / "turned.csv")
-
-
-def counted(at: At, flow: np.ndarray, unit: float) -> np.ndarray:
-    """Return what a counter counts of a power or current since some start."""
-    mean = 0.5 * (flow[1:] + flow[:-1]) * np.diff(at.t)
-    return 17.0 + np.append(0.0, np.cumsum(mean)) / unit
-
-
-def energy_counter(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
-        "watt_hours": counted(at, at.power, 3600.0),
-    }, folder / "vesc.csv")  # fmt: skip
-
-
-def energy_counter_beside_the_current(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
-        "watt_hours": counted(at, at.power, 3600.0), "input_voltage": at.volts,
-        "current_in": at.amps,
-    }, folder / "both.csv")  # fmt: skip
-
-
-def charge_counter(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
-        "BAT.Volt": at.volts, "BAT.CurrTot": counted(at, at.amps, 3.6),
-    }, folder / "ardupilot.csv")  # fmt: skip
-
-
-def names_one_too_many(at: At, folder: Path) -> Path:
-    head = "t,v_left,v_right,yaw_rate,imu_ok,power,voltage\n"
-    frame = at.house()[["t", "v_left", "v_right", "yaw_rate", "power"]].assign(voltage=at.volts)
-    return csv(frame, folder / "firmware.csv", head=head, header=False)
-
-
-def cells_missing_in_some_rows(at: At, folder: Path) -> Path:
-    lines = at.house().to_csv(index=False).splitlines()
-    lines[200::20] = [line.partition(",")[2] for line in lines[200::20]]
-    file = folder / "missing.csv"
-    file.write_text("\n".join(lines))
-    return file
-
-
-def no_names(at: At, folder: Path) -> Path:
+def no_names(at: At) -> Files:
     """As of ``ros2 topic echo --csv``, which repeats values and writes words and nan."""
     frame = pd.DataFrame({"sec": 1731300000, "nsec": np.round(1e9 * (at.t % 1)).astype(int),
                           "frame": "base_link", "v": at.volts, "t": "nan", "i": at.amps,
                           "c": "nan"})  # fmt: skip
-    return csv(frame, folder / "echo.csv", header=False)
+    return csv(frame, header=False)
 
 
-def hundredths(at: At, folder: Path) -> Path:
-    return csv({
-        "time": at.t, "left_speed": at.left, "right_speed": at.right, "gyro_z": at.yaw_rate,
-        "batVoltage": np.round(100 * at.volts), "dcCurr": np.round(100 * at.amps),
-    }, folder / "hoverboard.csv")  # fmt: skip
+def cells_missing_in_some_rows(at: At) -> Files:
+    lines = at.house().to_csv(index=False).splitlines()
+    lines[200::20] = [line.partition(",")[2] for line in lines[200::20]]
+    return {".csv": "\n".join(lines).encode()}
 
 
-def no_time(at: At, folder: Path) -> Path:
-    head = "started;2026-05-04 10:00:00\nsample rate;10 Hz\n"
-    return csv(at.house().drop(columns="t"), folder / "no_time.csv", head=head, sep=";")
-
-
-def no_reading_by_a_number(at: At, folder: Path) -> Path:
+def no_reading_by_a_number(at: At) -> Files:
     house = at.house()
     house.loc[100:140, "v_left"] = -9999.0
-    return csv(house, folder / "sentinel.csv")
+    return csv(house)
 
 
-def minutes_and_seconds(at: At, folder: Path) -> Path:
-    written = [f"{t // 60:02.0f}:{t % 60:06.3f}" for t in at.t]
-    return csv(at.house().assign(t=written), folder / "stopwatch.csv")
+# -- the tables ------------------------------------------------------------------------------------
 
-
-def commas_in_decimals(at: At, folder: Path) -> Path:
-    return csv(at.house().map("{:.3f}".format).replace(r"\.", ",", regex=True),
-               folder / "commas.csv", quoting=3, escapechar=" ")  # fmt: skip
-
-
-def unknown_units(at: At, folder: Path) -> Path:
-    names = {"v_left": "left speed [furlong/h]", "v_right": "right speed [furlong/h]"}
-    return csv(at.house().rename(columns=names), folder / "furlongs.csv")
-
-
-def dates_of_a_spreadsheet(at: At, folder: Path) -> Path:
-    stamps = at.stamps.strftime("%d/%m/%Y %H:%M:%S.%f")
-    return csv(at.house().drop(columns="t").assign(Date=stamps), folder / "dates.csv")
-
-
-def current_alone(at: At, folder: Path) -> Path:
-    house = at.house().drop(columns="power").assign(bus_current=at.amps)
-    return csv(house, folder / "amps.csv")
-
-
-def power_in_percent(at: At, folder: Path) -> Path:
-    share = 100.0 * at.power / np.max(at.power)
-    return csv(at.house().drop(columns="power").assign(power_pct=share), folder / "share.csv")
-
-
-def powers_of_front_wheels(at: At, folder: Path) -> Path:
-    names = ("fl_speed", "fr_speed", "rl_speed", "rr_speed")
-    return csv({
-        "time": at.t, **at.wheels(at.robot.radius, names), "fl_power": 0.5 * at.p_left,
-        "fr_power": 0.5 * at.p_right,
-    }, folder / "front.csv")  # fmt: skip
-
-
-def matlab(at: At, folder: Path) -> Path:
-    (folder / "drive.mat").write_bytes(b"MATLAB 7.3 MAT-file")
-    return folder / "drive.mat"
-
-
-Writer = Callable[[At, Path], Path]
-READ: tuple[Writer, ...] = (
-    four_wheels_in_rpm, four_motors, byte_order_mark, units_in_a_second_row,
-    remarks_before_the_names, words_for_nothing, coarse_stamps, topics_named_for_power,
-    bare_names_in_thousandths, a_part_twice, stamps_in_whole_seconds, sides_in_turn,
-    what_changed_alone, readings_in_rows, a_row_for_each_message, stamps_in_two_columns,
-    date_and_time_of_day, aligned_by_spaces, newest_first, units_in_names, rostopic_echo,
-    flattened_messages, days, motors_in_the_mirror, rates_beside_a_blank_gyroscope,
-    energy_counter, energy_counter_beside_the_current, speed_and_yaw_rate, signals_with_units,
-    knots, files_of_controllers,
-)  # fmt: skip
+READ: dict[str, Writer] = {
+    "four_wheels_in_rpm": lambda at: csv({
+        "timestamp_ms": np.round(1e3 * (EPOCH + at.t)).astype(np.int64),
+        **at.wheels(RPM, ("FL (rpm)", "FR (rpm)", "RL (rpm)", "RR (rpm)")), "batt_V": at.volts,
+        "batt_I [mA]": 1e3 * at.amps, "gyro_z_dps": DEG * at.yaw_rate,
+    }),
+    "four_motors": lambda at: csv({
+        "Time": at.t, **at.wheels(1.0, tuple(f"wheel_{w}_speed_radps" for w in WHEELS)),
+        "current_fl_wheel_mA": 600.0 * at.p_left / at.volts,
+        "current_fr_wheel_mA": 450.0 * at.p_right / at.volts,
+        "current_rl_wheel_mA": 400.0 * at.p_left / at.volts,
+        "current_rr_wheel_mA": 550.0 * at.p_right / at.volts,
+        "vbat_mV": 1e3 * at.volts, "imu_wz": at.yaw_rate,
+    }),
+    "byte_order_mark": lambda at: csv(at.house().rename(columns=" {} ".format),
+                                      encoding="utf-8-sig"),
+    "units_in_a_second_row": units_in_a_second_row,
+    "remarks_before_the_names": lambda at: csv({
+        "Time_s": at.t, "velL_cm_s": 100 * at.left, "velR_cm_s": 100 * at.right,
+        "power_kW": 1e-3 * at.power, "yaw_rate_rad_s": at.yaw_rate,
+    }, head="# robot: rover 7\n# firmware 2.1, started 2026-05-04\n\n"),
+    "words_for_nothing": words_for_nothing,
+    "coarse_stamps": lambda at: csv(at.house().assign(t=np.round(at.t * 4) / 4)),
+    "topics_named_for_power": lambda at: csv({
+        "Time": EPOCH + at.t, **at.joints("/joint_states/{}_wheel/velocity"),
+        "/power/battery/voltage": at.volts, "/power/battery/current": -at.amps,
+        "/odom/pose/pose/position.x": at.log.channel("x"),
+        "/odom/pose/pose/position.y": at.log.channel("y"), "/imu/angular_velocity.z": at.yaw_rate,
+    }),
+    # sides with no more than their name, and units that the weight alone tells
+    "bare_names_in_thousandths": lambda at: csv({
+        "ts": at.nanoseconds // 1000, "left_cmd": 1.1 * at.left, "left_meas": at.left,
+        "right_cmd": 1.1 * at.right, "right_meas": at.right, "v_batt": np.round(1e3 * at.volts),
+        "i_batt": np.round(1e3 * at.amps), "Drehrate [Grad/s]": DEG * at.yaw_rate,
+    }),
+    # as of a logger that loses its connection and sends its buffer again
+    "a_part_twice": lambda at: csv(pd.concat([at.house()[:600], at.house()[500:]])),
+    "stamps_in_whole_seconds": lambda at: csv(
+        at.house().assign(t=at.stamps.strftime("%I:%M:%S %p")).rename(columns={"t": "Time"})),
+    "sides_in_turn": sides_in_turn,
+    "what_changed_alone": what_changed_alone,
+    "readings_in_rows": readings_in_rows,
+    # as PlotJuggler writes what several topics hold
+    "a_row_for_each_message": lambda at: in_rows(
+        "__time", (EPOCH + at.t, at.joints("/joints/{}_wheel/velocity")),
+        (EPOCH + at.t + 0.006,
+         {"/battery_state/voltage": at.volts, "/battery_state/current": -at.amps}),
+        (EPOCH + at.t + 0.004, {"/imu/data/angular_velocity/z": at.yaw_rate})),
+    "stamps_in_two_columns": stamps_in_two_columns,
+    "date_and_time_of_day": lambda at: csv({
+        "date": at.stamps.strftime("%d.%m.%Y"), "time": at.stamps.strftime("%H:%M:%S.%f"),
+        **at.house().drop(columns="t"),
+    }),
+    "aligned_by_spaces": lambda at: {
+        ".txt": f"# {at.house().to_string(index=False, float_format='%.6f')}\n".encode()},
+    "newest_first": lambda at: csv(at.house()[::-1]),
+    "units_in_names": lambda at: csv({
+        "t_ms": 1e3 * at.t, "v_left_kmh": 3.6 * at.left, "v_right_kmh": 3.6 * at.right,
+        "current_mA": 1e3 * at.amps, "voltage_mV": 1e3 * at.volts, "yaw_deg": DEG * at.yaw,
+        "yaw_rate_deg_s": DEG * at.yaw_rate,
+    }, ".csv.gz"),
+    "rostopic_echo": lambda at: csv({
+        "%time": at.nanoseconds, "field.header.seq": np.arange(len(at.t)),
+        "field.header.stamp": at.nanoseconds, "field.left_vel": at.left,
+        "field.right_vel": at.right, "field.voltage": at.volts, "field.current": -at.amps,
+    }),
+    "flattened_messages": flattened_messages,
+    # as spreadsheets count time
+    "days": lambda at: csv({
+        "Date Time": 46_000.0 + at.t / 86400.0, **at.house().drop(columns="t")}),
+    # rates of motors before a gear; those of the left turn backwards on the way ahead
+    "motors_in_the_mirror": lambda at: csv({
+        "time": at.t, **at.joints("motor_{}_rpm", -30 * RPM, 30 * RPM), "gyro_z": at.yaw_rate,
+        "x": 5e5 + at.log.channel("x"), "y": 5e6 + at.log.channel("y"), "power": at.power,
+    }),
+    "rates_beside_a_blank_gyroscope": lambda at: csv({
+        "t": at.t, "power": at.power, "yaw_rate": np.full(len(at.t), np.nan),
+        **at.joints("wheel_{} [rad/s]"),
+    }),
+    "energy_counter": lambda at: csv({
+        **at.speeds(), "watt_hours": 17.0 + at.summed(at.power) / 3600.0}),
+    "energy_counter_beside_the_current": lambda at: csv({
+        **at.speeds(), "watt_hours": 17.0 + at.summed(at.power) / 3600.0,
+        "input_voltage": at.volts, "current_in": at.amps,
+    }),
+    "speed_and_yaw_rate": lambda at: csv({
+        "time": at.t, "linear_velocity_x": 0.5 * (at.left + at.right), "angular_velocity_z":
+        (at.right - at.left) / at.robot.track, "battery_voltage": at.volts,
+        "battery_current": at.amps,
+    }),
+    "signals_with_units": signals_with_units,
+    "knots": lambda at: csv({
+        "utc": at.stamps, "left_speed_kn": at.left / 0.514444,
+        "right_speed_kn": at.right / 0.514444, "watts": at.power, "gyro_z": at.yaw_rate,
+    }),
+    "files_of_controllers": files_of_controllers,
+}  # fmt: skip
 """Logs from which the right coefficients must come."""
-REFUSED: dict[Writer, str] = {
-    sides_in_letters: r"power_a and power_b could each .* 'p_left=power_a,p_right=power_b'",
-    charge_counter: r"only ever grows .* 'current=BAT.CurrTot\[mAh\]'",
-    names_one_too_many: "line 1 names 7 columns, but the rows have 6 cells",
-    cells_missing_in_some_rows: "line 201: the row has fewer cells than the 5 names, and so have",
-    no_names: "line 1 holds numbers, and no line names the columns",
-    hundredths: r"2\d\.\d V in .*voltage=batVoltage\[\*0.01\]",
-    german: "the columns are Uhrzeit, .* say which it is with --columns v_left=NAME",
-    utf16: "UTF-16 text; save it as UTF-8",
-    two_recordings: "line 1503: 't' is 't', .* give each recording a file of its own",
-    json_lines: r"pandas.json_normalize\(ROWS\)",
-    american_dates: "ISO 8601, as in 2026-05-04T23:58:30.125",
-    a_counter_that_overflows: r"line 358, .* ran over: .* map t=row\[\*PERIOD\]",
-    encoders_of_four_wheels: r'"v_left=enc_fl \+ enc_rl\[ticks\*0.0001\].* ticks/s where',
-    encoders_from_row_to_row: r"ticks/sample where they count from row to row",
-    encoders_that_tell_a_rate: r'"v_left=enc_left_tps\[ticks/s\*0.0001\]',
-    status_topic: r'--counts-per-revolution .* "v_left=status.left_ticks\[ticks\*0.0001\]',
-    flight_controller: r'"v_left=WENC.LeftTicks\[ticks\*0.0001\]',
-    numbered_axes: r'which side .* "v_left=axis0.encoder.vel_estimate\[UNIT\]',
-    electrical_rates: r"v_left=left_erpm\[rpm\*F\]",
-    torques: r"p_left=left_wheel_joint_effort\*left_wheel_joint_velocity,p_right=right_wheel_j",
-    units_in_cells: "line 2: 'v_left' is '.* m/s', which is no number",
-    two_robots: "robot1/left_speed and robot2/left_speed .* do not go alike .* of two robots",
-    packs_in_series: r"series .* 'voltage=battery1_voltage\+battery2_voltage'",
-    row_numbers: r"'n' counts rows: .* t=n\[\*0.05\]",
-    a_dead_wheel: "fl_rpm and rl_rpm .* do not go alike .* one is dead",
-    a_wheel_in_the_mirror: "fr_rpm and rr_rpm .* go opposite ways",
-    no_time: r"rows come at a steady rate, .* t=row\[\*0.05\]",
-    no_reading_by_a_number: "where -9999 stands for no reading, leave the cell empty",
-    minutes_and_seconds: "line 2: 't' is '00:00.000', .* times since the start in seconds",
-    commas_in_decimals: "more cells than the 5 names .* write decimals with a point",
-    unknown_units: r"unit of 'left speed \[furlong/h\]' is not known: .* NAME\[\*0.01\]",
-    dates_of_a_spreadsheet: "line 2: 'Date' is '04/05/2026 .* write instants by ISO 8601",
-    current_alone: r"the battery's usual one, as in power=bus_current\[\*25.6\]",
-    power_in_percent: "'power_pct' is a share, .* which is no power: log the battery's voltage",
-    powers_of_front_wheels: r"fl_power is of one wheel, and fl_speed \+ rl_speed of several",
-    matlab: r"drive.mat is of MATLAB; writetable\(struct2table\(LOG\)",
-    thousands: r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks",
-}
-"""Logs that must be refused, and the words of the remedy."""
+
+
+class Refused(NamedTuple):
+    """A log that must be refused, with the words of the remedy, and what is given to read it."""
+
+    write: Writer
+    said: str
+    given: Mapping[str, Any] = MappingProxyType({})
+
+
+def of_encoders(left: str, right: str, metres: float, unit: str = "ticks") -> dict[str, Any]:
+    return {"columns": f"v_left={left}[{unit}*{metres}],v_right={right}[{unit}*{metres}]"}
+
+
+REFUSED: dict[str, Refused] = {
+    # either power fits a whole robot's as well as the other: one alone is half of it
+    "sides_in_letters": Refused(
+        lambda at: csv({**at.speeds(), "power_a": at.p_left, "power_b": at.p_right}),
+        r"power_a and power_b could each .* 'p_left=power_a,p_right=power_b'"),
+    "charge_counter": Refused(
+        lambda at: csv({
+            **at.speeds(), "BAT.Volt": at.volts, "BAT.CurrTot": 17.0 + at.summed(at.amps) / 3.6}),
+        r"only ever grows .* 'current=BAT.CurrTot\[mAh\]'",
+        {"columns": "current=BAT.CurrTot[mAh]"}),
+    "names_one_too_many": Refused(
+        lambda at: csv(
+            at.house()[["t", "v_left", "v_right", "yaw_rate", "power"]].assign(voltage=at.volts),
+            head="t,v_left,v_right,yaw_rate,imu_ok,power,voltage\n", header=False),
+        "line 1 names 7 columns, but the rows have 6 cells"),
+    "cells_missing_in_some_rows": Refused(
+        cells_missing_in_some_rows,
+        "line 201: the row has fewer cells than the 5 names, and so have"),
+    "no_names": Refused(no_names, "line 1 holds numbers, and no line names the columns"),
+    "hundredths": Refused(
+        lambda at: csv({
+            **at.speeds(), "batVoltage": np.round(100 * at.volts),
+            "dcCurr": np.round(100 * at.amps)}),
+        r"2\d\.\d V in .*voltage=batVoltage\[\*0.01\]",
+        {"columns": "voltage=batVoltage[*0.01],current=dcCurr[*0.01]"}),
+    "Fahrt 1": Refused(
+        lambda at: csv({
+            "Uhrzeit": [stamp.isoformat() for stamp in at.stamps.tz_localize("Europe/Berlin")],
+            "v links [km/h]": 3.6 * at.left, "v rechts [km/h]": 3.6 * at.right,
+            "Leistung [kW]": 1e-3 * at.power, "Gierrate [°/s]": DEG * at.yaw_rate,
+        }, sep=";", decimal=",", encoding="cp1252"),
+        "the columns are Uhrzeit, .* say which it is with --columns v_left=NAME",
+        {"columns": "t=Uhrzeit,v_left=v links [km/h],v_right=v rechts [km/h],"
+                    "power=Leistung [kW],yaw_rate=Gierrate [°/s]"}),
+    "utf16": Refused(
+        lambda at: csv({
+            " time [ns] ": at.nanoseconds, " left speed [mm/s] ": 1e3 * at.left,
+            " right speed [mm/s] ": 1e3 * at.right, " power [W] ": at.power,
+            " heading [deg] ": DEG * at.yaw % 360,
+        }, sep="\t", encoding="utf-16"),
+        "UTF-16 text; save it as UTF-8"),
+    # the second with its own line of names, and its own clock
+    "two_recordings": Refused(
+        lambda at: csv(At(drive(at.robot, seed=9), at.robot).house(),
+                       head=at.house().to_csv(index=False)),
+        "line 1503: 't' is 't', .* give each recording a file of its own"),
+    "json_lines": Refused(json_lines, r"pandas.json_normalize\(ROWS\)"),
+    "american_dates": Refused(
+        lambda at: csv(at.house().assign(t=at.stamps.strftime("%m/%d/%Y %I:%M:%S.%f %p"))),
+        "ISO 8601, as in 2026-05-04T23:58:30.125"),
+    # milliseconds in sixteen bits
+    "a_counter_that_overflows": Refused(
+        lambda at: csv({"t_ms": (np.round(1e3 * at.t) + 30_000) % 65_536,
+                        **at.house().drop(columns="t")}),
+        r"line 358, .* ran over: .* map t=row\[\*PERIOD\]", {"columns": "t=row[*0.1]"}),
+    # counters of 16 bits; those of the left count down on the way ahead
+    "encoders_of_four_wheels": Refused(
+        lambda at: csv({
+            "time": at.t, "enc_fl": -at.counts(8000.0)[0] % 65536,
+            "enc_fr": at.counts(8000.0)[1] % 65536, "enc_rl": -at.counts(8000.0)[0] % 65536,
+            "enc_rr": (at.counts(8000.0)[1] + 40000) % 65536, "x": at.log.channel("x"),
+            "y": at.log.channel("y"), "yaw": at.yaw, "power_w": at.power}),
+        r'"v_left=enc_fl \+ enc_rl\[ticks\*0.0001\].* ticks/s where',
+        of_encoders("enc_fl + enc_rl", "enc_fr + enc_rr", 0.5 / 8000)),
+    "encoders_from_row_to_row": Refused(
+        lambda at: csv({
+            "time": at.t, "encoder_count_l": np.diff(at.counts(5e4)[0], prepend=0.0),
+            "encoder_count_r": np.diff(at.counts(5e4)[1], prepend=0.0),
+            "ground speed [km/h]": 1.8 * (at.left + at.right), "gyro_z": at.yaw_rate,
+            "power": at.power}),
+        r"ticks/sample where they count from row to row",
+        of_encoders("encoder_count_l", "encoder_count_r", 2e-5, "ticks/sample")),
+    "encoders_that_tell_a_rate": Refused(
+        lambda at: csv({
+            "time": at.t, "enc_left_tps": np.round(4e4 * at.left),
+            "enc_right_tps": np.round(4e4 * at.right), "pose_x": at.log.channel("x"),
+            "pose_y": at.log.channel("y"), "heading": at.yaw, "power_w": at.power}),
+        r'"v_left=enc_left_tps\[ticks/s\*0.0001\]',
+        of_encoders("enc_left_tps", "enc_right_tps", 2.5e-5, "ticks/s")),
+    "status_topic": Refused(
+        status_topic, r'--counts-per-revolution .* "v_left=status.left_ticks\[ticks\*0.0001\]',
+        of_encoders("status.left_ticks", "status.right_ticks", 1 / 7000)),
+    "flight_controller": Refused(
+        flight_controller, r'"v_left=WENC.LeftTicks\[ticks\*0.0001\]',
+        {"counts_per_revolution": 0.22 * np.pi * 1e4}),
+    "numbered_axes": Refused(
+        lambda at: csv({
+            "time": at.t, "axis0.encoder.vel_estimate": at.left / (2 * np.pi * at.robot.radius),
+            "axis1.encoder.vel_estimate": at.right / (2 * np.pi * at.robot.radius),
+            "vbus_voltage": at.volts, "ibus": at.amps}, sep=";"),
+        r'which side .* "v_left=axis0.encoder.vel_estimate\[UNIT\]',
+        {"columns": "v_left=axis0.encoder.vel_estimate[rev/s*0.11],"
+                    "v_right=axis1.encoder.vel_estimate[rev/s*0.11]"}),
+    "electrical_rates": Refused(
+        lambda at: csv({
+            "ms_today": np.round(1e3 * at.t) + 4321, "input_voltage": at.volts,
+            "left_erpm": np.round(140 * RPM / at.robot.radius * at.left),
+            "right_erpm": np.round(140 * RPM / at.robot.radius * at.right),
+            "left_current_motor": 2 * at.p_left / at.volts,
+            "right_current_motor": 2 * at.p_right / at.volts,
+            "left_current_in": at.p_left / at.volts, "right_current_in": at.p_right / at.volts,
+        }, sep=";"),
+        r"v_left=left_erpm\[rpm\*F\]",
+        {"columns": f"v_left=left_erpm[rpm*{0.11 / 140}],v_right=right_erpm[rpm*{0.11 / 140}]"}),
+    "torques": Refused(
+        torques, r"p_left=left_wheel_joint_effort\*left_wheel_joint_velocity,p_right=right_wheel_j",
+        {"columns": "p_left=left_wheel_joint_effort*left_wheel_joint_velocity,"
+                    "p_right=right_wheel_joint_effort*right_wheel_joint_velocity"}),
+    "units_in_cells": Refused(
+        lambda at: csv(at.house().assign(v_left=[f"{v:.4f} m/s" for v in at.left])),
+        "line 2: 'v_left' is '.* m/s', which is no number"),
+    "two_robots": Refused(
+        two_robots,
+        "robot1/left_speed and robot2/left_speed .* do not go alike .* of two robots"),
+    "packs_in_series": Refused(
+        lambda at: csv({
+            **at.speeds(), "battery1_voltage": 0.5 * at.volts, "battery2_voltage": 0.5 * at.volts,
+            "battery_current": at.amps}),
+        r"series .* 'voltage=battery1_voltage\+battery2_voltage'",
+        {"columns": "voltage=battery1_voltage+battery2_voltage"}),
+    "row_numbers": Refused(
+        lambda at: csv({"n": np.arange(len(at.t)), **at.house().drop(columns="t")}),
+        r"'n' counts rows: .* t=n\[\*0.05\]", {"columns": "t=n[*0.1]"}),
+    "a_dead_wheel": Refused(
+        lambda at: one_wheel(at, "rl_rpm", 0.0),
+        "fl_rpm and rl_rpm .* do not go alike .* one is dead"),
+    "a_wheel_in_the_mirror": Refused(
+        lambda at: one_wheel(at, "rr_rpm", -1.0), "fr_rpm and rr_rpm .* go opposite ways"),
+    "no_time": Refused(
+        lambda at: csv(at.house().drop(columns="t"), sep=";",
+                       head="started;2026-05-04 10:00:00\nsample rate;10 Hz\n"),
+        r"rows come at a steady rate, .* t=row\[\*0.05\]"),
+    "no_reading_by_a_number": Refused(
+        no_reading_by_a_number, "where -9999 stands for no reading, leave the cell empty"),
+    "minutes_and_seconds": Refused(
+        lambda at: csv(at.house().assign(t=[f"{t // 60:02.0f}:{t % 60:06.3f}" for t in at.t])),
+        "line 2: 't' is '00:00.000', .* times since the start in seconds"),
+    "commas_in_decimals": Refused(
+        lambda at: csv(at.house().map("{:.3f}".format).replace(r"\.", ",", regex=True),
+                       quoting=3, escapechar=" "),
+        "more cells than the 5 names .* write decimals with a point"),
+    "unknown_units": Refused(
+        lambda at: csv(at.house().rename(columns={
+            "v_left": "left speed [furlong/h]", "v_right": "right speed [furlong/h]"})),
+        r"unit of 'left speed \[furlong/h\]' is not known: .* NAME\[\*0.01\]"),
+    "dates_of_a_spreadsheet": Refused(
+        lambda at: csv({"Date": at.stamps.strftime("%d/%m/%Y %H:%M:%S.%f"),
+                        **at.house().drop(columns="t")}),
+        "line 2: 'Date' is '04/05/2026 .* write instants by ISO 8601"),
+    "current_alone": Refused(
+        lambda at: csv({**at.house().drop(columns="power"), "bus_current": at.amps}),
+        r"the battery's usual one, as in power=bus_current\[\*25.6\]"),
+    "power_in_percent": Refused(
+        lambda at: csv({**at.house().drop(columns="power"),
+                        "power_pct": 100.0 * at.power / np.max(at.power)}),
+        "'power_pct' is a share, .* which is no power: log the battery's voltage"),
+    "powers_of_front_wheels": Refused(
+        lambda at: csv({
+            "time": at.t, **at.wheels(at.robot.radius, tuple(f"{w}_speed" for w in WHEELS)),
+            "fl_power": 0.5 * at.p_left, "fr_power": 0.5 * at.p_right}),
+        r"fl_power is of one wheel, and fl_speed \+ rl_speed of several"),
+    "matlab": Refused(
+        lambda at: {".mat": b"MATLAB 7.3 MAT-file"},
+        r"matlab.mat is of MATLAB; writetable\(struct2table\(LOG\)"),
+    "workbook": Refused(
+        lambda at: {".xlsx": b"PK"}, r"workbook\.xlsx is a workbook; save the sheet .* CSV"),
+    "thousands": Refused(
+        lambda at: csv({**at.house().drop(columns="power"),
+                        "power [mW]": [f"{1e3 * power:,.1f}" for power in at.power]}),
+        r"line \d+: 'power \[mW\]' is '-?\d+,\d+.\d', which is no .* without marks"),
+    "rows_in_bursts": Refused(
+        rows_in_bursts, r"map t=row\[\*PERIOD\]", {"columns": "t=row[*0.1]"}),
+    "currents_without_sign": Refused(
+        lambda at: csv({
+            **at.speeds(), "u": at.volts, "i_left": np.abs(at.p_left / at.volts),
+            "i_right": np.abs(at.p_right / at.volts)}),
+        "log signed currents"),
+}  # fmt: skip
+"""Logs that must be refused or doubted, with the words of the remedy."""

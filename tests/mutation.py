@@ -49,8 +49,8 @@ TESTS = {
     "battery": "tests/battery", "power": "tests/power", "steering": "tests/steering",
     "cost": "tests/cost tests/limits/test_chain.py tests/steering",
     "planning/bound": "tests/planning/test_bound.py", "limits": "tests/limits",
-    "fit": "tests/fit tests/diagnosis/test_one_core.py tests/diagnosis/test_probabilities.py "
-           "tests/diagnosis/test_both_sides.py tests/diagnosis/test_adequacy.py",
+    "fit": "tests/fit tests/diagnosis/test_one_core.py tests/diagnosis/test_both_sides.py "
+           "tests/diagnosis/test_adequacy.py",
     "diagnosis": "tests/diagnosis", "mission": "tests/mission",
 }  # fmt: skip
 """What is changed, below the package, and the tests that should notice."""

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from made_drives import sized
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.averaging import averaged
@@ -15,15 +16,8 @@ from energyplan.diagnosis.judge import final_fit, predict
 from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
-from energyplan.power import HOTEL, PowerModel
-from energyplan.power.effects import (
-    MOBILISATION,
-    SPECIFIC_FORCE,
-    TOWING_FORCE,
-    Effect,
-    catalogue,
-    term,
-)
+from energyplan.power import HOTEL, PowerModel, effects
+from energyplan.power.effects import Effect, catalogue, term
 
 VEHICLE = Vehicle.preset("husky_a200")
 
@@ -60,12 +54,9 @@ def one_way(rate: float, measured: str, size: float) -> tuple[DriveLog, DriveLog
     Wide turns take less than the model has for them, so that in left turns alone a drag of the
     outer side is as good a reason as any: and says nothing true of right turns.
     """
-    vehicle = Vehicle.from_geometry(
-        "any", mass=60.0 * size**3, wheelbase=0.5 * size, track=0.55 * size, length=0.9 * size,
-        width=0.7 * size,
-    )  # fmt: skip
+    vehicle = sized(size)
     K, mu = 0.04 * vehicle.mass * 9.81, 0.7
-    model = PowerModel.paper(vehicle, K, mu).with_term(MOBILISATION, 0.6 * mu)
+    model = PowerModel.paper(vehicle, K, mu).with_term(effects.MOBILISATION, 0.6 * mu)
     rng = np.random.default_rng(3)
     logs = []
     for k, side in enumerate((1.0, -1.0)):
@@ -131,7 +122,7 @@ def test_one_short_run_of_a_small_robot_gives_an_honest_interval() -> None:
 
 def test_an_explanation_that_leaves_nothing_stays_alone() -> None:
     """One run, exact: also where all that is left out is told by nothing else."""
-    truth = PowerModel.paper(VEHICLE, 45.0, 0.5).with_term(TOWING_FORCE, 20.0)
+    truth = PowerModel.paper(VEHICLE, 45.0, 0.5).with_term(effects.TOWING_FORCE, 20.0)
     log = simulate.identification_drive(truth, seed=1, power_noise=1.0)
     problem = Problem(prepared([log], VEHICLE), VEHICLE)
     parts = (Part(catalogue()["towing_force"]),)
@@ -140,7 +131,7 @@ def test_an_explanation_that_leaves_nothing_stays_alone() -> None:
 
 def test_an_effect_the_hold_out_cannot_show_is_not_looked_for() -> None:
     """Learned with an accelerometer, judged without: an answer, and a word about it."""
-    truth = PowerModel.paper(VEHICLE, 45.0, 0.5).with_term(SPECIFIC_FORCE, VEHICLE.mass)
+    truth = PowerModel.paper(VEHICLE, 45.0, 0.5).with_term(effects.SPECIFIC_FORCE, VEHICLE.mass)
     log = simulate.identification_drive(truth, seed=1, power_noise=3.0)
     unseen = simulate.validation_drive(truth, seed=2, power_noise=3.0, without={"accel_x"})
     told = diagnose(log, unseen, VEHICLE)

@@ -1,39 +1,30 @@
-"""Powers of both sides: what their sum hides, and sides that push against each other."""
+"""Powers of both sides: what their sum hides, sides that push against each other, and losses."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from by_day import by_day
+from made_drives import pair, sized
 
-from energyplan import DriveLog, diagnose, simulate
+from energyplan import DriveLog, Vehicle, check, diagnose, simulate
+from energyplan.diagnosis import Diagnosis
 from energyplan.fit.drive import prepared
 from energyplan.fit.estimate import Problem, fit, problem_of
+from energyplan.io.tables import read_trajectory
 from energyplan.motion import Motion
-from energyplan.power import (
-    DRIVE_LOSS,
-    HOTEL,
-    REGENERATION_LOSS,
-    SLIP,
-    TRACTION,
-    PowerModel,
-)
-from energyplan.power.effects import COPPER_LOSS, DRAGGING_LEFT
+from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects
 from energyplan.simulate import Setpoint
-from energyplan.vehicle import Vehicle
 
 
 def _robot(rng: np.random.Generator) -> PowerModel:
     """A robot of random size, from a small rover to one of a hundred kilograms."""
     size = float(rng.uniform(0.5, 1.3))
-    mass = 40.0 * size**3 * float(rng.uniform(0.7, 1.5))
-    vehicle = Vehicle.from_geometry(
-        "random", mass=mass, wheelbase=0.5 * size, track=0.55 * size, length=0.9 * size,
-        width=0.7 * size,
-    )  # fmt: skip
-    K = float(rng.uniform(0.06, 0.12)) * mass * 9.81 / 2
+    vehicle = sized(size, 40.0 * size**3 * float(rng.uniform(0.7, 1.5)))
+    K = float(rng.uniform(0.06, 0.12)) * vehicle.mass * 9.81 / 2
     return PowerModel.paper(vehicle, K=K, mu=float(rng.uniform(0.3, 0.8)))
 
 
@@ -55,11 +46,11 @@ def test_which_side_drags_is_told_where_treads_are_always_as_fast_as_each_other(
     rng = np.random.default_rng(seed)
     model = _robot(rng)
     drag = 0.4 * model.coefficient("traction_resistance")
-    truth = model.with_term(DRAGGING_LEFT, drag)
+    truth = model.with_term(effects.DRAGGING_LEFT, drag)
     noise = 0.02 * float(np.max(truth.power(Motion.from_twist(0.4, 0.5, model.vehicle.icr))))
     log = simulate.drive(truth, _straights_and_spins(rng), power_noise=noise, seed=seed)
     problem = Problem(prepared([log], model.vehicle), model.vehicle)
-    terms = (SLIP, TRACTION, DRAGGING_LEFT)
+    terms = (SLIP, TRACTION, effects.DRAGGING_LEFT)
 
     def found(case: Problem) -> Any:
         design = case.design(terms)
@@ -81,11 +72,9 @@ def test_losses_of_each_side_are_found_on_robots_of_any_size(seed: int) -> None:
     model = _robot(rng)
     K = model.coefficient("traction_resistance")
     size = 0.04 / K  # 8 % of what rolling takes at half a metre a second
-    truth = model.with_term(COPPER_LOSS, size).with_term(DRAGGING_LEFT, 0.4 * K)
+    truth = model.with_term(effects.COPPER_LOSS, size).with_term(effects.DRAGGING_LEFT, 0.4 * K)
     noise = {"power_noise": 0.01 * K, "speed_noise": 0.003, "without": {"accel_x"}}
-    train = simulate.identification_drive(truth, seed=seed, **noise)
-    unseen = simulate.validation_drive(truth, seed=seed + 50, **noise)
-    told = diagnose(train, unseen, model.vehicle)
+    told = diagnose(*pair(truth, seed, seed + 50, **noise), model.vehicle)
     sizes = {effect.name: effect for effect in told.effects}
     assert "copper_loss" in sizes
     assert "dragging_wheel_left" in sizes
@@ -107,19 +96,9 @@ def _tracked(model: PowerModel, seed: int) -> DriveLog:
     moment = 0.9 * limit * np.sin(2 * np.pi * t / 23.0 + rng.uniform(0, 6))
     K = model.coefficient("traction_resistance")
     forces = (K - moment / track, K + moment / track)
-    powers = []
-    for force, v in zip(forces, (motion.v_left, motion.v_right), strict=True):
-        power = force * v
-        for term in model.terms:
-            value = model.coefficient(term.name)
-            if term.name == "drive_efficiency":
-                powers_lost = value * np.maximum(power, 0.0)
-            elif term.name == "regeneration_efficiency":
-                powers_lost = value * np.maximum(-power, 0.0)
-            else:
-                continue
-            power = power + powers_lost
-        powers.append(power)
+    lost, returning = _losses(model)
+    pushed = [force * v for force, v in zip(forces, (motion.v_left, motion.v_right), strict=True)]
+    powers = [p + lost * np.maximum(p, 0.0) + returning * np.maximum(-p, 0.0) for p in pushed]
     columns = {
         "v_left": motion.v_left, "v_right": motion.v_right, "p_left": powers[0],
         "p_right": powers[1], "yaw_rate": motion.omega,
@@ -138,38 +117,31 @@ def _tracked(model: PowerModel, seed: int) -> DriveLog:
 
 LOSSY = (
     PowerModel.preset("quadriga:full:concrete")
-    .with_term(DRIVE_LOSS, 1 / 0.85 - 1)
-    .with_term(REGENERATION_LOSS, 0.5)
+    .with_term(effects.DRIVE_LOSS, 1 / 0.85 - 1)
+    .with_term(effects.REGENERATION_LOSS, 0.5)
 )
 
 
-def _round_trip(model: PowerModel) -> float:
-    """Return what comes back of drawn power: of the efficiencies powers tell that alone."""
+def _losses(model: PowerModel) -> tuple[float, float]:
+    """Return the shares that are lost of power drawn and of power returned."""
     lost, returning = (
         model.coefficient(name) if model.has(name) else 0.0
         for name in ("drive_efficiency", "regeneration_efficiency")
     )
-    return (1.0 - returning) / (1.0 + lost)
+    return lost, returning
 
 
 def test_sides_that_push_against_each_other_are_named_where_that_costs_energy() -> None:
     told = diagnose(_tracked(LOSSY, 1), _tracked(LOSSY, 2), LOSSY.vehicle)
     names = [effect.name for effect in told.effects]
     assert names[-1] == "wheel_fight"
-    assert _round_trip(told.model) == pytest.approx(0.85 * 0.5, abs=0.02)
-    model = told.model
+    lost, returning = _losses(told.model)
+    # of the efficiencies, powers tell what comes back of drawn power
+    assert (1.0 - returning) / (1.0 + lost) == pytest.approx(0.85 * 0.5, abs=0.02)
     # A planner counts it: a straight line costs more than its traction resistance.
-    straight = Motion.from_twist(0.5, 0.0, model.vehicle.icr)
-    without = PowerModel(
-        model.vehicle,
-        tuple(t for t in model.terms if t.name != "wheel_fight"),
-        [
-            v
-            for t, v in zip(model.terms, model.coefficients, strict=True)
-            if t.name != "wheel_fight"
-        ],
-    )
-    assert float(model.power(straight)) > 1.05 * float(without.power(straight))
+    straight = told.model.breakdown(Motion.from_twist(0.5, 0.0, LOSSY.vehicle.icr))
+    fight = float(straight["wheel_fight"])
+    assert fight > 0.05 * (sum(map(float, straight.values())) - fight)
     assert abs(told.after.energy_error) < 0.02
 
 
@@ -188,7 +160,7 @@ def test_motors_that_return_little_are_no_sensors_without_a_sign(
     returned: float, hotel: float
 ) -> None:
     model = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, hotel)
-    truth = model.with_term(REGENERATION_LOSS, 1.0 - returned)
+    truth = model.with_term(effects.REGENERATION_LOSS, 1.0 - returned)
     log = simulate.identification_drive(truth, seed=1, **NOISE)
     assert _equations(log, model.vehicle) == 2
     if returned == 1.0:
@@ -202,3 +174,60 @@ NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.002, "without": {"
 
 def _equations(log: DriveLog, vehicle: Vehicle) -> int:
     return problem_of([log], vehicle, ()).drives[0].equations
+
+
+PLACE = Path("driven")
+QUADRIGA = Vehicle.preset("quadriga:full")
+TRUE = {
+    "copper_loss": {"slip_friction": 0.661, "traction_resistance": 118.0, "copper_loss": 0.000632},
+    # over the efficiency; what powers tell of both efficiencies is the round trip
+    "driver_efficiency": {
+        "slip_friction": 0.751, "traction_resistance": 134.1, "regeneration_efficiency": 0.472,
+    },
+}  # fmt: skip
+
+
+def driven(shared_data: Path, scenario: str) -> dict[str, DriveLog]:
+    files = sorted((shared_data / PLACE).glob(f"{scenario}_*.csv.gz"))
+    return {file.name.removesuffix(".csv.gz"): DriveLog.read(file) for file in files}
+
+
+@pytest.fixture(scope="module", params=sorted(TRUE))
+def told(request: pytest.FixtureRequest, shared_data: Path) -> tuple[str, Diagnosis]:
+    """Learn from four of six drives that a tracking controller made."""
+    every = driven(shared_data, request.param)
+    rest = [log for name, log in every.items() if "_1_" not in name]
+    judged = [log for name, log in every.items() if "_1_" in name]
+    return request.param, diagnose(rest, judged, QUADRIGA)
+
+
+@pytest.mark.shared
+def test_coefficients_of_working_drives_are_right(told: tuple[str, Diagnosis]) -> None:
+    scenario, found = told
+    for name, true in TRUE[scenario].items():
+        assert found.model.coefficient(name) == pytest.approx(true, rel=0.05), name
+
+
+@pytest.mark.shared
+def test_plans_are_priced(told: tuple[str, Diagnosis], shared_data: Path) -> None:
+    scenario, found = told
+    for one, route in zip(found.predictions, ("least", "shortest"), strict=True):
+        wanted = read_trajectory(shared_data / PLACE / f"{scenario}_1_{route}_trajectory.csv")
+        assert check(wanted, found.model).energy == pytest.approx(one.measured, rel=0.06)
+        low, high = one.energy_interval
+        assert low < one.measured < high
+
+
+@pytest.mark.shared
+def test_the_owner_is_told_what_the_sides_waste(told: tuple[str, Diagnosis]) -> None:
+    _, found = told
+    heat = found.effects[-1]
+    assert heat.name == "wheel_fight"
+    assert heat.unit == "W"
+    assert 0.02 < heat.details["share of the energy"] < 0.17
+    assert [line for line in found.advice if "a dead band of the heading" in line]
+    average = found.average
+    assert average is not None
+    if average.explanation_error < average.cautious_error:
+        assert not [line for line in found.advice if "do not believe" in line]
+        assert not [line for line in found.advice if "suspicion" in line]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from by_day import by_day
+from made_drives import pair
 from scipy.ndimage import minimum_filter1d
 from scipy.stats import kstest
 
@@ -23,22 +25,8 @@ from energyplan.fit.drive import Drive, quiet, speed_noise
 from energyplan.fit.estimate import Fit, Problem, fit
 from energyplan.fit.regressors import block_grams
 from energyplan.motion import Motion
-from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term
-from energyplan.power.effects import (
-    AIR_DRAG,
-    ANGULAR_INERTIA,
-    COPPER_LOSS,
-    DRAGGING_LEFT,
-    GRADE,
-    LINEAR_INERTIA,
-    MOBILISATION,
-    SLIP_SPEED,
-    TOWING_FORCE,
-    TURN_ASYMMETRY,
-    VISCOUS_LOSS,
-    WARM_UP,
-    catalogue,
-)
+from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Sides, Term, effects
+from energyplan.power.effects import catalogue
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
 
 NOISE: dict[str, Any] = {"power_noise": 5.0, "speed_noise": 0.005}
@@ -70,18 +58,18 @@ def _told_load() -> Diagnosis:
 
 HIDDEN: dict[str, tuple[Term, float, dict[str, Any]]] = {
     "hotel_load": (HOTEL, 25.0, {}),
-    "grade": (GRADE, 147.1, {"slope": 0.06, "uphill": 0.7, "keep": ("slope",)}),
-    "linear_inertia": (LINEAR_INERTIA, 150.0, {"accel_limit": 1.0}),
-    "angular_inertia": (ANGULAR_INERTIA, 30.0, {"accel_limit": 1.5}),
-    "viscous_loss": (VISCOUS_LOSS, 40.0, {}),
-    "air_drag": (AIR_DRAG, 90.0, {}),
-    "copper_loss": (COPPER_LOSS, 4e-4, {}),
-    "warm_up": (replace(WARM_UP, params={"time_constant": 50.0}), 35.0, {}),
-    "dragging_wheel_left": (DRAGGING_LEFT, -30.0, {}),
-    "turn_asymmetry": (TURN_ASYMMETRY, -0.06, {}),
-    "slip_speed_friction": (SLIP_SPEED, 0.35, {}),
-    "friction_mobilisation": (replace(MOBILISATION, params={"radius": 1.0}), 0.4, {}),
-    "towing_force": (TOWING_FORCE, -25.0, {}),
+    "grade": (effects.GRADE, 147.1, {"slope": 0.06, "uphill": 0.7, "keep": ("slope",)}),
+    "linear_inertia": (effects.LINEAR_INERTIA, 150.0, {"accel_limit": 1.0}),
+    "angular_inertia": (effects.ANGULAR_INERTIA, 30.0, {"accel_limit": 1.5}),
+    "viscous_loss": (effects.VISCOUS_LOSS, 40.0, {}),
+    "air_drag": (effects.AIR_DRAG, 90.0, {}),
+    "copper_loss": (effects.COPPER_LOSS, 4e-4, {}),
+    "warm_up": (replace(effects.WARM_UP, params={"time_constant": 50.0}), 35.0, {}),
+    "dragging_wheel_left": (effects.DRAGGING_LEFT, -30.0, {}),
+    "turn_asymmetry": (effects.TURN_ASYMMETRY, -0.06, {}),
+    "slip_speed_friction": (effects.SLIP_SPEED, 0.35, {}),
+    "friction_mobilisation": (replace(effects.MOBILISATION, params={"radius": 1.0}), 0.4, {}),
+    "towing_force": (effects.TOWING_FORCE, -25.0, {}),
 }
 
 ALONE = (
@@ -106,7 +94,7 @@ def test_a_hidden_effect_is_named_and_sized(name: str) -> None:
 
 
 def test_a_tilted_plane_is_found_from_the_heading_alone() -> None:
-    told = _told(PAPER.with_term(GRADE, VEHICLE.mass), slope=0.07, uphill=-1.1)
+    told = _told(PAPER.with_term(effects.GRADE, VEHICLE.mass), slope=0.07, uphill=-1.1)
     first = told.effects[0]
     assert first.name == "tilted_plane"
     assert first.value == pytest.approx(0.07, abs=4 * first.std_error)
@@ -115,26 +103,18 @@ def test_a_tilted_plane_is_found_from_the_heading_alone() -> None:
 
 
 def test_an_accelerometer_shows_weight_and_inertia_together() -> None:
-    model = PAPER.with_term(GRADE, 160.0).with_term(LINEAR_INERTIA, 160.0)
+    model = PAPER.with_term(effects.GRADE, 160.0).with_term(effects.LINEAR_INERTIA, 160.0)
     options = {**NOISE, "slope": 0.05, "without": {"slope", "x", "y", "yaw"}, "accel_limit": 0.6}
-    train = simulate.identification_drive(model, seed=1, **options)
-    unseen = simulate.validation_drive(model, seed=2, **options)
-    first = diagnose(train, unseen, VEHICLE).effects[0]
+    first = diagnose(*pair(model, **options), VEHICLE).effects[0]
     assert first.name == "specific_force"
     assert first.value == pytest.approx(160.0, rel=0.05)
 
 
 def test_a_payload_change_is_found_with_its_time() -> None:
     lighter = PAPER.with_coefficients(PAPER.coefficients * [0.7, 0.85])
+    options = {**NOISE, "without": {"accel_x"}}
     drives = [
-        make(
-            PAPER,
-            seed=k,
-            name=f"drive {k}",
-            changes=[(time, lighter)],
-            without={"accel_x"},
-            **NOISE,
-        )
+        make(PAPER, seed=k, name=f"drive {k}", changes=[(time, lighter)], **options)
         for k, (make, time) in enumerate(
             [(simulate.identification_drive, 70.0), (simulate.validation_drive, 55.0)]
         )
@@ -187,7 +167,7 @@ def test_probabilities_of_explanations_sum_to_one_and_rivals_share_them() -> Non
 
 
 def test_two_effects_that_hide_each_other_are_found_together() -> None:
-    truth = PAPER.with_term(GRADE, VEHICLE.mass).with_term(COPPER_LOSS, 7e-4)
+    truth = PAPER.with_term(effects.GRADE, VEHICLE.mass).with_term(effects.COPPER_LOSS, 7e-4)
     told = _told(truth, slope=0.087, uphill=0.7)
     assert {effect.name for effect in told.effects} == {"tilted_plane", "copper_loss"}
     sizes = {effect.name: effect for effect in told.effects}
@@ -265,8 +245,7 @@ def test_drives_and_their_errors_are_checked() -> None:
 
 def test_effects_that_are_told_go_in_whether_they_help_or_not() -> None:
     truth = PAPER.with_term(HOTEL, 25.0)
-    train = simulate.identification_drive(truth, seed=1, **NOISE)
-    unseen = simulate.validation_drive(truth, seed=2, **NOISE)
+    train, unseen = pair(truth, **NOISE)
     entries = [catalogue()[name] for name in ("air_drag", "hotel_load", "warm_up")]
     told = diagnose(train, unseen, VEHICLE, effects=entries, choose=False)
     assert [effect.name for effect in told.effects] == [entry.name for entry in entries]
@@ -406,39 +385,20 @@ def test_the_centre_of_mass_is_found_from_the_motion() -> None:
 
 # -- recorded drives ------------------------------------------------------------------------------
 
-TRUE = {
-    "com_offset": "centre_of_mass",
-    "copper_loss": "copper_loss",
-    "hotel_load": "hotel_load",
-    "inertia": "linear_inertia",
-    "load_change": "payload_change",
-    "slope": "tilted_plane",
-    "viscous": "viscous_loss",
-    "warmup": "warm_up",
-}
-
-
-def _true_size(scenario: str, side_car: dict[str, Any]) -> float:
-    effect, true = side_car["effects"][scenario], side_car["true"]
-    match scenario:
-        case "com_offset":
-            return float(np.hypot(effect["forward_m"], effect["left_m"]))
-        case "copper_loss":
-            return float(
-                effect["R_ohm"] * (true["wheel_radius_m"] / effect["kt_Nm_per_A_at_wheel"]) ** 2
-            )
-        case "hotel_load":
-            return float(effect["power_W_total"])
-        case "inertia":
-            return float(true["mass_equivalent_straight_kg"])
-        case "load_change":
-            return float(effect["mass_after_kg"] - effect["mass_before_kg"])
-        case "slope":
-            return float(np.radians(effect["angle_deg"]))
-        case "viscous":
-            return float(effect["N_per_mps_per_side"])
-        case _:
-            return float(effect["relative_excess_at_0"] * true["K_internal_N_per_side"])
+TRUE: dict[str, tuple[str, Callable[[dict[str, Any], dict[str, Any]], float]]] = {
+    "com_offset": ("centre_of_mass", lambda e, _: np.hypot(e["forward_m"], e["left_m"])),
+    "copper_loss": ("copper_loss", lambda e, robot: (
+        e["R_ohm"] * (robot["wheel_radius_m"] / e["kt_Nm_per_A_at_wheel"]) ** 2)),
+    "hotel_load": ("hotel_load", lambda e, _: e["power_W_total"]),
+    "inertia": ("linear_inertia", lambda _, robot: robot["mass_equivalent_straight_kg"]),
+    "load_change": ("payload_change", lambda e, _: e["mass_after_kg"] - e["mass_before_kg"]),
+    "slope": ("tilted_plane", lambda e, _: np.radians(e["angle_deg"])),
+    "viscous": ("viscous_loss", lambda e, _: e["N_per_mps_per_side"]),
+    "warmup": ("warm_up", lambda e, robot: (
+        e["relative_excess_at_0"] * robot["K_internal_N_per_side"])),
+}  # fmt: skip
+"""By what the engine hides: its name here, and its size by what the engine says of it and of the
+robot."""
 
 
 def _recorded(folder: Path, stem: str) -> tuple[Diagnosis, Diagnosis]:
@@ -448,8 +408,9 @@ def _recorded(folder: Path, stem: str) -> tuple[Diagnosis, Diagnosis]:
         DriveLog.read(folder / f"{stem}_{drive}.csv.gz") for drive in ("ident", "valid")
     )
     # Every drive of the engine has inertia, whatever else it hides.
-    names = ["linear_inertia", "angular_inertia", TRUE.get(stem.rpartition("_s")[0])]
-    told = [catalogue()[name] for name in dict.fromkeys(names) if name is not None]
+    hidden = [TRUE[name][0] for name in [stem.rpartition("_s")[0]] if name in TRUE]
+    names = dict.fromkeys(["linear_inertia", "angular_inertia", *hidden])
+    told = [catalogue()[name] for name in names]
     return (
         diagnose(train, unseen, vehicle),
         diagnose(train, unseen, vehicle, effects=told, choose=False),
@@ -465,11 +426,13 @@ def test_a_physics_engines_hidden_effect_is_found(
     folder = shared_data / "quadriga_mujoco"
     told, oracle = _recorded(folder, f"{scenario}_s{seed}")
     side_car = json.loads((folder / f"{scenario}_s{seed}_ident.json").read_text())
+    name, size = TRUE[scenario]
     first = told.effects[0]
-    assert first.name == TRUE[scenario] or TRUE[scenario] in first.rivals
-    found = next(effect for effect in told.effects if effect.name == TRUE[scenario])
-    assert found.value == pytest.approx(_true_size(scenario, side_car), rel=0.15)
-    assert TRUE[scenario] in {effect.name for effect in oracle.effects}
+    assert name == first.name or name in first.rivals
+    found = next(effect for effect in told.effects if effect.name == name)
+    true = size(side_car["effects"][scenario], side_car["true"])
+    assert found.value == pytest.approx(true, rel=0.15)
+    assert name in {effect.name for effect in oracle.effects}
     assert told.after.rmse < told.before.rmse
     assert told.after.rmse <= 1.15 * oracle.after.rmse
     assert abs(told.after.energy_error) < 0.02

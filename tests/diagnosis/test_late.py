@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from by_day import by_day
+from made_drives import pair
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.judge import _between_samples
@@ -31,9 +32,8 @@ def test_delay_and_lag_are_found_beside_each_other(late_by: tuple[float, float])
             sides[name] = seen + 5.0 * rng.standard_normal(len(power))
         return DriveLog({**log.channels, **sides}, log.name)
 
-    train = late(simulate.identification_drive(truth, seed=3, speed_noise=0.003), 5)
-    unseen = late(simulate.validation_drive(truth, seed=4, speed_noise=0.003), 6)
-    told = diagnose(train, unseen, truth.vehicle)
+    train, unseen = pair(truth, seed=3, speed_noise=0.003)
+    told = diagnose(late(train, 5), late(unseen, 6), truth.vehicle)
     (found,) = (effect for effect in told.effects if effect.name == "time_offset")
     assert found.value == pytest.approx(delay + lag, abs=0.05)
     assert found.details.get("lag", 0.0) == pytest.approx(lag, abs=0.1)
@@ -79,10 +79,7 @@ def test_errors_of_delays_hold_also_at_two_readings_a_second() -> None:
     for seed in range(8):
         delay = 0.2 + 0.05 * seed
         options = {"power_noise": 1.0, "rate": 2.0, "delays": {"p_left": delay, "p_right": delay}}
-        logs = [
-            make(model, seed=2 * seed + k, **options)
-            for k, make in enumerate((simulate.identification_drive, simulate.validation_drive))
-        ]
+        logs = pair(model, 2 * seed, **options)
         effects = [catalogue()["time_offset"]]
         (found,) = diagnose(*logs, model.vehicle, effects=effects, choose=False).effects
         beside.append((found.value - delay) / found.std_error)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from by_day import by_day
+from made_drives import pair, sized
 
 from energyplan import diagnose, identify, simulate
 from energyplan.fit import fit_residual
@@ -25,11 +26,7 @@ def _robot(seed: int) -> PowerModel:
     if seed == 0:
         return PowerModel.preset("quadriga:full:concrete")
     rng = np.random.default_rng(seed)
-    size = float(rng.uniform(0.5, 1.1))
-    vehicle = Vehicle.from_geometry(
-        "random", mass=70.0 * size**3, wheelbase=0.5 * size, track=0.55 * size, length=0.9 * size,
-        width=0.7 * size,
-    )  # fmt: skip
+    vehicle = sized(float(rng.uniform(0.5, 1.1)))
     K = float(rng.uniform(0.06, 0.1)) * vehicle.mass * 9.81 / 2
     return PowerModel.paper(vehicle, K=K, mu=float(rng.uniform(0.4, 0.8)))
 
@@ -42,8 +39,7 @@ def test_three_ways_to_the_same_terms_agree_within_their_errors(seed: int, tau: 
     truth = model.with_term(HOTEL, 0.3 * K)
     noise: dict[str, Any] = {"power_noise": 0.05 * K, "speed_noise": 0.002, "correlation_time": tau}
     noise |= {"measured": "total"}  # the same data for all three
-    log = simulate.identification_drive(truth, seed=seed, **noise)
-    unseen = simulate.validation_drive(truth, seed=seed + 50, **noise)
+    log, unseen = pair(truth, seed, seed + 50, **noise)
     terms = (SLIP, TRACTION, HOTEL)
     found = identify(log, model.vehicle, terms=terms)
     told = diagnose(
@@ -131,12 +127,3 @@ def test_identify_and_diagnose_are_one_core_on_recorded_drives(shared_data: Path
     folder = shared_data / "borealtc" / "FLOORING"
     runs = [read_husky(folder / f"pro_{k:02d}.csv") for k in (0, 1, 2, 3)]
     _agree(runs[:3], runs[3], Vehicle.preset("husky_a200"))
-
-
-def test_what_a_log_cannot_tell_is_said_first() -> None:
-    model = PowerModel.preset("quadriga:full:concrete")
-    noise = {"power_noise": 5.0, "without": {"accel_x"}}
-    log = simulate.drive(model, [("straight", 60.0)], seed=1, **noise)
-    unseen = simulate.validation_drive(model, seed=2, **noise)
-    told = diagnose(log, unseen, model.vehicle)
-    assert told.advice[0].startswith("slip_friction (mu) cannot be identified")

@@ -1,36 +1,22 @@
-"""The drives that a regression sees: cleaned speeds, pieces between gaps, left and right alike."""
+"""The drives that a regression sees: clean speeds, pieces between gaps, readings that are held."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from energyplan import simulate
-from energyplan.fit import identify
+from energyplan import DriveLog, PowerModel, identify, simulate
 from energyplan.fit.drive import Drive, prepared, quiet
-from energyplan.fit.estimate import Problem
-from energyplan.fit.regressors import (
-    linearise_drive,
-    power_of,
-)
-from energyplan.logs import DriveLog
+from energyplan.fit.regressors import linearise_drive, power_of
 from energyplan.motion import Motion
-from energyplan.power import (
-    HOTEL,
-    REGENERATION_LOSS,
-    SLIP,
-    TRACTION,
-    PowerModel,
-    Term,
-)
-from energyplan.power.effects import COPPER_LOSS, catalogue
+from energyplan.power import HOTEL, SLIP, TRACTION, effects
 from energyplan.simulate import Setpoint
 
 MODEL = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
+ROBOT = PowerModel.preset("quadriga:full:concrete")
 ICR = MODEL.vehicle.icr
 PERIOD = 0.05
 
@@ -76,30 +62,9 @@ def test_a_gyroscope_without_noise_is_not_smoothed() -> None:
     assert_allclose(np.sign(clean.omega[at]), np.sign(turn[at]))
 
 
-def _lossy(turn: float, loss: str, wide: bool = True, **options: Any) -> tuple[Problem, list[Term]]:
-    """Return a drive of which only the total is logged, and the terms of the robot.
-
-    On two stretches it turns by less than the noise of its wheels shows: friction is that of a
-    sharp turn, and what losses take because of it shows in the power alone.
-    """
-    model = PowerModel.preset("quadriga:full:concrete")
-    extra = {"copper_loss": (COPPER_LOSS, 4.5e-4), "regeneration": (REGENERATION_LOSS, 0.5)}[loss]
-    model = model.with_term(*extra)
-    turns = [("spiral", 30.0), ("survey", 20.0)] if wide else []
-    log = simulate.drive(
-        model,
-        [("rest", 3.0), ("spin", 20.0), ("straight", 16.0), *turns, ("rest", 3.0),
-         Setpoint(0.5 - turn, 0.5 + turn, hold=8.0), ("rest", 3.0),
-         Setpoint(-0.4 + turn, -0.4 - turn, hold=6.0)],
-        rate=10.0, power_noise=4.0, speed_noise=0.003, measured="total",
-        without={"x", "y", "yaw", "yaw_rate", "accel_x"}, **options,
-    )  # fmt: skip
-    return Problem(prepared([log], model.vehicle), model.vehicle), list(model.terms)
-
-
 def test_derivatives_count_that_what_contacts_hold_follows_the_coefficients() -> None:
     """Its mean over a moment of time does, where both sides were logged and losses make it cost."""
-    model = PowerModel.preset("quadriga:full:concrete").with_term(COPPER_LOSS, 4.5e-4)
+    model = PowerModel.preset("quadriga:full:concrete").with_term(effects.COPPER_LOSS, 4.5e-4)
     log = simulate.identification_drive(
         model, seed=3, rate=10.0, power_noise=4.0, speed_noise=0.004, without={"accel_x"}
     )
@@ -120,16 +85,23 @@ def test_derivatives_count_that_what_contacts_hold_follows_the_coefficients() ->
 
 
 def test_a_prediction_knows_nothing_of_the_power_that_was_measured() -> None:
-    problem, terms = _lossy(8e-4, "copper_loss")
-    values = np.array([*PowerModel.preset("quadriga:full:concrete").coefficients, 4.5e-4])
-    model = PowerModel(problem.vehicle, tuple(terms), values)
-    (drive,) = problem.drives
+    """Of friction and losses in turns that the noise of wheels hides, the power alone tells."""
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(effects.COPPER_LOSS, 4.5e-4)
+    log = simulate.drive(
+        truth,
+        [("rest", 3.0), ("spin", 20.0), ("straight", 16.0), ("spiral", 30.0), ("survey", 20.0),
+         ("rest", 3.0), Setpoint(0.4992, 0.5008, hold=8.0), ("rest", 3.0),
+         Setpoint(-0.3992, -0.4008, hold=6.0)],
+        rate=10.0, power_noise=4.0, speed_noise=0.003, measured="total",
+        without={"x", "y", "yaw", "yaw_rate", "accel_x"},
+    )  # fmt: skip
+    (drive,) = prepared([log], truth.vehicle)
     unseen = replace(drive, power=np.zeros(len(drive.t)), fields={})
-    assert_allclose(power_of(model, drive), power_of(model, unseen), rtol=0, atol=0)
+    assert_allclose(power_of(truth, drive), power_of(truth, unseen), rtol=0, atol=0)
 
 
 def test_a_part_of_a_drive_goes_on_warming_up() -> None:
-    (warm_up,) = catalogue()["warm_up"].terms
+    (warm_up,) = effects.catalogue()["warm_up"].terms
     truth = PowerModel.preset("quadriga:full:concrete").with_term(warm_up, 60.0)
     log = simulate.drive(truth, "spiral", rate=10.0)
     later = log.segment(40.0, 80.0).segment(50.0, 70.0)
@@ -153,3 +125,53 @@ def test_starts_and_stops_in_noise_last_as_long_as_they_do(accel: float, rate: f
     most = 8 * max(0.1 * rate, 1.0)
     assert np.count_nonzero(rest & ~called) <= most
     assert np.count_nonzero(~rest & called) <= most
+
+
+NOISE = 5.0
+EACH = 20  # rows a reading
+
+
+def read_seldom(mean: bool, measured: str) -> DriveLog:
+    """A drive whose powers are read in every twentieth row, by a meter or a sampler."""
+    log = simulate.drive(ROBOT, simulate.IDENTIFICATION, rate=20.0, power_noise=NOISE, seed=2)
+    start = np.arange(len(log)) // EACH * EACH
+    channels = dict(log.channels)
+    for name in ("p_left", "p_right"):
+        values = channels[name]
+        if mean:
+            total = np.concatenate([[0.0], np.cumsum(values)])
+            last = np.maximum(start, EACH)
+            values = (total[last] - total[last - EACH]) / EACH
+        channels[name] = values[start]
+    if measured == "total":
+        channels["power"] = channels.pop("p_left") + channels.pop("p_right")
+    return DriveLog(channels, "seldom")
+
+
+@pytest.mark.parametrize("measured", ["sides", "total"])
+@pytest.mark.parametrize("mean", [False, True])
+def test_readings_are_predicted_as_what_they_are(mean: bool, measured: str) -> None:
+    log = read_seldom(mean, measured)
+    drive = Drive.of(log, ROBOT.vehicle)
+    assert drive.hold is not None
+    assert (drive.hold.mean, drive.hold.rows) == (mean, EACH)
+    found = identify(log, ROBOT.vehicle)
+    # Of readings at rest nothing is told, and their noise is that of both sides.
+    noise = np.sqrt(2.0) * NOISE / (np.sqrt(EACH) if mean else 1.0)
+    assert found.residual.rmse < 1.5 * noise + 0.01 * np.abs(log.power).max()
+    np.testing.assert_allclose(found.model.coefficients, ROBOT.coefficients, rtol=0.02)
+    thin = prepared([log], ROBOT.vehicle)[0].thinned(4).hold
+    assert thin is not None
+    assert thin.rows == EACH // 4
+    assert np.all(thin.starts % (EACH // 4) == 0)
+
+
+def test_what_is_read_with_every_row_or_side_by_side_is_not_held() -> None:
+    """Where sides are read in turn, their sum is no reading at any instant."""
+    log = simulate.drive(ROBOT, "spiral", rate=20.0, power_noise=NOISE, seed=2)
+    assert Drive.of(log, ROBOT.vehicle).hold is None
+    together = read_seldom(False, "sides")
+    late = np.maximum(np.arange(len(together)) - EACH // 2, 0)
+    apart = {**together.channels, "p_right": together.channels["p_right"][late]}
+    assert Drive.of(together, ROBOT.vehicle).hold is not None
+    assert Drive.of(DriveLog(apart, "apart"), ROBOT.vehicle).hold is None

@@ -47,14 +47,6 @@ def test_friction_and_its_slope_are_found(constant: float | None) -> None:
             assert one.force == pytest.approx(FORCE + SLOPE * (one.speed - AT), rel=0.02)
 
 
-def test_two_drives_tell_what_one_does() -> None:
-    one = hoisted(DriveLog(drive(), "a"))
-    two = hoisted([DriveLog(drive(seed=1), "a"), DriveLog(drive(seed=2), "b")])
-    for alone, both in zip(one, two, strict=True):
-        assert both.force == pytest.approx(alone.force, rel=0.01)
-        assert both.force_error < alone.force_error
-
-
 def test_readings_in_a_dead_band_are_counted_and_lie_below_it() -> None:
     channels = drive()
     dead = 3.2  # above the current at the slowest speed, below that at the others

@@ -21,19 +21,10 @@ from energyplan.errors import (
 from energyplan.fit import ICREstimate, fit_icr, fit_residual, icr_from_spin, identify, solvers
 from energyplan.fit.drive import Drive
 from energyplan.fit.identification import PowerRegression
+from energyplan.io.husky import read_husky
 from energyplan.logs import DriveLog
 from energyplan.output import documents
-from energyplan.power import (
-    DRIVE_LOSS,
-    HOTEL,
-    REGENERATION_LOSS,
-    SLIP,
-    TABLE_II,
-    TRACTION,
-    PowerModel,
-    effects,
-)
-from energyplan.power.effects import LINEAR_INERTIA
+from energyplan.power import HOTEL, SLIP, TABLE_II, TRACTION, PowerModel, Term, effects
 from energyplan.simulate import Setpoint
 from energyplan.vehicle import TreadICR, Vehicle
 
@@ -260,11 +251,8 @@ def test_icr_from_a_spin_is_equation_five(truth: PowerModel) -> None:
     assert by_hand.std_error["left"] == pytest.approx(0.0047, rel=1e-3)
     with pytest.raises(NotIdentifiableError, match="angle"):
         icr_from_spin(bare)
-
-
-def test_no_spin_no_equation_five(spiral: DriveLog) -> None:
     with pytest.raises(NotIdentifiableError, match="no spin"):
-        icr_from_spin(spiral)
+        icr_from_spin(simulate.drive(truth, "spiral"))
 
 
 def test_icr_from_a_biased_noisy_yaw_rate(truth: PowerModel) -> None:
@@ -366,30 +354,31 @@ def test_without_yaw_the_icr_is_kept_and_said_so(truth: PowerModel) -> None:
 # -- what cannot be identified ------------------------------------------------------------------
 
 
-def test_no_turning_no_friction_coefficient(truth: PowerModel) -> None:
-    log = simulate.drive(truth, "straight", seed=1, **NOISE)
-    with pytest.raises(NotIdentifiableError, match=r"slip_friction \(mu\).*a spin on the spot"):
-        identify(log, truth.vehicle)
-    alone = identify(log, truth.vehicle, terms=[TRACTION])
-    assert alone.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.02)
+@pytest.mark.parametrize(
+    ("pattern", "terms", "words"),
+    [
+        ("straight", (SLIP, TRACTION), r"slip_friction \(mu\).*a spin on the spot"),
+        ("spin", (SLIP, TRACTION), r"slip_friction.*traction.*straight lines"),
+        ([Setpoint(0.3, 0.6, 30.0)], (SLIP, TRACTION), r"slip_friction.*traction.*straight lines"),
+        # no motor generates then, so that every power has the same factor
+        (["spin", "straight"], (SLIP, TRACTION, effects.DRIVE_LOSS), "drive_efficiency"),
+    ],
+)
+def test_what_a_drive_does_not_show_is_refused(
+    truth: PowerModel, pattern: object, terms: tuple[Term, ...], words: str
+) -> None:
+    log = simulate.drive(truth, pattern, seed=1, **NOISE)
+    log = log if effects.DRIVE_LOSS in terms else log.segment(2.5, 29.0)
+    with pytest.raises(NotIdentifiableError, match=words):
+        identify(log, truth.vehicle, terms=terms)
 
 
-@pytest.mark.parametrize("pattern", ["spin", [Setpoint(0.3, 0.6, 30.0)]])
-def test_one_radius_cannot_tell_slip_from_traction(truth: PowerModel, pattern: object) -> None:
-    log = simulate.drive(truth, pattern, seed=1, **NOISE).segment(2.5, 29.0)
-    with pytest.raises(NotIdentifiableError, match=r"slip_friction.*traction.*straight lines"):
-        identify(log, truth.vehicle)
-    both = [log, simulate.drive(truth, "straight", seed=2, **NOISE)]
-    np.testing.assert_allclose(
-        identify(both, truth.vehicle).model.coefficients, truth.coefficients, rtol=0.03
-    )
-
-
-def test_drive_efficiency_scales_all_and_is_refused(truth: PowerModel) -> None:
-    """No motor generates in straight lines and spins, so that every power has the same factor."""
-    log = simulate.drive(truth, ["spin", "straight"], seed=1, **NOISE)
-    with pytest.raises(NotIdentifiableError, match="drive_efficiency"):
-        identify(log, truth.vehicle, terms=[SLIP, TRACTION, DRIVE_LOSS])
+def test_drives_tell_together_what_each_does_not(truth: PowerModel) -> None:
+    line, spin = (simulate.drive(truth, one, seed=1, **NOISE) for one in ("straight", "spin"))
+    together = identify([line, spin], truth.vehicle).model
+    np.testing.assert_allclose(together.coefficients, truth.coefficients, rtol=0.03)
+    alone = identify(line, truth.vehicle, terms=[TRACTION]).model
+    assert alone.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.02)
 
 
 def test_a_copy_of_a_log_is_learned_from_once(truth: PowerModel) -> None:
@@ -441,7 +430,7 @@ def test_bad_requests(truth: PowerModel, spiral: DriveLog) -> None:
 
 
 def test_nonlinear_fit_of_exact_data_is_exact(truth: PowerModel) -> None:
-    model = truth.with_term(effects.COPPER_LOSS, 2e-4).with_term(REGENERATION_LOSS, 0.6)
+    model = truth.with_term(effects.COPPER_LOSS, 2e-4).with_term(effects.REGENERATION_LOSS, 0.6)
     log = simulate.identification_drive(model)
     found = identify(log, truth.vehicle, terms=model.terms)
     np.testing.assert_allclose(found.model.coefficients, model.coefficients, rtol=1e-4)
@@ -535,23 +524,11 @@ def test_physics_engine(shared_data, scenario: str, pair: str, seed: int) -> Non
     assert abs(fit_residual(found.model, other).energy_error) < 0.02
 
 
-def _husky(folder, number: int, imu: bool) -> DriveLog:
-    wheels = np.genfromtxt(folder / f"pro_{number:02d}.csv", delimiter=",", names=True)
-    channels = {"t": wheels["time"], "v_left": wheels["velL"], "v_right": wheels["velR"]}
-    for side in "LR":
-        name = {"L": "p_left", "R": "p_right"}[side]
-        channels[name] = 21.4 * wheels[f"cur{side}"] * np.abs(wheels[f"vel{side}"])
-    if imu:
-        body = np.genfromtxt(folder / f"imu_{number:02d}.csv", delimiter=",", names=True)
-        channels["yaw_rate"] = np.interp(wheels["time"], body["time"], body["wz"])
-    return DriveLog(channels)
-
-
 @pytest.mark.shared
 def test_real_husky_indoors_and_on_ice(shared_data) -> None:
     vehicle = Vehicle.preset("husky_a200")
-    floor = identify(_husky(shared_data / "borealtc" / "FLOORING", 0, True), vehicle)
-    ice = identify(_husky(shared_data / "borealtc" / "ICE", 0, True), vehicle)
+    floor = identify(read_husky(shared_data / "borealtc" / "FLOORING" / "pro_00.csv"), vehicle)
+    ice = identify(read_husky(shared_data / "borealtc" / "ICE" / "pro_00.csv"), vehicle)
     assert floor.model.coefficient("slip_friction") > 3 * ice.model.coefficient("slip_friction")
     for found in (floor, ice):
         assert found.std_error["traction_resistance"] < 5.0
@@ -560,15 +537,20 @@ def test_real_husky_indoors_and_on_ice(shared_data) -> None:
         assert 0.555 / 0.7 - 0.05 < found.icr.slip_track < 0.555 / 0.55 + 0.05
 
 
+def _without_yaw(log: DriveLog) -> DriveLog:
+    return DriveLog({k: v for k, v in log.channels.items() if k != "yaw_rate"}, log.name)
+
+
 @pytest.mark.shared
 def test_real_husky_logs_that_tell_less(shared_data) -> None:
     vehicle, ice = Vehicle.preset("husky_a200"), shared_data / "borealtc" / "ICE"
-    blind = identify(_husky(ice, 1, False), vehicle)
+    blind = identify(_without_yaw(read_husky(ice / "pro_01.csv")), vehicle)
     assert blind.icr == vehicle.icr
     assert any("no yaw" in text for text in blind.warnings)
     with pytest.raises(NotIdentifiableError, match="slip_friction"):
-        identify(_husky(ice, 5, True), vehicle)  # one straight line
-    together = identify([_husky(ice, 0, True), _husky(ice, 1, False)], vehicle)
+        identify(read_husky(ice / "pro_05.csv"), vehicle)  # one straight line
+    both = [read_husky(ice / "pro_00.csv"), _without_yaw(read_husky(ice / "pro_01.csv"))]
+    together = identify(both, vehicle)
     assert together.icr_std_error is not None
 
 
@@ -591,7 +573,7 @@ def test_samples_that_were_left_out_are_counted():
 def test_a_model_that_lacks_something_is_told() -> None:
     """Losses, which friction takes over, and a warm-up, which nothing does."""
     truth = PowerModel.preset("quadriga:full:concrete")
-    lossy = truth.with_term(DRIVE_LOSS, 0.25).with_term(REGENERATION_LOSS, 0.5)
+    lossy = truth.with_term(effects.DRIVE_LOSS, 0.25).with_term(effects.REGENERATION_LOSS, 0.5)
     found, warming, plain = (
         identify(simulate.identification_drive(model, power_noise=5.0, seed=1), truth.vehicle)
         for model in (lossy, truth.with_term(effects.term("warm_up"), 60.0), truth)
@@ -607,7 +589,7 @@ def test_a_model_that_lacks_something_is_told() -> None:
 
 
 def test_inertia_that_every_drive_has_is_no_alarm() -> None:
-    truth = PowerModel.preset("quadriga:full:concrete").with_term(LINEAR_INERTIA, 147.0)
+    truth = PowerModel.preset("quadriga:full:concrete").with_term(effects.LINEAR_INERTIA, 147.0)
     log = simulate.identification_drive(truth, power_noise=5.0, seed=1)
     found = identify(log, truth.vehicle)
     assert found.residual.rmse > 1.2 * found.adequacy.residual

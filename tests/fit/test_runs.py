@@ -1,4 +1,4 @@
-"""Runs that differ as a whole, and robots at rest: what a fit says of them."""
+"""Runs that differ as a whole, what unseen driving is missed by, and robots at rest."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from energyplan import DriveLog, PowerModel, fit, simulate
+from energyplan.fit import fit_residual, identify
 from energyplan.fit.doubts import pieces_of, unfounded
 from energyplan.fit.drive import Drive
 from energyplan.fit.estimate import Problem, joint_fit
 from energyplan.fit.identification import _draw_at_rest
 from energyplan.motion import Motion
-from energyplan.power import SLIP, TRACTION, PowerModel
-from energyplan.power.effects import COPPER_LOSS
+from energyplan.power import SLIP, TRACTION, effects
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 TERMS = (SLIP, TRACTION)
@@ -66,18 +67,6 @@ def test_stretches_without_a_gap_are_rows_of_all_drives_one_below_the_other() ->
     assert told == [(0, 150), (150, 400), (400, 800), (800, 830), (830, 1200)]
 
 
-@pytest.mark.parametrize("errors", [None, np.array([3.0, 2.0, 1.0])])
-def test_a_fit_with_losses_starts_from_that_without(errors: np.ndarray | None) -> None:
-    rng = np.random.default_rng(1)
-    left, right = np.repeat(rng.uniform(0.2, 0.8, size=(2, 20)), 20, axis=1)
-    motion = Motion(left, right, MODEL.vehicle.icr)
-    exact = Drive("exact", 0.1 * np.arange(400), motion, MODEL.power(motion))
-    problem = Problem([exact], MODEL.vehicle)
-    start = problem._start((*TERMS, COPPER_LOSS), errors)
-    assert start == pytest.approx({t.name: MODEL.coefficient(t.name) for t in TERMS}, rel=1e-7)
-    assert problem._start(TERMS, errors) == {}
-
-
 @pytest.mark.parametrize(
     ("confidence", "spread", "founded"), [(0.9, 0.0, False), (0.9, 0.05, True), (0.5, 0.0, True)]
 )
@@ -89,3 +78,57 @@ def test_a_model_without_errors_needs_a_stated_spread_for_bounds(
     assert (unfounded(bare, confidence, spread) == "") == founded
     known = replace(bare, covariance=np.diag([1e-4, 1.0]))
     assert unfounded(known, confidence, spread) == ""
+
+
+NOISE = {"power_noise": 5.0, "speed_noise": 0.003}
+
+
+def spiral(seed: int, model: PowerModel = MODEL) -> DriveLog:
+    return simulate.drive(model, "spiral", duration=40.0, seed=seed, **NOISE)
+
+
+def test_what_is_missed_is_what_fits_without_it_miss() -> None:
+    """Drives of one robot that grows heavier by a tenth each time, fitted again without each."""
+    logs = []
+    for k in range(4):
+        log = spiral(k)
+        power = {name: (1.0 + 0.1 * k) * log.channel(name) for name in ("p_left", "p_right")}
+        logs.append(DriveLog({**log.channels, **power}, f"drive {k}"))
+    found = identify(logs, MODEL.vehicle, icr="vehicle", method="huber")
+    assert found.foretold is not None
+    refits = [
+        identify([one for one in logs if one is not log], MODEL.vehicle, icr="vehicle",
+                 method="huber").model
+        for log in logs
+    ]  # fmt: skip
+    errors = [
+        abs(fit_residual(model, log).energy_error)
+        for model, log in zip(refits, logs, strict=True)
+    ]  # fmt: skip
+    assert (found.foretold.left_out, found.foretold.count) == ("drive", 4)
+    assert found.foretold.duration == pytest.approx(40.0, abs=1.0)
+    assert found.foretold.error == pytest.approx(np.mean(errors), rel=0.15)
+    assert found.foretold.largest == pytest.approx(max(errors), rel=0.15)
+    assert found.foretold.largest > 0.1  # the spread that was put in, and more than is left
+
+
+def test_a_model_that_lacks_nothing_foretells_and_one_that_lacks_something_says_how_much() -> None:
+    cold = MODEL.with_term(effects.term("warm_up"), 150.0)
+    warm, warming = (
+        identify(simulate.identification_drive(model, seed=1, **NOISE), MODEL.vehicle)
+        for model in (MODEL, cold)
+    )
+    assert warm.foretold is not None
+    assert warming.foretold is not None
+    assert (warm.foretold.left_out, warm.foretold.count) == ("stretch", 5)
+    assert warm.foretold.error < 0.01 < 0.03 < warming.foretold.error
+    size = f"energies by some {100 * warming.foretold.error:.2g} %"
+    assert any(size in text for text in warming.warnings), warming.warnings
+
+
+def test_drives_that_are_one_motion_only_are_foretold_too() -> None:
+    """Without turning there is no column of slip to fit; with one sample a stretch, no error."""
+    log = simulate.drive(MODEL, (("straight", 30.0),), seed=1, **NOISE)
+    found = fit.identify(log, MODEL.vehicle, terms=[effects.term("traction_resistance")])
+    assert found.foretold is not None
+    assert found.foretold.error < 0.02

@@ -95,6 +95,7 @@ def test_who_only_drove_straight_foretells_turns_with_the_error_of_the_unknown()
     low, high = one.energy_interval
     assert low < one.measured < high
     assert high - low > 0.5 * one.measured
+    assert told.advice[0].startswith("slip_friction (mu) cannot be identified")
     assert any(line.startswith("these drives leave slip_friction open") for line in told.advice)
     assert not any("traction_resistance open" in line for line in told.advice)
 

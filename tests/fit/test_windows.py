@@ -3,44 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from energyplan.errors import DriveLogError, InvalidInputError
-from energyplan.fit import drive as drive_module
+from energyplan.fit import drive as drives
 from energyplan.fit.contacts import preload
-from energyplan.fit.drive import (
-    BLOCK,
-    DELAYS,
-    SCALES,
-    Clock,
-    Drive,
-    Late,
-    Windows,
-    channels_of,
-    check_long_enough,
-    column,
-    columns_of,
-    least_late,
-    prepared,
-    split_drives,
-)
+from energyplan.fit.drive import Clock, Drive, prepared
+from energyplan.fit.estimate import Problem
 from energyplan.fit.regressors import DesignMatrix, linearise_drive
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
-from energyplan.power import (
-    DRIVE_LOSS,
-    HOTEL,
-    REGENERATION_LOSS,
-    SLIP,
-    TRACTION,
-    PowerModel,
-    Sides,
-    Term,
-)
-from energyplan.power.effects import COPPER_LOSS, GRADE, VISCOUS_LOSS
+from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, Sides, Term, effects
 
 MODEL = PowerModel.preset("quadriga:full:concrete")
 ICR = MODEL.vehicle.icr
@@ -57,19 +34,6 @@ def drive(n: int = 400, period: float = 0.05, seed: int = 1, gap: bool = False, 
     return Drive("drive", t, motion, power, between=between, **more)
 
 
-@pytest.mark.parametrize("term", [SLIP, TRACTION, HOTEL, GRADE, VISCOUS_LOSS])
-def test_columns_are_the_power_of_a_model_of_one_term(term) -> None:
-    one = PowerModel(MODEL.vehicle, (term,), [1.0])
-    both = drive()
-    total = one.power(both.motion)
-    sides = one.sides(both.motion)
-    expected = np.column_stack([total, sides.right - sides.left])
-    assert_allclose(column(term, both, MODEL.vehicle), total, atol=1e-12)
-    assert_allclose(columns_of(term, both, MODEL.vehicle), expected, atol=1e-12)
-    alone = replace(both, between=None, fields={})
-    assert_allclose(columns_of(term, alone, MODEL.vehicle), total[:, None], atol=1e-12)
-
-
 def test_weights_integrate_every_run_by_itself() -> None:
     one = drive(gap=True)
     values = np.sin(one.t)
@@ -80,7 +44,7 @@ def test_weights_integrate_every_run_by_itself() -> None:
 
 @pytest.mark.parametrize("delay", [0.37, -0.22])
 def test_a_late_log_shows_what_was_before_within_each_run(delay: float) -> None:
-    one = drive(gap=True, late=Late(delay))
+    one = drive(gap=True, late=drives.Late(delay))
     table = np.column_stack([one.power, 2.0 * one.power])
     shown = one.seen(table)
     for run in (slice(0, 200), slice(200, 400)):
@@ -104,23 +68,23 @@ def test_a_lag_is_that_of_the_differential_equation() -> None:
     assert_allclose(both, np.column_stack([y, -y])[::fine], atol=1e-6)
     alone = Clock(np.append(t, t[-1] + 60.0)).lagged(np.append(values, 7.0), lag)
     assert_allclose(alone, np.append(y[::fine], 7.0), atol=1e-6)
-    one = drive(gap=True, late=Late(0.0, lag))
+    one = drive(gap=True, late=drives.Late(0.0, lag))
     shown = one.seen(one.power)
     assert_allclose(shown[200:], Clock(one.t[200:]).lagged(one.power[200:], lag))
 
 
 @pytest.mark.parametrize("truth", [-0.73, 0.0, 0.41, 1.4])
 def test_the_least_delay_is_found_to_a_fraction_of_a_step(truth: float) -> None:
-    found = least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
+    found = drives.least_late(lambda late: (late.mean - truth) ** 2 + late.lag, 0.0, 0.05)
     assert found.lag == 0.0
-    assert found.delay == pytest.approx(min(truth, DELAYS[-1]), abs=0.01)
+    assert found.delay == pytest.approx(min(truth, drives.DELAYS[-1]), abs=0.01)
 
 
 def test_windows_are_means_over_their_time() -> None:
     t = 0.1 * np.arange(245)
     values = np.random.default_rng(3).normal(size=(245, 2))
-    for length in SCALES:
-        cut = Windows.of(t, length)
+    for length in drives.SCALES:
+        cut = drives.Windows.of(t, length)
         edges = [*cut.starts, len(t)]
         count = round(t[-1] / length)  # the last one, if short, joins its neighbour
         assert len(cut.starts) == count
@@ -131,7 +95,9 @@ def test_windows_are_means_over_their_time() -> None:
             mine = values[edges[k] : edges[k + 1]]
             assert_allclose(cut.mean(values)[k], mine.mean(axis=0))
             assert cut.counts[k] == len(mine)
-            assert cut.blocks[k] == min(int(t[edges[k]] / BLOCK + 1e-9), round(t[-1] / BLOCK) - 1)
+            assert cut.blocks[k] == min(
+                int(t[edges[k]] / drives.BLOCK + 1e-9), round(t[-1] / drives.BLOCK) - 1
+            )
 
 
 def test_way_and_time_of_a_prepared_log() -> None:
@@ -143,7 +109,7 @@ def test_way_and_time_of_a_prepared_log() -> None:
     assert one.motion.channels["distance"][-1] == pytest.approx(0.5 * 19.9, abs=0.06)
     assert_allclose(one.between, 4.0 - 2.0 * t)
     assert_allclose(one.power, 10.0)
-    assert channels_of([one, one.with_channels(x=t)]) == set(one.motion.channels)
+    assert drives.channels_of([one, one.with_channels(x=t)]) == set(one.motion.channels)
     few = one.thinned(3)
     assert_allclose(few.t, one.t[::3])
     assert_allclose(few.between, (4.0 - 2.0 * t)[::3])
@@ -155,32 +121,32 @@ def test_short_logs_are_refused_and_long_ones_thinned(monkeypatch: pytest.Monkey
         t = np.linspace(0.0, seconds, round(50 * seconds) + 1)
         return DriveLog({"t": t, "v_left": 0 * t + 0.4, "v_right": 0 * t + 0.4, "power": t}, "log")
 
-    check_long_enough([log(16.0)])
-    check_long_enough([log(4.0), log(7.9), log(4.1)])
+    drives.check_long_enough([log(16.0)])
+    drives.check_long_enough([log(4.0), log(7.9), log(4.1)])
     with pytest.raises(DriveLogError, match=r"log, log: 15\.9 s are too short.* give 16 s or more"):
-        check_long_enough([log(8.0), log(7.9)])
+        drives.check_long_enough([log(8.0), log(7.9)])
     with pytest.raises(DriveLogError, match=r"log: 3\.9 s are too short.* give 4 s or more"):
-        check_long_enough([log(30.0), log(3.9)])
+        drives.check_long_enough([log(30.0), log(3.9)])
     with pytest.raises(DriveLogError, match="too short to learn from, or to judge by"):
-        split_drives([log(30.0)])
+        drives.split_drives([log(30.0)])
     with pytest.raises(InvalidInputError, match="no logs"):
-        split_drives([])
-    learned, judged = split_drives([log(40.0), log(30.0), log(20.0)])
+        drives.split_drives([])
+    learned, judged = drives.split_drives([log(40.0), log(30.0), log(20.0)])
     assert [round(one.duration) for one in learned] == [24, 30]
     assert [round(one.duration) for one in judged] == [16, 20]
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [1001, 1001]
-    monkeypatch.setattr(drive_module, "_MANY", 1001)
+    monkeypatch.setattr(drives, "_MANY", 1001)
     assert [len(d.t) for d in prepared([log(20.0)] * 2, MODEL.vehicle)] == [501, 501]
-    monkeypatch.setattr(drive_module, "_MANY", 1)  # four samples are kept in half a second
+    monkeypatch.setattr(drives, "_MANY", 1)  # four samples are kept in half a second
     # every sixth of 50 Hz, since seven would be longer than an eighth of a second
     assert [len(d.t) for d in prepared([log(20.0)], MODEL.vehicle)] == [167]
 
 
-def designed(lengths: list[int]) -> tuple[list[Drive], DesignMatrix]:
-    drives = [drive(n, 0.1, seed) for seed, n in enumerate(lengths)]
+def designed(lengths: list[int]) -> DesignMatrix:
+    made = [drive(n, 0.1, seed) for seed, n in enumerate(lengths)]
     columns = [np.random.default_rng(9).normal(size=(n, 2, 3)) for n in lengths]
     targets = [np.random.default_rng(8).normal(size=(n, 2)) for n in lengths]
-    return drives, DesignMatrix.of(drives, columns, targets)
+    return DesignMatrix.of(made, columns, targets)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +159,7 @@ def designed(lengths: list[int]) -> tuple[list[Drive], DesignMatrix]:
     ],
 )
 def test_folds_are_whole_drives_where_these_compare(lengths: list[int], comparable: bool) -> None:
-    _, design = designed(lengths)
+    design = designed(lengths)
     assert design.comparable is comparable
     blocks = sum(lengths) // 80
     folds = design.with_folds(100)
@@ -205,7 +171,10 @@ def test_folds_are_whole_drives_where_these_compare(lengths: list[int], comparab
         assert folds.drives.tolist() == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("loss", [(COPPER_LOSS, 2e-4), (DRIVE_LOSS, 0.2), (REGENERATION_LOSS, 0.5)])
+@pytest.mark.parametrize(
+    "loss",
+    [(effects.COPPER_LOSS, 2e-4), (effects.DRIVE_LOSS, 0.2), (effects.REGENERATION_LOSS, 0.5)],
+)
 @pytest.mark.parametrize("battery", [False, True])
 def test_derivatives_are_differences_of_the_power(battery: bool, loss: tuple[Term, float]) -> None:
     """Of a total, in turns and on straights; the vehicle's own losses count at the battery."""
@@ -240,7 +209,7 @@ def test_what_contacts_hold_is_told_by_the_difference_of_the_sides(
     left, right = pull - push, pull + push
     between = (right - left) * v + copper * (right**2 - left**2)
     one = Drive("one", 0.05 * np.arange(n), Motion(v, v, ICR), 0 * v, between=between)
-    losses = [(COPPER_LOSS, copper)] if copper else []
+    losses = [(effects.COPPER_LOSS, copper)] if copper else []
     found = preload(one, between, MODEL.vehicle, losses, Sides(pull, pull), limit)
     assert_allclose(found.moment, moment, rtol=1e-3)
     assert_allclose(found.forces.right, push, rtol=1e-3)
@@ -253,3 +222,42 @@ def test_what_contacts_hold_is_told_by_the_difference_of_the_sides(
     most = preload(one, between, MODEL.vehicle, losses, Sides(pull, pull), 30.0)
     assert_allclose(most.moment, 30.0, rtol=1e-3)
     assert_allclose(most.followed(np.ones((n, 1)), np.zeros(1)), 0.0)
+
+
+def wandering(n: int, period: float = 0.01, gap: float = 0.0) -> Drive:
+    """A drive at random speeds, with a gap of the clock after a third of its samples."""
+    left, right, power, between = np.random.default_rng(n).normal(size=(4, n))
+    t = period * np.arange(n)
+    t[n // 3 :] += gap
+    yaw = np.angle(np.exp(1j * (3.0 + 0.8 * t)))  # a full turn every eight seconds, wrapped
+    motion = Motion(left, right, MODEL.vehicle.icr, {"yaw": yaw, "distance": t**2})
+    return Drive("drive", t, motion, power, between=between)
+
+
+def test_means_are_those_of_samples_between_gaps() -> None:
+    whole = wandering(250, gap=5.0)
+    few = whole.averaged(0.1)
+    # ten samples each, but the last ones before the gap and at the end: 83 and 167 samples
+    edges = [*range(0, 83, 10), *range(83, 250, 10), 250]
+    assert len(few.t) == 9 + 17
+    for part, (a, b) in enumerate(pairwise(edges)):
+        assert few.t[part] == pytest.approx(whole.t[a:b].mean())
+        assert few.power[part] == pytest.approx(whole.power[a:b].mean())
+        assert few.motion.v_right[part] == pytest.approx(whole.motion.v_right[a:b].mean())
+    assert few.between is not None
+    assert_allclose(np.exp(1j * few.motion.channels["yaw"]), np.exp(1j * (3.0 + 0.8 * few.t)))
+    for _ in range(2):
+        whole = whole.averaged(0.019)
+    assert whole.averaged(0.01) is whole  # it has no more samples than that
+
+
+def test_an_excerpt_is_of_so_many_drives_and_samples() -> None:
+    whole = Problem([wandering(1500, period=0.1) for _ in range(30)], MODEL.vehicle)
+    assert whole.excerpt(45_000, 30) is whole
+    assert len(whole.excerpt(45_000, 10).drives) == 10
+    few = whole.excerpt(20_000, 30)
+    assert len(few.drives) == 30
+    assert sum(len(one.t) for one in few.drives) == pytest.approx(20_000, rel=0.2)
+    # drives that follow the same pattern show all of it together
+    shown = np.unique(np.concatenate([one.t for one in few.drives]))
+    assert_allclose(shown, whole.drives[0].t)

@@ -1,7 +1,8 @@
-"""Malformed files of every kind: each is refused with its name, its place and the remedy.
+r"""Malformed files of every kind: each is refused with its name, its place and the remedy.
 
 A line of a table is a change of a file that is right, and what the message says: ``+TEXT`` at the
-end, ``OLD => NEW``, ``=TEXT`` for the whole, or ``@`` with what `drawn` makes GeoJSON of.
+end, ``OLD => NEW``, ``=TEXT`` for the whole, or ``@`` with what `drawn` makes GeoJSON of. Escapes
+are those of Python, ``\xff`` is that byte, and ``{9s}`` are four hundred nines.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ import pytest
 import shapely
 from PIL import Image
 
-from energyplan.errors import InvalidInputError
+from energyplan import errors
+from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights
+from energyplan.io.logs import read_log
 from energyplan.io.maps import read_map
+from energyplan.io.mission import read_mission
 from energyplan.io.sites import read_site
 from energyplan.io.tables import read_drive, read_path, read_trajectory
 from energyplan.logs import DriveLog
@@ -57,28 +61,66 @@ free_thresh: 0.25
 """
 ASC = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 5 6\n"
 SITE = "map: m.yaml\nkeepout: m.yaml\nclearance: 20 cm\n"
+HEAD = "t,v_left,v_right,power\n"
+MISSION = """\
+name: round
+model: quadriga:empty:concrete
+map: warehouse.yaml
+surfaces: warehouse_surfaces.geojson
+battery: {preset: quadriga, health: 80 %, temperature: 10}
+soc: 90 %
+coefficient_spread: 0.05
+start: dock
+places:
+  dock: [1.5, 1.5, 90deg]
+  gate: "11.0,10.4,0"
+tasks:
+  - name: look
+    pose: gate
+    dwell: 5 min
+    power: 0.1 kW
+    prize: 3
+  - name: drop
+    pose: [2.5, 8.0, 1.5]
+    required: false
+    window: [1 min, 1 h]
+chargers:
+  - {name: station, pose: dock, power: 200 W, until: 90 %}
+order: free
+return_to: charger
+reserve: 20 %
+"""
 
 
 class Kind(NamedTuple):
     read: Callable[[Path], object]
     name: str
     right: str = ""
+    error: type[errors.InvalidInputError] = errors.InvalidInputError
 
 
 KINDS = {
-    "vehicle": Kind(read_vehicle, "it.yaml", DIMENSIONS),
-    "wheels": Kind(read_vehicle, "it.yaml", WHEELS),
-    "model": Kind(read_model, "it.yaml", MODEL),
-    "map": Kind(read_map, "m.yaml", HEADER),
-    "movingai": Kind(read_map, "a.map"),
-    "obstacles": Kind(read_map, "o.geojson"),
+    "vehicle": Kind(read_vehicle, "it.yaml", DIMENSIONS, errors.ConfigError),
+    "wheels": Kind(read_vehicle, "it.yaml", WHEELS, errors.ConfigError),
+    "model": Kind(read_model, "it.yaml", MODEL, errors.ConfigError),
+    "topics": Kind(TopicMap.read, "topics.yaml", error=errors.ConfigError),
+    "mission": Kind(read_mission, "round.yaml", MISSION, errors.MissionError),
+    "mission of a service": Kind(
+        partial(read_mission, inside=True), "round.yaml", MISSION, errors.MissionError
+    ),
+    "map": Kind(read_map, "m.yaml", HEADER, errors.MapError),
+    "movingai": Kind(read_map, "a.map", error=errors.MapError),
+    "obstacles": Kind(read_map, "o.geojson", error=errors.MapError),
     "surfaces": Kind(read_surfaces, "s.geojson"),
-    "site": Kind(partial(read_site, inside=True), "yard.yaml", SITE),
-    "heights": Kind(read_heights, "h.asc", ASC),
+    "site": Kind(partial(read_site, inside=True), "yard.yaml", SITE, errors.MapError),
+    "heights": Kind(read_heights, "h.asc", ASC, errors.MapError),
     "path": Kind(read_path, "it.csv"),
     "drive": Kind(read_drive, "it.csv"),
     "trajectory": Kind(read_trajectory, "it.csv"),
-    "log": Kind(DriveLog.read, "it.csv"),
+    "log": Kind(DriveLog.read, "it.csv", HEAD, errors.DriveLogError),
+    "packed log": Kind(DriveLog.read, "it.csv.gz", error=errors.DriveLogError),
+    "parquet": Kind(DriveLog.read, "it.parquet", error=errors.DriveLogError),
+    "text": Kind(DriveLog.read, "it.txt", error=errors.DriveLogError),
 }
 TABLES = {
     "surfaces": r"""
@@ -108,6 +150,13 @@ TABLES = {
 +motor:\n  speed: fast\n | line 8, motor.speed: .* not 'fast'
 +motor:\n  speed: -1\n | line 8, motor.speed: give 0.001 to 50 m/s, not '-1'
 +mass: 3\n | line 7: 'mass' stands twice
+120.0 => true | line 2, mass
+120.0 => no | line 2, mass
+120.0 => 1:30 | line 2, mass
+120.0 => 1:30:00 | line 2, mass
+120.0 => 2026-01-01 | line 2, mass
+120.0 => [true] | line 2, mass
+120.0 => {9s} | line 2, mass:
 mass: 120.0\n => | mass: the key is missing
 120.0 => .nan | line 2, mass: give .*, not 'nan'
 120.0 => -3 | line 2, mass: give .*, not '-3'
@@ -237,9 +286,109 @@ cellsize 2 => cellsize 0.00028 | degrees of longitude and latitude
 =t,x,y,yaw,v,omega\n0,0,0,0,1,inf\n1,1,0,0,1,0\n | line 2: omega is empty
 =t,x,y,yaw,v,omega\n0,0,0,0,0,1\n1,0,0,57,0,1\n | line 3: yaw changes by
 =t,x,y,yaw,v,omega\n0,0,0,0,1,0\n1,9,0,0,1,0\n | line 3: x, y changes by
+=t,x,y,yaw,v,omega\n0,0,0,0,1,0\n6,{9s},0,0,1,0\n7,7,0\n | not finite
+""",
+    "topics": r"""
+=channels: {v_left: {topic: a, field: 'b['}}\n | channels.v_left: write a field
+=channels: {v_left: {topic: a}}\n | v_left.field: this key is missing
+=channels: {v_left: {topic: a, field: b, gain: 2}}\n | no such key
+=name: x\n | channels: this key is missing
+""",
+    "mission": r"""
+pose: gate => pose: [0.05, 8.0, 0] | line 14.*touches an obstacle
+pose: gate => pose: [99, 8.0, 0] | line 14.*outside the map
+pose: gate => pose: garage | line 14.*there is no place 'garage'; the places are dock, gate
+pose: gate => pose: [1, 2] | line 14.*the pose is \[1, 2\]; give x, y
+pose: gate => pose: [.nan, 2, 0] | line 14.*finite
+name: drop => name: look | line 18.*stands twice
+dwell: 5 min => dwell: 5 hours | line 15.*unit of a time
+dwell: 5 min => dwell: -3 | line 15.*dwell: give 0 to 1e\+08 s, not '-3'
+power: 0.1 kW => power: .nan | line 16.*power
+power: 0.1 kW => watts: 3 | line 16.*no such key
+model: quadriga:empty:concrete => model: quadriga:empty:ice | line 2.*unknown model preset
+map: warehouse.yaml => map: castle.yaml | line 3.*castle.yaml
+surfaces: warehouse_surfaces.geojson => surfaces: m.yaml | line 4, surfaces: .*JSON
+temperature: 10 => capacity: -5 Ah | line 5, battery.capacity: give 0.001 to 3.6e\+08 C, not '-5 Ah'
+temperature: 10 => capacity: 200 | line 5.*200 has no unit, and would be C; write 200 Ah
+temperature: 10 => capacity: '200' | line 5.*200 has no unit
+temperature: 10 => capacity: 1e12 Ah | line 5.*battery.capacity: give 0.001 to 3.6e\+08 C
+temperature: 10 => usable: [1] | line 5.*battery: usable is no fraction
+temperature: 10 => notes: 5 | line 5.*battery.notes
+temperature: 10 => helth: 80 % | line 5.*battery.helth: there is no such key
+temperature: 10 => temperature: cold | line 5.*battery.temperature: give a number
+temperature: 10 => temperature: 300 | line 5.*give -40 to 70 degC \(not kelvin\)
+temperature: 10 => temperature: -100 | line 5.*give -40 to 70 degC, not '-100'
+temperature: 10 => soc_points: [0, {9s}] | line 5.*give a list of finite numbers
+preset: quadriga => chemistry: agm, series: 2 | line 5.*the pack lacks parallel, unit_cap
+preset: quadriga => preset: nuclear | line 5.*unknown battery 'nuclear'
+soc: 90 % => soc: 190 % | line 6.*soc: give 0 to 1 \(write a percentage with its sign
+soc: 90 % => waiting: {mean: 0, std: 3 s} | line 6.*has no spread
+soc: 90 % => spreads: {soc: -1 %} | line 6.*spreads.soc: give 0 to 1
+soc: 90 % => spreads: {smell: 1 %} | line 6.*no such key
+soc: 90 % => speed: 1000 | line 6.*speed: give 0.001 to 50 m/s
+soc: 90 % => planning_effort: 1.0e+15 | line 6.*planning_effort: give 1 to 1e\+09 units
+spread: 0.05 => spread: 5 | line 7.*coefficient_spread: give 0 to 1 \(write a percentage
+\nplaces: => \nplaces: 0\nothers: | line 9.*places: Input should be a valid dictionary
+gate: "11.0,10.4,0" => gate: [null, 8.0, 90deg] | line 11.*is not X,Y,YAW
+gate: "11.0,10.4,0" => gate: [[1], 8.0, 90deg] | line 11.*is not X,Y,YAW
+gate: "11.0,10.4,0" => gate: [{9s}, 8.0, 90deg] | line 11.*is not X,Y,YAW
+reserve: 20 % => reserve: '20' | line 26.*reserve: give 0 to 0.99 \(write a percentage with its
+reserve: 20 % => reserve: 5 kWh | line 26.*above the battery's capacity
+reserve: 20 % => reserve: 95 % | line 26.*not below the state of charge
+order: free => order: random | line 24.*'given' or 'free'
+until: 90 % => until: 10 % | line 23.*not above the reserve
+power: 200 W => power: 0 | line 23.*power: give 0.1 to 1e\+06 W, not '0'
+power: 200 W => power: 1e9 W | line 23.*power: give 0.1 to 1e\+06 W, not '1e9 W'
+power: 0.1 kW => power: 1e9 | line 16.*power: give 0 to 1e\+06 W, not '1e9'
+dwell: 5 min => dwell: {mean: 5 min} | line 15.*mean and std, or low and high
+dwell: 5 min => dwell: {mean: 5 min, std: -1} | line 15.*negative spread
+dwell: 5 min => dwell: {low: 5 min, high: 4 min} | line 15.*negative spread
+dwell: 5 min => dwell: {mean: .nan, std: 1} | line 15.*no mean
+dwell: 5 min => dwell: {mean: {9s}, std: 1} | line 15.*give a number
+dwell: 5 min => dwell: [5, 6] | line 15.*give a number
++payload_models:\n  quadriga:empty:mud: {64: quadriga:full:concrete}\n | line 28, payload_models
+""",
+    "mission of a service": r"""
+warehouse.yaml => ../m.yaml | line 3, map: .*leaves the file's folder
+warehouse_surfaces => ../s | line 4, surfaces: .*leaves the file's folder
+quadriga:empty:concrete => ../it.yaml | line 2, model: .*leaves the file's folder
+quadriga:empty:concrete => /etc/it.yaml | line 2, model: .*leaves the file's folder
+quadriga:empty:concrete => a/../../it.yml | line 2, model: .*leaves the file's folder
++vehicle: ../it.yaml\n | line 27, vehicle: .*leaves the file's folder
++heights: ../h.yaml\n | line 27, heights: .*leaves the file's folder
 """,
     "log": r"""
 =x,y,yaw\n0,0,0\n1,0,0\n | energyplan check reads it
+= | is empty
+=\n | is empty
++ | no row follows the names of the columns
++0,1,1,5\n | 1 usable samples
+=0,1,1,5\n1,1,1,5\n | line 1 holds numbers
+=t;v_left;v_right;power\n0;1;1;5\n | 1 usable samples
+=t,v_left,v_left,power\n0,1,1,5\n | 'v_left' twice
+=t,v_left,power\n0,1,5\n1,1,5\n | 'v_right' is missing
+=t,v_left,v_right\n0,1,5\n1,1,5\n | power is missing
++0,1,1,5\n1,1,oops,5\n | line 3: 'v_right' is 'oops'
++0,1,1,5\n1,1,1,5\n\n0.5,1,1,5\n | line 5: t does not increase
++0,1,1,5\n1,1,1,5\n1,1,1,6\n | line 4: t does not increase
++0,1,1,5,9\n1,1,1,5,9\n | more cells
++0,1,1,5\n1,1,1,5,9\n | in line 3
++0,1,1,"5\n | no table
+=\xff\xfe\x00 | save it as UTF-8
++0,1,\xff,5\n | line 2: 'v_right' is
+=t,v_left\n\x81,1\n | byte 9 is no UTF-8
+=t\x00,v_left\n | NUL
++0,30,1,5\n1,30,1,5\n2,30,1,5\n | line 2, line 3, line 4: v_left is 30 m/s
++0,1,1,5\n60,1,1,5\n120,1,1,5\n | time step of t is 60 s
+""",
+    "packed log": r"""
+=PAR1 this is nothing of the kind | it.csv.gz
+""",
+    "parquet": r"""
+=PAR1 this is nothing of the kind | it.parquet
+""",
+    "text": r"""
+=PAR1 this is nothing of the kind | it.txt
 """,
 }
 
@@ -257,7 +406,7 @@ def drawn(text: str) -> str:
 
 def changed(kind: str, line: str) -> tuple[str, str, str]:
     change, words = line.split(" | ", 1)
-    text = change.encode().decode("unicode_escape")
+    text = change.encode().decode("unicode_escape").replace("{9s}", "9" * 400)
     old, _, new = text.partition(" =>")
     if text[0] == "@":
         return kind, drawn(text[1:]), words
@@ -267,15 +416,25 @@ def changed(kind: str, line: str) -> tuple[str, str, str]:
     return kind, KINDS[kind].right * (text[0] == "+") + text[1:], words
 
 
+REPEATS = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
+)
+MERGES = "b0: &b0 {x: 1, y: 2}\n" + "".join(
+    f"b{k}: &b{k} {{<<: [{','.join([f'*b{k - 1}'] * 9)}]}}\n" for k in range(1, 10)
+)
+"""Half a kilobyte of YAML that stands for 9^9 values and more."""
 CASES = [
     *(changed(kind, line) for kind, table in TABLES.items() for line in table.split("\n")[1:-1]),
     ("surfaces", "[" * 100_000, "JSON"),
+    ("mission", MISSION.partition("tasks:")[0] + "tasks: []\n", "line 12, tasks"),
     (
         "surfaces",
         drawn("POLYGON ((0 0, 1 0, 1 1, 0 0)); model=x").replace("1.0", "1e999"),
         "feat.* 0",
     ),
-    ("vehicle", DIMENSIONS.replace("120.0", "9" * 400), "line 2, mass: "),
+    ("vehicle", REPEATS, "too many values"),
+    ("map", MERGES + HEADER, r"m\.yaml, line \d+: too many values"),
+    ("vehicle", "name: " + "x" * (1 << 20), "larger than 1024 KiB"),
     ("vehicle", "a: " + "[" * 5000, "nested too deeply|too deep|no valid YAML"),
 ]
 
@@ -284,11 +443,29 @@ CASES = [
 def test_a_malformed_file_is_refused_with_its_place(
     tmp_path: Path, kind: str, text: str, words: str
 ) -> None:
-    read, name, _ = KINDS[kind]
+    read, name, _, error = KINDS[kind]
     Image.fromarray(np.zeros((2, 2), np.uint8)).save(tmp_path / "m.png")
     (tmp_path / "m.yaml").write_text(HEADER)
-    (tmp_path / name).write_text(text)
-    with pytest.raises(InvalidInputError, match=words) as caught:
+    (tmp_path / name).write_bytes(text.encode("latin-1"))
+    with pytest.raises(error, match=words) as caught:
         read(tmp_path / name)
-    assert name in str(caught.value) or words == "folder"
+    assert name in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("read", [read_mission, read_vehicle, read_model, read_log])
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("absent.yaml", "absent.yaml|unknown type"),
+        ("x" * 5000, "x"),
+        ("é" * 200 + ".yaml", "é"),
+        ("a\0b.yaml", "b.yaml"),
+        ("x" * 300 + ".bag", "x"),
+    ],
+)
+def test_what_is_no_file_is_refused_by_its_name(
+    read: Callable[[str], object], name: str, words: str
+) -> None:
+    with pytest.raises(errors.InvalidInputError, match=words):
+        read(name)

@@ -15,7 +15,7 @@ import yaml
 import energyplan as ep
 from energyplan import ros
 from energyplan.errors import EnergyPlanError, NoPathError
-from energyplan.io.config import read_model, write_model
+from energyplan.io.config import read_model
 from energyplan.io.maps import write_map
 from energyplan.io.mission import read_battery, read_mission
 from energyplan.io.sites import SiteFile, load_site, models_of, problem_from, with_presets
@@ -29,6 +29,7 @@ from energyplan.serve import create_app
 
 MARBLE = "quadriga:full:marble"
 PLAN: dict[str, Any] = {"map": "room.yaml", "model": MARBLE, "start": [1, 1, 0], "goal": [4, 1, 0]}
+SPENT = {"effort": 300, "time_limit": 60}
 RANGE = {"map": "room.yaml", "model": MARBLE, "start": [1, 1, 0]}
 MISSION: dict[str, Any] = {
     "model": MARBLE, "map": "room.yaml", "battery": "24 V 20 Ah lead-acid", "start": [1, 1, 0],
@@ -71,7 +72,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("costly", {"costmap": "mask.yaml"}),
     ):
         (place / f"{name}.yaml").write_text(yaml.safe_dump({"map": "room.yaml", **parts}))
-    write_model(ep.PowerModel.preset(MARBLE).with_coefficients([0.5, 90.0]), place / "wrong.yaml")
     (place / "wrong.yaml").write_text("terms: [{name: slip_friction, value: much}]\n")
     return place
 
@@ -129,98 +129,87 @@ def options(asked: dict[str, Any]) -> list[str]:
     return words
 
 
-def asked_of(asked: dict[str, Any], battery: bool = False) -> Any:
-    """Return the problem of a request in Python."""
+def problem_of(asked: dict[str, Any], **more: Any) -> tuple[Any, tuple[str, ...]]:
+    """Return the problem of a request in Python, and what is said beside it."""
     names = {k: v for k, v in asked.items() if k in SiteFile.model_fields}
     site = load_site(SiteFile(**names), lambda key, name, read: read(Path(name)))
     ends = tuple(ep.path.as_pose(asked[key], key) for key in ("start", "goal") if key in asked)
     return problem_from(
-        site, read_model(asked["model"]), (ends[0], ends[-1]), battery=battery,
+        site, read_model(asked["model"]), (ends[0], ends[-1]), **more,
         **{key: asked[key] for key in ("costmap_weight", "objective") if key in asked},
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({}, ""),
-        ({"map": "slope.yaml"}, WEIGHT),
-        ({"map": "both.yaml"}, OTHER),
-        ({"surfaces": "hill.geojson"}, OTHER),
-        ({"surfaces": "far.geojson"}, "none of the surfaces lies on the map"),
-        ({"keepout": "mask.yaml"}, "no path leads from"),
-        ({"clearance": 0.3}, ""),
-        ({"map": "costly.yaml"}, "the costmap of the site does not count"),
-        ({"map": "broken.yaml"}, "broken.yaml, line 1, heights: "),
-        ({"model": "quadriga:full:lava"}, "lava"),
-        ({"model": "wrong.yaml"}, "wrong.yaml, line 1"),
-        ({"start": [-5, 1, 0]}, "outside the map"),
-        ({"objective": "money"}, "money"),
-    ],
-)
-def test_a_route_is_the_same_by_every_door(
-    change: dict[str, Any], words: str, folder: Path, client: TestClient,
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    monkeypatch.chdir(folder)
-    asked = {**PLAN, **change}
-    spent = {"effort": 300, "time_limit": 60}
+def plan(asked: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    problem, notes = problem_of({k: v for k, v in asked.items() if k not in SPENT})
+    return with_presets(documents.plan(ep.plan(problem, **SPENT)), models_of(problem)), notes
 
-    def python() -> tuple[dict[str, Any], tuple[str, ...]]:
-        problem, notes = asked_of(asked)
-        found = documents.plan(ep.plan(problem, **spent))
-        return with_presets(found, models_of(problem)), notes
 
-    command = by_command(capsys, "plan", *options({**asked, **spent}))
-    http = by_http(client, "plan", {**asked, **spent})
-    if "objective" in change:  # the service has a list of what may stand there
-        assert words in command.refusal and "'energy', 'length' or 'time'" in http.refusal
-        return
-    own = by_python(python)
-    assert http.figures == pytest.approx(command.figures, rel=1e-12)
-    assert http[1:] == command[1:]
-    assert own.refusal == command.refusal
-    if not own.refusal:
-        assert own.figures == pytest.approx(command.figures, rel=1e-12)
-        assert own[1:] == command[1:]
-    assert words in " ".join((*command.notes, command.refusal))
-    if not command.refusal:
-        assert command.presets
+def reach(asked: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    problem, notes = problem_of(asked, battery="battery" in asked)
+    energy = asked.get("energy")
+    if "battery" in asked:
+        battery = read_battery(asked["battery"])
+        energy = energy_of_charge(problem.cost, battery, asked.get("soc", 1.0))
+        notes += battery.notes
+    assert energy is not None
+    usable = (1.0 - asked.get("reserve", 0.0)) * energy
+    found = ep.energy_map(problem, energy=usable)
+    document = documents.energy_map(found, found.areas(usable))
+    return with_presets(document, models_of(problem)), notes
+
+
+def assert_alike(one: Said, other: Said) -> None:
+    assert one.figures == pytest.approx(other.figures, rel=1e-12)
+    assert one[1:] == other[1:]
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("command", "change", "words"),
     [
-        ({"energy": 400.0}, ""),
-        ({"battery": "24 V 20 Ah lead-acid", "soc": 0.21, "reserve": 0.99}, "resistance"),
-        ({"battery": "quadriga", "soc": 0.3, "reserve": 0.99, "map": "slope.yaml"}, WEIGHT),
-        ({"battery": "24 V of hope"}, "24 V of hope"),
+        ("plan", {}, ""),
+        ("plan", {"map": "slope.yaml"}, WEIGHT),
+        ("plan", {"map": "both.yaml"}, OTHER),
+        ("plan", {"surfaces": "hill.geojson"}, OTHER),
+        ("plan", {"surfaces": "far.geojson"}, "none of the surfaces lies on the map"),
+        ("plan", {"keepout": "mask.yaml"}, "no path leads from"),
+        ("plan", {"clearance": 0.3}, ""),
+        ("plan", {"map": "costly.yaml"}, "the costmap of the site does not count"),
+        ("plan", {"map": "broken.yaml"}, "broken.yaml, line 1, heights: "),
+        ("plan", {"model": "quadriga:full:lava"}, "lava"),
+        ("plan", {"model": "wrong.yaml"}, "wrong.yaml, line 1"),
+        ("plan", {"start": [-5, 1, 0]}, "outside the map"),
+        ("range", {"energy": 400.0}, ""),
+        ("range", {"battery": "24 V 20 Ah lead-acid", "soc": 0.21, "reserve": 0.99}, "resistance"),
+        ("range", {"battery": "quadriga", "soc": 0.3, "reserve": 0.99, "map": "slope.yaml"},
+         WEIGHT),
+        ("range", {"battery": "24 V of hope"}, "24 V of hope"),
     ],
-)
-def test_what_is_within_reach_is_the_same_by_every_door(
-    change: dict[str, Any], words: str, folder: Path, client: TestClient,
+)  # fmt: skip
+def test_an_answer_is_the_same_by_every_door(
+    command: str, change: dict[str, Any], words: str, folder: Path, client: TestClient,
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(folder)
-    asked = {**RANGE, **change}
+    asked = {**(PLAN | SPENT if command == "plan" else RANGE), **change}
     pack = {"pack" if key == "battery" else key: value for key, value in asked.items()}
+    told = by_command(capsys, command, *options(asked))
+    assert_alike(by_http(client, command, pack), told)
+    own = by_python(lambda: (plan if command == "plan" else reach)(asked))
+    assert_alike(own._replace(presets=told.presets) if own.refusal else own, told)
+    assert words in " ".join((*told.notes, told.refusal))
+    assert told.refusal or told.presets
 
-    def python() -> tuple[dict[str, Any], tuple[str, ...]]:
-        problem, notes = asked_of(asked, "battery" in asked)
-        energy = asked.get("energy")
-        if "battery" in asked:
-            battery = read_battery(asked["battery"])
-            energy = energy_of_charge(problem.cost, battery, asked.get("soc", 1.0))
-            notes += battery.notes
-        assert energy is not None
-        usable = (1.0 - asked.get("reserve", 0.0)) * energy
-        found = ep.energy_map(problem, energy=usable)
-        document = documents.energy_map(found, found.areas(usable))
-        return with_presets(document, models_of(problem)), notes
 
-    command = by_command(capsys, "range", *options(asked))
-    assert by_http(client, "range", pack) == by_python(python) == command
-    assert words in " ".join((*command.notes, command.refusal))
+def test_an_objective_that_there_is_not_is_refused_by_every_door(
+    folder: Path, client: TestClient,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """The service has a list of what may stand there."""
+    monkeypatch.chdir(folder)
+    asked = {**PLAN, "objective": "money"}
+    assert "money" in by_command(capsys, "plan", *options(asked)).refusal
+    assert "'energy', 'length' or 'time'" in by_http(client, "plan", asked).refusal
 
 
 @pytest.mark.parametrize(
@@ -228,7 +217,7 @@ def test_what_is_within_reach_is_the_same_by_every_door(
     [
         ({}, "typical of its chemistry"),
         ({"map": "slope.yaml"}, WEIGHT),
-        ({"heights": "hill.asc", "surfaces": "hill.geojson"}, OTHER),
+        ({"surfaces": "hill.geojson"}, OTHER),
         ({"keepout": "mask.yaml"}, ""),
         ({"model": "quadriga:full:lava"}, "lava"),
         ({"map": "broken.yaml"}, "broken.yaml, line 1, heights: "),
@@ -264,6 +253,5 @@ def test_a_mission_is_the_same_by_every_door(
         assert {one.refusal for one in doors} == {lines}
         return
     for door in (*doors, changed):
-        assert door.figures == pytest.approx(own.figures, rel=1e-12)
-        assert (door.notes, door.presets) == (own.notes, own.presets)
+        assert_alike(door, own)
     assert words in " ".join(own.notes) and MARBLE in own.presets

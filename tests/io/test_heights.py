@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image, TiffImagePlugin
-from small_bags import writer
+from small_bags import Recorder, heading
 
 from energyplan.errors import MapError
 from energyplan.io.heights import read_heights
@@ -127,47 +127,25 @@ def test_a_png_of_16_bits_by_its_yaml(tmp_path):
 def test_a_grid_map_in_a_bag(tmp_path, form):
     """Each cell stands where grid_map puts it: rows against x, columns against y, in a ring."""
     pytest.importorskip("rosbags", reason="bags need the extra bags")
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
-    make = lambda name, **fields: store.types[name](**fields)  # noqa: E731
     rows, columns, size, yaw, start = 4, 3, 0.5, 0.4, (1, 2)
     cells = np.arange(12.0).reshape(rows, columns)
     ring = np.roll(cells, start, (0, 1)).astype(np.float32)
     holes = ring.copy()
     holes[0, 0] = np.nan
-
-    def layer(values):
-        dims = [
-            make("std_msgs/msg/MultiArrayDimension", label=label, size=count, stride=stride)
-            for label, count, stride in (("column_index", 3, 12), ("row_index", 4, 4))
-        ]
-        layout = make("std_msgs/msg/MultiArrayLayout", dim=dims, data_offset=0)
-        return make("std_msgs/msg/Float32MultiArray", layout=layout, data=values.T.ravel())
-
-    stamp = make("builtin_interfaces/msg/Time", sec=1, nanosec=0)
-    turn = {"x": 0.0, "y": 0.0, "z": np.sin(yaw / 2), "w": np.cos(yaw / 2)}
-    message = make(
-        "grid_map_msgs/msg/GridMap",
-        header=make("std_msgs/msg/Header", stamp=stamp, frame_id="map"),
-        info=make(
-            "grid_map_msgs/msg/GridMapInfo", resolution=size, length_x=rows * size,
-            length_y=columns * size,
-            pose=make(
-                "geometry_msgs/msg/Pose",
-                position=make("geometry_msgs/msg/Point", x=3.0, y=4.0, z=0.0),
-                orientation=make("geometry_msgs/msg/Quaternion", **turn),
-            ),
-        ),
-        layers=["elevation", "elevation_smooth"], basic_layers=["elevation"],
-        data=[layer(ring), layer(holes)], outer_start_index=start[0], inner_start_index=start[1],
-    )  # fmt: skip
-    kind = "grid_map_msgs/msg/GridMap"
-    with writer(tmp_path / "bag", form) as bag:
-        topic = bag.add_connection("/elevation_map", kind, typestore=store)
-        bag.write(topic, 10**9, store.serialize_cdr(message, kind))
+    pose = {"position": {"x": 3.0, "y": 4.0}, "orientation": heading(yaw)}
+    dims = [
+        {"label": label, "size": count, "stride": stride}
+        for label, count, stride in (("column_index", 3, 12), ("row_index", 4, 4))
+    ]
+    with Recorder(tmp_path / "bag", form, DEFINITIONS) as bag:
+        bag.write(
+            "/elevation_map", "grid_map_msgs/msg/GridMap", 1.0,
+            info={"resolution": size, "length_x": rows * size, "length_y": columns * size,
+                  "pose": pose},
+            layers=["elevation", "elevation_smooth"], basic_layers=["elevation"],
+            data=[{"layout": {"dim": dims}, "data": values.T.ravel()} for values in (ring, holes)],
+            outer_start_index=start[0], inner_start_index=start[1],
+        )  # fmt: skip
     ground = read_heights(tmp_path / "bag")
     for row, column in np.ndindex(rows, columns):
         ahead = 0.5 * rows * size - (row + 0.5) * size

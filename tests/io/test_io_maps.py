@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 import os
 import struct
 import tracemalloc
@@ -22,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
+from test_bad_files import drawn
 
 from energyplan.battery import Battery
 from energyplan.cost import EnergyCost
@@ -168,17 +168,6 @@ def test_every_mode_and_pixel_format_by_map_servers_rules(tmp_path, kind):
         np.testing.assert_array_equal(clear.with_mask(grid).blocked[::-1], values == 100)
 
 
-def test_the_bottom_row_of_the_image_is_row_zero(tmp_path):
-    pixels = np.full((4, 5), 254, np.uint8)
-    pixels[3, 0] = 0
-    grid = read_map(write(tmp_path, pixels))
-    assert grid.occupied[0, 0]
-    assert grid.occupied.sum() == 1
-    # the origin is the outer corner of that cell, and the map is turned by the origin's yaw
-    corner = grid.to_world([1.0, 0.0]) - np.array([1.0, -2.0])
-    assert np.allclose(corner, 0.1 * np.array([np.cos(0.5), np.sin(0.5)]))
-
-
 @pytest.mark.parametrize(
     ("mask", "why"),
     [
@@ -291,19 +280,19 @@ def png_claiming(width, height):
 
 
 @pytest.mark.parametrize(
-    "size", [(100_000, 100_000), (2**31 - 1, 2**31 - 1), (20_000, 20_000), (12_000, 9_000)]
+    ("name", "content"),
+    [
+        ("m.png", png_claiming(100_000, 100_000)),
+        ("m.png", png_claiming(2**31 - 1, 2**31 - 1)),
+        ("m.png", png_claiming(20_000, 20_000)),
+        ("m.png", png_claiming(12_000, 9_000)),
+        ("m.pgm", b"P5\n99999999 99999999\n255\n\0\0"),
+    ],
 )
-def test_decompression_bombs_are_refused(tmp_path, size):
-    file = write(tmp_path, np.zeros((2, 2), np.uint8))
-    (tmp_path / "m.png").write_bytes(png_claiming(*size))
-    with pytest.raises(MapError, match=r"m\.png"):
-        read_map(file)
-
-
-def test_a_pgm_of_absurd_size_is_refused(tmp_path):
-    file = write(tmp_path, np.zeros((2, 2), np.uint8), "m.pgm")
-    (tmp_path / "m.pgm").write_bytes(b"P5\n99999999 99999999\n255\n\0\0")
-    with pytest.raises(MapError, match=r"m\.pgm.*pixels"):
+def test_decompression_bombs_are_refused(tmp_path, name, content):
+    file = write(tmp_path, np.zeros((2, 2), np.uint8), name)
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(MapError, match=rf"{name}.*(pixels|cells)"):
         read_map(file)
 
 
@@ -321,18 +310,6 @@ def test_images_outside_the_folder_are_refused(tmp_path, name):
         read_map(file)
 
 
-def test_a_header_that_repeats_itself_without_end_is_refused(tmp_path):
-    """Half a kilobyte of YAML that merges a mapping 9^9 times."""
-    lines = ["a: &a {x: 1, y: 2}"]
-    for this, before in zip("bcdefghij", "abcdefghi", strict=True):
-        lines.append(f"{this}: &{this} {{<<: [{','.join([f'*{before}'] * 9)}]}}")
-    lines += [f"{key}: {value}" for key, value in HEADER.items()]
-    file = tmp_path / "m.yaml"
-    file.write_text("\n".join(lines))
-    with pytest.raises(MapError, match=r"m\.yaml, line \d+: too many values"):
-        read_map(file)
-
-
 def test_missing_and_strange_files(tmp_path):
     with pytest.raises(MapError, match="cannot be read"):
         read_map(tmp_path / "none.yaml")
@@ -345,34 +322,14 @@ def test_missing_and_strange_files(tmp_path):
         read_map("a\0.yaml")
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("[" * 100_000, "no JSON"),
-        ("[1", "no JSON"),
-        ("[" + 200_000 * " " + "]", "larger than 128 KiB"),
-    ],
-)
-def test_json_of_any_depth_and_size_is_refused_by_name(tmp_path, text, told):
+def test_json_of_any_size_is_refused_by_name(tmp_path):
     file = tmp_path / "report.json"
-    file.write_text(text)
-    with pytest.raises(ConfigError, match=rf"report\.json is {told}.*; give another"):
+    file.write_text("[" + 200_000 * " " + "]")
+    with pytest.raises(ConfigError, match=r"report\.json is larger than 128 KiB.*; give another"):
         read_json(file, 1 << 17, ConfigError, "give another")
 
 
 # -- surfaces ---------------------------------------------------------------------------------
-
-
-def collection(*features):
-    return json.dumps({"type": "FeatureCollection", "features": list(features)})
-
-
-def feature(area, **properties):
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": shapely.geometry.mapping(area),
-    }
 
 
 BOX = shapely.box(0, 0, 2, 1)
@@ -382,10 +339,10 @@ def test_surfaces(tmp_path):
     file = tmp_path / "s.geojson"
     own = PowerModel.preset("quadriga:full:marble")
     file.write_text(
-        collection(
-            feature(BOX, model="quadriga:empty:marble", surface="hall"),
-            feature(shapely.MultiPolygon([BOX]), surface="mine"),
-            feature(shapely.box(5, 5, 6, 6), surface="keep-out"),
+        drawn(
+            f"{BOX}; model=quadriga:empty:marble; surface=hall"
+            f" & {shapely.MultiPolygon([BOX])}; surface=mine"
+            f" & {shapely.box(5, 5, 6, 6)}; surface=keep-out"
         )
     )
     ground = read_surfaces(file, {"mine": own})
@@ -423,11 +380,8 @@ def test_a_map_of_obstacles(tmp_path):
     file = tmp_path / "o.geojson"
     wall = shapely.LineString([(1, 1), (1, 3)])
     room = shapely.Polygon([(0, 0), (4, 0), (4, 4), (2, 4), (2, 3), (0, 3)])
-    file.write_text(
-        collection(
-            feature(room, kind="boundary"), feature(wall), feature(shapely.box(3, 1, 3.5, 2))
-        )
-    )
+    box = shapely.box(3, 1, 3.5, 2)
+    file.write_text(drawn(f"{room}; kind=boundary & {wall} & {box}"))
     grid = read_map(file)
     assert grid.shape == (80, 80)
     centres = [(0.5, 0.5), (1.01, 2.0), (3.2, 1.5), (1.0, 3.5), (3.0, 3.5)]
@@ -440,7 +394,7 @@ def test_a_map_of_obstacles(tmp_path):
         ),
         grid.to_world,
     )
-    drivable = room.difference(shapely.box(3, 1, 3.5, 2))
+    drivable = room.difference(box)
     assert free.difference(drivable).area < 1e-9
     assert drivable.difference(wall.buffer(0.1)).difference(free.buffer(0.08)).area < 1e-9
 
@@ -528,16 +482,15 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(tmp_path, name):
     read = {"m": read_map, "h": read_heights}.get(name[0], read_map)
     if name.startswith("log"):
         read = partial(read_log, topics="husky")
-    found = Thread(target=lambda: _error_of(read, file, told), daemon=True)
-    told = []
+    said = []
+
+    def answer():
+        with pytest.raises(InvalidInputError) as caught:
+            read(file)
+        said.append(str(caught.value))
+
+    found = Thread(target=answer, daemon=True)
     found.start()
     found.join(60)
-    assert told, "it waits"
-    assert "regular file" in told[0] or "there is no 'm.png'" in told[0]
-
-
-def _error_of(read, file, told):
-    try:
-        read(file)
-    except InvalidInputError as error:
-        told.append(str(error))
+    assert said, "it waits"
+    assert "regular file" in said[0] or "there is no 'm.png'" in said[0]

@@ -60,12 +60,6 @@ def test_robots_that_stand_are_no_copies_of_each_other() -> None:
     assert without_copies(train, []) == (train, [])
 
 
-def test_a_drive_that_was_learned_from_judges_nothing() -> None:
-    _, told = without_copies([WHOLE], [part(WHOLE, "b", slice(20, 90)), drive("c", 1)])
-    (line,) = told
-    assert line.startswith("b holds the same readings as a, which was learned from")
-
-
 def test_cuts_of_a_drive_that_overlap_are_told() -> None:
     cuts = [part(WHOLE, "b", slice(120)), part(WHOLE, "c", slice(80, 200))]
     moving = np.any([WHOLE.channel(f"v_{side}")[80:120] for side in ("left", "right")], axis=0)
