@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import isfinite, nan
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from energyplan.io.bags import (
 )
 from energyplan.io.config import read_columns
 from energyplan.io.files import same_file
+from energyplan.io.flight import is_flight, read_flight
 from energyplan.io.husky import NOT_SAID, husky_log, is_husky
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import grows
@@ -36,10 +38,11 @@ def read_recording(
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Read what a file of any known kind holds; of a bag, all or what a topic map needs."""
-    if not is_bag(path):
+    if not has_messages(path):
         return read_table(path, DriveLogError, parse_columns(columns).get("t"))
+    read = read_flight if is_flight(path) else partial(read_bag, progress=progress)
     if topics is None:
-        return read_bag(path, progress=progress)
+        return read(path)
     sources = [one for several in topics.channels.values() for one in several]
     others = [name for one in sources for name in one.names if name.startswith("/")]
     named = f"{' '.join(others)} {columns}"
@@ -47,7 +50,12 @@ def read_recording(
     def wanted(topic: str) -> bool:
         return any(one.matches(topic) for one in sources) or f"{topic.strip('/')}." in named
 
-    return read_bag(path, wanted, progress)
+    return read(path, wanted)
+
+
+def has_messages(path: str | Path) -> bool:
+    """Return whether a path is a recording of messages, which a topic map reads."""
+    return is_bag(path) or is_flight(path)
 
 
 def named_columns(
@@ -77,7 +85,7 @@ def read_log(
     r"""Read a drive log of any known kind."""
     of_project = isinstance(columns, str) and columns.endswith((".yaml", ".yml"))
     file = Path(path)
-    if is_bag(path):
+    if has_messages(path):
         if topics is None:
             raise DriveLogError(f"{file.name}: {NO_TOPICS.format(file.name)}")
         named, mapped = None if of_project else columns, topic_map(topics)
@@ -104,7 +112,7 @@ def read_drives(
     for k, path in enumerate(paths):
         if any(same_file(path, other) for other in paths[:k]):
             raise InvalidInputError(f"{path} is given twice; each drive counts once")
-    bags = [path for path in paths if is_bag(path)]
+    bags = [path for path in paths if has_messages(path)]
     if topics and topics != vehicle and not bags:  # a project has both
         raise InvalidInputError(
             f"{paths[0]} is no bag, so it has no topics; leave --topics out, and name its columns "

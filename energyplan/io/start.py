@@ -20,6 +20,7 @@ from energyplan.io.bags import (
     TopicMap,
     Typed,
     of_types,
+    serving,
     topic_map_of,
     topics_of,
     untyped,
@@ -294,8 +295,12 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
         for one in (text[way] for way in ways if way in text):
             recording.column(one.field)  # says which cell is no number
-    names = (*recording.columns, *recording.text)
-    hint = ""
+    names, columns, hint = [*recording.columns, *recording.text], recording.columns, ""
+    if kinds := serving(recording, "current" if "power" in needed else "v_left"):
+        # Their messages are known, so that other names are no hint, but for those of motors.
+        names = [name for name in names if "rpm" in words(name)]
+        columns = {name: columns[name] for name in names}
+        hint = f"; {' or '.join(kinds)} holds it: have the flight controller log that"
     for name, cell in recording.text.items():
         if "t" in needed and re.search(r"is '\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", cell):
             recording.column(name)  # says how to write instants
@@ -334,7 +339,7 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
                 "v_right=V+0.25*W with half the track, though slip is then unseen"
             )
     if "t" in needed:
-        number = next((n for n, values in recording.columns.items() if counts_rows(values)), "")
+        number = next((n for n, values in columns.items() if counts_rows(values)), "")
         counts = f"{number!r} counts rows: if they" if number else "where rows"
         hint += (
             f"; {counts} come at a steady rate, give the time from row to row, as in "
@@ -342,7 +347,7 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         )
     used = [
         (name, channel, unit)
-        for name, values in recording.columns.items() if grows(values)
+        for name, values in columns.items() if grows(values)
         for channel, unit in (("current", "mAh"), ("power", "Wh"))
         if _CONSUMED[channel] & set(words(name))
     ]  # fmt: skip
@@ -353,7 +358,7 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
             f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
             f"{channel}={name}[{unit}]"
         )
-    amps = guess(recording.columns).get("current")
+    amps = guess(columns).get("current")
     if "power" in needed and amps is not None:
         hint += (
             f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
@@ -363,7 +368,8 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         hint += _of_torques(names)
     raise DriveLogError(
         f"{recording.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
-        f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
+        f"{', '.join([*recording.columns, *recording.text][:30])}; say which it is with --columns "
+        f"{needed[0]}=NAME"
     )
 
 

@@ -162,7 +162,8 @@ def split_unit(name: str) -> tuple[str, str]:
     """Split a column's name from the unit in brackets at its end; empty where there is none."""
     match = _BRACKETED.fullmatch(name.strip())
     # The heading of an orientation is written yaw(NAME), as of a bag's messages.
-    return (match[1], match[2]) if match and match[1] != "yaw" else (name.strip(), "")
+    of_orientation = name.startswith("yaw(")
+    return (match[1], match[2]) if match and not of_orientation else (name.strip(), "")
 
 
 _SCALED = re.compile(r"(.*[^\W\d])[\W_]+(10+|0\.0*1)([A-Za-z/]+)")

@@ -433,6 +433,25 @@ def message_series(name: str) -> str:
     return f"/{re.sub(r'[][()]+', '.', name).strip('/.')}"
 
 
+def of_messages(
+    source: str, topics: Mapping[str, Mapping[str, FloatArray]],
+    clocks: Mapping[str, FloatArray], kinds: Mapping[str, str], notes: Mapping[str, str],
+) -> Recording:  # fmt: skip
+    """Return the fields of each topic's messages as series, with their times since the first."""
+    columns: dict[str, FloatArray] = {}
+    times: dict[str, FloatArray] = {}
+    written: dict[str, str] = {}
+    first = min((float(np.min(clocks[one])) for one, held in topics.items() if held), default=0.0)
+    for topic, fields in topics.items():
+        order = np.argsort(clocks[topic], kind="stable")
+        t = clocks[topic][order] - first
+        for field_, values in fields.items():
+            label = message_series(f"{topic}.{field_}")
+            columns[label], times[label] = values[order], t
+            written[label] = f"/{topic.strip('/')}.{field_}"
+    return Recording(source, columns, times=times, kinds=kinds, written=written, notes=notes)
+
+
 def quaternions(names: Collection[str]) -> dict[str, tuple[str, ...]]:
     """Return the columns z, w and, where they are, x, y of orientations, by ``yaw(NAME)``."""
     found = {}
@@ -562,8 +581,9 @@ _OTHERS = {
                     "makes a table of its data sets, with a name for each"),
     **dict.fromkeys((".blf", ".asc", ".mf4", ".mdf"), "a recording of a bus; export its decoded "
                     "signals as CSV, as asammdf does"),
-    **dict.fromkeys((".ulg", ".tlog", ".bin"), "a flight controller's; export it as CSV, as "
-                    "ulog2csv and mavlogdump.py --format csv do"),
+    **dict.fromkeys((".ulg", ".tlog", ".bin"), "a flight controller's: energyplan start "
+                    "reads it alone; to join it, export it as CSV, as ulog2csv and mavlogdump.py "
+                    "--format csv do"),
 }  # fmt: skip
 """What files are that are not read, and what makes a table of them, by suffix."""
 
