@@ -375,7 +375,20 @@ def topic_map(topics: TopicMap | str | Path) -> TopicMap:
 
 
 def columns_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
-    """Return which series of a bag serve as which channels, by a topic map.
+    """Return which series of a bag serve as which channels, by a topic map."""
+    chosen = held_of(recording, mapping)
+    for channel in _SIDES:
+        if channel not in chosen:
+            there = ", ".join(sorted(recording.kinds)) or "none"
+            raise DriveLogError(
+                f"{recording.source}: no topic serves as {channel} in the topic map "
+                f"{mapping.name!r}; the bag has {there}; write a topic map of your own"
+            )
+    return chosen
+
+
+def held_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
+    """Return those channels of a topic map that a bag holds.
 
     Of several sources of a channel the first that the bag holds, of several topics the shortest.
     """
@@ -398,13 +411,6 @@ def columns_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
             if all(map(recording.elements, column.names)):
                 chosen[channel] = column
                 break
-    for channel in _SIDES:
-        if channel not in chosen:
-            there = ", ".join(sorted(recording.kinds)) or "none"
-            raise DriveLogError(
-                f"{recording.source}: no topic serves as {channel} in the topic map "
-                f"{mapping.name!r}; the bag has {there}; write a topic map of your own"
-            )
     return chosen
 
 

@@ -19,6 +19,7 @@ from energyplan.io.bags import (
     TOPIC_MAPS,
     TopicMap,
     Typed,
+    held_of,
     of_types,
     serving,
     topic_map_of,
@@ -595,6 +596,9 @@ class _Draft(NamedTuple):
     notes: list[str]
 
 
+_ELEMENT = re.compile(r"\.\d+$")  # of an array, of which some elements are named by hand
+
+
 def _draft(recording: Recording, known: Given) -> _Draft:
     """Guess by names, and by types of messages, which series serve as which channels."""
     columns = named_columns(recording, known.columns)
@@ -604,8 +608,22 @@ def _draft(recording: Recording, known: Given) -> _Draft:
             f"{recording.source} --vehicle VEHICLE learns from their distances, turning and "
             "energies"
         )
+    own = topic_map_of(known.like.name) if known.like is not None and recording.kinds else None
+    stock = {} if own is None else held_of(recording, TOPIC_MAPS[own])
+    if {*_SPEEDS} <= {*stock} and any(set(way) <= {*stock} for way in POWER_WAYS):
+        electric = {*POWERS, "voltage"}  # one of these that is named by hand replaces all
+        stock = {
+            c: one for c, one in stock.items() if not electric & {*columns} or c not in electric
+        }
+        if isfinite(known.wheel_radius):
+            rate = f"rad/s*{known.wheel_radius:.6g}"
+            stock |= {channel: stock[channel].changed(unit=rate) for channel in _SPEEDS}
+        return _Draft(stock | columns, {}, [f"the topics are those of the topic map {own!r}"])
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
+    arrays = {_ELEMENT.sub("", name) for one in columns.values() for name in one.names
+              if _ELEMENT.search(name)}  # fmt: skip
+    taken |= {name for name in recording.columns if _ELEMENT.sub("", name) in arrays}
     speeds, there = {*_SPEEDS}, [*recording.columns]
     notes: list[str] = []
     typed = Typed({}, {}, ())
