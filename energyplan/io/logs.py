@@ -27,7 +27,7 @@ from energyplan.logs import DriveLog
 from energyplan.logs.checks import grows
 from energyplan.logs.guess import guess, words
 from energyplan.logs.mapping import Column, clock_in, parse_columns, scale_of, unit_in
-from energyplan.logs.tables import Recording, column_names, read_table
+from energyplan.logs.tables import Recording, read_table
 from energyplan.path import FloatArray
 
 
@@ -81,8 +81,9 @@ def read_log(
     *,
     topics: TopicMap | str | Path | None = None,
     progress: Callable[[float], None] | None = None,
+    table: Recording | None = None,
 ) -> DriveLog:
-    r"""Read a drive log of any known kind."""
+    r"""Read a drive log of any known kind; a table may be read already."""
     of_project = isinstance(columns, str) and columns.endswith((".yaml", ".yml"))
     file = Path(path)
     if has_messages(path):
@@ -93,7 +94,7 @@ def read_log(
         mapping = columns_of(recording, mapped) | named_columns(recording, named)
         return DriveLog.of(recording, mapping)
     given = read_columns(str(columns)) if of_project else columns
-    recording = read_recording(path, given)
+    recording = table or read_recording(path, given)
     if given is None and is_husky(recording.columns):
         if topics is None or topic_map(topics).name != "husky":
             raise DriveLogError(f"{file.name}: {NOT_SAID}")
@@ -107,8 +108,12 @@ def read_drives(
     columns: str | None = None,
     topics: str | None = None,
     progress: Callable[[float], None] | None = None,
+    first: Recording | None = None,
 ) -> list[DriveLog]:
-    """Read drives of one robot, each once; the vehicle gives a bag's topic map if none is given."""
+    """Read drives of one robot, each once, the first of them perhaps already.
+
+    The vehicle gives a bag's topic map if none is given.
+    """
     for k, path in enumerate(paths):
         if any(same_file(path, other) for other in paths[:k]):
             raise InvalidInputError(f"{path} is given twice; each drive counts once")
@@ -124,7 +129,10 @@ def read_drives(
             f"{bags[0]}: the topics and the wheel radius are not known: give --topics, or "
             f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
         )
-    return [read_log(path, columns, topics=chosen, progress=progress) for path in paths]
+    return [
+        read_log(path, columns, topics=chosen, progress=progress, table=None if k else first)
+        for k, path in enumerate(paths)
+    ]
 
 
 _TASK_WORDS = {
@@ -135,14 +143,6 @@ _TASK_WORDS = {
 }
 """What a row of a history of tasks holds: words of its columns, and a channel in its units."""
 _CHARGE_WORDS = {"soc", "percent", "percentage", "pct", "charge"}
-
-
-def may_be_tasks(path: Path) -> bool:
-    """Return whether a table may be a history of tasks, by the names of its columns."""
-    if path.suffix.lower() not in (".csv", ".gz", ".tsv", ".txt") or not path.exists():
-        return False
-    names = column_names(path, DriveLogError)
-    return any(_TASK_WORDS["distance"][0] & set(words(name)) for name in names)
 
 
 def tasks_of(table: Recording, full: float = nan) -> dict[str, FloatArray] | None:

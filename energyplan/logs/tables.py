@@ -702,16 +702,6 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:
     return result.table(Path("DataFrame"), error)
 
 
-def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
-    """Return the column names of a CSV or gzipped CSV file, which is read no further."""
-    file = Path(path)
-    with _reading(file, error):
-        if _suffix(file, error) == ".parquet":
-            raise error(f"{file} is no CSV file")
-        head = _bytes(file, error, _AHEAD)
-        return find_dialect(head, len(head) < _AHEAD, file, error).names
-
-
 @contextmanager
 def _reading(file: Path, error: type[InvalidInputError]) -> Iterator[None]:
     """Name the file in what the operating system complains of."""

@@ -66,7 +66,7 @@ def test_waypoints_with_quaternions_are_tasks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("tasks", "message"), [
-    ({"orderId": "o", "nodes": [{"nodeId": "n"}]}, r"nodePosition: this key is missing; give it a.*e$"),
+    ({"orderId": "o", "nodes": [{"nodeId": "n"}]}, r"nodePosition: this key is missing; give.*e$"),
     ({"orderId": "o1", "nodes": [node("a", x=2.0)]}, "line 8, nodes.0.nodePosition.y: this key"),
     ({"nodes": "all"}, "tasks.yaml, line 2, nodes"),
     ({"fileType": "Plan", "mission": {}}, "plan of QGroundControl, over longitude and latitude"),
