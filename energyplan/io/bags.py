@@ -83,7 +83,7 @@ def _number(message: Any, place: _Place) -> float:
     if value is None:
         return nan
     if place.heading:
-        return _heading(value)
+        return heading(value)
     if place.element is None:
         return float(value)
     if place.element.isdecimal():
@@ -96,7 +96,7 @@ def _number(message: Any, place: _Place) -> float:
     return sum(found) / len(found) if found else nan
 
 
-def _heading(turn: Any) -> float:
+def heading(turn: Any) -> float:
     """Return the yaw of a quaternion [rad]."""
     sine = 2 * (turn.w * turn.z + turn.x * turn.y)
     return atan2(sine, 1 - 2 * (turn.y**2 + turn.z**2))
@@ -320,7 +320,7 @@ class _Topic:
             if isinstance(value, int | float):
                 self._keep(name, value, row)
             elif hasattr(value, "w"):
-                self._keep(f"yaw({name})", _heading(value), row)
+                self._keep(f"yaw({name})", heading(value), row)
             elif len(value) and (hasattr(value, "dtype") or isinstance(value[0], int | float)):
                 named = len(names) == len(value)
                 if named or len(value) <= LONGEST:

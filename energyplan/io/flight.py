@@ -84,8 +84,10 @@ def read_flight(path: str | Path, wanted: Callable[[str], bool] | None = None) -
 @contextmanager
 def _named(file: Path, package: str) -> Iterator[None]:
     """Name the file in what a package complains of; what it prints is no answer of ours."""
+    stderr = os.dup(2)
     try:
         with Path(os.devnull).open("w") as none, redirect_stdout(none), redirect_stderr(none):
+            os.dup2(none.fileno(), 2)  # where compiled code prints
             yield
     except EnergyPlanError:
         raise
@@ -98,6 +100,9 @@ def _named(file: Path, package: str) -> Iterator[None]:
             f"{file} is no sound log of a flight controller: {said(problem)}; copy it again, or "
             "export it as CSV, as ulog2csv and mavlogdump.py --format csv do"
         ) from None
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 def _of_px4(file: str) -> dict[str, _Topic]:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
+from energyplan.io.bags import heading
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
@@ -166,11 +167,6 @@ class _Orientation(BaseModel):
     z: float
     w: float
 
-    @property
-    def yaw(self) -> float:
-        sine = 2 * (self.w * self.z + self.x * self.y)
-        return atan2(sine, 1 - 2 * (self.y**2 + self.z**2))
-
 
 class _Pose(BaseModel):
     """A pose as ROS writes it."""
@@ -194,7 +190,7 @@ class _Waypoint(BaseModel):
 
     @property
     def place(self) -> _Position:
-        return self.pose.position.model_copy(update={"theta": self.pose.orientation.yaw})
+        return self.pose.position.model_copy(update={"theta": heading(self.pose.orientation)})
 
 
 class _Stops(BaseModel):
