@@ -799,17 +799,22 @@ def _of_joints(topic: str, channel: str, kind: str, joints: Sequence[str]) -> Co
     return Column(field=first, plus=tuple(rest), weights=weights, unit=TOTAL, channel=channel)
 
 
-def _twists(recording: Recording, track: float) -> list[Sources]:
+def of_body(ahead: Column, turn: Column, track: float) -> Sources:
     """Return tread speeds computed from speed and turn rate of the body, with a track [m]."""
     half = 0.5 * track if isfinite(track) else 1.0
+    rate = float(f"{half:.6g}") * turn.conversion.factor
+    return {
+        channel: Column(field=ahead.field, plus=(turn.field,), channel=channel,
+                        weights=(ahead.conversion.factor, sign * rate))
+        for channel, sign in zip(_SIDES, (-1.0, 1.0), strict=True)
+    }  # fmt: skip
+
+
+def _twists(recording: Recording, track: float) -> list[Sources]:
+    """Return tread speeds of messages with a speed ahead; the turn rate may be another's."""
     rates = [one["yaw_rate"] for one in _meant(recording, "yaw_rate")]
     return [
-        {
-            channel: Column(field=one["ahead"].field, plus=(turn.field,), channel=channel,
-                            weights=(1.0, sign * float(f"{half:.6g}") * turn.conversion.factor))
-            for channel, sign in zip(_SIDES, (-1.0, 1.0), strict=True)
-        }
-        for one in _meant(recording, "ahead")
+        of_body(one["ahead"], turn, track) for one in _meant(recording, "ahead")
         for turn in ([one["turn"]] if "turn" in one else rates[:1])
     ]  # fmt: skip
 

@@ -22,7 +22,7 @@ from energyplan.io.bags import (
 from energyplan.io.config import read_columns
 from energyplan.io.files import same_file
 from energyplan.io.flight import is_flight, read_flight
-from energyplan.io.husky import NOT_SAID, husky_log, is_husky
+from energyplan.io.husky import known_husky
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import grows
 from energyplan.logs.guess import guess, words
@@ -95,11 +95,8 @@ def read_log(
         return DriveLog.of(recording, mapping)
     given = read_columns(str(columns)) if of_project else columns
     recording = table or read_recording(path, given)
-    if given is None and is_husky(recording.columns):
-        if topics is None or topic_map(topics).name != "husky":
-            raise DriveLogError(f"{file.name}: {NOT_SAID}")
-        return husky_log(recording, file)
-    return DriveLog.of(recording, recording.mapping(given, others=not of_project))
+    husky = known_husky(recording, file, topics) if given is None else None
+    return husky or DriveLog.of(recording, recording.mapping(given, others=not of_project))
 
 
 def read_drives(

@@ -237,7 +237,7 @@ def _is_value(cell: str) -> bool:
     text = cell.strip()
     if text.lower() in _NO_NUMBER:
         return False
-    return _is_number(text) or _comma_number(text) or _INSTANT.fullmatch(text) is not None
+    return not np.isnan(_cell(text)) or _comma_number(text) or _INSTANT.fullmatch(text) is not None
 
 
 def _comma_number(cell: str) -> bool:
@@ -260,14 +260,6 @@ def _cell(cell: object) -> float:
         return float(cell)  # type: ignore[arg-type]
     except NO_NUMBER:
         return float("nan")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_unit_row(row: list[str]) -> bool:
@@ -359,8 +351,9 @@ class Recording:
     ) -> dict[str, Column]:
         """Return which column serves as which channel: as given, and others by their own names."""
         names = (*self.columns, *self.text)
-        given = parse_columns(columns, names)
-        return map_channels(given, names, self.text) if others else given
+        if others:
+            return map_channels(columns, names, self.text)
+        return parse_columns(columns, names)
 
     def notes_of(self, mapping: Mapping[str, Column]) -> list[str]:
         """Return what is said of the messages that serve as channels, or of text that does not."""
