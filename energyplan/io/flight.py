@@ -23,7 +23,7 @@ _NO_AUTOPILOT = 8  # of MAVLink: a ground station, a camera
 _NO_CELL = 65535.0  # voltage of a cell that there is none of [mV]
 
 
-class _Topic(NamedTuple):
+class _Stream(NamedTuple):
     """What the messages of one kind and source hold."""
 
     kind: str
@@ -50,10 +50,10 @@ class _Messages:
                     self.fields.setdefault(f"{name}[{k}]", array("d")).append(one)
 
     @property
-    def topic(self) -> _Topic:
+    def topic(self) -> _Stream:
         """All of them; fields that only some messages hold are left out."""
         whole = {name: np.array(v) for name, v in self.fields.items() if len(v) == len(self.t)}
-        return _Topic(self.kind, np.array(self.t), whole)
+        return _Stream(self.kind, np.array(self.t), whole)
 
 
 def is_flight(path: str | Path) -> bool:
@@ -105,7 +105,7 @@ def _named(file: Path, package: str) -> Iterator[None]:
         os.close(stderr)
 
 
-def _of_px4(file: str) -> dict[str, _Topic]:
+def _of_px4(file: str) -> dict[str, _Stream]:
     """Read what PX4 logs."""
     from pyulog import ULog
 
@@ -119,7 +119,7 @@ def _of_px4(file: str) -> dict[str, _Topic]:
     if any(size(kind) > MAX_COLUMNS for kind in formats):
         raise ValueError(f"a message holds more than {MAX_COLUMNS} fields")
     return {
-        f"/{one.name}_{one.multi_id}": _Topic(
+        f"/{one.name}_{one.multi_id}": _Stream(
             one.name, one.data["timestamp"] * 1e-6,
             {name: values.astype(float) for name, values in one.data.items()},
         )
@@ -127,7 +127,7 @@ def _of_px4(file: str) -> dict[str, _Topic]:
     }  # fmt: skip
 
 
-def _of_ardupilot(file: str) -> dict[str, _Topic]:
+def _of_ardupilot(file: str) -> dict[str, _Stream]:
     """Read what ArduPilot logs."""
     from pymavlink.DFReader import DFReader_binary
 
@@ -143,7 +143,7 @@ def _of_ardupilot(file: str) -> dict[str, _Topic]:
     return {name: one.topic for name, one in topics.items()}
 
 
-def _of_telemetry(file: str) -> dict[str, _Topic]:
+def _of_telemetry(file: str) -> dict[str, _Stream]:
     """Read what a ground station received by MAVLink."""
     from pymavlink import mavutil
 
@@ -175,7 +175,7 @@ class _Format(NamedTuple):
 
     beginning: bytes
     package: str
-    read: Callable[[str], Mapping[str, _Topic]]
+    read: Callable[[str], Mapping[str, _Stream]]
 
 
 _FORMATS = {
@@ -185,7 +185,7 @@ _FORMATS = {
 }
 
 
-def _computed(topic: _Topic) -> dict[str, FloatArray]:
+def _computed(topic: _Stream) -> dict[str, FloatArray]:
     """Return fields that are computed of others: the speed ahead, the voltage of all cells."""
     held, found = topic.fields, dict[str, FloatArray]()
     if {"vx", "vy", "heading"} <= held.keys():

@@ -168,7 +168,7 @@ class _Orientation(BaseModel):
     w: float
 
 
-class _Pose(BaseModel):
+class _PoseOfROS(BaseModel):
     """A pose as ROS writes it."""
 
     position: _Position
@@ -186,14 +186,14 @@ class _Waypoint(BaseModel):
     """A waypoint of Nav2."""
 
     name: str = ""
-    pose: _Pose
+    pose: _PoseOfROS
 
     @property
     def place(self) -> _Position:
         return self.pose.position.model_copy(update={"theta": heading(self.pose.orientation)})
 
 
-class _Stops(BaseModel):
+class _Visits(BaseModel):
     """What of an order, or of waypoints, says where to go."""
 
     orderId: str = ""  # noqa: N815  as VDA 5050 spells it
@@ -211,7 +211,7 @@ def _read_tasks(file: Path) -> list[dict[str, Any]]:
         seems = f"this seems to be {document.kind}; " if document.kind else ""
         raise document.fail((), f"{seems}give an order of VDA 5050 or waypoints of Nav2 as tasks")
     tasks: list[dict[str, Any]] = []
-    found = document.check(_Stops)
+    found = document.check(_Visits)
     stops: list[_Node | _Waypoint] = [*found.nodes, *found.waypoints]
     for k, stop in enumerate(stops, 1):
         x, y, yaw = stop.place.x, stop.place.y, stop.place.theta

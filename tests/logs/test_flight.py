@@ -246,7 +246,7 @@ def test_what_a_flight_controller_does_not_log_is_named(
 
 
 def test_a_log_of_two_vehicles_is_refused(tmp_path: Path) -> None:
-    file = telemetry(tmp_path, rows(), (1, 7))
+    file = telemetry(tmp_path, {"gyro": (rows()["gyro"][0], 100)}, (1, 7))
     with pytest.raises(DriveLogError, match=r"2 vehicles.*--source-system 1"):
         start(file, KNOWN)
 
