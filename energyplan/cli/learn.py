@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -194,6 +195,7 @@ def identify(
     from energyplan.fit.identification import hoisted as inside
     from energyplan.fit.tasks import identify_tasks
     from energyplan.io.config import read_vehicle, write_model, write_vehicle
+    from energyplan.io.logs import tasks_of
     from energyplan.output import documents, text
 
     vehicle = read_vehicle(robot.vehicle)
@@ -207,8 +209,10 @@ def identify(
         raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
     if hoisted and (out or terms):
         raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
+    table = None
     if len(logs) == 1 and not (spin or hoisted or terms or robot.columns):
-        history = _tasks(logs[0], battery)
+        table = _table(logs[0])
+        history = None if table is None else tasks_of(table, _full(battery))
         if history is not None:
             learned = identify_tasks(history, vehicle)
             if out:
@@ -217,7 +221,7 @@ def identify(
             return
     if battery is not None:
         raise InvalidInputError("--battery goes with a history of tasks; leave it out")
-    drives = _read(logs, robot)
+    drives = _read(logs, robot, table)
     if spin:
         icr = _icr_of_spin(drives[0], angle, angle_error)
         if out:
@@ -244,25 +248,27 @@ def identify(
         answer(documents.identification(found), found, json=json)
 
 
-def _tasks(path: Path, battery: str | None) -> Any:
-    """Return a history of tasks, where a file is one."""
-    from energyplan.errors import DriveLogError
-    from energyplan.io.bags import is_bag
-    from energyplan.io.logs import may_be_tasks, tasks_of
+def _table(path: Path) -> Any:
+    """Return what a table holds, which may be a history of tasks, or a drive."""
+    from energyplan.io.logs import has_messages, read_recording
+
+    return None if has_messages(path) else read_recording(path)
+
+
+def _full(battery: str | None) -> float:
+    """Return what a battery holds [J]; NaN where none is given."""
+    if battery is None:
+        return nan
     from energyplan.io.mission import read_battery
-    from energyplan.logs.tables import read_table
 
-    if is_bag(path) or not may_be_tasks(path):
-        return None
-    full = {} if battery is None else {"full": read_battery(battery).full_energy}
-    return tasks_of(read_table(path, DriveLogError), **full)
+    return read_battery(battery).full_energy
 
 
-def _read(paths: list[Path], robot: RobotOptions) -> list[DriveLog]:
+def _read(paths: list[Path], robot: RobotOptions, first: Any = None) -> list[DriveLog]:
     from energyplan.io.logs import read_drives
 
     with progress("reading") as update:
-        return read_drives(paths, robot.vehicle, robot.columns, robot.topics, update)
+        return read_drives(paths, robot.vehicle, robot.columns, robot.topics, update, first)
 
 
 def _contradictions(logs: list[DriveLog], vehicle: Any) -> list[str]:

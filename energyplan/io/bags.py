@@ -40,8 +40,9 @@ from energyplan.logs.mapping import (
     TOTAL,
     Column,
     formula,
+    split_unit,
 )
-from energyplan.logs.tables import Recording, message_series
+from energyplan.logs.tables import Recording, of_messages
 from energyplan.path import FloatArray
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
@@ -82,7 +83,7 @@ def _number(message: Any, place: _Place) -> float:
     if value is None:
         return nan
     if place.heading:
-        return _heading(value)
+        return heading(value)
     if place.element is None:
         return float(value)
     if place.element.isdecimal():
@@ -95,7 +96,7 @@ def _number(message: Any, place: _Place) -> float:
     return sum(found) / len(found) if found else nan
 
 
-def _heading(turn: Any) -> float:
+def heading(turn: Any) -> float:
     """Return the yaw of a quaternion [rad]."""
     sine = 2 * (turn.w * turn.z + turn.x * turn.y)
     return atan2(sine, 1 - 2 * (turn.y**2 + turn.z**2))
@@ -275,33 +276,25 @@ def read_bag(
                 except _UNSOUND as problem:
                     if len(topic.arrivals):
                         raise
-                    bag.lost[name] = f"its messages cannot be read: {_said(problem)}"
+                    bag.lost[name] = f"its messages cannot be read: {said(problem)}"
             if progress is not None and number % 1000 == 0:
                 progress((arrival - start) / span)
         if progress is not None:
             progress(1.0)
         kinds = {name: bag.topics[name] for name in sorted(bag.topics) if name not in bag.lost}
         notes = {topic: f"{topic} is left out: {why}" for topic, why in bag.lost.items()}
-    columns: dict[str, FloatArray] = {}
-    times: dict[str, FloatArray] = {}
-    written: dict[str, str] = {}
+    series: dict[str, Mapping[str, FloatArray]] = {}
+    clocks: dict[str, FloatArray] = {}
     for name in (name for name in kinds if name in topics):
         clock = topics[name].clock(start)
-        order = np.argsort(clock.t, kind="stable")
-        t = clock.t[order]
         if clock.t is clock.values:
             notes[name] = f"{name} carries no stamp to believe; its messages count at arrival"
-        for field, values in topics[name].columns.items():
-            label = message_series(f"{name}.{field}")
-            lacks = np.full(len(t) - len(values), nan)
-            columns[label] = np.append(values, lacks)[order]
-            times[label], written[label] = t, f"/{name.strip('/')}.{field}"
-    first = min((float(t[0]) for t in times.values()), default=0.0)
-    shifted = {id(t): t - first for t in times.values()}
-    return Recording(
-        file.name, columns, times={name: shifted[id(t)] for name, t in times.items()},
-        kinds=kinds, written=written, notes=notes,
-    )  # fmt: skip
+        clocks[name] = clock.t
+        series[name] = {
+            field: np.append(values, np.full(len(clock.t) - len(values), nan))
+            for field, values in topics[name].columns.items()
+        }
+    return of_messages(file.name, series, clocks, kinds, notes)
 
 
 class _Topic:
@@ -327,10 +320,10 @@ class _Topic:
             if isinstance(value, int | float):
                 self._keep(name, value, row)
             elif hasattr(value, "w"):
-                self._keep(f"yaw({name})", _heading(value), row)
+                self._keep(f"yaw({name})", heading(value), row)
             elif len(value) and (hasattr(value, "dtype") or isinstance(value[0], int | float)):
                 named = len(names) == len(value)
-                if named or len(value) <= _LONGEST:
+                if named or len(value) <= LONGEST:
                     for k, one in enumerate(value):
                         self._keep(f"{name}[{names[k] if named else k}]", float(one), row)
 
@@ -382,7 +375,20 @@ def topic_map(topics: TopicMap | str | Path) -> TopicMap:
 
 
 def columns_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
-    """Return which series of a bag serve as which channels, by a topic map.
+    """Return which series of a bag serve as which channels, by a topic map."""
+    chosen = held_of(recording, mapping)
+    for channel in _SIDES:
+        if channel not in chosen:
+            there = ", ".join(sorted(recording.kinds)) or "none"
+            raise DriveLogError(
+                f"{recording.source}: no topic serves as {channel} in the topic map "
+                f"{mapping.name!r}; the bag has {there}; write a topic map of your own"
+            )
+    return chosen
+
+
+def held_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
+    """Return those channels of a topic map that a bag holds.
 
     Of several sources of a channel the first that the bag holds, of several topics the shortest.
     """
@@ -405,13 +411,6 @@ def columns_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
             if all(map(recording.elements, column.names)):
                 chosen[channel] = column
                 break
-    for channel in _SIDES:
-        if channel not in chosen:
-            there = ", ".join(sorted(recording.kinds)) or "none"
-            raise DriveLogError(
-                f"{recording.source}: no topic serves as {channel} in the topic map "
-                f"{mapping.name!r}; the bag has {there}; write a topic map of your own"
-            )
     return chosen
 
 
@@ -489,7 +488,7 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
                 try:
                     _define(own, one)
                 except unsound as problem:
-                    lost[one.topic] = f"its type {one.msgtype} cannot be read: {_said(problem)}"
+                    lost[one.topic] = f"its type {one.msgtype} cannot be read: {said(problem)}"
                 if one.msgtype not in own.types and one.msgtype not in usual.types:
                     lost.setdefault(
                         one.topic, f"the bag does not hold the definition of {one.msgtype}"
@@ -505,12 +504,13 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
                 "the topics as one CSV, as PlotJuggler does, or several, and give a.csv+b.csv"
             ) from None
         raise DriveLogError(
-            f"{file} is no sound bag: {_said(problem)}; copy it again, or mend one that was cut by "
+            f"{file} is no sound bag: {said(problem)}; copy it again, or mend one that was cut by "
             "rosbag reindex, ros2 bag reindex or mcap recover"
         ) from None
 
 
-def _said(problem: Exception) -> str:
+def said(problem: Exception) -> str:
+    """Return the first line of what an error says."""
     return (str(problem).splitlines() or [""])[0] or type(problem).__name__
 
 
@@ -602,21 +602,45 @@ def _zstd() -> Any:
 
 
 _DEEPEST = 6
-_LONGEST = 64  # elements of an array without names that are looked at
+LONGEST = 64  # elements of an array without names that are looked at
 _LEAST = 20  # least number of values of a field from which anything follows
 _SIDES = ("v_left", "v_right")
-_JOINTS, _ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
-_POSE, _IMU = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Imu"
-_BATTERY = "sensor_msgs/msg/BatteryState"
-_MEANING: dict[str, dict[str, str]] = {
-    _BATTERY: {"voltage": "voltage", "current": "current"},
-    _IMU: {"yaw_rate": "angular_velocity.z", "accel_x": "linear_acceleration.x"},
-    **{
-        kind: {"x": f"{at}position.x", "y": f"{at}position.y", "yaw": f"yaw.{at}orientation"}
-        for kind, at in ((_ODOMETRY, "pose.pose."), (_POSE, "pose."))
-    },
-}
-"""Fields of the channels that message types hold."""
+_JOINTS, _IMU = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
+_MEANING = [
+    (kind, {c: split_unit(field) for c, _, field in (part.partition("=") for part in parts)})
+    for kind, *parts in map(str.split, """\
+sensor_msgs/msg/BatteryState voltage=voltage current=current[-A]
+BATTERY_STATUS               voltage=voltage[mV] current=current_battery[cA]
+SYS_STATUS                   voltage=voltage_battery[mV] current=current_battery[cA]
+battery_status               voltage=voltage_v current=current_a
+BAT                          voltage=Volt current=Curr
+CURR                         voltage=Volt current=Curr
+sensor_msgs/msg/Imu          yaw_rate=angular_velocity.z accel_x=linear_acceleration.x
+ATTITUDE                     yaw_rate=yawspeed[-rad/s]
+vehicle_angular_velocity     yaw_rate=xyz.2[-rad/s]
+IMU                          yaw_rate=GyrZ[-rad/s] accel_x=AccX
+nav_msgs/msg/Odometry        x=pose.pose.position.x y=pose.pose.position.y \
+yaw=yaw.pose.pose.orientation
+geometry_msgs/msg/PoseStamped x=pose.position.x y=pose.position.y yaw=yaw.pose.orientation
+vehicle_local_position       x=x y=y[-m] yaw=heading[-rad]
+XKF1                         x=PN y=PE[-m] yaw=Yaw[-deg]
+NKF1                         x=PN y=PE[-m] yaw=Yaw[-deg]
+ATT                          yaw=Yaw[-deg]
+ATTITUDE                     yaw=yaw[-rad]
+LOCAL_POSITION_NED           x=x y=y[-m]
+wheel_encoders               v_left=wheel_speed.1[rad/s] v_right=wheel_speed.0[rad/s]
+WENC                         v_left=Dist0[ticks*1] v_right=Dist1[ticks*1]
+WHEEL_DISTANCE               v_left=distance.0[ticks*1] v_right=distance.1[ticks*1]
+nav_msgs/msg/Odometry        ahead=twist.twist.linear.x turn=twist.twist.angular.z
+vehicle_local_position       ahead=ahead
+THR                          ahead=Speed
+GPS                          ahead=Spd
+VFR_HUD                      ahead=groundspeed""".splitlines())
+]  # fmt: skip
+"""Which fields of types of messages, of ROS, MAVLink, PX4 and ArduPilot, are which channels.
+
+Flight controllers count yaw clockwise and y to the east; ``ahead`` and ``turn`` make tread speeds.
+"""
 _ROLLING = {"wheel", "wheels", "track", "tread", "drivewhl", "drive", "whl"}
 _ONE_BATTERY = 0.1  # relative difference up to which two sensors may show one battery
 _TOLD = 0.7  # correlation from which a turn rate is the robot's
@@ -637,13 +661,14 @@ def of_types(recording: Recording, given: Sources, named: Sources, track: float)
     treads = []
     if not {*_SIDES} & set(given):
         by_name = [named] if {*_SIDES} <= set(named) else []
-        treads = [*_joints_of_sides(recording), *by_name, *_twists(recording, track)]
+        wheels = [*_joints_of_sides(recording), *_meant(recording, "v_left")]
+        treads = [*wheels, *by_name, *_twists(recording, track)]
     moving = [one for one in treads if all(_varies(recording, column) for column in one.values())]
     speeds = next(iter(moving or treads), {})
     twisted = speeds is not named and bool(speeds) and not speeds["v_left"].unit
     found, notes = (dict(speeds) if twisted else {}), list[str]()
     if "current" in given:  # named by hand: its own topic's voltage goes with it
-        own = [one for one in _of_type(recording, _BATTERY) if "voltage" in one]
+        own = _meant(recording, "voltage")
         own.sort(key=lambda one: _topic(one["voltage"]) != _topic(given["current"]))
         packs = Typed(own[0] if own else {}, {}, ())
     else:
@@ -656,12 +681,13 @@ def of_types(recording: Recording, given: Sources, named: Sources, track: float)
         return Typed(found, {}, tuple(notes))
     left, right = (_series(recording, sides[name]) for name in _SIDES)
     turning = align(usable(right), left.t).values - left.values
-    rated: dict[str, list[tuple[float, Sources]]] = {"yaw_rate": [], "yaw": []}
-    for kind in (_IMU, _ODOMETRY, _POSE):
-        name = "yaw_rate" if kind == _IMU else "yaw"
-        for one in _of_type(recording, kind):
-            if name in one and any(_varies(recording, column) for column in one.values()):
-                rated[name].append((_alike(recording, one[name], left.t, turning), one))
+    rated = {
+        name: [
+            (_alike(recording, one[name], left.t, turning), one) for one in _meant(recording, name)
+            if any(_varies(recording, column) for column in one.values())
+        ]
+        for name in ("yaw_rate", "yaw")
+    }  # fmt: skip
     if not rated["yaw"]:
         rated["yaw"] = [
             (alike, {"yaw": one}) for one in _of_imus(recording, "yaw", ["yaw.orientation"])
@@ -687,6 +713,8 @@ def of_types(recording: Recording, given: Sources, named: Sources, track: float)
                 f"{name} is that of {several[0][1][name].field}, which goes with the treads best "
                 f"(correlation {', '.join(said)})"
             )
+    if "x" not in found:
+        found |= next((one for one in _meant(recording, "x") if _varies(recording, one["x"])), {})
     if twisted:  # computed from the body's own turn rate
         found = {c: one for c, one in found.items() if c not in ("yaw", "yaw_rate")}
     return Typed(found, {} if twisted or speeds is named else speeds, tuple(notes))
@@ -702,26 +730,33 @@ def _named(recording: Recording, topic: str) -> dict[str, str]:
     return {n.removeprefix(start): n for n in recording.columns if n.startswith(start)}
 
 
-def _of_type(recording: Recording, kind: str) -> list[Sources]:
-    """Return the channels of each topic of a type that ROS gives a meaning."""
+def _meant(recording: Recording, wanted: str) -> list[Sources]:
+    """Return the channels of each topic of a type whose fields include a channel."""
     found = []
-    for topic in (topic for topic, one in recording.kinds.items() if one == kind):
-        names = _named(recording, topic)
-        found.append({
-            channel: Column(field=names[field], channel=channel,
-                            unit="-A" if channel == "current" else "")
-            for channel, field in _MEANING[kind].items() if field in names
-        })  # fmt: skip
-    return [one for one in found if one]
+    for kind, fields in _MEANING:
+        for topic in (topic for topic, one in recording.kinds.items() if one == kind):
+            names = _named(recording, topic) if wanted in fields else {}
+            found.append({
+                channel: Column(field=names[field], channel=channel, unit=unit)
+                for channel, (field, unit) in fields.items() if field in names
+            })  # fmt: skip
+    return [one for one in found if wanted in one]
 
 
 def untyped(recording: Recording) -> list[str]:
-    """Return the series of messages whose types say nothing: their names do."""
-    typed = (_JOINTS, *_MEANING)
+    """Return the series of messages whose types say nothing: their names do, those of ROS."""
+    typed = (_JOINTS, *(kind for kind, _ in _MEANING))
     return [
-        name for topic, kind in recording.kinds.items() if kind not in typed
+        name for topic, kind in recording.kinds.items() if kind not in typed and "/" in kind
         for name in _named(recording, topic).values()
     ]  # fmt: skip
+
+
+def serving(recording: Recording, channel: str) -> list[str]:
+    """Return the flight controllers' messages that hold a channel, in a log of one of these."""
+    if not recording.kinds or any("/" in kind for kind in recording.kinds.values()):
+        return []
+    return [kind for kind, fields in _MEANING if channel in fields and "/" not in kind]
 
 
 def _joints_of_sides(recording: Recording) -> list[Sources]:
@@ -760,18 +795,23 @@ def _of_joints(topic: str, channel: str, kind: str, joints: Sequence[str]) -> Co
     return Column(field=first, plus=tuple(rest), weights=weights, unit=TOTAL, channel=channel)
 
 
-def _twists(recording: Recording, track: float) -> list[Sources]:
+def of_body(ahead: Column, turn: Column, track: float) -> Sources:
     """Return tread speeds computed from speed and turn rate of the body, with a track [m]."""
     half = 0.5 * track if isfinite(track) else 1.0
-    parts = ("twist.twist.linear.x", "twist.twist.angular.z")
-    every = [_named(recording, t) for t, kind in recording.kinds.items() if kind == _ODOMETRY]
+    rate = float(f"{half:.6g}") * turn.conversion.factor
+    return {
+        channel: Column(field=ahead.field, plus=(turn.field,), channel=channel,
+                        weights=(ahead.conversion.factor, sign * rate))
+        for channel, sign in zip(_SIDES, (-1.0, 1.0), strict=True)
+    }  # fmt: skip
+
+
+def _twists(recording: Recording, track: float) -> list[Sources]:
+    """Return tread speeds of messages with a speed ahead; the turn rate may be another's."""
+    rates = [one["yaw_rate"] for one in _meant(recording, "yaw_rate")]
     return [
-        {
-            channel: Column(field=one[parts[0]], plus=(one[parts[1]],), channel=channel,
-                            weights=(1.0, sign * float(f"{half:.6g}")))
-            for channel, sign in zip(_SIDES, (-1.0, 1.0), strict=True)
-        }
-        for one in every if {*parts} <= set(one)
+        of_body(one["ahead"], turn, track) for one in _meant(recording, "ahead")
+        for turn in ([one["turn"]] if "turn" in one else rates[:1])
     ]  # fmt: skip
 
 
@@ -818,8 +858,10 @@ def _alike(recording: Recording, column: Column, clock: FloatArray, turning: Flo
 
 def _batteries(recording: Recording) -> Typed:
     """Return current and voltage of all batteries together, and say which count."""
-    every = [one for one in _of_type(recording, _BATTERY) if {"voltage", "current"} <= set(one)]
+    every = [one for one in _meant(recording, "current") if "voltage" in one]
     packs = [one for one in every if _varies(recording, one["current"])]
+    kinds = [recording.kinds[_topic(one["current"])] for one in packs]
+    packs = [one for one, kind in zip(packs, kinds, strict=True) if kind == kinds[0]]
     if len(packs) < 2:
         return Typed(dict((packs or every or [{}])[0]), {}, ())
     clock = recording.series(packs[0]["current"]).t

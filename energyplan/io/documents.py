@@ -124,12 +124,15 @@ _TELLING = {
     "a power model": {"terms"},
     "a vehicle": {"mass", "track"},
     "a project": {"vehicle", "columns"},
-    "an order of VDA 5050: the nodePosition of each node makes a task, as in tasks: [{name: n1, "
-    "pose: [X, Y, THETA]}]": {"orderId", "nodes"},
+    "an order of VDA 5050: give it as the tasks of a mission, as in tasks: order.json": {
+        "orderId",
+        "nodes",
+    },
     "a plan of QGroundControl, over longitude and latitude: write its waypoints in metres of the "
     "map, as in tasks: [{name: w1, pose: [X, Y, YAW]}]": {"fileType", "mission"},
-    "waypoints of Nav2: each makes a task, of yaw = 2*atan2(z, w), as in tasks: [{name: w1, "
-    "pose: [X, Y, YAW]}]": {"waypoints"},
+    "waypoints of Nav2: give them as the tasks of a mission, as in tasks: waypoints.yaml": {
+        "waypoints"
+    },
     "Clearpath's robot.yaml: give its robot by name, such as husky_a200 or jackal, or start with "
     "--like robot.yaml": {"serial_number", "platform"},
 }

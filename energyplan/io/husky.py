@@ -7,7 +7,6 @@ and mostly a file ``imu_NN.csv`` with ``time``, ``wx``, ``wy``, ``wz`` [rad/s], 
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import DriveLogError
+from energyplan.io.bags import TopicMap, topic_map
 from energyplan.io.files import is_file
 from energyplan.logs import DriveLog, SetAside
 from energyplan.logs.align import LARGEST_OFFSET, Offset, find_offset, find_runs
@@ -64,6 +64,17 @@ def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -
     Source: LaRocque et al. (2024), arXiv 2403.16877.
     """
     return husky_log(read_table(wheels, DriveLogError), Path(wheels), blind)
+
+
+def known_husky(
+    table: Recording, wheels: Path, topics: TopicMap | str | Path | None
+) -> DriveLog | None:
+    """Return the drive of a Husky's wheel file, if the robot is said to be one; of others none."""
+    if not set(WHEEL_COLUMNS) <= set(table.columns):
+        return None
+    if topics is None or topic_map(topics).name != "husky":
+        raise DriveLogError(f"{wheels.name}: {NOT_SAID}")
+    return husky_log(table, wheels)
 
 
 def husky_log(table: Recording, wheels: Path, blind: Literal["keep", "drop"] = "keep") -> DriveLog:
@@ -194,8 +205,3 @@ def _clock_offset(
     )
     usable = offset is not None and offset.explained > _CREDIBLE and offset.sign > 0
     return offset if usable else None
-
-
-def is_husky(names: Collection[str]) -> bool:
-    r"""Return whether a table is a wheel file of a Husky, by the names of its columns."""
-    return set(WHEEL_COLUMNS) <= set(names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import isfinite, nan
 from pathlib import Path
 
@@ -20,12 +21,13 @@ from energyplan.io.bags import (
 )
 from energyplan.io.config import read_columns
 from energyplan.io.files import same_file
-from energyplan.io.husky import NOT_SAID, husky_log, is_husky
+from energyplan.io.flight import is_flight, read_flight
+from energyplan.io.husky import known_husky
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import grows
 from energyplan.logs.guess import guess, words
-from energyplan.logs.mapping import Column, parse_columns, scale_of, unit_in
-from energyplan.logs.tables import Recording, column_names, read_table
+from energyplan.logs.mapping import Column, clock_in, parse_columns, scale_of, unit_in
+from energyplan.logs.tables import Recording, read_table
 from energyplan.path import FloatArray
 
 
@@ -36,10 +38,11 @@ def read_recording(
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Read what a file of any known kind holds; of a bag, all or what a topic map needs."""
-    if not is_bag(path):
-        return read_table(path, DriveLogError, parse_columns(columns).get("t"))
+    if not has_messages(path):
+        return read_table(path, DriveLogError, clock_in(columns))
+    read = read_flight if is_flight(path) else partial(read_bag, progress=progress)
     if topics is None:
-        return read_bag(path, progress=progress)
+        return read(path)
     sources = [one for several in topics.channels.values() for one in several]
     others = [name for one in sources for name in one.names if name.startswith("/")]
     named = f"{' '.join(others)} {columns}"
@@ -47,7 +50,12 @@ def read_recording(
     def wanted(topic: str) -> bool:
         return any(one.matches(topic) for one in sources) or f"{topic.strip('/')}." in named
 
-    return read_bag(path, wanted, progress)
+    return read(path, wanted)
+
+
+def has_messages(path: str | Path) -> bool:
+    """Return whether a path is a recording of messages, which a topic map reads."""
+    return is_bag(path) or is_flight(path)
 
 
 def named_columns(
@@ -73,11 +81,12 @@ def read_log(
     *,
     topics: TopicMap | str | Path | None = None,
     progress: Callable[[float], None] | None = None,
+    table: Recording | None = None,
 ) -> DriveLog:
-    r"""Read a drive log of any known kind."""
+    r"""Read a drive log of any known kind; a table may be read already."""
     of_project = isinstance(columns, str) and columns.endswith((".yaml", ".yml"))
     file = Path(path)
-    if is_bag(path):
+    if has_messages(path):
         if topics is None:
             raise DriveLogError(f"{file.name}: {NO_TOPICS.format(file.name)}")
         named, mapped = None if of_project else columns, topic_map(topics)
@@ -85,12 +94,9 @@ def read_log(
         mapping = columns_of(recording, mapped) | named_columns(recording, named)
         return DriveLog.of(recording, mapping)
     given = read_columns(str(columns)) if of_project else columns
-    recording = read_recording(path, given)
-    if given is None and is_husky(recording.columns):
-        if topics is None or topic_map(topics).name != "husky":
-            raise DriveLogError(f"{file.name}: {NOT_SAID}")
-        return husky_log(recording, file)
-    return DriveLog.of(recording, recording.mapping(given, others=not of_project))
+    recording = table or read_recording(path, given)
+    husky = known_husky(recording, file, topics) if given is None else None
+    return husky or DriveLog.of(recording, recording.mapping(given, others=not of_project))
 
 
 def read_drives(
@@ -99,12 +105,16 @@ def read_drives(
     columns: str | None = None,
     topics: str | None = None,
     progress: Callable[[float], None] | None = None,
+    first: Recording | None = None,
 ) -> list[DriveLog]:
-    """Read drives of one robot, each once; the vehicle gives a bag's topic map if none is given."""
+    """Read drives of one robot, each once, the first of them perhaps already.
+
+    The vehicle gives a bag's topic map if none is given.
+    """
     for k, path in enumerate(paths):
         if any(same_file(path, other) for other in paths[:k]):
             raise InvalidInputError(f"{path} is given twice; each drive counts once")
-    bags = [path for path in paths if is_bag(path)]
+    bags = [path for path in paths if has_messages(path)]
     if topics and topics != vehicle and not bags:  # a project has both
         raise InvalidInputError(
             f"{paths[0]} is no bag, so it has no topics; leave --topics out, and name its columns "
@@ -116,7 +126,10 @@ def read_drives(
             f"{bags[0]}: the topics and the wheel radius are not known: give --topics, or "
             f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
         )
-    return [read_log(path, columns, topics=chosen, progress=progress) for path in paths]
+    return [
+        read_log(path, columns, topics=chosen, progress=progress, table=None if k else first)
+        for k, path in enumerate(paths)
+    ]
 
 
 _TASK_WORDS = {
@@ -127,14 +140,6 @@ _TASK_WORDS = {
 }
 """What a row of a history of tasks holds: words of its columns, and a channel in its units."""
 _CHARGE_WORDS = {"soc", "percent", "percentage", "pct", "charge"}
-
-
-def may_be_tasks(path: Path) -> bool:
-    """Return whether a table may be a history of tasks, by the names of its columns."""
-    if path.suffix.lower() not in (".csv", ".gz", ".tsv", ".txt") or not path.exists():
-        return False
-    names = column_names(path, DriveLogError)
-    return any(_TASK_WORDS["distance"][0] & set(words(name)) for name in names)
 
 
 def tasks_of(table: Recording, full: float = nan) -> dict[str, FloatArray] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from math import atan2
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -11,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
+from energyplan.io.bags import heading
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
@@ -34,7 +36,8 @@ def read_mission(path: str | Path, *, inside: bool = False) -> Mission:
     """Read a mission from YAML.
 
     Numbers are in SI units, or carry one: ``5 min``, ``60 W``, ``36 Ah``, ``20 %``. A pose is
-    ``[x, y, yaw]``, ``"x,y,90deg"`` or the name of one of the `places`. Files are looked for
+    ``[x, y, yaw]``, ``"x,y,90deg"`` or the name of one of the `places`. The `tasks` may be the name
+    of a file, of an order of VDA 5050 or of waypoints of Nav2. Files are looked for
     in the mission's folder, then among the library's own. docs/missions lists the keys.
 
     Parameters
@@ -78,8 +81,6 @@ _MODELS = dict[str, dict[float, str]]
 
 def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     """Build a mission from a document, which names files in its folder, or `anywhere`."""
-    if "robots" in document.data:
-        return _of_robots(document, folder, anywhere)
 
     def at(loc: Loc, read: Callable[..., T], *given: Any) -> T:
         try:
@@ -96,6 +97,12 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
             raise MissionError(
                 f"there is no file {name!r} beside the mission, nor does the library bring one"
             ) from None
+
+    if isinstance(tasks := document.data.get("tasks"), str):
+        tasks = at(("tasks",), lambda name: _read_tasks(file(name)), tasks)
+        document = replace(document, data={**document.data, "tasks": tasks})
+    if "robots" in document.data:
+        return _of_robots(document, folder, anywhere)
 
     def named(read: Callable[[Path], T], preset: Callable[[str], T]) -> Callable[[str], T]:
         return lambda name: read(file(name)) if _is_yaml(name) else preset(name)
@@ -142,6 +149,78 @@ def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     return replace(document, data=data).check(
         Mission, context={"places": places, "where": document.where, "notes": notes}
     )
+
+
+class _Position(BaseModel):
+    """Where a node, or the pose of a waypoint, is [m]."""
+
+    x: float
+    y: float
+    theta: float | None = None
+
+
+class _Orientation(BaseModel):
+    """A quaternion."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float
+    w: float
+
+
+class _PoseOfROS(BaseModel):
+    """A pose as ROS writes it."""
+
+    position: _Position
+    orientation: _Orientation
+
+
+class _Node(BaseModel):
+    """A node of an order of VDA 5050."""
+
+    name: str = Field(alias="nodeId")
+    place: _Position = Field(alias="nodePosition")
+
+
+class _Waypoint(BaseModel):
+    """A waypoint of Nav2."""
+
+    name: str = ""
+    pose: _PoseOfROS
+
+    @property
+    def place(self) -> _Position:
+        return self.pose.position.model_copy(update={"theta": heading(self.pose.orientation)})
+
+
+class _Visits(BaseModel):
+    """What of an order, or of waypoints, says where to go."""
+
+    orderId: str = ""  # noqa: N815  as VDA 5050 spells it
+    nodes: list[_Node] = []
+    waypoints: list[_Waypoint] = []
+
+
+def _read_tasks(file: Path) -> list[dict[str, Any]]:
+    """Return the tasks of an order of VDA 5050, or of waypoints of Nav2, in their order.
+
+    A node without a heading is left as it is reached.
+    """
+    document = load(file, MissionError)
+    if not {"nodes", "waypoints"} & {*document.data}:
+        seems = f"this seems to be {document.kind}; " if document.kind else ""
+        raise document.fail((), f"{seems}give an order of VDA 5050 or waypoints of Nav2 as tasks")
+    tasks: list[dict[str, Any]] = []
+    found = document.check(_Visits)
+    stops: list[_Node | _Waypoint] = [*found.nodes, *found.waypoints]
+    for k, stop in enumerate(stops, 1):
+        x, y, yaw = stop.place.x, stop.place.y, stop.place.theta
+        before = tasks[-1]["pose"] if tasks else (x - 1.0, y)
+        yaw = atan2(y - before[1], x - before[0]) if yaw is None else yaw
+        twice = any(one["name"] == stop.name for one in tasks)
+        label = f"{stop.name} ({k})" if twice else stop.name or str(k)
+        tasks.append({"name": label, "pose": [x, y, yaw]})
+    return tasks
 
 
 class _Entry(Checked, BaseModel):

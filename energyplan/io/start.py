@@ -19,14 +19,17 @@ from energyplan.io.bags import (
     TOPIC_MAPS,
     TopicMap,
     Typed,
+    held_of,
+    of_body,
     of_types,
+    serving,
     topic_map_of,
     topics_of,
     untyped,
 )
 from energyplan.io.config import Project, read_vehicle
 from energyplan.io.documents import MAX_BYTES, load, read_bytes
-from energyplan.io.husky import NOT_SAID, husky_log, is_husky
+from energyplan.io.husky import known_husky
 from energyplan.io.logs import named_columns, read_log, read_recording, tasks_of
 from energyplan.logs import DriveLog
 from energyplan.logs.align import Series, find_runs
@@ -101,6 +104,11 @@ class Given:
             value = getattr(self, key)
             if not (np.isnan(value) or (isfinite(value) and value > 0)):
                 raise InvalidInputError(f"{key} is {value}; give a positive number")
+
+    @property
+    def topics(self) -> str | None:
+        """Name of the preset topic map of the vehicle to take the rest from, if it has one."""
+        return None if self.like is None else topic_map_of(self.like.name)
 
 
 _ROBOTS = {"a200": "husky_a200", "j100": "jackal"}
@@ -294,8 +302,12 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
         for one in (text[way] for way in ways if way in text):
             recording.column(one.field)  # says which cell is no number
-    names = (*recording.columns, *recording.text)
-    hint = ""
+    names, columns, hint = [*recording.columns, *recording.text], recording.columns, ""
+    if kinds := serving(recording, "current" if "power" in needed else "v_left"):
+        # Their messages are known, so that other names are no hint, but for those of motors.
+        names = [name for name in names if "rpm" in words(name)]
+        columns = {name: columns[name] for name in names}
+        hint = f"; {' or '.join(kinds)} holds it: have the flight controller log that"
     for name, cell in recording.text.items():
         if "t" in needed and re.search(r"is '\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", cell):
             recording.column(name)  # says how to write instants
@@ -334,7 +346,7 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
                 "v_right=V+0.25*W with half the track, though slip is then unseen"
             )
     if "t" in needed:
-        number = next((n for n, values in recording.columns.items() if counts_rows(values)), "")
+        number = next((n for n, values in columns.items() if counts_rows(values)), "")
         counts = f"{number!r} counts rows: if they" if number else "where rows"
         hint += (
             f"; {counts} come at a steady rate, give the time from row to row, as in "
@@ -342,7 +354,7 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         )
     used = [
         (name, channel, unit)
-        for name, values in recording.columns.items() if grows(values)
+        for name, values in columns.items() if grows(values)
         for channel, unit in (("current", "mAh"), ("power", "Wh"))
         if _CONSUMED[channel] & set(words(name))
     ]  # fmt: skip
@@ -353,7 +365,7 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
             f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
             f"{channel}={name}[{unit}]"
         )
-    amps = guess(recording.columns).get("current")
+    amps = guess(columns).get("current")
     if "power" in needed and amps is not None:
         hint += (
             f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
@@ -363,7 +375,8 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         hint += _of_torques(names)
     raise DriveLogError(
         f"{recording.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
-        f"{', '.join(names[:30])}; say which it is with --columns {needed[0]}=NAME"
+        f"{', '.join([*recording.columns, *recording.text][:30])}; say which it is with --columns "
+        f"{needed[0]}=NAME"
     )
 
 
@@ -546,11 +559,9 @@ def start(path: str | Path, given: Given | None = None) -> Start:
 def _started(file: Path, known: Given) -> tuple[Start, DriveLog]:
     """Read a file once, map its series to channels, and build the vehicle."""
     recording = read_recording(file, known.columns)
-    if known.columns is None and is_husky(recording.columns):
-        if known.like is None or topic_map_of(known.like.name) != "husky":
-            raise DriveLogError(f"{file.name}: {NOT_SAID}")
-        log = husky_log(recording, file)
-        return _finish(file, log, known, {}, TOPIC_MAPS["husky"], {}), log
+    husky = known_husky(recording, file, known.topics) if known.columns is None else None
+    if husky is not None:
+        return _finish(file, husky, known, {}, TOPIC_MAPS["husky"], {}), husky
     draft = _draft(recording, known)
     columns, assumed = _with_units(recording, draft, known)
     log, columns, turned = _signed(recording, columns)
@@ -589,6 +600,9 @@ class _Draft(NamedTuple):
     notes: list[str]
 
 
+_ELEMENT = re.compile(r"\.\d+$")  # of an array, of which some elements are named by hand
+
+
 def _draft(recording: Recording, known: Given) -> _Draft:
     """Guess by names, and by types of messages, which series serve as which channels."""
     columns = named_columns(recording, known.columns)
@@ -598,8 +612,22 @@ def _draft(recording: Recording, known: Given) -> _Draft:
             f"{recording.source} --vehicle VEHICLE learns from their distances, turning and "
             "energies"
         )
+    own = known.topics if recording.kinds else None
+    stock = {} if own is None else held_of(recording, TOPIC_MAPS[own])
+    if {*_SPEEDS} <= {*stock} and any(set(way) <= {*stock} for way in POWER_WAYS):
+        electric = {*POWERS, "voltage"}  # one of these that is named by hand replaces all
+        stock = {
+            c: one for c, one in stock.items() if not electric & {*columns} or c not in electric
+        }
+        if isfinite(known.wheel_radius):
+            rate = f"rad/s*{known.wheel_radius:.6g}"
+            stock |= {channel: stock[channel].changed(unit=rate) for channel in _SPEEDS}
+        return _Draft(stock | columns, {}, [f"the topics are those of the topic map {own!r}"])
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
+    arrays = {_ELEMENT.sub("", name) for one in columns.values() for name in one.names
+              if _ELEMENT.search(name)}  # fmt: skip
+    taken |= {name for name in recording.columns if _ELEMENT.sub("", name) in arrays}
     speeds, there = {*_SPEEDS}, [*recording.columns]
     notes: list[str] = []
     typed = Typed({}, {}, ())
@@ -728,8 +756,8 @@ def _guesses(
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
     names = [name for name in there if name not in taken]
     counters = {name for name in names if grows(recording.columns[name][:_SOME])}
-    names += [name for name in quaternions(recording.columns) if np.ptp(_some(recording, Column(
-        field=name, channel="yaw"))) > 0.0]  # fmt: skip
+    names += [name for name in quaternions(recording.columns) if np.ptp(
+        recording.column(name)) > 0.0]  # fmt: skip
     kept: dict[str, Column] = {}
     grown = ""
     while True:
@@ -769,14 +797,11 @@ def _from_twist(
         return []
     turn = max(turns, key=lambda name: len(set(words(name)) & set(words(ahead))))
     note = _of_body(known, f"{ahead} and {turn}")
-    track = known_measures(known).track
-    speed_scale = scale_of("v_left", unit_in("v_left", ahead).unit).factor
-    rate_scale = scale_of("yaw_rate", unit_in("yaw_rate", turn).unit).factor
-    half = 0.5 * track * rate_scale
-    for channel, sign in (("v_left", -1.0), ("v_right", 1.0)):
-        columns[channel] = column_from(
-            channel, ahead, None, None, (turn,), (speed_scale, sign * half)
-        )
+    columns |= of_body(
+        column_from("v_left", ahead, unit_in("v_left", ahead).unit),
+        column_from("yaw_rate", turn, unit_in("yaw_rate", turn).unit),
+        known_measures(known).track,
+    )
     # A heading of the same odometry shows no slip, but would be believed to.
     for channel in ("yaw_rate", "yaw"):
         found.pop(channel, None)
@@ -885,7 +910,7 @@ def _with_units(
     if not recording.times and not columns["t"].unit:  # in which a drive log's step is typical
         unit = _unit_of_time(recording, columns)
         columns = {**columns, "t": columns["t"].changed(unit=unit)}
-    t = recording.clock(name) if recording.times else _some(recording, columns["t"])
+    t = recording.clock(name) if recording.times else recording.series(columns["t"]).values
     if t is not None and np.median(np.diff(t)) < _CLOSE:
         recording = whole.head(name, 4 * _SOME)
     choices = _choices(recording, columns, found, known)
@@ -1002,7 +1027,7 @@ def _sure_of_current(
         unit = chosen.get(channel, "")
         if not unit.startswith("m") or not isfinite(force):
             continue
-        readings = _some(recording, columns[channel])
+        readings = recording.series(columns[channel]).values
         sizes = {"*0.1": 100.0 * force, "*0.01": 10.0 * force}
         usual = any(_USUAL_FORCE[0] <= size <= _USUAL_FORCE[1] for size in sizes.values())
         if usual and not np.any(np.mod(readings[np.isfinite(readings)], 1.0)):
@@ -1024,14 +1049,9 @@ def _whole_rows(raw: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 def _size(recording: Recording, column: Column) -> float:
     """Return how large readings get, strays left out."""
-    values = np.abs(_some(recording, column))
+    values = np.abs(recording.series(column).values)
     values = values[np.isfinite(values)]
     return float(np.quantile(values, 0.99)) if len(values) else 0.0
-
-
-def _some(recording: Recording, column: Column, t: FloatArray | None = None) -> FloatArray:
-    """Return readings of a column, in the library's unit as far as it is known."""
-    return recording.series(column, t).values
 
 
 def _factor(channel: str, unit: str, known: Given) -> float:

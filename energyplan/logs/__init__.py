@@ -28,7 +28,7 @@ from energyplan.logs.align import (
 from energyplan.logs.checks import checks_of
 from energyplan.logs.clean import Place, SetAside, clean, needed_channels, total_power
 from energyplan.logs.consistency import Check, Observed
-from energyplan.logs.mapping import Column, parse_columns
+from energyplan.logs.mapping import Column, clock_in, parse_columns
 from energyplan.logs.tables import Recording, read_table, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
@@ -189,7 +189,7 @@ class DriveLog(ReadOnly, html.Readable):
         120.0
         """
         if isinstance(source, str | PathLike):
-            recording = read_table(source, DriveLogError, parse_columns(columns).get("t"))
+            recording = read_table(source, DriveLogError, clock_in(columns))
         else:
             recording = table_of(source, DriveLogError)
         return cls.of(recording, recording.mapping(columns, others))

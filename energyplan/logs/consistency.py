@@ -431,6 +431,7 @@ _VOLTAGE = _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots")
 # Whole numbers may be tenths or hundredths, so that they are held to narrower ranges.
 _WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whole numbers")
 _ROUGH_FORCE = replace(_FORCE, low=8e-4, high=40.0, why="resistance of wheels, weight by size")
+_OF_DRIVES = replace(_ELECTRIC, low=0.25, why="what the drives draw of the battery's power")
 _WHOLE_VOLTAGE = replace(_VOLTAGE, high=100.0, why="batteries of robots, read in whole numbers")
 
 
@@ -447,7 +448,8 @@ def _ratios(seen: Mapping[str, float], drive: Observed) -> list[tuple[_Range, fl
         (_STEP, seen["step"]), (_TOP_SPEED, seen["top_speed"]), (_DISTANCE, seen["distance"]),
         (_ROTATION, seen["rotation"]), (_TURNING, seen["slip_track"] / geometric),
         (_ASPECT, wheelbase / track), (_DENSITY, mass / (wheelbase * track)),
-        (force, seen["force"] / weight), (_ELECTRIC, seen["electric"]),
+        (force, seen["force"] / weight),
+        (_OF_DRIVES if drive.sides else _ELECTRIC, seen["electric"]),
         (_WHOLE_VOLTAGE if "voltage" in drive.whole else _VOLTAGE, seen["voltage"]),
         (_INERTIA, seen.get("inertia", nan) / mass),
     ]  # fmt: skip

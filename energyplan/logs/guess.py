@@ -51,6 +51,9 @@ _MEASURED = {
 }  # fmt: skip
 """Words that say that a reading is one, and not of what."""
 _BATTERY = {"battery", "bat", "batt", "bus", "bms", "pack"}
+_KNOWN = frozenset[str]().union(*_WORDS.values(), _NOT_MEASURED, ENCODER, _MEASURED, _BATTERY)
+"""Words whose plural means the same."""
+_SHORTEST = 3  # letters up to which a word is no plural
 _ELECTRIC = ("power", "voltage", "current")
 _TOLD_BY_UNIT = {"power": "power", "voltage": "voltage", "current": "current", "v_left": "speed"}
 
@@ -76,7 +79,8 @@ def words(name: str) -> list[str]:
             found.append(word)
             continue
         short = re.fullmatch(r"(v|w|p|i|u|rpm|vel|cur|omega|n)(l|r)", word)
-        found += [short[1], short[2]] if short else [word]
+        plural = len(word) > _SHORTEST and word not in _KNOWN and word.removesuffix("s") in _KNOWN
+        found += [short[1], short[2]] if short else [word.removesuffix("s") if plural else word]
     return found
 
 

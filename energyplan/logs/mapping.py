@@ -162,7 +162,8 @@ def split_unit(name: str) -> tuple[str, str]:
     """Split a column's name from the unit in brackets at its end; empty where there is none."""
     match = _BRACKETED.fullmatch(name.strip())
     # The heading of an orientation is written yaw(NAME), as of a bag's messages.
-    return (match[1], match[2]) if match and match[1] != "yaw" else (name.strip(), "")
+    of_orientation = name.startswith("yaw(")
+    return (match[1], match[2]) if match and not of_orientation else (name.strip(), "")
 
 
 _SCALED = re.compile(r"(.*[^\W\d])[\W_]+(10+|0\.0*1)([A-Za-z/]+)")
@@ -505,7 +506,10 @@ def _resolve(channel: str, text: str, names: Collection[str]) -> Column:
         # What a name says of its unit, such as "speed [km/h]" or "speed_kmh", is believed.
         return column_from(channel, source, unit_in(channel, source).unit)
     match = _UNIT_AFTER.fullmatch(source)
-    source, unit = (match[1], match[2]) if match else (source, "")
+    # What ends with a name, or a number, in brackets ends with an element of an array.
+    element = match and (match[2].isdecimal() or any(
+        source.endswith(name) for name in names if name.endswith("]")))  # fmt: skip
+    source, unit = (match[1], match[2]) if match and not element else (source, "")
     if source.count("[") != source.count("]"):
         raise _unreadable(f"{channel}={text}")
     known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True) if name)
@@ -564,10 +568,17 @@ def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:
     return "" if factor == 1.0 else f"*{factor:.10g}"
 
 
+def clock_in(columns: str | Mapping[str, str | Column] | None) -> Column | None:
+    """Return the column that is said to hold the time, if any."""
+    return parse_columns(columns, only="t").get("t")
+
+
 def parse_columns(
-    columns: str | Mapping[str, str | Column] | None, names: Collection[str] = ()
+    columns: str | Mapping[str, str | Column] | None,
+    names: Collection[str] = (),
+    only: str = "",
 ) -> dict[str, Column]:
-    """Read which column serves as which channel."""
+    """Read which column serves as which channel, or as one alone."""
     if columns is None or isinstance(columns, str):
         entries = [entry.partition("=") for entry in _split(columns or "")]
         pairs = [(name, equals + text) for name, equals, text in entries]
@@ -585,7 +596,8 @@ def parse_columns(
             raise _unreadable(f"{name}{text}")
         if channel in result:
             raise DriveLogError(f"column mapping names the channel {channel!r} twice; drop one")
-        result[channel] = _resolve(channel, source, names)
+        if only in ("", channel):
+            result[channel] = _resolve(channel, source, names)
     return result
 
 

@@ -238,7 +238,7 @@ def _is_value(cell: str) -> bool:
     text = cell.strip()
     if text.lower() in _NO_NUMBER:
         return False
-    return _is_number(text) or _comma_number(text) or _INSTANT.fullmatch(text) is not None
+    return not np.isnan(_cell(text)) or _comma_number(text) or _INSTANT.fullmatch(text) is not None
 
 
 def _comma_number(cell: str) -> bool:
@@ -261,14 +261,6 @@ def _cell(cell: object) -> float:
         return float(cell)  # type: ignore[arg-type]
     except NO_NUMBER:
         return float("nan")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_unit_row(row: list[str]) -> bool:
@@ -360,8 +352,9 @@ class Recording:
     ) -> dict[str, Column]:
         """Return which column serves as which channel: as given, and others by their own names."""
         names = (*self.columns, *self.text)
-        given = parse_columns(columns, names)
-        return map_channels(given, names, self.text) if others else given
+        if others:
+            return map_channels(columns, names, self.text)
+        return parse_columns(columns, names)
 
     def notes_of(self, mapping: Mapping[str, Column]) -> list[str]:
         """Return what is said of the messages that serve as channels, or of text that does not."""
@@ -432,6 +425,25 @@ def _mean_of(parts: Sequence[FloatArray]) -> FloatArray:
 def message_series(name: str) -> str:
     """Return the name of the series of a message's field: ``/a.b.c`` of ``/a.b[c]``."""
     return f"/{re.sub(r'[][()]+', '.', name).strip('/.')}"
+
+
+def of_messages(
+    source: str, topics: Mapping[str, Mapping[str, FloatArray]],
+    clocks: Mapping[str, FloatArray], kinds: Mapping[str, str], notes: Mapping[str, str],
+) -> Recording:  # fmt: skip
+    """Return the fields of each topic's messages as series, with their times since the first."""
+    columns: dict[str, FloatArray] = {}
+    times: dict[str, FloatArray] = {}
+    written: dict[str, str] = {}
+    first = min((float(np.min(clocks[one])) for one, held in topics.items() if held), default=0.0)
+    for topic, fields in topics.items():
+        order = np.argsort(clocks[topic], kind="stable")
+        t = clocks[topic][order] - first
+        for field_, values in fields.items():
+            label = message_series(f"{topic}.{field_}")
+            columns[label], times[label] = values[order], t
+            written[label] = f"/{topic.strip('/')}.{field_}"
+    return Recording(source, columns, times=times, kinds=kinds, written=written, notes=notes)
 
 
 def quaternions(names: Collection[str]) -> dict[str, tuple[str, ...]]:
@@ -568,8 +580,9 @@ _OTHERS = {
                     "makes a table of its data sets, with a name for each"),
     **dict.fromkeys((".blf", ".asc", ".mf4", ".mdf"), "a recording of a bus; export its decoded "
                     "signals as CSV, as asammdf does"),
-    **dict.fromkeys((".ulg", ".tlog", ".bin"), "a flight controller's; export it as CSV, as "
-                    "ulog2csv and mavlogdump.py --format csv do"),
+    **dict.fromkeys((".ulg", ".tlog", ".bin"), "a flight controller's: energyplan start "
+                    "reads it alone; to join it, export it as CSV, as ulog2csv and mavlogdump.py "
+                    "--format csv do"),
 }  # fmt: skip
 """What files are that are not read, and what makes a table of them, by suffix."""
 
@@ -686,16 +699,6 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:
     result = Columns(names, 0, "row")
     result.add(frame.set_axis(names, axis=1))
     return result.table(Path("DataFrame"), error)
-
-
-def column_names(path: str | Path, error: type[InvalidInputError]) -> list[str]:
-    """Return the column names of a CSV or gzipped CSV file, which is read no further."""
-    file = Path(path)
-    with _reading(file, error):
-        if _suffix(file, error) == ".parquet":
-            raise error(f"{file} is no CSV file")
-        head = _bytes(file, error, _AHEAD)
-        return find_dialect(head, len(head) < _AHEAD, file, error).names
 
 
 @contextmanager

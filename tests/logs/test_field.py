@@ -423,8 +423,10 @@ def test_a_remedy_is_what_mends_the_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.channel("v_left"), AT.left, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["csv", "bag"])
-def test_a_file_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+@pytest.mark.parametrize("kind", ["csv", "bag", "command"])
+def test_a_file_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, run: Run
+) -> None:
     """Also where a side is turned round, and where a second drive is held against the first."""
     count = Counter()
     read = np.loadtxt
@@ -441,6 +443,11 @@ def test_a_file_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ki
         made = start_all(files, MEASURES)
         assert any("opposite sign" in note for note in made.notes)
         assert count["csv"] == 2
+    elif kind == "command":  # by its distance this could be a history of tasks
+        log = AT.house().assign(distance=np.cumsum(AT.left))
+        log.to_csv(tmp_path / "a.csv", index=False)
+        answer = run("identify", tmp_path / "a.csv", "--vehicle", "husky_a200")
+        assert (answer.code, count["csv"]) == (0, 1), answer.err
     else:
         pytest.importorskip("rosbags")
         from rosbags import rosbag2
