@@ -75,6 +75,7 @@ def start(
         str | None,
         Option(
             metavar="VEHICLE",
+            callback=opt.in_full,
             help="Start from this vehicle, or from a URDF, Clearpath's robot.yaml or parameters of "
             "diff_drive_controller; other options override it.",
         ),
@@ -378,7 +379,10 @@ def diagnose(
 def watch(
     log: Annotated[str, Argument(help="A CSV log that grows, or - for standard input.")],
     model: Annotated[str | None, Option(metavar="MODEL", help="Model to begin with.")] = None,
-    vehicle: Annotated[str | None, Option(metavar="VEHICLE", help="In place of a model.")] = None,
+    vehicle: Annotated[
+        str | None,
+        Option(metavar="VEHICLE", help="In place of a model.", callback=opt.in_full),
+    ] = None,
     mission: Annotated[Path | None, Option(help="YAML file of the robot's mission.")] = None,
     columns: opt.Columns = None,
     once: Annotated[bool, Option("--once", help="Stop at the end of the file.")] = False,

@@ -90,12 +90,8 @@ def lattice(
     They come nearest to the energy of the model. Prints the error that remains.
     """
     from energyplan.cost import EnergyCost
-    from energyplan.export.lattice import (
-        control_set,
-        penalties,
-        write_lattice,
-        write_penalties,
-    )
+    from energyplan.export.lattice import control_set, penalties, write_lattice, write_penalties
+    from energyplan.html import number as figure
 
     cost = EnergyCost(level_model(model))
     controls = control_set(cost, resolution)
@@ -105,7 +101,7 @@ def lattice(
         write_penalties(found, parameters, out)
     rounded = {name: round(value, 6) for name, value in found._asdict().items()}
     lines = [f"{len(controls.primitives)} primitives: {out}"]
-    lines += [f"{name}: {value:.4g}" for name, value in rounded.items()]
+    lines += [f"{name}: {figure(value)}" for name, value in rounded.items()]
     answer({"primitives": len(controls.primitives), "penalties": rounded}, lines, json=json)
 
 

@@ -286,7 +286,9 @@ def check(
     ],
     drive: DriveOptions,
     map_file: opt.MaybeSite = None,
-    vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
+    vehicle: Annotated[
+        str | None, Option(help="Vehicle of the motor limits.", callback=opt.in_full)
+    ] = None,
     out: Annotated[
         Path | None,
         Option(
@@ -304,6 +306,7 @@ def check(
     """
     from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
     from energyplan.html import number as figure
+    from energyplan.html import share as percent
     from energyplan.io.config import read_vehicle
     from energyplan.io.sites import of_another_robot, read_site
     from energyplan.io.tables import read_drive, write_trajectory
@@ -339,7 +342,7 @@ def check(
         slowed = found if report.feasible else found.scaled(share)
         write_trajectory(slowed, out)
         document["out_duration"] = slowed.duration
-        lines.append(f"{out}: {figure(slowed.duration)} s, {figure(share)} times these speeds")
+        lines.append(f"{out}: {figure(slowed.duration)} s, at {percent(share)} of these speeds")
     elif out:
         warn(f"{out} is not written: the motors drive this trajectory at no speed")
     answer(document, lines, json=json)
@@ -508,6 +511,7 @@ def mission(
     with progress("evaluating the mission"):
         result = evaluate(wanted)
         after = evaluate(result.after_failure(name, instant)) if name else None
+    failure = text.failure(result, name, instant) if name else ""
     if trajectories:
         trajectories.mkdir(parents=True, exist_ok=True)
         for r, one in enumerate(result.robots or (result,), start=1):
@@ -517,11 +521,11 @@ def mission(
     if report:
         from energyplan.output.pages import mission_page
 
-        write_report(mission_page(result), report)
+        write_report(mission_page(result, failure, after), report)
     document, lines = documents.mission(result, bool(trajectories)), text.mission(result)
     if after is not None:
         document["after_failure"] = {"robot": name, "time": instant, **documents.mission(after)}
-        lines += [f"if {name} fails at {instant:g} s:", *text.mission(after)]
+        lines += [f"if {failure}:", *text.mission(after)]
     answer(document, lines, json=json)
     verdict(result.feasible and (after is None or after.feasible), strict)
 

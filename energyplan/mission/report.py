@@ -157,10 +157,9 @@ class MissionReport(html.Readable):
 
     @property
     def duration(self) -> float:
-        """Duration of the mission, of several robots the longest [s]."""
-        if self.robots:
-            return max(robot.duration for robot in self.robots)
-        return self._last.arrival - self.mission.time
+        """From the beginning to the end, of several robots to the last one's [s]."""
+        ends = [robot._last.arrival for robot in self.robots] or [self._last.arrival]
+        return max(ends) - min(one.time for one in self.mission.parts or (self.mission,))
 
     @property
     def soc_end(self) -> float:
@@ -291,19 +290,18 @@ class MissionReport(html.Readable):
              f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
             for one in self.timetable
         ]  # fmt: skip
-        unknown = [
-            (
-                html.words(one.source),
-                *(html.number(part / 3600, 2) for part in (one.energy, one.saving)),
-            )
-            for one in self.uncertainty
-        ]
+        sources = [html.words(one.source) for one in self.uncertainty]
+        unknown = [*zip(sources, *(
+            html.column([getattr(one, kind) / 3600 for one in self.uncertainty])
+            for kind in ("energy", "saving")
+        ), strict=True)]  # fmt: skip
         wh = f"{html.number(self.energy / 3600)} Wh"
         most = f"{html.number(self.energy_upper / 3600)} Wh"
         sure = f"{100 * self.mission.confidence:.0f} %"
-        left = f"{100 * self.soc_end:.0f} % of charge at the end"
+        left = f"{100 * self.soc_end:.0f} % of charge left at the end, "
+        left += f"at least {100 * self.soc_end_lower:.0f} %"
         found = (
-            html.Summary(f"Tasks: {wh}, at {sure} confidence at most {most}; {left}", (
+            html.Summary(f"Tasks: {wh}; {left}; at {sure} confidence at most {most}", (
                 "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
             ), tasks),
             html.Summary("Timetable", (
@@ -318,7 +316,8 @@ class MissionReport(html.Readable):
     def _of_robots(self) -> tuple[html.Summary, ...]:
         robots = [
             (one.mission.name, len(one.tasks), *(html.number(e / 3600) for e in (one.energy,
-             one.energy_upper)), f"{one.duration / 60:.1f}", f"{one.waiting / 60:.1f}",
+             one.energy_upper)), clock(one.mission.time), clock(one._last.arrival),
+             f"{one.waiting / 60:.1f}",
              f"{100 * one.soc_end:.0f} %", f"{100 * one.soc_end_lower:.0f} %")
             for one in self.robots
         ]  # fmt: skip
@@ -330,7 +329,7 @@ class MissionReport(html.Readable):
         ]  # fmt: skip
         found = (
             html.Summary("Robots", (
-                "robot", "tasks", "energy [Wh]", "at most [Wh]", "minutes", "waiting [min]",
+                "robot", "tasks", "energy [Wh]", "at most [Wh]", "from", "to", "waiting [min]",
                 "charge left", "at least"
             ), robots),
             html.Summary("Timetable", (

@@ -350,7 +350,8 @@ def _routes(service: _Service) -> APIRouter:
 
 def _timeline(report: MissionReport) -> Document:
     names = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
-    return {name: documents.plain(getattr(report.timeline, name)) for name in names}
+    found = {name: documents.plain(getattr(report.timeline, name)) for name in names}
+    return {**found, "reserve": [report.mission.reserve] * len(report.timeline.t)}
 
 
 @cache
