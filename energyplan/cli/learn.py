@@ -75,7 +75,6 @@ def start(
         str | None,
         Option(
             metavar="VEHICLE",
-            callback=opt.in_full,
             help="Start from this vehicle, or from a URDF, Clearpath's robot.yaml or parameters of "
             "diff_drive_controller; other options override it.",
         ),
@@ -379,11 +378,12 @@ def diagnose(
 def watch(
     log: Annotated[str, Argument(help="A CSV log that grows, or - for standard input.")],
     model: Annotated[str | None, Option(metavar="MODEL", help="Model to begin with.")] = None,
-    vehicle: Annotated[
-        str | None,
-        Option(metavar="VEHICLE", help="In place of a model.", callback=opt.in_full),
-    ] = None,
+    vehicle: Annotated[str | None, Option(metavar="VEHICLE", help="In place of a model.")] = None,
     mission: Annotated[Path | None, Option(help="YAML file of the robot's mission.")] = None,
+    robot: Annotated[
+        str | None,
+        Option(metavar="NAME", help="Whose log it is, of a mission of several robots."),
+    ] = None,
     columns: opt.Columns = None,
     once: Annotated[bool, Option("--once", help="Stop at the end of the file.")] = False,
     every: Annotated[float, Option(help="Time between two reports [s].")] = 10.0,
@@ -409,6 +409,7 @@ def watch(
     from energyplan.live import Learned, follow, lines_of
     from energyplan.live import watch as events
     from energyplan.live.watcher import Settings
+    from energyplan.mission import evaluate
     from energyplan.output import documents, text
 
     if model and vehicle:
@@ -419,6 +420,11 @@ def watch(
         raise InvalidInputError("--former goes with the --model that was identified from it")
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
     wanted = read_mission(mission) if mission else None
+    if robot is not None:
+        if wanted is None or not wanted.robots:
+            raise InvalidInputError("--robot goes with a --mission of several robots; leave it out")
+        with progress("sharing the tasks"):
+            wanted = evaluate(wanted).share(robot)
     source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
     learned: Any = None
     known = read_drives(former, str(model), columns) if former else []

@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal
 import typer
 from typer import Argument, Option
 
-from energyplan.cli.answers import warn
 from energyplan.errors import InvalidInputError
 
 OUTPUTS = "energyplan.outputs"
@@ -83,17 +82,6 @@ def _complete(kind: str) -> Callable[[str], list[str]]:
     return complete
 
 
-def in_full(value: str | None) -> str | None:
-    """Say which preset the short name of a vehicle stands for, such as one without its load."""
-    from energyplan.vehicle import VEHICLE_PRESETS
-
-    preset = VEHICLE_PRESETS.get(value or "")
-    if preset is not None and (meant := preset()).name != value:
-        others = [name for name in VEHICLE_PRESETS if name.startswith(f"{value}:")]
-        warn(f"{value} stands for {meant.name}, of {meant.mass:g} kg; known: {', '.join(others)}")
-    return value
-
-
 Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
 Strict = Annotated[bool, Option("--strict", help="End with exit code 3 if the answer is no.")]
 Logs = Annotated[
@@ -107,7 +95,6 @@ VehicleName = Annotated[
         metavar="VEHICLE",
         help="A preset such as husky_a200, or a YAML file.",
         autocompletion=_complete("vehicle"),
-        callback=in_full,
     ),
 ]
 ModelName = Annotated[

@@ -286,9 +286,7 @@ def check(
     ],
     drive: DriveOptions,
     map_file: opt.MaybeSite = None,
-    vehicle: Annotated[
-        str | None, Option(help="Vehicle of the motor limits.", callback=opt.in_full)
-    ] = None,
+    vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     out: Annotated[
         Path | None,
         Option(

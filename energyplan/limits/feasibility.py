@@ -680,5 +680,5 @@ def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
                 "some limit is reached: this trajectory cannot be sped up evenly; another timing "
                 "of its path, as check finds for x,y,yaw alone, may be faster"
             )
-        return f"every limit holds up to {factor:.4g} times the speed"
+        return f"every limit holds up to {html.share(factor)} of the speed"
     return f"too fast: {what}; feasible at {html.share(factor)} of the speed"

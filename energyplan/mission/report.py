@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Literal
@@ -298,10 +298,10 @@ class MissionReport(html.Readable):
         wh = f"{html.number(self.energy / 3600)} Wh"
         most = f"{html.number(self.energy_upper / 3600)} Wh"
         sure = f"{100 * self.mission.confidence:.0f} %"
-        left = f"{100 * self.soc_end:.0f} % of charge left at the end, "
+        left = f"{100 * self.soc_end:.0f} % of charge at the end, "
         left += f"at least {100 * self.soc_end_lower:.0f} %"
         found = (
-            html.Summary(f"Tasks: {wh}; {left}; at {sure} confidence at most {most}", (
+            html.Summary(f"Tasks: {wh}, at {sure} confidence at most {most}; {left}", (
                 "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
             ), tasks),
             html.Summary("Timetable", (
@@ -359,6 +359,13 @@ class MissionReport(html.Readable):
             names = ", ".join(known) or "none"
             raise MissionError(f"no robot is called {name!r}; the robots are {names}")
         return known[name]
+
+    def share(self, name: str) -> Mission:
+        """Return the mission of one of several robots: the tasks that it does, and no others."""
+        robot = self.robot(name)
+        own = {task.name for task in robot.tasks}
+        tasks = tuple(task for task in robot.mission.tasks if task.name in own)
+        return replace(robot.mission, tasks=tasks)
 
     def at(self, time: float) -> RobotState:
         """Return where the robot is at a time [s]; a stay under way by then is completed."""

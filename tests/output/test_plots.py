@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import shapely
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.quiver import Quiver
 
 from energyplan import (
@@ -21,9 +23,10 @@ from energyplan import (
     evaluate,
     simulate,
 )
-from energyplan.mission import MissionReport
+from energyplan.mission import Charger, MissionReport
 from energyplan.output import plots
 from energyplan.output.plots import image
+from energyplan.output.plots.style import DPI
 from energyplan.terrain.surfaces import Surface
 
 MODEL = PowerModel.preset("quadriga:empty:marble")
@@ -146,21 +149,46 @@ def test_places_have_the_numbers_under_which_the_legend_names_them(crowded: Miss
     assert box.x1 <= figure.bbox.x1 and box.y0 >= figure.bbox.y0 - 1.0
 
 
-@pytest.mark.parametrize("sides", [(16, 24), (24, 16), (8, 40)])
-def test_the_legend_of_a_map_with_colours_is_within_the_picture(
-    crowded: MissionReport, sides: tuple[int, int]
+@pytest.mark.parametrize(
+    ("sides", "yaw", "chargers"),
+    [((16, 24), 0, 0), ((24, 16), 0, 1), ((8, 40), 0, 1), ((16, 20), 0.4, 9)],
+)
+def test_nothing_about_a_map_with_colours_lies_over_another_or_is_cut(
+    crowded: MissionReport, sides: tuple[int, int], yaw: float, chargers: int
 ) -> None:
-    """The bar of colours below, and a map of any shape, leave room for the legend above."""
+    """Legends, the axis' label, the bar of colours and its label, from top to bottom."""
     high, wide = sides
-    hall = OccupancyGrid(np.zeros((10 * high, 10 * wide), bool), 0.1)
+    hall = OccupancyGrid(np.zeros((10 * high, 10 * wide), bool), 0.1, origin=(0, 0, yaw))
     ground = SurfaceMap([Surface(shapely.box(0, 0, 0.5 * wide, high), MODEL, "marble")])
-    mission = replace(crowded.mission, map=hall, surfaces=ground)
+    docks = [Charger(f"dock {k}", Pose(1.0, 4.0, 0.0), 100.0) for k in range(chargers)]
+    mission = replace(crowded.mission, map=hall, surfaces=ground, chargers=docks)
     figure = plots.mission_map(replace(crowded, mission=mission))
     image(figure, ".png")
-    legend = figure.axes[0].get_legend()
+    figure.set_dpi(DPI)  # as it was drawn
+    (ax,) = figure.axes
+    (bar,) = ax.child_axes
+    legend = ax.get_legend()
     assert legend is not None
-    box = legend.get_window_extent()
-    assert figure.bbox.y1 >= box.y1 > box.y0 >= figure.axes[0].get_window_extent().y1 - 1.0
+    parts = [legend, ax.patch, ax.xaxis, bar.patch, bar.xaxis, *figure.legends]
+    boxes = [part.get_tightbbox() for part in parts]
+    assert boxes[0].y1 <= figure.bbox.y1 and boxes[-1].y0 >= -1.0
+    assert all(upper.y0 >= lower.y1 - 1.0 for upper, lower in pairwise(boxes))
+    assert all(box.x0 >= -1.0 and box.x1 <= figure.bbox.x1 + 1.0 for box in boxes)
+
+
+def test_a_missions_colours_span_from_the_reserve_to_a_full_battery(crowded: MissionReport) -> None:
+    """However little the mission takes; arrows and white lines say which way it is driven."""
+    ax = plots.mission_map(crowded).axes[0]
+    lines = [one for one in ax.collections if isinstance(one, LineCollection)]
+    charge = next(one for one in lines if one.get_array() is not None)
+    assert np.ptp(np.asarray(charge.get_array())) < 5.0
+    assert charge.get_clim() == pytest.approx((100 * crowded.mission.reserve, 100))
+    assert any(isinstance(one, Quiver) for one in ax.collections)
+    white = next(one for one in lines if one.get_array() is None)
+    length = sum(float(np.hypot(*np.diff(one, axis=0).T).sum()) for one in white.get_segments())
+    backwards = sum(path.reverse_length for path in crowded.paths)
+    assert length == pytest.approx(backwards, rel=0.02) and backwards > 1.0
+    assert f"{backwards:.1f} m in reverse" in ax.child_axes[0].get_xlabel()
 
 
 def test_nothing_lies_over_the_charge_or_outside_the_picture(crowded: MissionReport) -> None:

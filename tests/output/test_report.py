@@ -8,7 +8,7 @@ import pytest
 
 from energyplan import PowerModel, __version__
 from energyplan.errors import InvalidInputError
-from energyplan.html import Summary, quantity, unit
+from energyplan.html import Summary, column, quantity, share, unit
 from energyplan.output import plots
 from energyplan.output.pages import Page
 from energyplan.output.plots import svg
@@ -123,6 +123,17 @@ def test_columns_of_numbers_stand_to_the_right_and_what_is_absent_is_told() -> N
 )  # fmt: skip
 def test_an_error_decides_on_the_digits(value: float, error: float, symbol: str, text: str) -> None:
     assert quantity(value, error, symbol) == text
+
+
+def test_numbers_that_are_compared_have_the_decimals_of_the_largest() -> None:
+    assert column([23.41, 1.26, 9.4e-5]) == ["23", "1", "0"]
+    assert column([0.0712, 0.0056, 1e-9]) == ["0.071", "0.006", "0.000"]
+    assert column([0.0, 0.0]) == ["0", "0"] and column([]) == []
+
+
+def test_a_part_of_a_limit_that_is_printed_keeps_the_limit() -> None:
+    parts = (2 / 3, 1.0, 0.99999, 2.5, 0.012345, 0.0)
+    assert [share(one) for one in parts] == ["66.6 %", "100 %", "99.9 %", "250 %", "1.23 %", "0 %"]
 
 
 def test_units_are_printed_with_raised_powers() -> None:

@@ -299,7 +299,7 @@ def test_a_mission_of_several_robots_is_opened_changed_and_answered(
         assert hours == sorted(hours)
         tints = {one.get_attribute("stroke") for one in page.locator("path[fill=none]").all()}
         assert {"#0072b2", "#009e73"} <= tints  # each robot has its own
-        assert page.locator("#charge .u-legend tr").count() == 7
+        assert page.locator("#charge .u-legend tr").count() == 8  # with the reserve
         assert page.evaluate(
             "Math.max(...[...document.querySelectorAll('table')].map("
             "(one) => one.getBoundingClientRect().right))"

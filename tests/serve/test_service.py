@@ -554,7 +554,8 @@ def test_a_mission_of_several_robots_is_opened_and_answered(
     told = answer.json()
     own = documents.mission(ep.evaluate(mission_from(fleet, folder)), trajectories=True)
     for robot in told["robots"]:
-        assert len(robot.pop("timeline")["t"]) > 1
+        timeline = robot.pop("timeline")
+        assert timeline["reserve"] == [0.2] * len(timeline["t"]) and len(timeline["t"]) > 1
     assert told.pop("preset") and told == json.loads(json.dumps(own))
     assert [robot["name"] for robot in told["robots"]] == names
     assert sum(len(robot["tasks"]) for robot in told["robots"]) == len(fleet["tasks"])
@@ -639,6 +640,15 @@ def test_a_full_disk_is_the_services_fault(
     assert answer.status_code == 507
     assert answer.json()["detail"].startswith(f"'d.csv' cannot be written: {os.strerror(number)}")
     assert not [file for file in folder.iterdir() if "d.csv" in file.name]
+
+
+def test_files_of_the_folder_itself_come_before_those_of_its_subfolders(tmp_path: Path) -> None:
+    names = ["a/first.yaml", "a/b/second.yaml", "round.yaml", "z/last.yaml"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("tasks: []\n")
+    found = Store(tmp_path).names()["missions"]
+    assert found == ["round.yaml", "a/first.yaml", "z/last.yaml", "a/b/second.yaml"]
 
 
 def test_a_map_is_read_once_for_all_who_wait_for_it(folder: Path) -> None:

@@ -91,6 +91,7 @@ def _colour_bar(ax: Axes, drawn: ScalarMappable, label: str) -> None:
     inches = blended_transform_factory(ax.transAxes, below)
     bar = ax.inset_axes((0.0, -0.65, 1.0, 0.1), transform=inches)
     picture.colorbar(drawn, cax=bar, label=label, orientation="horizontal")
+    ax.set_anchor("S")  # else the layout reckons with more room below than there is
     picture.set_figheight(picture.get_figheight() + 0.75)
 
 
