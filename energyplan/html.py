@@ -26,7 +26,7 @@ def column(values: Sequence[float], digits: int = 2) -> list[str]:
     """Return numbers that are compared, with the decimals that the largest one needs."""
     most = max(map(abs, values), default=0.0)
     places = max(0, digits - 1 - math.floor(math.log10(most))) if most > 0 else 0
-    return [f"{value:.{places}f}" for value in values]
+    return [f"{round(value, places) + 0.0:.{places}f}" for value in values]
 
 
 def share(part: float) -> str:

@@ -128,7 +128,8 @@ def test_an_error_decides_on_the_digits(value: float, error: float, symbol: str,
 def test_numbers_that_are_compared_have_the_decimals_of_the_largest() -> None:
     assert column([23.41, 1.26, 9.4e-5]) == ["23", "1", "0"]
     assert column([0.0712, 0.0056, 1e-9]) == ["0.071", "0.006", "0.000"]
-    assert column([0.0, 0.0]) == ["0", "0"] and column([]) == []
+    assert column([1e3, -1e-12], 4) == ["1000", "0"]
+    assert column([0.0]) == ["0"] and column([]) == []
 
 
 def test_a_part_of_a_limit_that_is_printed_keeps_the_limit() -> None:
