@@ -125,9 +125,8 @@ def stand_for(given: dict[str, Any]) -> list[str]:
     from energyplan.vehicle import VEHICLE_PRESETS
 
     notes = []
-    for name in filter(VEHICLE_PRESETS.get, (given.get("vehicle"), given.get("like"))):
-        meant = VEHICLE_PRESETS[name]()
-        if meant.name != name:
+    for name in (given.get("vehicle"), given.get("like")):
+        if name in VEHICLE_PRESETS and (meant := VEHICLE_PRESETS[name]()).name != name:
             known = ", ".join(other for other in VEHICLE_PRESETS if other.startswith(f"{name}:"))
             notes.append(f"{name} stands for {meant.name}, of {meant.mass:g} kg; known: {known}")
     return notes

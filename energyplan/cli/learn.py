@@ -28,7 +28,7 @@ from energyplan.cli.answers import (
     write_report,
 )
 from energyplan.cli.app import app
-from energyplan.cli.options import RobotOptions, number, writes
+from energyplan.cli.options import RobotOptions, number
 from energyplan.errors import EnergyPlanError, InvalidInputError, NotIdentifiableError
 
 if TYPE_CHECKING:
@@ -53,11 +53,7 @@ _QUESTIONS = {
 def start(
     logs: opt.Logs,
     out: Annotated[
-        Path | None,
-        Option(
-            callback=writes(*opt.YAML),
-            help="Write the project to this YAML file.",
-        ),
+        Path | None, opt.output("Write the project to this YAML file.", *opt.YAML)
     ] = None,
     wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
     track: Annotated[

@@ -18,7 +18,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import NO, answer, progress, say, verdict, warn, write_report
 from energyplan.cli.app import app
-from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number, writes
+from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
@@ -46,17 +46,17 @@ class Routing:
     planner: Annotated[str, Option(help="lattice, or the name of another planner.")] = "lattice"
     out: Annotated[
         Path | None,
-        Option(
-            callback=writes(*opt.TABLES, opt.RECORDING),
-            help="Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
+        opt.output(
+            "Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
+            *opt.TABLES,
+            opt.RECORDING,
         ),
     ] = None
     trajectory: Annotated[
         Path | None,
-        Option(
-            callback=writes(*opt.TABLES),
-            help="Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' "
-            "limits.",
+        opt.output(
+            "Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' limits.",
+            *opt.TABLES,
         ),
     ] = None
     plot: opt.Plot = None
@@ -289,10 +289,10 @@ def check(
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     out: Annotated[
         Path | None,
-        Option(
-            callback=writes(*opt.TABLES),
-            help="Write what the motors can drive: the trajectory, slowed if it must be, or the "
-            "path as it was timed.",
+        opt.output(
+            "Write what the motors can drive: the trajectory, slowed if it must be, or the path as "
+            "it was timed.",
+            *opt.TABLES,
         ),
     ] = None,
     json: opt.Json = False,
@@ -378,12 +378,10 @@ def reach(
     ] = None,
     back: Annotated[bool, Option("--return", help="It must still get back to the start.")] = False,
     out: Annotated[
-        Path | None,
-        Option(callback=writes(".asc"), help="Write energies [J] to this ASCII grid."),
+        Path | None, opt.output("Write energies [J] to this ASCII grid.", ".asc")
     ] = None,
     contours: Annotated[
-        Path | None,
-        Option(callback=writes(*opt.GEOJSON), help="Write the areas within reach to this GeoJSON."),
+        Path | None, opt.output("Write the areas within reach to this GeoJSON.", *opt.GEOJSON)
     ] = None,
     plot: opt.Plot = None,
     reverse: opt.Reverse = None,
@@ -461,10 +459,7 @@ def mission(
     report: opt.Report = None,
     trajectories: Annotated[
         Path | None,
-        Option(
-            callback=writes(),
-            help="Write each drive to this folder (t,x,y,yaw,v,omega), and into --json.",
-        ),
+        opt.output("Write each drive to this folder (t,x,y,yaw,v,omega), and into --json."),
     ] = None,
     cluster: Annotated[
         str | None,
@@ -476,9 +471,9 @@ def mission(
     ] = None,
     results: Annotated[
         Path | None,
-        Option(
-            callback=writes(".jsonl"),
-            help="With --cluster: add the lines to this file; missions that it has are skipped.",
+        opt.output(
+            "With --cluster: add the lines to this file; missions that it has are skipped.",
+            ".jsonl",
         ),
     ] = None,
     json: opt.Json = False,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.integrate import cumulative_trapezoid
 
 from energyplan import __version__
 from energyplan.errors import InvalidInputError
@@ -237,7 +238,7 @@ def comparison_pictures(result: Comparison, problem: PlanningProblem) -> Iterato
         for (label, plan), (color, dash) in zip(plans.items(), LINES, strict=False):
             drive = plan.driven
             t, v = drive.trajectory.t, np.abs(drive.trajectory.v)
-            metres = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
+            metres = cumulative_trapezoid(v, t, initial=0)
             ax.plot(metres, drive.energy_since_start, color=color, ls=dash, label=label)
         ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
         plots.legend(ax, above=True)
