@@ -36,6 +36,12 @@ def share(part: float) -> str:
     return f"{math.floor(percent * 10**places) / 10**places:g} %"
 
 
+def clock(seconds: float) -> str:
+    """Return a time as hours, minutes and seconds."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
 def words(name: str) -> str:
     """Return a name of the code, such as that of an effect, in words."""
     return name.replace("_", " ")

@@ -286,7 +286,7 @@ class MissionReport(html.Readable):
             for task in self._ranked
         ]  # fmt: skip
         times = [
-            (clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
+            (html.clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
              f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
             for one in self.timetable
         ]  # fmt: skip
@@ -316,13 +316,13 @@ class MissionReport(html.Readable):
     def _of_robots(self) -> tuple[html.Summary, ...]:
         robots = [
             (one.mission.name, len(one.tasks), *(html.number(e / 3600) for e in (one.energy,
-             one.energy_upper)), clock(one.mission.time), clock(one._last.arrival),
+             one.energy_upper)), html.clock(one.mission.time), html.clock(one._last.arrival),
              f"{one.waiting / 60:.1f}",
              f"{100 * one.soc_end:.0f} %", f"{100 * one.soc_end_lower:.0f} %")
             for one in self.robots
         ]  # fmt: skip
         times = [
-            (one.mission.name, clock(stop.arrival), stop.kind, stop.name,
+            (one.mission.name, html.clock(stop.arrival), stop.kind, stop.name,
              f"{(stop.departure - stop.arrival) / 60:.1f}", f"{100 * stop.soc:.0f} %")
             for one in self.robots
             for stop in one.route[1:]
@@ -421,9 +421,3 @@ def stops(trip: Sequence[Segment]) -> tuple[Stop, ...]:
                 soc = float(part.soc[-1]), float(part.soc_lower[-1])
                 found.append(Stop(part.goal, kind, part.pose, begin, part.arrival, *soc))
     return tuple(found)
-
-
-def clock(seconds: float) -> str:
-    """Return a time as hours, minutes and seconds."""
-    whole = round(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"

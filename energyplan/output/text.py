@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from energyplan.html import number, unit
-from energyplan.mission.report import clock
+from energyplan.html import clock, number, unit
 from energyplan.output.documents import terms
 
 if TYPE_CHECKING:

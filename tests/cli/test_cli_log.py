@@ -62,7 +62,7 @@ def test_watch_follows_one_of_several_robots(tmp_path: Path, run: Run) -> None:
     assert {one["name"] for one in report["tasks"]} == {"scan the far shelf", "turn the valve"}
     for robot, message in (
         ("delta", "the robots are alpha, beta, gamma"),
-        (None, "several robots"),
+        (None, "say whose: --robot NAME"),
     ):
         refused = run(*words, *(("--robot", robot) if robot else ()))
         assert refused.code == 2 and message in refused.err

@@ -13,6 +13,7 @@ from worlds import tiny
 
 from energyplan import cli, watch
 from energyplan.errors import InvalidInputError, MissionError
+from energyplan.html import clock
 from energyplan.io.maps import write_map
 from energyplan.io.mission import read_mission
 from energyplan.mission import (
@@ -24,7 +25,6 @@ from energyplan.mission import (
     Task,
     evaluate,
 )
-from energyplan.mission.report import clock
 from energyplan.output.pages import mission_page
 from energyplan.path import Pose
 from energyplan.power import PowerModel

@@ -81,25 +81,20 @@ def test_what_a_map_does_not_know_is_not_drawn_as_free(free: bool) -> None:
     assert (greys[:, 2:] == 1.0).all()
 
 
-def test_the_last_arrow_has_the_heading_at_the_end() -> None:
-    """Also after a turn on the spot, where the path goes no further."""
-    path = Path(Pose(1, 2, 0), [2.0, 0.0], [0.0, 1.2])
+@pytest.mark.parametrize(("length", "turn"), [(2.0, 1.2), (-2.0, 0.0)])
+def test_arrows_point_where_the_robot_goes_and_the_last_as_it_stands(
+    length: float, turn: float
+) -> None:
+    """Also after a turn on the spot, where the path goes no further; what is reversed is said."""
+    path = Path(Pose(1, 2, 0), [length, 0.0], [0.0, turn])
     ax = plots.figure().axes[0]
     plots.route(ax, path, "route")
     arrows = next(one for one in ax.collections if isinstance(one, Quiver))
-    assert (arrows.U[-1], arrows.V[-1]) == pytest.approx((np.cos(1.2), np.sin(1.2)))
-
-
-def test_arrows_point_where_the_robot_goes_and_reverse_is_said() -> None:
-    path = Path(Pose(1, 2, 0), [-2.0], [0.0])
-    ax = plots.figure().axes[0]
-    plots.route(ax, path, "route")
-    arrows = next(one for one in ax.collections if isinstance(one, Quiver))
-    assert np.asarray(arrows.U[:-1]) == pytest.approx(-np.ones(len(arrows.U) - 1))
-    assert arrows.U[-1] == pytest.approx(1.0)  # the heading at the goal
-    assert "2.0 m in reverse" in str(ax.get_lines()[0].get_label())
+    assert np.asarray(arrows.U[:-1]) == pytest.approx(np.full(len(arrows.U) - 1, np.sign(length)))
+    assert (arrows.U[-1], arrows.V[-1]) == pytest.approx((np.cos(turn), np.sin(turn)))
+    assert ("2.0 m in reverse" in str(ax.get_lines()[0].get_label())) == (length < 0)
     ends = [float(line.get_xdata()[0]) for line in ax.get_lines()[1:]]
-    assert ends == pytest.approx([1.0, -1.0])
+    assert ends == pytest.approx([1.0, 1.0 + length])
 
 
 def test_breakdown_bars_add_up() -> None:

@@ -16,7 +16,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 from matplotlib.transforms import Affine2D, ScaledTranslation, blended_transform_factory
 
-from energyplan.mission.report import clock
+from energyplan.html import clock
 from energyplan.output.plots import style
 from energyplan.path import FloatArray, Path
 from energyplan.planning.plans import spending
