@@ -80,7 +80,7 @@ loop: $(READY)
 # The pictures of the README and the documentation, drawn by the demo and the examples.
 pictures: demo
 	mkdir -p docs/pictures
-	cp $(OUT)/*.png docs/pictures/
+	cp $(OUT)/mission-charge.png $(OUT)/prediction-quadriga-full-marble.png docs/pictures/
 	$(BIN)/python examples/plan_depot.py --goal 20,12,90 --out $(OUT)/plan_depot
 	cp $(OUT)/plan_depot/routes.png docs/pictures/
 	$(BIN)/python docs/draw.py

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import runpy
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 from energyplan.io.mission import read_mission
@@ -27,10 +25,6 @@ def main() -> None:
     """Draw all of them."""
     example("iso_energy.py", IMAGES)
     example("motor_limits.py", IMAGES)
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        example("diagnose_simulated.py", folder)
-        shutil.copy(folder / "energy.png", IMAGES / "diagnose_simulated.png")
     example("plan_hill.py", IMAGES, "--out")
     orchard = evaluate(read_mission(EXAMPLES / "mission_orchard.yaml"))
     (IMAGES / "mission_orchard.png").write_bytes(png(plots.mission_map(orchard)))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from shapely import box
@@ -30,8 +30,8 @@ from energyplan.limits.feasibility import check, feasible_region
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.mission import MissionReport, evaluate
-from energyplan.output import plots
-from energyplan.output.pages import Page, diagnosis_pictures, mission_pictures
+from energyplan.output import pages, plots
+from energyplan.output.pages import Page, Picture
 from energyplan.output.plots import png
 from energyplan.path import Pose
 from energyplan.physics import Effect, EngineDrives, Robot, close_loop
@@ -41,6 +41,9 @@ from energyplan.planning.search.planner import kernels
 from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHOWN = "quadriga:full:marble"
 """The drive that is drawn; the others are in a table."""
@@ -69,10 +72,14 @@ class _Demo:
         self.files.append(file)
         return file
 
-    def picture(self, name: str, figure: Any, caption: str) -> None:
-        atomic_write(self.path(name), png(figure))
+    def picture(self, name: str, figure: Figure, caption: str) -> None:
+        atomic_write(self.path(f"{name}.png"), png(figure))
         figure.set_layout_engine("none")  # it has been laid out, and the page shows it as it is
         self.page.picture(figure, caption)
+
+    def pictures(self, part: str, pictures: Iterable[Picture]) -> None:
+        for name, figure, caption in pictures:
+            self.picture(f"{part}-{name}", figure, caption)
 
 
 def run(out: Path, say: Callable[[str], None]) -> list[Path]:
@@ -150,7 +157,7 @@ def _identification(demo: _Demo) -> None:
         rows,
     )  # fmt: skip
     demo.picture(
-        f"prediction-{SHOWN.replace(':', '-')}.png",
+        f"prediction-{SHOWN.replace(':', '-')}",
         picture,
         "Measured and predicted power and energy on a figure-8 that was not fitted.",
     )
@@ -187,8 +194,7 @@ def _diagnosis(demo: _Demo) -> None:
     found = ", ".join(words(effect.name) for effect in report.effects) or "no effect"
     demo.results.append(("Hidden effects found", found))
     page.summaries(report.tables)
-    for name, figure, caption in diagnosis_pictures(report, [unseen]):
-        demo.picture(f"diagnosis-{name}.png", figure, caption)
+    demo.pictures("diagnosis", pages.diagnosis_pictures(report, [unseen]))
     page.command(
         "energyplan diagnose drives/hidden-train-1.csv drives/hidden-train-2.csv "
         "--holdout drives/hidden-holdout.csv --vehicle quadriga:full --report diagnosis.html"
@@ -211,17 +217,8 @@ def _routes(demo: _Demo) -> Comparison:
     demo.results.append(("Energy saved against the shortest route", f"{100 * result.saving:.0f} %"))
     write_path(result.energy_optimal.path, demo.path("routes/least-energy.csv"))
     write_path(result.shortest.path, demo.path("routes/shortest.csv"))
-    plans = {"least energy": result.energy_optimal, "shortest": result.shortest}
-    terms = dict(zip(plans, (spent.by_term for spent in result.spent), strict=True))
     page.summaries(result.tables)
-    demo.picture(
-        "routes.png",
-        plots.planned(problem, plots.priced(plans)),
-        "The least-energy route turns less; the shortest one turns between the racks.",
-    )
-    figure = plots.figure(size=(plots.WIDTH, 2.0))
-    plots.breakdown(figure.axes[0], terms)
-    demo.picture("routes-energy.png", figure, "Where the energy of both routes goes.")
+    demo.pictures("routes", pages.comparison_pictures(result, problem))
     return result
 
 
@@ -242,7 +239,7 @@ def _limits(demo: _Demo, result: Comparison) -> None:
     figure = plots.figure()
     plots.feasible_region(figure.axes[0], region)
     demo.picture(
-        "limits.png",
+        "limits",
         figure,
         "Curvatures and speeds that the motors can drive: full, concrete. Straight ahead the "
         "treads do not slip, so the point in the middle lies above the rest.",
@@ -279,7 +276,7 @@ def _driven(demo: _Demo) -> None:
     page.summaries(result.tables)
     rough = box(-2.0, border["offset"], 11.0, 3.6)
     demo.picture(
-        "loop.png",
+        "loop",
         plots.routes(
             grid, {f"round {k}": r.plan.path for k, r in enumerate(result.rounds, 1)},
             surfaces=[("rough ground", rough)],
@@ -296,8 +293,7 @@ def _mission(demo: _Demo, report: MissionReport) -> None:
     page.paragraph(f"The battery lasts for {summary}.")
     demo.results.append(("The battery lasts for", summary))
     page.summaries(report.tables)
-    for name, figure, caption in mission_pictures(report):
-        demo.picture(f"mission-{name}.png", figure, caption)
+    demo.pictures("mission", pages.mission_pictures(report))
 
 
 def _next_steps(page: Page) -> None:

@@ -22,6 +22,26 @@ def number(value: float, digits: int = 4, *, whole: float = 0.0) -> str:
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
 
 
+def column(values: Sequence[float], digits: int = 2) -> list[str]:
+    """Return numbers that are compared, with the decimals that the largest one needs."""
+    most = max(map(abs, values), default=0.0)
+    places = max(0, digits - 1 - math.floor(math.log10(most))) if most > 0 else 0
+    return [f"{round(value, places) + 0.0:.{places}f}" for value in values]
+
+
+def share(part: float) -> str:
+    """Return a part of a limit in percent, rounded down so that what is printed keeps the limit."""
+    percent = 100 * part * (1 + ROUNDING)
+    places = max(0, 2 - math.floor(math.log10(percent))) if percent > 0 else 0
+    return f"{math.floor(percent * 10**places) / 10**places:g} %"
+
+
+def clock(seconds: float) -> str:
+    """Return a time as hours, minutes and seconds."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
 def words(name: str) -> str:
     """Return a name of the code, such as that of an effect, in words."""
     return name.replace("_", " ")

@@ -7,7 +7,7 @@ import functools
 import io
 import sys
 import warnings
-from typing import Any, TextIO
+from typing import Any
 
 import typer
 from typer.main import get_command
@@ -57,14 +57,7 @@ def main() -> None:
     sys.exit(code)
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     """Say a warning of the library in one line, and leave out where in its sources it arose."""
     warn("energyplan: " + " ".join(str(message).split()))
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 presets_used: ContextVar[dict[str, str]] = ContextVar("presets", default={})  # noqa: B039
 """Preset models that the current command uses, with their sources; never changed in place."""
+short_names: ContextVar[list[str]] = ContextVar("names", default=[])  # noqa: B039
+"""What the short names of vehicles stand for, in the current command; never changed in place."""
 NO, INTERRUPTED = 3, 130
 """Exit codes of a negative answer with ``--strict``, and of Ctrl-C."""
 _ESCAPED = {
@@ -63,6 +65,8 @@ def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
 
 def warn_with_answer() -> None:
     """Name the presets with the answer, so that an error stays one line."""
+    for note in short_names.get():
+        warn(note)
     for name, source in presets_used.get().items():
         warn(f"preset {name} was not measured on this robot; source: {source}")
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from energyplan.cli.answers import presets_used, remember_command, say
+from energyplan.cli.answers import presets_used, remember_command, say, short_names
 from energyplan.cli.options import OUTPUTS
 from energyplan.errors import InvalidInputError
 
@@ -105,6 +105,7 @@ class Command(TyperCommand):
         inputs = [v for v in (*values, ctx.meta.get(_PROJECT)) if isinstance(v, str | Path)]
         refuse_overwriting(list(outputs.values()), inputs)
         presets_used.set(presets_named(inputs))
+        short_names.set(stand_for(ctx.params))
         words = [*ctx.command_path.split(), *ctx.meta.get(_ARGUMENTS, ())]
         remember_command(words, inputs)
         return super().invoke(ctx)
@@ -117,6 +118,18 @@ def presets_named(inputs: list[str | Path]) -> dict[str, str]:
 
     named = {name for value in inputs for name in (str(value), *strings_behind(value))}
     return {name: preset.source for name, preset in MODEL_PRESETS.items() if name in named}
+
+
+def stand_for(given: dict[str, Any]) -> list[str]:
+    """Say which presets the short names of vehicles stand for, such as one without its load."""
+    from energyplan.vehicle import VEHICLE_PRESETS
+
+    notes = []
+    for name in (given.get("vehicle"), given.get("like")):
+        if name in VEHICLE_PRESETS and (meant := VEHICLE_PRESETS[name]()).name != name:
+            known = ", ".join(other for other in VEHICLE_PRESETS if other.startswith(f"{name}:"))
+            notes.append(f"{name} stands for {meant.name}, of {meant.mass:g} kg; known: {known}")
+    return notes
 
 
 _FIRST_STEPS = """\

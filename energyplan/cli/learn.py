@@ -29,7 +29,7 @@ from energyplan.cli.answers import (
     write_report,
 )
 from energyplan.cli.app import app
-from energyplan.cli.options import RobotOptions, number, writes
+from energyplan.cli.options import RobotOptions, number
 from energyplan.errors import EnergyPlanError, InvalidInputError, NotIdentifiableError
 
 if TYPE_CHECKING:
@@ -54,11 +54,7 @@ _QUESTIONS = {
 def start(
     logs: opt.Logs,
     out: Annotated[
-        Path | None,
-        Option(
-            callback=writes(*opt.YAML),
-            help="Write the project to this YAML file.",
-        ),
+        Path | None, opt.output("Write the project to this YAML file.", *opt.YAML)
     ] = None,
     wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
     track: Annotated[
@@ -386,6 +382,10 @@ def watch(
     model: Annotated[str | None, Option(metavar="MODEL", help="Model to begin with.")] = None,
     vehicle: Annotated[str | None, Option(metavar="VEHICLE", help="In place of a model.")] = None,
     mission: Annotated[Path | None, Option(help="YAML file of the robot's mission.")] = None,
+    robot: Annotated[
+        str | None,
+        Option(metavar="NAME", help="Whose log it is, of a mission of several robots."),
+    ] = None,
     columns: opt.Columns = None,
     once: Annotated[bool, Option("--once", help="Stop at the end of the file.")] = False,
     every: Annotated[float, Option(help="Time between two reports [s].")] = 10.0,
@@ -411,6 +411,7 @@ def watch(
     from energyplan.live import Learned, follow, lines_of
     from energyplan.live import watch as events
     from energyplan.live.watcher import Settings
+    from energyplan.mission import evaluate
     from energyplan.output import documents, text
 
     if model and vehicle:
@@ -421,6 +422,11 @@ def watch(
         raise InvalidInputError("--former goes with the --model that was identified from it")
     prior = read_model(model) if model else read_vehicle(vehicle) if vehicle else None
     wanted = read_mission(mission) if mission else None
+    if robot is not None:
+        if wanted is None or not wanted.robots:
+            raise InvalidInputError("--robot goes with a --mission of several robots; leave it out")
+        with progress("sharing the tasks"):
+            wanted = evaluate(wanted).share(robot)
     source = lines_of(sys.stdin.buffer) if log == "-" else follow(log, None if once else _wait)
     learned: Any = None
     known = read_drives(former, str(model), columns) if former else []

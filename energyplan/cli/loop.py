@@ -12,7 +12,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import answer, progress, verdict, write_report
 from energyplan.cli.app import app
-from energyplan.cli.options import DriveOptions, SiteOptions, writes
+from energyplan.cli.options import DriveOptions, SiteOptions
 from energyplan.cli.routes import ground_of, problem_of
 from energyplan.errors import InvalidInputError
 
@@ -32,9 +32,9 @@ class Truth:
         ),
     ] = None
     hidden: Annotated[int | None, Option(help="Give it secret effects, drawn by this seed.")] = None
-    truth: Annotated[
-        Path | None, Option(callback=writes(".json"), help="Write its effects to this JSON file.")
-    ] = None
+    truth: Annotated[Path | None, opt.output("Write its effects to this JSON file.", ".json")] = (
+        None
+    )
 
     def effects(self, robot: Robot, x: float, y: float) -> tuple[Effect, ...]:
         """Return the effects that were declared, and those that were drawn around a place."""
@@ -61,7 +61,7 @@ def drive(
     robot: Truth,
     map_file: opt.MaybeSite = None,
     out: Annotated[
-        Path | None, Option(callback=writes(*opt.TABLES), help="Write the drive log to this file.")
+        Path | None, opt.output("Write the drive log to this file.", *opt.TABLES)
     ] = None,
     sensors: Annotated[
         str,
@@ -198,10 +198,7 @@ def design(
     max_speed: Annotated[float | None, Option(help="Largest tread speed [m/s].")] = None,
     screen: Annotated[bool, Option("--screen", help="Look for every effect.")] = False,
     out: Annotated[
-        Path | None,
-        Option(
-            "--out", callback=writes(*opt.TABLES), help="Write the trajectory to this CSV file."
-        ),
+        Path | None, opt.output("Write the trajectory to this CSV file.", *opt.TABLES)
     ] = None,
     json: opt.Json = False,
 ) -> None:

@@ -29,11 +29,11 @@ _PACKAGES = {
 }  # extra and package that files of a kind are written with
 
 
-def writes(*suffixes: str) -> Callable[..., Path | None]:
-    """Return the callback of an option that names a file, or a folder if it has no suffixes.
+def output(text: str, *suffixes: str, name: str | None = None) -> Any:
+    """Return the option of a file that is written, or of a folder if it has no suffixes.
 
-    Such an option is checked before the command begins: its suffix, its folder, that it is none
-    of the files that are read, and that what writes it is installed.
+    It is checked before the command begins: its suffix, its folder, that it is none of the files
+    that are read, and that what writes it is installed.
     """
 
     def callback(ctx: typer.Context, param: typer.CallbackParam, value: Path | None) -> Path | None:
@@ -50,7 +50,7 @@ def writes(*suffixes: str) -> Callable[..., Path | None]:
             ctx.meta.setdefault(OUTPUTS, {})[param.name] = value
         return value
 
-    return callback
+    return Option(*([name] if name else []), callback=callback, help=text)
 
 
 def number(option: str, kind: str, text: str) -> float:
@@ -122,15 +122,9 @@ Columns = Annotated[
         help="Columns with other names or units: v_left=velL,yaw=heading[deg]; or a YAML file.",
     ),
 ]
-OutModel = Annotated[
-    Path | None,
-    Option("--out", callback=writes(*YAML), help="Write the model to this YAML file."),
-]
-Report = Annotated[
-    Path | None,
-    Option(callback=writes(*HTML), help="Write a report to this HTML file."),
-]
-Plot = Annotated[Path | None, Option(callback=writes(*IMAGES), help="Draw it: .png, .svg or .pdf.")]
+OutModel = Annotated[Path | None, output("Write the model to this YAML file.", *YAML)]
+Report = Annotated[Path | None, output("Write a report to this HTML file.", *HTML)]
+Plot = Annotated[Path | None, output("Draw it: .png, .svg or .pdf.", *IMAGES)]
 PoseText = Annotated[str, Option(metavar="X,Y,YAW", help="In metres and radians, or as 90deg.")]
 AtBattery = Annotated[
     bool,

@@ -10,7 +10,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import answer, progress, warn
 from energyplan.cli.app import App, app
-from energyplan.cli.options import DriveOptions, SiteOptions, writes
+from energyplan.cli.options import DriveOptions, SiteOptions
 from energyplan.cli.routes import level_model, problem_of
 from energyplan.errors import InvalidInputError
 
@@ -32,9 +32,9 @@ def graph(
     ] = None,
     out: Annotated[
         Path | None,
-        Option(
-            callback=writes(*opt.GEOJSON),
-            help="Write the graph with the energies as costs, less the closed edges, to this file.",
+        opt.output(
+            "Write the graph with the energies as costs, less the closed edges, to this file.",
+            *opt.GEOJSON,
         ),
     ] = None,
     json: opt.Json = False,
@@ -73,15 +73,11 @@ def graph(
 )
 def lattice(
     model: opt.ModelName,
-    out: Annotated[Path, Option(callback=writes(".json"), help="Write the primitives there.")],
+    out: Annotated[Path, opt.output("Write the primitives there.", ".json")],
     resolution: Annotated[float, Option(help="Size of a cell of the costmap [m].")] = 0.05,
     parameters: Annotated[
         Path | None,
-        Option(
-            "--penalties",
-            callback=writes(*opt.YAML),
-            help="Write the planner's parameters to this file.",
-        ),
+        opt.output("Write the planner's parameters to this file.", *opt.YAML, name="--penalties"),
     ] = None,
     json: opt.Json = False,
 ) -> None:
@@ -90,12 +86,8 @@ def lattice(
     They come nearest to the energy of the model. Prints the error that remains.
     """
     from energyplan.cost import EnergyCost
-    from energyplan.export.lattice import (
-        control_set,
-        penalties,
-        write_lattice,
-        write_penalties,
-    )
+    from energyplan.export.lattice import control_set, penalties, write_lattice, write_penalties
+    from energyplan.html import number as figure
 
     cost = EnergyCost(level_model(model))
     controls = control_set(cost, resolution)
@@ -105,7 +97,7 @@ def lattice(
         write_penalties(found, parameters, out)
     rounded = {name: round(value, 6) for name, value in found._asdict().items()}
     lines = [f"{len(controls.primitives)} primitives: {out}"]
-    lines += [f"{name}: {value:.4g}" for name, value in rounded.items()]
+    lines += [f"{name}: {figure(value)}" for name, value in rounded.items()]
     answer({"primitives": len(controls.primitives), "penalties": rounded}, lines, json=json)
 
 
@@ -114,7 +106,7 @@ def lattice(
 )
 def table(
     model: opt.ModelName,
-    out: Annotated[Path, Option("--out", callback=writes(".csv"), help="Write the table there.")],
+    out: Annotated[Path, opt.output("Write the table there.", ".csv")],
     speeds: Annotated[str | None, Option(help="Tread speeds [m/s], such as 0.2,0.5,1.")] = None,
     at_battery: opt.AtBattery = False,
     json: opt.Json = False,
@@ -206,7 +198,7 @@ def warmup(
 
 @app.command(epilog="Example: energyplan demo --out demo")
 def demo(
-    out: Annotated[Path, Option(callback=writes(), help="Folder for the files.")] = Path("demo"),
+    out: Annotated[Path, opt.output("Folder for the files.")] = Path("demo"),
     json: opt.Json = False,
 ) -> None:
     """Run the whole chain on bundled input.

@@ -18,7 +18,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import NO, answer, progress, say, verdict, warn, write_report
 from energyplan.cli.app import app
-from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number, writes
+from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
@@ -46,17 +46,17 @@ class Routing:
     planner: Annotated[str, Option(help="lattice, or the name of another planner.")] = "lattice"
     out: Annotated[
         Path | None,
-        Option(
-            callback=writes(*opt.TABLES, opt.RECORDING),
-            help="Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
+        opt.output(
+            "Write the path to this file: .csv, or .mcap for nav_msgs/Path with the map.",
+            *opt.TABLES,
+            opt.RECORDING,
         ),
     ] = None
     trajectory: Annotated[
         Path | None,
-        Option(
-            callback=writes(*opt.TABLES),
-            help="Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' "
-            "limits.",
+        opt.output(
+            "Write the timed path to this CSV file: t,x,y,yaw,v,omega, within the motors' limits.",
+            *opt.TABLES,
         ),
     ] = None
     plot: opt.Plot = None
@@ -285,10 +285,10 @@ def check(
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     out: Annotated[
         Path | None,
-        Option(
-            callback=writes(*opt.TABLES),
-            help="Write what the motors can drive: the trajectory, slowed if it must be, or the "
-            "path as it was timed.",
+        opt.output(
+            "Write what the motors can drive: the trajectory, slowed if it must be, or the path as "
+            "it was timed.",
+            *opt.TABLES,
         ),
     ] = None,
     json: opt.Json = False,
@@ -300,6 +300,7 @@ def check(
     """
     from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
     from energyplan.html import number as figure
+    from energyplan.html import share as percent
     from energyplan.io.config import read_vehicle
     from energyplan.io.sites import of_another_robot, read_site
     from energyplan.io.tables import read_drive, write_trajectory
@@ -335,7 +336,7 @@ def check(
         slowed = found if report.feasible else found.scaled(share)
         write_trajectory(slowed, out)
         document["out_duration"] = slowed.duration
-        lines.append(f"{out}: {figure(slowed.duration)} s, {figure(share)} times these speeds")
+        lines.append(f"{out}: {figure(slowed.duration)} s, at {percent(share)} of these speeds")
     elif out:
         warn(f"{out} is not written: the motors drive this trajectory at no speed")
     answer(document, lines, json=json)
@@ -373,12 +374,10 @@ def reach(
     ] = None,
     back: Annotated[bool, Option("--return", help="It must still get back to the start.")] = False,
     out: Annotated[
-        Path | None,
-        Option(callback=writes(".asc"), help="Write energies [J] to this ASCII grid."),
+        Path | None, opt.output("Write energies [J] to this ASCII grid.", ".asc")
     ] = None,
     contours: Annotated[
-        Path | None,
-        Option(callback=writes(*opt.GEOJSON), help="Write the areas within reach to this GeoJSON."),
+        Path | None, opt.output("Write the areas within reach to this GeoJSON.", *opt.GEOJSON)
     ] = None,
     plot: opt.Plot = None,
     reverse: opt.Reverse = None,
@@ -456,10 +455,7 @@ def mission(
     report: opt.Report = None,
     trajectories: Annotated[
         Path | None,
-        Option(
-            callback=writes(),
-            help="Write each drive to this folder (t,x,y,yaw,v,omega), and into --json.",
-        ),
+        opt.output("Write each drive to this folder (t,x,y,yaw,v,omega), and into --json."),
     ] = None,
     cluster: Annotated[
         str | None,
@@ -471,9 +467,9 @@ def mission(
     ] = None,
     results: Annotated[
         Path | None,
-        Option(
-            callback=writes(".jsonl"),
-            help="With --cluster: add the lines to this file; missions that it has are skipped.",
+        opt.output(
+            "With --cluster: add the lines to this file; missions that it has are skipped.",
+            ".jsonl",
         ),
     ] = None,
     json: opt.Json = False,
@@ -504,6 +500,7 @@ def mission(
     with progress("evaluating the mission"):
         result = evaluate(wanted)
         after = evaluate(result.after_failure(name, instant)) if name else None
+    failure = text.failure(result, name, instant) if name else ""
     if trajectories:
         trajectories.mkdir(parents=True, exist_ok=True)
         for r, one in enumerate(result.robots or (result,), start=1):
@@ -513,11 +510,11 @@ def mission(
     if report:
         from energyplan.output.pages import mission_page
 
-        write_report(mission_page(result), report)
+        write_report(mission_page(result, failure, after), report)
     document, lines = documents.mission(result, bool(trajectories)), text.mission(result)
     if after is not None:
         document["after_failure"] = {"robot": name, "time": instant, **documents.mission(after)}
-        lines += [f"if {name} fails at {instant:g} s:", *text.mission(after)]
+        lines += [f"if {failure}:", *text.mission(after)]
     answer(document, lines, json=json)
     verdict(result.feasible and (after is None or after.feasible), strict)
 

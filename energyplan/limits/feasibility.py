@@ -130,10 +130,11 @@ class FeasibilityReport(html.Readable):
             for v in self.violations
             for unit in [html.unit(UNITS[v.kind])]
         ]
+        top = f"up to {html.share(self.max_speed_scale)} of these speeds"
         title = (
             f"{'feasible' if self.feasible else 'not feasible'}, {html.number(self.energy)} J "
-            f"in {html.number(self.duration)} s, feasible up to "
-            f"{html.number(self.max_speed_scale)} times these speeds"
+            f"in {html.number(self.duration)} s, feasible "
+            f"{top if np.isfinite(self.max_speed_scale) else 'at any speed'}"
         )
         header = ("limit exceeded", "side", "from [s]", "to [s]", "peak", "limit")
         return [html.Summary(title, header, rows, [self.reason])]
@@ -679,6 +680,5 @@ def _reason(factor: float, peaks: list[Peak], slowest: list[Peak]) -> str:
                 "some limit is reached: this trajectory cannot be sped up evenly; another timing "
                 "of its path, as check finds for x,y,yaw alone, may be faster"
             )
-        return f"every limit holds up to {factor:.4g} times the speed"
-    digits = 4 if factor < 0.999 else 7
-    return f"too fast: {what}; feasible at {factor:.{digits}g} times the speed"
+        return f"every limit holds up to {html.share(factor)} of the speed"
+    return f"too fast: {what}; feasible at {html.share(factor)} of the speed"

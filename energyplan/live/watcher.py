@@ -134,7 +134,7 @@ def watch(
     if mission is not None and mission.robots:
         names = ", ".join(robot.name for robot in mission.robots)
         told = f"the mission has several robots ({names}), and a log is of one"
-        raise InvalidInputError(f"{told}; give a mission of that robot alone")
+        raise InvalidInputError(f"{told}; say whose: --robot NAME, or share(NAME) of its report")
     yield from _Watch(prior, mission, settings or Settings(), former).run(lines, columns, name)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Literal
@@ -157,10 +157,9 @@ class MissionReport(html.Readable):
 
     @property
     def duration(self) -> float:
-        """Duration of the mission, of several robots the longest [s]."""
-        if self.robots:
-            return max(robot.duration for robot in self.robots)
-        return self._last.arrival - self.mission.time
+        """From the beginning to the end, of several robots to the last one's [s]."""
+        ends = [robot._last.arrival for robot in self.robots] or [self._last.arrival]
+        return max(ends) - min(one.time for one in self.mission.parts or (self.mission,))
 
     @property
     def soc_end(self) -> float:
@@ -287,21 +286,20 @@ class MissionReport(html.Readable):
             for task in self._ranked
         ]  # fmt: skip
         times = [
-            (clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
+            (html.clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
              f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
             for one in self.timetable
         ]  # fmt: skip
-        unknown = [
-            (
-                html.words(one.source),
-                *(html.number(part / 3600, 2) for part in (one.energy, one.saving)),
-            )
-            for one in self.uncertainty
-        ]
+        sources = [html.words(one.source) for one in self.uncertainty]
+        unknown = [*zip(sources, *(
+            html.column([getattr(one, kind) / 3600 for one in self.uncertainty])
+            for kind in ("energy", "saving")
+        ), strict=True)]  # fmt: skip
         wh = f"{html.number(self.energy / 3600)} Wh"
         most = f"{html.number(self.energy_upper / 3600)} Wh"
         sure = f"{100 * self.mission.confidence:.0f} %"
-        left = f"{100 * self.soc_end:.0f} % of charge at the end"
+        left = f"{100 * self.soc_end:.0f} % of charge at the end, "
+        left += f"at least {100 * self.soc_end_lower:.0f} %"
         found = (
             html.Summary(f"Tasks: {wh}, at {sure} confidence at most {most}; {left}", (
                 "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
@@ -318,19 +316,20 @@ class MissionReport(html.Readable):
     def _of_robots(self) -> tuple[html.Summary, ...]:
         robots = [
             (one.mission.name, len(one.tasks), *(html.number(e / 3600) for e in (one.energy,
-             one.energy_upper)), f"{one.duration / 60:.1f}", f"{one.waiting / 60:.1f}",
+             one.energy_upper)), html.clock(one.mission.time), html.clock(one._last.arrival),
+             f"{one.waiting / 60:.1f}",
              f"{100 * one.soc_end:.0f} %", f"{100 * one.soc_end_lower:.0f} %")
             for one in self.robots
         ]  # fmt: skip
         times = [
-            (one.mission.name, clock(stop.arrival), stop.kind, stop.name,
+            (one.mission.name, html.clock(stop.arrival), stop.kind, stop.name,
              f"{(stop.departure - stop.arrival) / 60:.1f}", f"{100 * stop.soc:.0f} %")
             for one in self.robots
             for stop in one.route[1:]
         ]  # fmt: skip
         found = (
             html.Summary("Robots", (
-                "robot", "tasks", "energy [Wh]", "at most [Wh]", "minutes", "waiting [min]",
+                "robot", "tasks", "energy [Wh]", "at most [Wh]", "from", "to", "waiting [min]",
                 "charge left", "at least"
             ), robots),
             html.Summary("Timetable", (
@@ -360,6 +359,13 @@ class MissionReport(html.Readable):
             names = ", ".join(known) or "none"
             raise MissionError(f"no robot is called {name!r}; the robots are {names}")
         return known[name]
+
+    def share(self, name: str) -> Mission:
+        """Return the mission of one of several robots: the tasks that it does, and no others."""
+        robot = self.robot(name)
+        own = {task.name for task in robot.tasks}
+        tasks = tuple(task for task in robot.mission.tasks if task.name in own)
+        return replace(robot.mission, tasks=tasks)
 
     def at(self, time: float) -> RobotState:
         """Return where the robot is at a time [s]; a stay under way by then is completed."""
@@ -415,9 +421,3 @@ def stops(trip: Sequence[Segment]) -> tuple[Stop, ...]:
                 soc = float(part.soc[-1]), float(part.soc_lower[-1])
                 found.append(Stop(part.goal, kind, part.pose, begin, part.arrival, *soc))
     return tuple(found)
-
-
-def clock(seconds: float) -> str:
-    """Return a time as hours, minutes and seconds."""
-    whole = round(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from energyplan import __version__
 from energyplan.errors import InvalidInputError
@@ -238,7 +239,7 @@ def comparison_pictures(result: Comparison, problem: PlanningProblem) -> Iterato
         for (label, plan), (color, dash) in zip(plans.items(), LINES, strict=False):
             drive = plan.driven
             t, v = drive.trajectory.t, np.abs(drive.trajectory.v)
-            metres = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
+            metres = cumulative_trapezoid(v, t, initial=0)
             ax.plot(metres, drive.energy_since_start, color=color, ls=dash, label=label)
         ax.set(xlabel="distance travelled [m]", ylabel="energy since the start [J]")
         plots.legend(ax, above=True)
@@ -251,10 +252,21 @@ def comparison_pictures(result: Comparison, problem: PlanningProblem) -> Iterato
     yield Picture("terms", figure, "Energy of both routes by term of the model.")
 
 
-def mission_page(report: MissionReport) -> Page:
-    """Return the report of a mission, flagged tasks first."""
+def mission_page(
+    report: MissionReport, failure: str = "", after: MissionReport | None = None
+) -> Page:
+    """Return the report of a mission; `after` is what comes of it after a robot's failure."""
     page = Page(f"Mission: {report.mission.name}")
     _models(page, report.mission.model, report.mission.surfaces)
+    _mission(page, report)
+    if after is not None:
+        page.heading(f"If {failure}")
+        _mission(page, after, ", after the failure")
+    return page
+
+
+def _mission(page: Page, report: MissionReport, when: str = "") -> None:
+    """Add what comes of a mission to its page, flagged tasks first."""
     end = "" if report.robots else f" It ends at {report.end}."
     page.paragraph(f"{report.sentence[0].upper()}{report.sentence[1:]}.{end}", "lead")
     for task in report.left_out:
@@ -262,21 +274,17 @@ def mission_page(report: MissionReport) -> Page:
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")
     for warning in report.warnings:
         page.paragraph(f"Warning: {warning}.", "flag")
-    if not report.robots:
+    if report.trip and report.tasks:
         page.pictures(mission_pictures(report))
     page.summaries(report.tables)
     for robot in report.robots:
-        page.heading(robot.mission.name)
-        page.paragraph(f"{robot.sentence[0].upper()}{robot.sentence[1:]}. It ends at {robot.end}.")
-        if robot.tasks:
-            page.pictures(mission_pictures(robot))
-            page.summaries(robot.tables)
-    return page
+        page.heading(f"{robot.mission.name}{when}")
+        _mission(page, robot)
 
 
 def mission_pictures(report: MissionReport) -> Iterator[Picture]:
-    """Yield the route on the map, coloured by power, and the state of charge over time."""
-    yield Picture("map", plots.mission_map(report), "The route, coloured by the state of charge.")
+    """Yield the route on the map, coloured by the state of charge, and the charge over time."""
+    yield Picture("map", plots.mission_map(report), "The route; its colour is the state of charge.")
     yield Picture(
         "charge",
         plots.mission_charge(report),

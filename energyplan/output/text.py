@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from energyplan.html import number, unit
+from energyplan.html import clock, number, unit
 from energyplan.output.documents import terms
 
 if TYPE_CHECKING:
@@ -148,6 +148,14 @@ def mission(report: MissionReport) -> list[str]:
     """Return what ``energyplan mission`` prints."""
     tables = [line for one in report.tables for line in one.text().splitlines()]
     return [report.sentence, *(f"warning: {warning}" for warning in report.warnings), *tables]
+
+
+def failure(report: MissionReport, name: str, time: float) -> str:
+    """Return when one of several robots fails, and what it has not done by then."""
+    robot = report.robot(name)
+    left = [task.name for task in robot.tasks if task.name not in robot.done_by(time)]
+    undone = f"without having done {', '.join(left)}" if left else "with all its tasks done"
+    return f"{name} fails at {clock(time)}, {undone}"
 
 
 def design(result: Design) -> list[str]:

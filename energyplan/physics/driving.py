@@ -258,10 +258,8 @@ class Driven(html.Readable):
             f"{html.number(self.energy_measured, 5)} J ({100 * self.error:+.2f} %)"
         )
         header = ("term", "predicted [J]", "measured [J]")
-        rows = [
-            (name, *(html.number(part, whole=self.energy_measured) for part in parts))
-            for name, *parts in self.terms
-        ]
+        shown = iter(html.column([part for _, *both in self.terms for part in both], 4))
+        rows = [(name, next(shown), next(shown)) for name, *_ in self.terms]
         return [html.Summary(title, header, rows, [note])]
 
 

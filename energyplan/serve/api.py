@@ -70,6 +70,7 @@ from energyplan.records import unusual
 from energyplan.serve import answers, requests
 from energyplan.serve.requests import MOST_EFFORT, MOST_TASKS, Access, Guard, complaint, problem
 from energyplan.serve.store import BusyError, Job, Pool, StoppingError, Store, UnknownFileError
+from energyplan.vehicle import Vehicle
 
 STATUS: tuple[tuple[type[Exception], int], ...] = (
     (UnknownFileError, 404),
@@ -350,7 +351,8 @@ def _routes(service: _Service) -> APIRouter:
 
 def _timeline(report: MissionReport) -> Document:
     names = ("t", "x", "y", "soc", "soc_lower", "soc_upper", "power")
-    return {name: documents.plain(getattr(report.timeline, name)) for name in names}
+    found = {name: documents.plain(getattr(report.timeline, name)) for name in names}
+    return {**found, "reserve": [report.mission.reserve] * len(report.timeline.t)}
 
 
 @cache
@@ -422,33 +424,27 @@ def _logs(service: _Service) -> APIRouter:
         like = store.named(robot.like, read_vehicle) if robot.like else None
         return start_of(store.path(name), Given(**known, like=like, name="" if like else "robot"))
 
-    def project_of(given: requests.IdentifyRequest) -> Project | None:
-        """Return the project of a robot of one's own; a log that contradicts it is refused."""
+    def robot_of(given: requests.IdentifyRequest) -> tuple[Vehicle, Project | None]:
+        """Return whose the logs are; a log that contradicts a robot of one's own is refused."""
         if (given.vehicle is None) == (given.robot is None):
             raise InvalidInputError("give either vehicle, the name of one, or robot, its measures")
         if given.robot is None:
-            return None
+            return store.named(given.vehicle, read_vehicle), None
         result = begun(given.logs[0], given.robot)
         if not result.sound:
             raise InvalidInputError("; ".join(str(one) for one in result.checks if not one.ok))
-        return result.project
+        return result.project.vehicle, result.project
 
-    def read(
-        given: requests.IdentifyRequest, names: list[str], project: Project | None
-    ) -> list[DriveLog]:
+    def read(name: str, given: requests.IdentifyRequest, project: Project | None) -> DriveLog:
         columns = None if project is None else dict(project.columns) or None
         topics = topic_map_of(given.vehicle or "") if project is None else project.topics
         # what reads a log is part of what is kept of it
-        return [
-            store.read(name, partial(read_log, columns=columns, topics=topics), given.vehicle,
-                       repr(columns), repr(topics))
-            for name in names
-        ]  # fmt: skip
+        reader = partial(read_log, columns=columns, topics=topics)
+        return store.read(name, reader, given.vehicle, repr(columns), repr(topics))
 
     def identified(job: Job, given: requests.IdentifyRequest) -> Document:
-        project = project_of(given)
-        vehicle = project.vehicle if project else store.named(given.vehicle or "", read_vehicle)
-        logs = read(given, given.logs, project)
+        vehicle, project = robot_of(given)
+        logs = [read(name, given, project) for name in given.logs]
         job.say("identifying")
         found = identify(logs, vehicle)
         return {**documents.identification(found), "model_file": model_text(found.model)}
@@ -457,9 +453,10 @@ def _logs(service: _Service) -> APIRouter:
         def say(fraction: float, note: str = "") -> None:
             job.say("diagnosing", fraction=fraction, note=note)
 
-        project = project_of(given)
-        vehicle = project.vehicle if project else store.named(given.vehicle or "", read_vehicle)
-        logs, judging = (read(given, names, project) for names in (given.logs, given.holdout))
+        vehicle, project = robot_of(given)
+        logs, judging = (
+            [read(name, given, project) for name in names] for names in (given.logs, given.holdout)
+        )
         found = diagnose(logs, holdout=judging, vehicle=vehicle, progress=say)
         return {**documents.diagnosis(found), "model_file": model_text(found.model)}
 

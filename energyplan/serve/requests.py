@@ -49,11 +49,15 @@ class _Asked(BaseModel):
         return given
 
 
-class PlanRequest(SiteFile, _Asked):
-    """A planning problem; files are named as the data folder has them."""
-
+class _OnSite(SiteFile, _Asked):
     model: Name = Field(examples=["quadriga:full:concrete"])
     start: PoseRow
+    reverse: bool | None = Field(None, description="may it drive backwards; as its vehicle has it")
+
+
+class PlanRequest(_OnSite):
+    """A planning problem; files are named as the data folder has them."""
+
     goal: PoseRow
     battery: bool = False
     costmap_weight: float = Field(0.0, ge=0)
@@ -61,14 +65,11 @@ class PlanRequest(SiteFile, _Asked):
     planner: Name = "lattice"
     time_limit: float | None = Field(None, gt=0, le=LONGEST)
     effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
-    reverse: bool | None = Field(None, description="may it drive backwards; as its vehicle has it")
 
 
-class RangeRequest(SiteFile, _Asked):
+class RangeRequest(_OnSite):
     """From where, and what there is: an energy [J], or the charge of a battery."""
 
-    model: Name = Field(examples=["quadriga:full:concrete"])
-    start: PoseRow
     back: PoseRow | None = Field(None, description="a pose to get back to, such as a charger's")
     energy: float | None = Field(None, gt=0)
     pack: Name | dict[str, Any] | None = Field(None, description="battery, as a mission's file has")
@@ -76,7 +77,6 @@ class RangeRequest(SiteFile, _Asked):
     reserve: float = Field(0.0, ge=0, lt=1)
     confidence: float | None = Field(None, gt=0, lt=1)
     coefficient_spread: float = Field(0.0, ge=0, lt=1)
-    reverse: bool | None = Field(None, description="may it drive backwards; as its vehicle has it")
 
 
 def _column(value: Any) -> FloatArray:

@@ -71,12 +71,12 @@ class Store:
         self._turns: dict[Hashable, threading.Lock] = defaultdict(threading.Lock)
 
     def names(self) -> dict[str, list[str]]:
-        """Return the names of all files by kind.
+        """Return the names of all files by kind, those of the folder itself before subfolders'.
 
         Maps, models, vehicles and missions are all YAML: their keys distinguish them.
         """
         found: dict[str, list[str]] = {kind: [] for kind in KINDS}
-        for file in sorted(self.folder.rglob("*")):
+        for file in sorted(self.folder.rglob("*"), key=lambda one: (len(one.parts), one)):
             name = file.relative_to(self.folder).as_posix()
             if not file.is_file() or not _NAME.fullmatch(name):
                 continue

@@ -79,7 +79,7 @@ def test_check_writes_what_the_motors_can_drive(run: Run, tmp_path: Path, speed:
     assert told["out_duration"] == slow.duration
     again = run("check", tmp_path / "slow.csv", *model, "--strict", "--out", tmp_path / "same.csv")
     assert again.code == 0
-    assert f"same.csv: {slow.duration:.4g} s, 1 times these speeds" in again.out
+    assert f"same.csv: {slow.duration:.4g} s, at 100 % of these speeds" in again.out
     assert read_trajectory(tmp_path / "same.csv") == slow
     path = write_path(ep.Path.from_poses(arc(speed).poses), tmp_path / "path.csv")
     timed = run("check", path, *model, "--out", tmp_path / "timed.csv", "--json").json

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import Run
 
-from energyplan import PowerModel, simulate
+from energyplan import DriveLog, PowerModel, simulate
+from energyplan.io.files import bundled
 from energyplan.io.tables import write_log
 
 
@@ -19,11 +23,49 @@ def test_start_without_a_project_checks_a_log_all_the_same(tmp_path: Path, run: 
     project = tmp_path / "robot.yaml"
     with table.open("a") as rows:
         rows.write("300" + (len(log.channels) - 1) * ",1e308")  # whose square is no number
-    assert run("start", table, "--like", "quadriga", "--out", project).code == 0
+    told = run("start", table, "--like", "quadriga", "--out", project)
+    assert told.code == 0
+    assert "quadriga stands for quadriga:empty, of 83.1 kg; known: quadriga:empty, " in told.err
     assert "assumed mass" not in run("start", table, "--project", project).out
     table.write_text("t,velL,velR,note\n0,1,1,start\n1,1,1,go\n")
     told = run("start", table)
     assert told.code == 2 and "nothing seems to be power" in told.err and "note" in told.err
+
+
+def test_watch_follows_one_of_several_robots(tmp_path: Path, run: Run) -> None:
+    """Its own tasks are looked at, and no other robot's."""
+    for name in ("warehouse.yaml", "warehouse.png", "warehouse_surfaces.geojson"):
+        shutil.copy(bundled(name), tmp_path)
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(bundled("fleet_warehouse.yaml").read_text().replace("3000", "100"))
+    still = {
+        "v_left": 0.0,
+        "v_right": 0.0,
+        "power": 5.0,
+        "x": 20.0,
+        "y": 2.0,
+        "yaw": 0.0,
+        "soc": 0.35,
+    }
+    t = np.arange(0.0, 3.0, 0.1)
+    log = DriveLog({"t": t} | {name: np.full_like(t, value) for name, value in still.items()})
+    words = (
+        "watch",
+        write_log(log, tmp_path / "gamma.csv"),
+        "--mission",
+        fleet,
+        "--once",
+        "--json",
+    )
+    events = [json.loads(line) for line in run(*words, "--robot", "gamma").out.splitlines()]
+    report, *_ = [one["mission"] for one in events if one["event"] == "reassessed"]
+    assert {one["name"] for one in report["tasks"]} == {"scan the far shelf", "turn the valve"}
+    for robot, message in (
+        ("delta", "the robots are alpha, beta, gamma"),
+        (None, "say whose: --robot NAME"),
+    ):
+        refused = run(*words, *(("--robot", robot) if robot else ()))
+        assert refused.code == 2 and message in refused.err
 
 
 def test_topic_maps_are_chosen_by_name(tmp_path: Path, run: Run) -> None:

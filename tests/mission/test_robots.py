@@ -15,6 +15,7 @@ from worlds import tiny
 
 from energyplan import watch
 from energyplan.errors import InvalidInputError, MissionError
+from energyplan.html import clock
 from energyplan.io.maps import write_map
 from energyplan.io.mission import read_mission
 from energyplan.mission import (
@@ -269,9 +270,21 @@ def test_the_command_tells_who_does_what_and_who_takes_over(tmp_path: Path, run:
     names = [task["name"] for one in told["robots"] for task in one["tasks"]]
     assert len(names) == len(set(names)) == 4
     assert told["after_failure"]["robot"] == "alpha"
-    assert {one["name"] for one in told["after_failure"]["robots"]} <= {"beta", "gamma"}
+    rest = told["after_failure"]["robots"]
+    assert {one["name"] for one in rest} <= {"beta", "gamma"}
+    spans = [(one["timetable"][0]["start"], one["timetable"][-1]["end"]) for one in rest]
+    first, last = min(begin for begin, _ in spans), max(end for _, end in spans)
+    assert told["after_failure"]["duration"] == pytest.approx(last - first, abs=1.0)
     assert sum(len(one["legs"]) for one in told["robots"]) == len([*drives.iterdir()])
-    assert all(f">{one}</h2>" in page.read_text() for one in ("alpha", "beta", "gamma"))
+    shown = page.read_text()
+    assert all(f">{one}</h2>" in shown for one in ("alpha", "beta", "gamma"))
+    failed = "alpha fails at 0:01:40, without having done read the west meter"
+    before, _, after = shown.partition(f"<h2>If {failed}</h2>")
+    assert "after the failure" not in before
+    taken_over = {one["name"] for one in rest if "read the west meter" in one["order"]}
+    assert all(f"<h2>{one}, after the failure</h2>" in after for one in taken_over)
+    for begin, end in spans:  # durations are those of the timetable
+        assert f">{clock(begin)}</td>" in after and f">{clock(end)}</td>" in after
     answered = json.loads(mission_answer(text.replace("3000", "500"), tmp_path))
     assert [one["tasks"] for one in answered["robots"]] == [one["tasks"] for one in told["robots"]]
     left = run("mission", file, "--fail", "alpha")

@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import shapely
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.quiver import Quiver
 
 from energyplan import (
@@ -21,9 +23,10 @@ from energyplan import (
     evaluate,
     simulate,
 )
-from energyplan.mission import MissionReport
+from energyplan.mission import Charger, MissionReport
 from energyplan.output import plots
 from energyplan.output.plots import image
+from energyplan.output.plots.style import DPI
 from energyplan.terrain.surfaces import Surface
 
 MODEL = PowerModel.preset("quadriga:empty:marble")
@@ -78,25 +81,20 @@ def test_what_a_map_does_not_know_is_not_drawn_as_free(free: bool) -> None:
     assert (greys[:, 2:] == 1.0).all()
 
 
-def test_the_last_arrow_has_the_heading_at_the_end() -> None:
-    """Also after a turn on the spot, where the path goes no further."""
-    path = Path(Pose(1, 2, 0), [2.0, 0.0], [0.0, 1.2])
+@pytest.mark.parametrize(("length", "turn"), [(2.0, 1.2), (-2.0, 0.0)])
+def test_arrows_point_where_the_robot_goes_and_the_last_as_it_stands(
+    length: float, turn: float
+) -> None:
+    """Also after a turn on the spot, where the path goes no further; what is reversed is said."""
+    path = Path(Pose(1, 2, 0), [length, 0.0], [0.0, turn])
     ax = plots.figure().axes[0]
     plots.route(ax, path, "route")
     arrows = next(one for one in ax.collections if isinstance(one, Quiver))
-    assert (arrows.U[-1], arrows.V[-1]) == pytest.approx((np.cos(1.2), np.sin(1.2)))
-
-
-def test_arrows_point_where_the_robot_goes_and_reverse_is_said() -> None:
-    path = Path(Pose(1, 2, 0), [-2.0], [0.0])
-    ax = plots.figure().axes[0]
-    plots.route(ax, path, "route")
-    arrows = next(one for one in ax.collections if isinstance(one, Quiver))
-    assert np.asarray(arrows.U[:-1]) == pytest.approx(-np.ones(len(arrows.U) - 1))
-    assert arrows.U[-1] == pytest.approx(1.0)  # the heading at the goal
-    assert "2.0 m in reverse" in str(ax.get_lines()[0].get_label())
+    assert np.asarray(arrows.U[:-1]) == pytest.approx(np.full(len(arrows.U) - 1, np.sign(length)))
+    assert (arrows.U[-1], arrows.V[-1]) == pytest.approx((np.cos(turn), np.sin(turn)))
+    assert ("2.0 m in reverse" in str(ax.get_lines()[0].get_label())) == (length < 0)
     ends = [float(line.get_xdata()[0]) for line in ax.get_lines()[1:]]
-    assert ends == pytest.approx([1.0, -1.0])
+    assert ends == pytest.approx([1.0, 1.0 + length])
 
 
 def test_breakdown_bars_add_up() -> None:
@@ -146,21 +144,46 @@ def test_places_have_the_numbers_under_which_the_legend_names_them(crowded: Miss
     assert box.x1 <= figure.bbox.x1 and box.y0 >= figure.bbox.y0 - 1.0
 
 
-@pytest.mark.parametrize("sides", [(16, 24), (24, 16), (8, 40)])
-def test_the_legend_of_a_map_with_colours_is_within_the_picture(
-    crowded: MissionReport, sides: tuple[int, int]
+@pytest.mark.parametrize(
+    ("sides", "yaw", "chargers"),
+    [((16, 24), 0, 0), ((24, 16), 0, 1), ((8, 40), 0, 1), ((16, 20), 0.4, 9)],
+)
+def test_nothing_about_a_map_with_colours_lies_over_another_or_is_cut(
+    crowded: MissionReport, sides: tuple[int, int], yaw: float, chargers: int
 ) -> None:
-    """The bar of colours below, and a map of any shape, leave room for the legend above."""
+    """Legends, the axis' label, the bar of colours and its label, from top to bottom."""
     high, wide = sides
-    hall = OccupancyGrid(np.zeros((10 * high, 10 * wide), bool), 0.1)
+    hall = OccupancyGrid(np.zeros((10 * high, 10 * wide), bool), 0.1, origin=(0, 0, yaw))
     ground = SurfaceMap([Surface(shapely.box(0, 0, 0.5 * wide, high), MODEL, "marble")])
-    mission = replace(crowded.mission, map=hall, surfaces=ground)
+    docks = [Charger(f"dock {k}", Pose(1.0, 4.0, 0.0), 100.0) for k in range(chargers)]
+    mission = replace(crowded.mission, map=hall, surfaces=ground, chargers=docks)
     figure = plots.mission_map(replace(crowded, mission=mission))
     image(figure, ".png")
-    legend = figure.axes[0].get_legend()
+    figure.set_dpi(DPI)  # as it was drawn
+    (ax,) = figure.axes
+    (bar,) = ax.child_axes
+    legend = ax.get_legend()
     assert legend is not None
-    box = legend.get_window_extent()
-    assert figure.bbox.y1 >= box.y1 > box.y0 >= figure.axes[0].get_window_extent().y1 - 1.0
+    parts = [legend, ax.patch, ax.xaxis, bar.patch, bar.xaxis, *figure.legends]
+    boxes = [part.get_tightbbox() for part in parts]
+    assert boxes[0].y1 <= figure.bbox.y1 and boxes[-1].y0 >= -1.0
+    assert all(upper.y0 >= lower.y1 - 1.0 for upper, lower in pairwise(boxes))
+    assert all(box.x0 >= -1.0 and box.x1 <= figure.bbox.x1 + 1.0 for box in boxes)
+
+
+def test_a_missions_colours_span_from_the_reserve_to_a_full_battery(crowded: MissionReport) -> None:
+    """However little the mission takes; arrows and white lines say which way it is driven."""
+    ax = plots.mission_map(crowded).axes[0]
+    lines = [one for one in ax.collections if isinstance(one, LineCollection)]
+    charge = next(one for one in lines if one.get_array() is not None)
+    assert np.ptp(np.asarray(charge.get_array())) < 5.0
+    assert charge.get_clim() == pytest.approx((100 * crowded.mission.reserve, 100))
+    assert any(isinstance(one, Quiver) for one in ax.collections)
+    white = next(one for one in lines if one.get_array() is None)
+    length = sum(float(np.hypot(*np.diff(one, axis=0).T).sum()) for one in white.get_segments())
+    backwards = sum(path.reverse_length for path in crowded.paths)
+    assert length == pytest.approx(backwards, rel=0.02) and backwards > 1.0
+    assert f"{backwards:.1f} m in reverse" in ax.child_axes[0].get_xlabel()
 
 
 def test_nothing_lies_over_the_charge_or_outside_the_picture(crowded: MissionReport) -> None:

@@ -173,21 +173,14 @@ def test_two_clicks_make_a_route(browser: Any, address: str, width: int, scheme:
     assert (opened.errors, opened.elsewhere) == ([], [])
 
 
-@pytest.mark.nightly
-def test_a_key_moves_a_pose_and_plans_again(browser: Any, address: str) -> None:
+def test_a_change_plans_again_and_a_wrong_one_is_said_in_words(browser: Any, address: str) -> None:
     opened = Opened(browser, address, 1300)
     before = opened.route()
     opened.page.locator("[title=S].leaflet-marker-icon").focus()
-    opened.page.keyboard.press("Shift+ArrowLeft")
+    opened.page.keyboard.press("Shift+ArrowLeft")  # plans again
     opened.page.wait_for_function(
         "before => document.querySelector('#answer .big')?.textContent !== before", arg=before
     )
-    assert opened.errors == []
-
-
-def test_a_pose_in_a_wall_is_told_in_words(browser: Any, address: str) -> None:
-    opened = Opened(browser, address, 1300)
-    opened.route()
     opened.page.fill("input[name=model]", "no:such:model")
     opened.page.keyboard.press("Enter")
     opened.page.wait_for_selector("#status.bad")
@@ -299,7 +292,7 @@ def test_a_mission_of_several_robots_is_opened_changed_and_answered(
         assert hours == sorted(hours)
         tints = {one.get_attribute("stroke") for one in page.locator("path[fill=none]").all()}
         assert {"#0072b2", "#009e73"} <= tints  # each robot has its own
-        assert page.locator("#charge .u-legend tr").count() == 7
+        assert page.locator("#charge .u-legend tr").count() == 8  # with the reserve
         assert page.evaluate(
             "Math.max(...[...document.querySelectorAll('table')].map("
             "(one) => one.getBoundingClientRect().right))"

@@ -51,12 +51,14 @@ from fastapi.testclient import TestClient
 from starlette.exceptions import HTTPException
 
 from energyplan.serve import create_app, is_loopback, run, server
-from energyplan.serve.requests import Guard, problem
+from energyplan.serve.requests import Guard
 from energyplan.serve.store import BusyError, Job, Pool, Store
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "quadriga:full:concrete"
 LOCAL = "http://localhost"
+OUTSIDE = ("../secret.yaml", "/etc/passwd", "link.yaml", "a/../../secret.yaml", ".hidden.yaml",
+           "a\0b.yaml")  # fmt: skip
 QUERY = {"map": "warehouse.yaml", "model": MODEL, "start": [2, 2, 0], "goal": [5, 2, 0]}
 
 
@@ -209,38 +211,61 @@ def test_a_log_of_a_robot_of_ones_own_is_read_as_start_reads_it(tmp_path: Path) 
         assert answer.status_code == 422 and "(not grams)" in answer.json()["detail"]
 
 
-def test_no_page_of_another_site_frames_or_scripts_the_page(client: TestClient) -> None:
-    for path in ("/", "/api/health", "/api/none"):
-        policy = client.get(path).headers["content-security-policy"]
-        assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
+def guarded(guard: Guard, *messages: Any, gate: asyncio.Event | None = None) -> Any:
+    """Have a body come in messages, its end at a gate if there is one; return the status."""
+    statuses: list[int] = []
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        try:
+            while (await receive())["more_body"]:
+                pass
+            statuses.append(200)
+        except HTTPException as error:
+            statuses.append(error.status_code)
+            assert error.status_code != 429 or (error.headers or {})["Retry-After"] == "1"
+
+    async def refusal(message: Any) -> None:
+        statuses.append(message.get("status", 0))
+
+    async def ask() -> int:
+        left = list(messages)
+
+        async def receive() -> Any:
+            if not left:
+                await (gate.wait() if gate else asyncio.sleep(60.0))
+            return left.pop(0) if left else {"type": "http.request", "more_body": False}
+
+        headers = [(b"authorization", b"bearer right")]
+        guard.app = app
+        scope = {"type": "http", "method": "PUT", "path": "/api/files/a", "headers": headers}
+        await guard(scope, receive, refusal)
+        return statuses[0]
+
+    return ask()
 
 
 def test_a_body_that_does_not_come_is_not_waited_for() -> None:
     """Nor is one without the token, which is refused before any of it."""
-    sent: list[Any] = []
-
-    async def ask(token: str) -> int:
-        async def receive() -> Any:
-            await asyncio.sleep(60.0)
-
-        async def send(message: Any) -> None:
-            sent.append(message)
-
-        async def app(scope: Any, receive: Any, send: Any) -> None:
-            try:
-                await receive()
-            except HTTPException as error:
-                await problem(error.status_code, "", "")(scope, receive, send)
-
-        headers = [(b"host", b"localhost"), (b"content-type", b"application/json"),
-                   (b"authorization", b"bearer right")]  # fmt: skip
-        scope = {"type": "http", "method": "POST", "path": "/api/plan", "headers": headers}
-        await Guard(app, token, deadline=0.05)(scope, receive, send)
-        return int(sent[-2]["status"])
-
     with ThreadPoolExecutor(1) as pool:  # the browser's tests leave a loop in this thread
-        assert pool.submit(asyncio.run, ask("right")).result() == 408
-        assert pool.submit(asyncio.run, ask("other")).result() == 401
+        for token, status in (("right", 408), ("other", 401)):
+            guard = Guard(Mock(), token, deadline=0.05)
+            assert pool.submit(asyncio.run, guarded(guard)).result() == status
+
+
+def test_bodies_under_way_have_a_limit_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("energyplan.serve.requests.HELD", 150)
+    part = {"type": "http.request", "body": bytes(100), "more_body": True}
+
+    async def three() -> list[int]:
+        guard, gate = Guard(Mock(), None), asyncio.Event()
+        first = asyncio.create_task(guarded(guard, part, gate=gate))
+        await asyncio.sleep(0)
+        beside = await guarded(guard, part, gate=gate)
+        gate.set()
+        return [beside, await first, await guarded(guard, part, gate=gate)]
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(asyncio.run, three()).result() == [429, 200, 200]
 
 
 class Wires:
@@ -325,25 +350,6 @@ def test_who_waits_for_its_client_makes_room(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "../secret.yaml",
-        "/etc/passwd",
-        "link.yaml",
-        "a/../../secret.yaml",
-        ".hidden.yaml",
-        "a\0b.yaml",
-    ],
-)
-def test_no_name_leaves_the_data_folder(client: TestClient, name: str) -> None:
-    answer = client.post("/api/plan", json={**QUERY, "map": name})
-    assert answer.status_code == 404, answer.text
-    assert answer.headers["content-type"] == "application/problem+json"
-    model = client.post("/api/plan", json={**QUERY, "model": name})
-    assert model.status_code == 404, model.text
-
-
-@pytest.mark.parametrize(
     ("change", "status", "told"),
     [
         ({"map": "none.yaml"}, 404, "no file"),
@@ -358,6 +364,7 @@ def test_no_name_leaves_the_data_folder(client: TestClient, name: str) -> None:
         ({"planner": "none"}, 422, "none"),
         ({"start": [-50, 2, 0]}, 409, "outside the map"),
         ({"start": [1e308, 2, 0]}, 409, "the start (1e+308, 2.000, 0.0 deg) lies outside"),
+        *[({key: name}, 404, "") for key in ("map", "model") for name in OUTSIDE],
     ],
 )
 def test_bad_requests_are_told_what_is_wrong(
@@ -365,6 +372,7 @@ def test_bad_requests_are_told_what_is_wrong(
 ) -> None:
     answer = client.post("/api/plan", json={**QUERY, **change})
     assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
     assert told in answer.json()["detail"]
     assert {"type", "title", "status", "detail"} <= set(answer.json())
 
@@ -380,21 +388,31 @@ def test_other_bodies_are_refused(client: TestClient) -> None:
     assert (keys.status_code, keys.json()["detail"]) == (
         422, "the body: Value error, it has more than 100 keys",
     )  # fmt: skip
-    assert client.get("/api/health", headers={"Host": "elsewhere.example"}).status_code == 400
     assert client.get("/api/none").status_code == 404
 
 
 _JSON = {"Content-Type": "application/json"}
 
 
-def test_a_token_is_asked_for(folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("path", "headers", "status"),
+    [
+        *[(path, {"Authorization": given}, status)
+          for path in ("/api/health", "/openapi.json")
+          for given, status in (("Bearer secret", 200), ("bearer secret", 200), ("secret", 401),
+                                ("Bearer secreT", 401), ("Basic secret", 401))],
+        ("/api/health", {}, 401), ("/health", {}, 200), ("/health", {"Host": "testserver"}, 400),
+        *[("/health", {"Host": name}, 200) for name in ("LOCALHOST:8321", "127.0.0.1", "[::1]:1")],
+    ],
+)  # fmt: skip
+def test_who_is_answered(folder: Path, path: str, headers: dict[str, str], status: int) -> None:
+    """Health needs no secret; the names of this machine are known in any case, and no others."""
     with TestClient(create_app(folder, token="secret"), LOCAL) as client:
-        assert client.get("/api/health").status_code == 401
-        for code, *given in ((200, "Bearer secret", "bearer secret"),
-                             (401, "Bearer secreT", "secret", "Basic secret")):  # fmt: skip
-            for path in ("/api/health", "/openapi.json"):
-                answers = [client.get(path, headers={"Authorization": one}) for one in given]
-                assert {answer.status_code for answer in answers} == {code}
+        answer = client.get(path, headers=headers)
+    assert answer.status_code == status
+    assert (answer.text == "ok") == (path == "/health" and status == 200)
+    policy = answer.headers["content-security-policy"]  # no other site frames or scripts the page
+    assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
 
 
 def test_uploads_replace_nothing(client: TestClient, folder: Path) -> None:
@@ -473,12 +491,6 @@ def test_others_are_served_only_with_a_token(folder: Path, tmp_path: Path) -> No
     ]  # fmt: skip
 
 
-def test_health_needs_no_secret_and_tells_none(folder: Path) -> None:
-    with TestClient(create_app(folder, token="secret"), LOCAL) as client:
-        answer = client.get("/health")
-        assert (answer.status_code, answer.text) == (200, "ok")
-
-
 def test_a_line_of_the_log_tells_who_asked_what_and_what_came_of_it(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -493,12 +505,6 @@ def test_a_line_of_the_log_tells_who_asked_what_and_what_came_of_it(
         'testclient:50000 "POST /api/plan%0A" 401 TIME',
         'testclient:50000 "GET /health" 400 TIME',
     ]
-
-
-def test_the_names_of_this_machine_are_known_in_any_case(client: TestClient) -> None:
-    for name in ("LOCALHOST:8321", "127.0.0.1", "[::1]:8321"):
-        assert client.get("/health", headers={"Host": name}).status_code == 200
-    assert client.get("/health", headers={"Host": "testserver"}).status_code == 400
 
 
 def test_a_mission_has_bounds(client: TestClient, folder: Path) -> None:
@@ -554,7 +560,8 @@ def test_a_mission_of_several_robots_is_opened_and_answered(
     told = answer.json()
     own = documents.mission(ep.evaluate(mission_from(fleet, folder)), trajectories=True)
     for robot in told["robots"]:
-        assert len(robot.pop("timeline")["t"]) > 1
+        timeline = robot.pop("timeline")
+        assert timeline["reserve"] == [0.2] * len(timeline["t"]) and len(timeline["t"]) > 1
     assert told.pop("preset") and told == json.loads(json.dumps(own))
     assert [robot["name"] for robot in told["robots"]] == names
     assert sum(len(robot["tasks"]) for robot in told["robots"]) == len(fleet["tasks"])
@@ -641,6 +648,15 @@ def test_a_full_disk_is_the_services_fault(
     assert not [file for file in folder.iterdir() if "d.csv" in file.name]
 
 
+def test_files_of_the_folder_itself_come_before_those_of_its_subfolders(tmp_path: Path) -> None:
+    names = ["a/first.yaml", "a/b/second.yaml", "round.yaml", "z/last.yaml"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("tasks: []\n")
+    found = Store(tmp_path).names()["missions"]
+    assert found == ["round.yaml", "a/first.yaml", "z/last.yaml", "a/b/second.yaml"]
+
+
 def test_a_map_is_read_once_for_all_who_wait_for_it(folder: Path) -> None:
     store, both, count = Store(folder), threading.Barrier(2), []
 
@@ -661,49 +677,6 @@ def test_the_service_reads_maps_up_to_a_size(folder: Path, monkeypatch: pytest.M
     with TestClient(create_app(folder), LOCAL) as client:
         answer = client.get("/api/maps/room.yaml")
     assert (answer.status_code, "at most 3999 cells" in answer.text) == (422, True)
-
-
-def test_bodies_under_way_have_a_limit_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("energyplan.serve.requests.HELD", 150)
-    statuses: list[int] = []
-
-    async def app(scope: Any, receive: Any, send: Any) -> None:
-        try:
-            while (await receive())["more_body"]:
-                pass
-            statuses.append(200)
-        except HTTPException as error:
-            statuses.append(error.status_code)
-            assert (error.headers or {})["Retry-After"] == "1"
-
-    async def ask() -> None:
-        guard, gate = Guard(app, None), asyncio.Event()
-
-        async def slow() -> Any:
-            await gate.wait()
-            return {"type": "http.request", "body": b"", "more_body": False}
-
-        def put(*messages: Any) -> Any:
-            left = list(messages)
-
-            async def receive() -> Any:
-                return left.pop(0) if left else await slow()
-
-            return guard(
-                {"type": "http", "method": "PUT", "path": "/", "headers": []}, receive, ask
-            )
-
-        part = {"type": "http.request", "body": bytes(100), "more_body": True}
-        first = asyncio.create_task(put(part))
-        await asyncio.sleep(0)
-        await put(part)  # beside the first
-        gate.set()
-        await first
-        await put(part)  # when it is done
-
-    with ThreadPoolExecutor(1) as pool:
-        pool.submit(asyncio.run, ask()).result()
-    assert statuses == [429, 200, 200]
 
 
 def test_a_stop_ends_all_work_and_says_come_again(folder: Path) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
+from scipy.integrate import cumulative_trapezoid
 
 from energyplan import html
 from energyplan.logs import DriveLog
@@ -41,8 +42,17 @@ def power_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike
 def energy_over_time(ax: Axes, log: DriveLog, predictions: Mapping[str, ArrayLike]) -> Axes:
     """Draw measured and predicted energy since the start; arguments as in `power_over_time`."""
     t = log.t - log.t[0]
-    ax.plot(t, _integral(t, log.power) / 1e3, color="0.6", lw=2.5, label="measured")
-    energies = {k: _integral(t, np.asarray(p, float)) / 1e3 for k, p in predictions.items()}
+    ax.plot(
+        t,
+        cumulative_trapezoid(log.power, t, initial=0) / 1e3,
+        color="0.6",
+        lw=2.5,
+        label="measured",
+    )
+    energies = {
+        k: cumulative_trapezoid(np.asarray(p, float), t, initial=0) / 1e3
+        for k, p in predictions.items()
+    }
     return _over_time(ax, t, energies, "energy [kJ]", "Energy since the start")
 
 
@@ -165,8 +175,3 @@ def feasible_region(ax: Axes, region: FeasibleRegion) -> Axes:
     style.legend(ax, above=True)
     ax.grid(visible=False)
     return ax
-
-
-def _integral(t: FloatArray, power: FloatArray) -> FloatArray:
-    steps = 0.5 * (power[1:] + power[:-1]) * np.diff(t)
-    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
-import matplotlib.collections
-import matplotlib.lines
-import matplotlib.patches
-import matplotlib.path
-import matplotlib.ticker
-import matplotlib.transforms
 import numpy as np
 import shapely
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+from matplotlib.transforms import Affine2D, ScaledTranslation, blended_transform_factory
 
-from energyplan.mission.report import clock
+from energyplan.html import clock
 from energyplan.output.plots import style
-from energyplan.path import Path
+from energyplan.path import FloatArray, Path
 from energyplan.planning.plans import spending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.image import AxesImage
     from shapely.geometry.base import BaseGeometry
 
     from energyplan.mission import MissionReport
@@ -31,11 +33,14 @@ if TYPE_CHECKING:
     from energyplan.terrain import OccupancyGrid
 
 
-TOP = (0.5, 1.0)
-"""Anchor of the map above a horizontal colour bar; the default clips the legend."""
+ARROWS = 7
+"""How many arrows a route has that is as long as its map is wide."""
 
 OCCUPIED, UNKNOWN = 0.25, 0.85
 """Greys of cells, from black to white."""
+
+CHARGE = LinearSegmentedColormap.from_list("charge", (style.RED, style.PURPLE, style.BLUE))
+"""Colours of states of charge: black arrows and white lines are seen on each."""
 
 CHARGING = style.ORANGE
 """Colour of what charges."""
@@ -49,18 +54,11 @@ MARK = 6.0
 
 def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
     """Draw a map's occupied cells, and those of which it knows nothing in a light grey."""
-    x, y, yaw = (float(v) for v in grid.origin)
-    rows, columns = grid.occupied.shape
     shade = np.where(grid.occupied, OCCUPIED, np.nan)
     if grid.unknown is not None:
         shade[grid.unknown & ~grid.occupied] = UNKNOWN
-    image = ax.imshow(
-        np.ma.masked_invalid(shade),
-        cmap="gray", vmin=0, vmax=1, origin="lower", interpolation="nearest", zorder=2,
-        extent=(0.0, columns * grid.resolution, 0.0, rows * grid.resolution),
-    )  # fmt: skip
-    turn = mpl.transforms.Affine2D().rotate(yaw).translate(x, y)
-    image.set_transform(turn + ax.transData)
+    _, turn = _cells(ax, shade, grid, cmap="gray", vmin=0, vmax=1, zorder=2)
+    rows, columns = grid.occupied.shape
     corners = np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)]) * grid.resolution
     placed = turn.transform(corners)
     ax.set_xlim(placed[:, 0].min(), placed[:, 0].max())
@@ -70,34 +68,55 @@ def occupancy(ax: Axes, grid: OccupancyGrid) -> Axes:
     return ax
 
 
+def _cells(
+    ax: Axes, values: FloatArray, frame: OccupancyGrid | EnergyMap, **look: Any
+) -> tuple[AxesImage, Affine2D]:
+    """Draw values in cells; return the image, and how its frame is turned."""
+    rows, columns = values.shape
+    image = ax.imshow(
+        np.ma.masked_invalid(values), origin="lower", interpolation="nearest",
+        extent=(0.0, columns * frame.resolution, 0.0, rows * frame.resolution), **look,
+    )  # fmt: skip
+    x, y, yaw = map(float, frame.origin)
+    turn = Affine2D().rotate(yaw).translate(x, y)
+    image.set_transform(turn + ax.transData)
+    return image, turn
+
+
+def _colour_bar(ax: Axes, drawn: ScalarMappable, label: str) -> None:
+    """Add a bar of colours below a map, as wide as the map and clear of its axis' label."""
+    picture = ax.get_figure(root=True)
+    assert picture is not None
+    below = picture.dpi_scale_trans + ScaledTranslation(0.0, 0.0, ax.transAxes)  # type: ignore[arg-type]
+    inches = blended_transform_factory(ax.transAxes, below)
+    bar = ax.inset_axes((0.0, -0.65, 1.0, 0.1), transform=inches)
+    picture.colorbar(drawn, cax=bar, label=label, orientation="horizontal")
+    ax.set_anchor("S")  # else the layout reckons with more room below than there is
+    picture.set_figheight(picture.get_figheight() + 0.75)
+
+
 def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure:
     """Draw the energy that each place takes, over its map."""
-    picture = style.figure(size=(style.WIDTH, 4.4))
-    ax = occupancy(picture.axes[0], grid)
+    picture = routes(grid, {})
+    ax = picture.axes[0]
     energy = np.ma.masked_invalid(found.energy / 1e3)
-    rows, columns = energy.shape
-    image = ax.imshow(
-        energy, cmap="viridis", origin="lower", interpolation="nearest", zorder=1,
-        extent=(0.0, columns * found.resolution, 0.0, rows * found.resolution),
-    )  # fmt: skip
-    x, y, yaw = found.origin
-    turn = mpl.transforms.Affine2D().rotate(yaw).translate(x, y)
-    image.set_transform(turn + ax.transData)
+    image, turn = _cells(ax, energy, found, cmap="viridis", zorder=1)
     most = float(energy.max()) if energy.count() else 0.0
     if most > 0:
-        along, up = ((np.arange(n) + 0.5) * found.resolution for n in (columns, rows))
+        along, up = ((np.arange(n) + 0.5) * found.resolution for n in energy.shape[::-1])
         ax.contour(
             along, up, energy, most * np.arange(1, levels) / levels, colors="white",
             linewidths=0.8, zorder=3, transform=turn + ax.transData,
         )  # fmt: skip
-    ax.plot(found.start.x, found.start.y, "o", color=style.ORANGE, ms=7, zorder=4)
+    ends = [("start", "o", style.ORANGE, found.start)]
     if found.back is not None and found.back != found.start:
-        ax.plot(found.back.x, found.back.y, "s", color=style.RED, ms=7, zorder=4)
+        ends.append(("back at", "s", style.RED, found.back))
+    for name, marker, color, pose in ends:
+        ax.plot(pose.x, pose.y, marker, color=color, mec="white", ms=7, zorder=4, label=name)
+    style.legend(ax, above=True)
     ways = "to get there" if found.back is None else "to get there and back"
-    sure = "" if found.confidence is None else f", with {100 * found.confidence:g} %"
-    label = f"energy {ways}{sure} [kJ]"
-    picture.set_layout_engine("compressed")
-    picture.colorbar(image, ax=ax, label=label, location="bottom", aspect=40, panchor=TOP)
+    sure = "" if found.confidence is None else f", at {100 * found.confidence:g} % confidence"
+    _colour_bar(ax, image, f"energy {ways}{sure} [kJ]")
     return picture
 
 
@@ -106,27 +125,35 @@ def route(
 ) -> Axes:
     """Draw a path from its start (a disc) to its goal (a ring); `arrows` point where it goes.
 
-    The last arrow is the heading at the goal. How much is driven in reverse stands in the legend.
+    The last arrow is the heading at the goal. What is driven in reverse has a white line inside,
+    and its length stands in the legend.
     """
     poses = path.poses()
     if path.reverse_length >= 0.05:
-        label += f", {path.reverse_length:.1f} m in reverse"
+        label += f", {path.reverse_length:.1f} m in reverse (white inside)"
     ax.plot(poses[:, 0], poses[:, 1], color=color, ls=dash, lw=2, label=label, zorder=3)
     ax.plot(*poses[0, :2], "o", color=color, ms=5, zorder=3)
     ax.plot(*poses[-1, :2], "o", color=color, mfc="white", ms=7, mew=1.5, zorder=3)
     if arrows:
-        steps = np.diff(poses[:, :2], axis=0)
-        heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-        back = np.append(np.sum(steps * heading[:-1], axis=1) < 0, False)
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-        marks = np.searchsorted(along, np.linspace(0, along[-1], 8)).clip(0, len(poses) - 1)
-        marks[-1] = len(poses) - 1  # after a turn on the spot
-        where = np.where(back[:, None], -heading, heading)[marks]
-        ax.quiver(
-            *poses[marks, :2].T, *where.T, color=color, angles="xy", scale=30, width=0.004,
-            zorder=4,
-        )  # fmt: skip
+        _directions(ax, poses, color, [poses[-1]])
     return ax
+
+
+def _directions(ax: Axes, poses: FloatArray, color: str, ends: Sequence[FloatArray] = ()) -> None:
+    """Draw arrows along a motion and at some poses, and a white line where it goes backwards."""
+    steps = np.diff(poses[:, :2], axis=0)
+    length = np.hypot(*steps.T)
+    along = np.cumsum(length)
+    count = int(np.ceil(ARROWS * along[-1] / np.ptp(ax.get_xlim())))
+    marks = np.searchsorted(along, along[-1] * (np.arange(count) + 0.5) / count)
+    at = np.array([*poses[marks, :2], *(pose[:2] for pose in ends)])
+    ways = np.array([*(steps[marks] / length[marks, None]),
+                     *((np.cos(pose[2]), np.sin(pose[2])) for pose in ends)])  # fmt: skip
+    if len(at):
+        ax.quiver(*at.T, *ways.T, color=color, angles="xy", scale=30, width=0.004, zorder=4)
+    ahead = steps[:, 0] * np.cos(poses[:-1, 2]) + steps[:, 1] * np.sin(poses[:-1, 2])
+    pairs = np.stack([poses[:-1, :2], poses[1:, :2]], axis=1)[ahead < -0.5 * length]
+    ax.add_collection(LineCollection(list(pairs), color="white", lw=0.8, zorder=3.5))
 
 
 def routes(
@@ -136,16 +163,15 @@ def routes(
     surfaces: Sequence[tuple[str, BaseGeometry]] = (),
 ) -> Figure:
     """Draw routes on a map."""
-    rows, columns = grid.occupied.shape
-    height = float(np.clip((style.WIDTH - 0.7) * rows / columns + 1.0, 2.4, 7.5))
-    picture = style.figure(size=(style.WIDTH, height))
+    picture = style.figure()
     ax = occupancy(picture.axes[0], grid)
+    shape = np.ptp(ax.get_ylim()) / np.ptp(ax.get_xlim())
+    height = float(np.clip((style.WIDTH - 0.7) * shape + 1.0, 2.4, 7.5))
     _surfaces(ax, surfaces)
     for (label, path), (color, dash) in zip(paths.items(), style.LINES, strict=False):
         route(ax, path, label, color, dash)
     picture.suptitle(title, x=0.01, ha="left", fontsize="large")
-    if paths or surfaces:
-        picture.set_figheight(height + 0.2 * max(style.legend(ax, above=True) - 1, 0))
+    picture.set_figheight(height + 0.2 * max(style.legend(ax, above=True) - 1, 0))
     return picture
 
 
@@ -172,35 +198,38 @@ def _surfaces(ax: Axes, surfaces: Sequence[tuple[str, BaseGeometry]]) -> None:
     tints = (style.SKY, style.ORANGE, style.GREEN, style.PURPLE, style.YELLOW)
     names = list(dict.fromkeys(name for name, _ in surfaces))
     for name, area in surfaces:
-        outline = mpl.path.Path.make_compound_path(
+        outline = Outline.make_compound_path(
             *(
-                mpl.path.Path(np.asarray(ring.coords), closed=True)
+                Outline(np.asarray(ring.coords), closed=True)
                 for part in shapely.get_parts(area)
                 for ring in (part.exterior, *part.interiors)
             )
         )
         tint = style.RED if name == "keep-out" else tints[names.index(name) % len(tints)]
-        ax.add_patch(mpl.patches.PathPatch(outline, color=tint, alpha=0.2, lw=0, label=name))
+        ax.add_patch(PathPatch(outline, color=tint, alpha=0.2, lw=0, label=name))
 
 
 def mission_map(report: MissionReport) -> Figure:
-    """Draw a mission's route, coloured by the state of charge, and its places, numbered."""
+    """Draw a mission's route, coloured by the state of charge, and its places, numbered.
+
+    The colours span from the reserve to a full battery.
+    """
     mission, line = report.mission, report.timeline
-    areas = mission.surfaces.polygons if mission.surfaces else ()
-    picture = routes(mission.map, {}, surfaces=areas)
-    ax = picture.axes[0]
-    points = np.column_stack([line.x, line.y])
-    moving = np.any(np.diff(points, axis=0) != 0, axis=1)
-    pairs = np.stack([points[:-1], points[1:]], axis=1)[moving]
-    drawn = mpl.collections.LineCollection(
-        list(pairs), cmap="viridis", lw=2.5, zorder=3, rasterized=True
+    picture = routes(
+        mission.map, {}, surfaces=mission.surfaces.polygons if mission.surfaces else ()
     )
+    ax = picture.axes[0]
+    poses = np.column_stack([line.x, line.y, line.yaw])
+    moving = np.any(np.diff(poses[:, :2], axis=0) != 0, axis=1)
+    pairs = np.stack([poses[:-1, :2], poses[1:, :2]], axis=1)[moving]
+    drawn = LineCollection(list(pairs), cmap=CHARGE, lw=2.5, zorder=3, rasterized=True)
     drawn.set_array(100 * line.soc[:-1][moving])
+    drawn.set_clim(100 * min(mission.reserve, float(line.soc.min())), 100)
     ax.add_collection(drawn)
-    picture.set_layout_engine("compressed")  # no room between the map and the bar
-    picture.set_figheight(picture.get_figheight() + 0.3)
-    label = "state of charge [%]"
-    picture.colorbar(drawn, ax=ax, label=label, location="bottom", aspect=40, panchor=TOP)
+    _directions(ax, poses, style.BLACK)
+    reverse = sum(path.reverse_length for path in report.paths)
+    inside = f"; white inside: {reverse:.1f} m in reverse" if reverse >= 0.05 else ""
+    _colour_bar(ax, drawn, f"state of charge [%]{inside}")
     stops = [stop.name for stop in report.route]
     good = {task.name: task.verdict == "reachable" for task in report.tasks}
     ordered = sorted(
@@ -208,35 +237,26 @@ def mission_map(report: MissionReport) -> Figure:
         key=lambda task: stops.index(task.name) if task.name in stops else len(stops),
     )
     places = [("S", "start", mission.start, "s", style.BLACK)]
-    places += [
-        (
-            str(k),
-            task.name,
-            task.pose,
-            *(("o", style.GREEN) if good[task.name] else ("D", style.RED)),
-        )
-        for k, task in enumerate(ordered, start=1)
-    ]
+    for k, task in enumerate(ordered, start=1):
+        look = ("o", style.GREEN) if good[task.name] else ("D", style.RED)
+        places.append((str(k), task.name, task.pose, *look))
     places += [("C", charger.name, charger.pose, "p", style.BLUE) for charger in mission.chargers]
     signs: dict[tuple[float, float], list[str]] = {}
     for sign, _, pose, *_ in places:
         signs.setdefault((pose.x, pose.y), []).append(sign)
-    for _, _, pose, marker, color in places:
+    handles = []
+    for sign, name, pose, marker, color in places:
+        mark: Any = {"marker": marker, "color": color, "mec": "white", "ls": "none"}
         if len(signs[pose.x, pose.y]) == 1:
-            ax.plot(pose.x, pose.y, marker, color=color, ms=2 * MARK, mec="white", zorder=5)
+            ax.plot(pose.x, pose.y, ms=2 * MARK, zorder=5, **mark)
+        name = f"{sign}  {_short(name)}" + ("" if marker != "D" else " (out of reach)")
+        handles.append(Line2D([], [], ms=2 * MARK - 2, label=name, **mark))
     frame = {"boxstyle": "round,pad=0.25", "fc": style.BLACK, "ec": "white"}
     for at, names in signs.items():
         ax.annotate(
             ",".join(names), at, ha="center", va="center_baseline", color="white", zorder=6,
             fontsize="x-small", fontweight="bold", bbox=frame if len(names) > 1 else None,
         )  # fmt: skip
-    handles = [
-        mpl.lines.Line2D(
-            [], [], marker=marker, color=color, ls="none", mec="white", ms=2 * MARK - 2,
-            label=f"{sign}  {_short(name)}" + ("" if marker != "D" else " (out of reach)"),
-        )
-        for sign, name, _, marker, color in places
-    ]  # fmt: skip
     picture.legend(
         handles=handles, loc="outside lower left", ncols=2, frameon=False, fontsize="small"
     )
@@ -285,8 +305,8 @@ def _clock(ax: Axes, what: str) -> None:
     style.label(ax, "time [h:min:s]", what, "")
     first, last = ax.dataLim.intervalx
     step = next((step for step in STEPS if last - first <= 6 * step), (last - first) / 6)
-    ax.xaxis.set_major_locator(mpl.ticker.MultipleLocator(step))
-    ax.xaxis.set_major_formatter(mpl.ticker.FuncFormatter(lambda at, _: clock(at)))
+    ax.xaxis.set_major_locator(MultipleLocator(step))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda at, _: clock(at)))
 
 
 def mission_charge(report: MissionReport) -> Figure:

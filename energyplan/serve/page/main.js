@@ -367,15 +367,17 @@ function verdicts(told) {
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
   const lines = each.map(({ timeline: { t, soc, soc_lower: low } }) => [t.map((x) => x / 60), ...[soc, low].map((line) => line.map((x) => 100 * x))]);
+  const drawn = several ? window.uPlot.join(lines) : lines[0];
+  const reserves = [...new Set(each.map(({ timeline }) => timeline.reserve[0]))];
   plot?.destroy();
   plot = new window.uPlot({
     width: $("charge").clientWidth || 340, height: 220, scales: { x: { time: false }, y: { range: [0, 100] } },
     series: [{ label: "time [min]" }, ...each.flatMap((one, k) => [
       { label: named(one, "expected"), stroke: TINTS[k % TINTS.length], width: 2, spanGaps: true },
       { label: named(one, "at the asked confidence"), stroke: TINTS[(several ? k : 1) % TINTS.length], dash: [6, 4], spanGaps: true },
-    ])],
+    ]), ...reserves.map(() => ({ label: "reserve", stroke: ink, dash: [2, 3] }))],
     axes: [{ ...axis, label: "time [min]", labelSize: 20 }, { ...axis, size: 44, label: "charge [%]", labelSize: 20 }],
-  }, several ? window.uPlot.join(lines) : lines[0], $("charge"));
+  }, [...drawn, ...reserves.map((reserve) => drawn[0].map(() => 100 * reserve))], $("charge"));
 }
 
 // logs
