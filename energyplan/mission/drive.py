@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from statistics import NormalDist
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -128,7 +127,7 @@ class Simulation:
         self.legs = legs
         self.occupied = dict(occupied or {})  # when chargers are occupied by others [s], ascending
         self.mission: Mission = legs.mission
-        self.quantile = NormalDist().inv_cdf(self.mission.confidence)
+        self.quantile = legs.quantile
 
     @property
     def start(self) -> Status:

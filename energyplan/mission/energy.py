@@ -25,7 +25,7 @@ from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
-from energyplan.records import ByValue
+from energyplan.records import ByValue, bounds
 from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
 
@@ -90,33 +90,35 @@ _OF_BATTERY = ("capacity of the battery", "health of the battery", "temperature 
 class Gauge(NamedTuple):
     """What is open about a battery."""
 
-    shares: tuple[float, float, float]  # by which share of the energy it delivers less, by source
+    shares: tuple[float, float, float]  # by which share a drive empties it more, by source
     soc: float  # energy of one standard deviation of the state of charge [J]
 
 
-def gauge_of(battery: BatteryModel, spreads: Spreads, power: float) -> Gauge:
-    """Return what is open about a battery at a power [W]."""
-    stored = float(battery.usable_energy(power, 1.0))
+def gauge_of(battery: BatteryModel, spreads: Spreads, power: float, quantile: float) -> Gauge:
+    """Return what is open about a battery at a power [W], read where the bound lies.
+
+    That is a quantile of standard deviations to the worse side, which is exact for an unknown that
+    is alone, also where a table of capacities has a kink.
+    """
+    stored, steps = float(battery.usable_energy(power, 1.0)), max(quantile, 1.0)
     soc = spreads.soc * (stored or battery.full_energy)
+
+    def emptied(left: float) -> float:
+        # one that delivers nothing at all has nothing to lose
+        return max(max(stored, 1.0) / max(left, 1.0) - 1.0, 0.0) / steps
+
+    capacity = emptied(stored * (1.0 - steps * spreads.capacity))
     if not isinstance(battery, Battery):
-        return Gauge((spreads.capacity, 0.0, 0.0), soc)
+        return Gauge((capacity, 0.0, 0.0), soc)
 
-    def usable(changed: Battery) -> float:
-        return float(changed.usable_energy(power, 1.0))
+    def worse(name: str, spread: float) -> float:
+        now, (low, high) = getattr(battery, name), bounds(Battery)[name].possible
+        sides = (min(max(now + sign * steps * spread, low), high) for sign in (-1.0, 1.0))
+        changed = (replace(battery, **{name: side}) for side in sides)
+        return emptied(min(float(one.usable_energy(power, 1.0)) for one in changed))
 
-    warm, cold = (
-        usable(replace(battery, temperature=battery.temperature + sign * spreads.temperature))
-        for sign in (1.0, -1.0)
-    )
-    # one that delivers nothing at all has nothing to lose
-    most = max(stored, 1.0)
-    # a battery cannot be healthier than new, nor older than nothing
-    fresh = min(battery.health + spreads.health, 1.0)
-    aged = max(battery.health - spreads.health, 0.1 * battery.health)
-    better, worse = (usable(replace(battery, health=h)) for h in (fresh, aged))
-    steps = (fresh - aged) / spreads.health if spreads.health else 1.0
-    health, temperature = (better - worse) / most / steps, (warm - cold) / most / 2.0
-    return Gauge((spreads.capacity, health, temperature), soc)
+    health, warmth = worse("health", spreads.health), worse("temperature", spreads.temperature)
+    return Gauge((capacity, health, warmth), soc)
 
 
 class Consumption(NamedTuple):
@@ -415,9 +417,10 @@ class Models(ByValue):
         sensitivity = np.zeros(self.size)
         for j, step in enumerate(self.directions(region, payload).T, source.places.start):
             if step.any():
-                more, less = power(step), power(-step)
-                sensitivity[j] = 0.5 * (energy(more) - energy(less))
-                squares += (0.5 * (more - less)) ** 2
+                # of two sides that differ, as where a wheel begins to brake, the worse one
+                rises = power(step) - watts, watts - power(-step)
+                sensitivity[j] = max(map(energy, rises), key=abs)
+                squares += np.maximum(*np.square(rises))
         mean = energy(watts)
         sensitivity[source.places.stop] = missed.error * mean
         return Estimate(mean, sensitivity, missed.strength * float(weight.sum())), squares

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from statistics import NormalDist
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -330,8 +331,14 @@ class Legs:
         return self.models.driving_power(self.mission.payload, self.mission.tread_speed)
 
     @cached_property
+    def quantile(self) -> float:
+        """How many standard deviations a bound is beyond what is expected."""
+        return NormalDist().inv_cdf(self.mission.confidence)
+
+    @cached_property
     def _gauge(self) -> Gauge:
-        return gauge_of(self.mission.battery, self.mission.spreads, self.driving_power)
+        mission = self.mission
+        return gauge_of(mission.battery, mission.spreads, self.driving_power, self.quantile)
 
     @property
     def gauge(self) -> Estimate:
