@@ -42,8 +42,7 @@ from energyplan.power import HOTEL, TABLE_II, PowerModel, effects
 from energyplan.terrain import OccupancyGrid
 from energyplan.vehicle import Vehicle
 
-SHOWN = "quadriga:full:marble"
-"""The drive that is drawn; the others are in a table."""
+SHOWN = "quadriga:full:marble"  # the drive that is drawn; the others are in a table
 
 
 def _drive(model: PowerModel, pattern: str | Sequence[simulate.Part], **options: Any) -> DriveLog:

@@ -8,15 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-ROUNDING = 1e-9
-"""Part of a whole below which a part of it is rounding."""
+ROUNDING = 1e-9  # part of a whole below which a part of it is rounding
 
 
 def number(value: float, digits: int = 4, *, whole: float = 0.0) -> str:
-    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible.
-
-    A part or a difference of a `whole` is zero where it is rounding.
-    """
+    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible."""
     value = 0.0 if abs(value) <= ROUNDING * abs(whole) else value
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
@@ -80,8 +76,7 @@ def set_aside(counts: Mapping[str, Mapping[str, int]]) -> list[str]:
     ]
 
 
-WIDE = 4
-"""A table of more columns than these is shown row by row where a page is narrow."""
+WIDE = 4  # a table of more columns than these is shown row by row where a page is narrow
 
 _NUMERIC = re.compile(r"[-+]?\d[-+\d.e±%() to]*|-")
 

@@ -550,10 +550,7 @@ def _read_only(value: Any) -> Any:
 
 
 class ReadOnly:
-    """Base of frozen dataclasses with arrays or mappings: nobody can write to those of a copy.
-
-    Pickles and deep copies forget that an array is read-only, and refuse read-only mappings.
-    """
+    """Base of frozen dataclasses with arrays or mappings: nobody can write to those of a copy."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: _plain(value) for name, value in vars(self).items()}

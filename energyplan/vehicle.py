@@ -76,10 +76,7 @@ class TreadICR:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Body coordinates of the point midway between the tread ICRs [m].
-
-        Seen from this point every vehicle has symmetric tread ICRs.
-        """
+        """Body coordinates of the point midway between the tread ICRs [m]."""
         return self.longitudinal, 0.5 * (self.left - self.right)
 
 
@@ -105,8 +102,7 @@ __all__ = [
     "wheel_loads",
 ]
 
-GRAVITY = 9.81
-"""Gravitational acceleration [m/s^2]."""
+GRAVITY = 9.81  # gravitational acceleration [m/s^2]
 
 
 DEFAULT_ACCELERATION = 1.0

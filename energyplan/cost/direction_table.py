@@ -54,11 +54,8 @@ def element_energy(
 SPECIAL = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)], float)
 """Special directions (x, y): straight, spin left and right, then the pivots."""
 
-MOST_CORNERS = 40
-"""Largest number of corners of the cheapest mixtures for either turning direction."""
-
-OUTSIDE = 1e-7
-"""Fraction by which a corner that is left out may lie outside of the others."""
+MOST_CORNERS = 40  # largest number of corners of the cheapest mixtures for either turning direction
+OUTSIDE = 1e-7  # fraction by which a corner that is left out may lie outside of the others
 
 
 @dataclass(frozen=True)

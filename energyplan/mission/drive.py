@@ -388,10 +388,7 @@ class Simulation:
         hurried: Sequence[bool],
         then: int | None = None,
     ) -> tuple[Status | None, tuple[Visit, ...]]:
-        """Do tasks and charge in the order of some stops; no state where that cannot be done.
-
-        Charges end in time for the windows of the stops and of one that comes `then`.
-        """
+        """Do tasks and charge in an order of stops, in time for these and one that comes `then`."""
         rest = (*stops, *(() if then is None else (then,)))
         visits: list[Visit] = []
         for k in range(len(stops)):
@@ -450,10 +447,7 @@ class Simulation:
     # -- shortfall --------------------------------------------------------------------------------
 
     def shortfall(self, safe: Status) -> float:
-        """Energy that is missing at a safe place to keep the reserve [J].
-
-        Nothing is missing where the battery holds the energy but not the power.
-        """
+        """Energy that is missing to keep the reserve [J]; none where it is the power that lacks."""
         soc, since = safe.origin
         need = safe.spent.upper(self.quantile)
         mean = max(need / max(safe.time - since, 1.0), 1.0)

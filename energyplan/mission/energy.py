@@ -29,8 +29,7 @@ from energyplan.records import ByValue, bounds
 from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
 
-_USUAL_SPEED = 1.0
-"""Speed of robots of this kind, where theirs is not known [m/s]."""
+_USUAL_SPEED = 1.0  # speed of robots of this kind, where theirs is not known [m/s]
 
 _RUN, _SPEED, _GAUGE = "difference from run to run", "speed of driving", "state of charge"
 _TOOLS, _DWELLS, _WAITS = "power of tools", "duration of tasks", "waiting"
@@ -133,10 +132,7 @@ class Consumption(NamedTuple):
 
 @dataclass(eq=False)
 class Models(ByValue):
-    """The power models of a mission, by surface and payload, with their unknowns.
-
-    What a mission has under the same names decides them, and nothing else.
-    """
+    """The power models of a mission, by surface and payload, with their unknowns."""
 
     model: PowerModel
     surfaces: SurfaceMap | None
@@ -181,10 +177,7 @@ class Models(ByValue):
         return len(self.labels)
 
     def by_source(self, energy: Estimate) -> dict[str, float]:
-        """Return the standard deviation of an energy due to each source of uncertainty alone [J].
-
-        The largest comes first; their squares add up to the variance.
-        """
+        """Return the standard deviation of an energy by source [J], the largest first."""
         squares = {"noise of the drive": energy.noise}
         for label, value in zip(self.labels, energy.sensitivity, strict=True):
             squares[label] = squares.get(label, 0.0) + float(value) ** 2
@@ -373,11 +366,7 @@ class Models(ByValue):
     # -- battery ----------------------------------------------------------------------------------
 
     def from_battery(self, energy: Estimate, gauge: Gauge) -> Estimate:
-        """Return an energy as the battery's charge feels it.
-
-        A battery that holds less than it should is emptied by a drive as one that holds what it
-        should is by a drive that takes more.
-        """
+        """Return an energy as the battery's charge feels it."""
         sensitivity = energy.sensitivity.copy()
         for label, share in zip(_OF_BATTERY, gauge.shares, strict=True):
             sensitivity[self._place[label, None]] += share * energy.mean
@@ -398,10 +387,7 @@ class Models(ByValue):
     def _one(
         self, region: int, motion: Motion, weight: FloatArray, payload: float
     ) -> tuple[Estimate, FloatArray]:
-        """Integrate over instants of a motion that stand for so much time each [s].
-
-        Also return the variance of the power at each instant [W^2].
-        """
+        """Integrate instants of so much time each [s]; also return variances of their power."""
         model, source = self.model_of(region, payload), self._sources[self._source_of[region]]
 
         def power(change: FloatArray | float = 0.0) -> FloatArray:

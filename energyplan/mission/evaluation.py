@@ -37,20 +37,11 @@ def contributions(sim: Simulation, end: Status) -> tuple[Contribution, ...]:
     )
 
 
-_CANDIDATES = 5
-"""How many earlier tasks are tried as the one to drop."""
-
-_CONFIRMED = 8
-"""Remedies of a free order of so many tasks are confirmed by solving it anew."""
-
-_MINUTE = 60.0
-"""Least time that a remedy saves [s]."""
-
-_FINER = 0.01
-"""Steps in which strings are added, in units of those that the battery has."""
-
-_MOST = 10.0
-"""Batteries beyond so many times the one on board are not proposed."""
+_CANDIDATES = 5  # how many earlier tasks are tried as the one to drop
+_CONFIRMED = 8  # remedies of a free order of so many tasks are confirmed by solving it anew
+_MINUTE = 60.0  # least time that a remedy saves [s]
+_FINER = 0.01  # steps in which strings are added, in units of those that the battery has
+_MOST = 10.0  # batteries beyond so many times the one on board are not proposed
 
 
 @checked(MissionError)
@@ -329,11 +320,7 @@ class Evaluation:
         return [remedies[least]]
 
     def _larger_battery(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
-        """Return how much more the battery has to hold, in whole watt-hours, or to deliver.
-
-        It has to hold more than is missing: part of it is reserve, and the load draws charge too.
-        Where no energy is missing, what limits is its power: that of its strings.
-        """
+        """Return how much more energy [J], or how many strings, the battery needs."""
         full, powerless = self.mission.battery.full_energy, self.sim.lacks_power(safe)
         step = _FINER * full if powerless else 3600.0
 

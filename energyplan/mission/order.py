@@ -41,42 +41,23 @@ from energyplan.path import ROUNDING, FloatArray
 
 Record = TypeVar("Record", OrderProblem, Stages)
 
-EXACT = 15
-"""Largest number of tasks whose free order is proven."""
+EXACT = 15  # largest number of tasks whose free order is proven
 
 _MOST_LABELS = 2**22
-_NARROW = (1, 8)
-"""Labels of a stage and place that each search keeps, beyond `EXACT` tasks."""
-
-_WIDTHS = (*_NARROW, _MOST_LABELS)
-"""The same up to `EXACT` tasks, where the last search keeps all."""
-
-_STAGES = 2**19
-"""Most stages times tasks squared, beyond `EXACT` tasks."""
-
-_VISITS = 6
-"""Visits to chargers that bounds distinguish."""
-
-_LEAST = 1e-8
-"""Least difference of prizes."""
-
-_EARLIER = 1e-5
-"""Prize that the first task of a given order has beyond the last one."""
+_NARROW = (1, 8)  # labels of a stage and place that each search keeps, beyond `EXACT` tasks
+_WIDTHS = (*_NARROW, _MOST_LABELS)  # the same up to `EXACT` tasks, where the last search keeps all
+_STAGES = 2**19  # most stages times tasks squared, beyond `EXACT` tasks
+_VISITS = 6  # visits to chargers that bounds distinguish
+_LEAST = 1e-8  # least difference of prizes
+_EARLIER = 1e-5  # prize that the first task of a given order has beyond the last one
 
 _NO_REST = Rest(np.empty((0, 1)), np.empty(0), 0.0)
 """Bound for a prize above that of all tasks: nothing reaches it."""
 
-_ROUNDS = 25
-"""Most rounds of solving and planning."""
-
-_FEW_ROUNDS = 3
-"""The same beyond `EXACT` tasks."""
-
-_SHARES = 3000
-"""Rounds in which tasks are taken out and put in anew."""
-
-_HALVES = 3
-"""Cautions that are tried between none and full."""
+_ROUNDS = 25  # most rounds of solving and planning
+_FEW_ROUNDS = 3  # the same beyond `EXACT` tasks
+_SHARES = 3000  # rounds in which tasks are taken out and put in anew
+_HALVES = 3  # cautions that are tried between none and full
 
 _SMALLER = 0.98
 _LEAST_SCALE = 0.8
@@ -87,12 +68,10 @@ _LATE = 0.5
 
 _LEVELS = 3
 _MOST_LOADS = 1024
-_EACH = 64
-"""Most payloads of a problem, and most that each leg is priced with."""
+_EACH = 64  # most payloads of a problem, and most that each leg is priced with
 
 _SAME = 1e-6
-_LOSSLESS = 1.0
-"""Power so small that a battery loses nothing to its resistance [W]."""
+_LOSSLESS = 1.0  # power so small that a battery loses nothing to its resistance [W]
 
 
 def prizes(tasks: Sequence[Task]) -> FloatArray:
@@ -265,10 +244,7 @@ def _sets(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _near(n: int, reach: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the stages of orders in which a task overtakes fewer than `reach` others.
-
-    A stage is the highest task done and which of those just below it are.
-    """
+    """Return the stages of orders in which a task overtakes fewer than `reach` others."""
     wide = 1 << (reach - 1)
     stage, task = np.arange(1 + n * wide)[:, None], np.arange(n)
     last, below = (stage - 1) // wide, (stage - 1) % wide

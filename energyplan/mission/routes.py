@@ -33,23 +33,12 @@ from energyplan.vehicle import Vehicle
 Value = TypeVar("Value")
 Progress = Callable[[str], None] | None  # called with a line of text
 
-_PERIOD = 0.1
-"""Largest time between two samples of a leg [s]."""
-
-_PLANNING = 1_000_000
-"""Units of work for all routes of a mission, where it does not say otherwise."""
-
-_LEAST = 5000
-"""Units of work for a route that are not halved any more."""
-
-_CELLS = 30_000
-"""Most cells of the coarse grid."""
-
-_TOGETHER = 8
-"""Most places whose ways to all others are found in one call."""
-
-_OCTILE = np.cos(np.pi / 8)
-"""Least distance over way along the eight directions of a grid."""
+_PERIOD = 0.1  # largest time between two samples of a leg [s]
+_PLANNING = 1_000_000  # units of work for all routes of a mission, where it does not say otherwise
+_LEAST = 5000  # units of work for a route that are not halved any more
+_CELLS = 30_000  # most cells of the coarse grid
+_TOGETHER = 8  # most places whose ways to all others are found in one call
+_OCTILE = np.cos(np.pi / 8)  # least distance over way along the eight directions of a grid
 
 
 @dataclass(frozen=True)
@@ -105,10 +94,7 @@ class Scene(ByValue):
 
     @cached_property
     def slower(self) -> tuple[EnergyCost, SurfaceMap | None]:
-        """The cost and the surfaces of driving at any speed up to the one wanted.
-
-        A drive is slower where it speeds up, turns or stops, and may take less there.
-        """
+        """The cost and the surfaces of driving at any speed up to the one wanted."""
 
         def up_to(model: PowerModel) -> PowerModel:
             if self.speed is None:
@@ -201,8 +187,7 @@ class Scene(ByValue):
 _SHARED = 2**25
 """Most memory of all routes and trajectories that are shared [B]: about 1,000 of 60 m."""
 
-_SCENES = 32
-"""Most scenes whose routes are shared."""
+_SCENES = 32  # most scenes whose routes are shared
 
 
 class Routes:
@@ -271,10 +256,7 @@ def _memory(found: Any) -> int:
 
 
 class Legs:
-    """All legs of a mission, each planned when it is first needed.
-
-    Node 0 is the start; tasks, chargers and home follow.
-    """
+    """All legs of a mission: from start, tasks and chargers to home, planned when needed."""
 
     def __init__(
         self, mission: Mission, progress: Progress = None, routes: Routes | None = None,

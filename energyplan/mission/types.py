@@ -151,8 +151,7 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
 Place = Annotated[Pose, PlainValidator(_pose)]
 
 
-LARGEST = 1e12
-"""Largest instant [s] or prize of a task."""
+LARGEST = 1e12  # largest instant [s] or prize of a task
 
 Name = Annotated[str, Field(min_length=1)]
 Duration = Annotated[Time, Within((0, 1e8), (0, 86400), "s")]

@@ -20,8 +20,7 @@ from energyplan.records import checked
 
 Result = TypeVar("Result")
 
-EFFORT = 30_000
-"""Default units of work for a plan."""
+EFFORT = 30_000  # default units of work for a plan
 
 PACE = 50_000
 """Units of work that count as a second where the two are compared.
@@ -259,10 +258,7 @@ class Budget:
 
 
 def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> Budget:
-    """Return the budget of a plan, with the default effort where none is given.
-
-    A planner that does not count its work gets the time that so much work takes.
-    """
+    """Return the budget of a plan, with the default effort where none is given."""
     if effort is None and counts:
         effort = EFFORT
     elif effort is None and not isfinite(time_limit):
@@ -270,8 +266,7 @@ def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> B
     return Budget(time_limit, effort=effort)
 
 
-UNLIMITED = Budget()
-"""A budget without end, for work that nobody limits."""
+UNLIMITED = Budget()  # a budget without end, for work that nobody limits
 
 
 def workers() -> int:

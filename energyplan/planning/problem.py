@@ -31,20 +31,11 @@ from energyplan.terrain import (
 )
 from energyplan.vehicle import Vehicle
 
-OBJECTIVES = ("energy", "length", "time")
-"""Quantities that a plan can minimise."""
-
-TURNING = ("any", "forward")
-"""Ways to turn that have a name; others are a radius."""
-
-ROUNDING = 1e-6
-"""Part of a radius by which an arc may be tighter: rounding."""
-
-ARRIVED = 1e-6
-"""How far from start and goal a path may begin and end [m], [rad]: rounding."""
-
-AHEAD = 1e-9
-"""Length of driving backwards that is rounding [m]."""
+OBJECTIVES = ("energy", "length", "time")  # quantities that a plan can minimise
+TURNING = ("any", "forward")  # ways to turn that have a name; others are a radius
+ROUNDING = 1e-6  # part of a radius by which an arc may be tighter: rounding
+ARRIVED = 1e-6  # how far from start and goal a path may begin and end [m], [rad]: rounding
+AHEAD = 1e-9  # length of driving backwards that is rounding [m]
 
 KEPT = (0.9, 0.5, 0.0)
 """Shares of the clearance that there is at the ends which leaving them keeps, tried in turn."""
@@ -233,11 +224,7 @@ class PlanningProblem:
         return replace(self, clearance=0.0) if self.clearance else self
 
     def first_collision(self, path: Path, share: float = 0.0) -> int | None:
-        """Return the first segment of a path that is not free, or None.
-
-        From an end that lacks the clearance to the nearest pose that has it, this share of what
-        there is at the ends is enough.
-        """
+        """Return the first segment that is not free; ends need a `share` of what they have."""
         grid = self.terrain.obstacles
         segment = grid.first_collision(path, self.robot)
         if segment is None or self.ends_clear:
@@ -258,10 +245,7 @@ class PlanningProblem:
         return len(path) == 0 or part.first_collision(path) is None
 
     def fault(self, path: object, share: float = 0.0) -> str | None:
-        """Return what is wrong with a path as an answer to the problem, or None.
-
-        For `share` see `first_collision`.
-        """
+        """Return what is wrong with a path as an answer to the problem, or None."""
         if not isinstance(path, Path):
             return f"a {type(path).__name__} in place of a Path"
         reference = self.cost.icr.longitudinal

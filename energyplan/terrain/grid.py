@@ -58,11 +58,8 @@ def extent_in_words(width: float, height: float, origin: Pose) -> str:
 
 BoolArray = NDArray[np.bool_]
 
-MAX_CELLS = 2**26
-"""Largest number of cells of a map; more counts as a mistake or an attack."""
-
-MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4
-"""Smallest and largest size of a cell [m]."""
+MAX_CELLS = 2**26  # largest number of cells of a map; more counts as a mistake or an attack
+MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4  # smallest and largest size of a cell [m]
 
 
 def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
@@ -513,8 +510,7 @@ def footprint(vehicle: Vehicle) -> _collision.Body:
     return _collision.Body(x_min, y_min, x_max, y_max)
 
 
-PIECE = 0.25
-"""Length of the segments of a path that pay for the cell under their middle [cells]."""
+PIECE = 0.25  # length of the segments of a path that pay for the cell under their middle [cells]
 
 
 @dataclass(frozen=True, eq=False)
@@ -544,11 +540,7 @@ class CostMap(ByValue):
         return frame.values_at(self.costs, points)
 
     def along(self, path: Path) -> float:
-        """Return the costs along a path, times the metres of its reference point [m].
-
-        Segments of a quarter of a cell pay for the cell under their middle; turns on the spot pay
-        nothing.
-        """
+        """Return the costs along a path, times the metres of its reference point [m]."""
         fine = path.subdivide(PIECE * self.resolution)
         points = fine.points
         middle = 0.5 * (points[:-1] + points[1:])

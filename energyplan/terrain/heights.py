@@ -16,8 +16,7 @@ from energyplan.terrain.grid import ORIGIN, extent_in_words, from_raster, to_ras
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-STILL = 1e-6
-"""Arc lengths below this count as turning on the spot [m]."""
+STILL = 1e-6  # arc lengths below this count as turning on the spot [m]
 
 
 @dataclass(frozen=True, eq=False)

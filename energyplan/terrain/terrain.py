@@ -18,17 +18,10 @@ from energyplan.terrain.grid import CostMap, OccupancyGrid
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import SurfaceMap
 
-_KEPT = 4
-"""Number of `Terrain` objects that a map keeps: those requested last."""
-
-_MOST_SURFACES = 255
-"""A cell's class of surface is kept in one byte."""
-
-CLEARANCE = Within((0, 20), (0, 2), "m")
-"""Distances that a footprint may keep from obstacles."""
-
-FLAT = SurfaceMap(())
-"""No surfaces: the cost at hand applies everywhere."""
+_KEPT = 4  # number of `Terrain` objects that a map keeps: those requested last
+_MOST_SURFACES = 255  # a cell's class of surface is kept in one byte
+CLEARANCE = Within((0, 20), (0, 2), "m")  # distances that a footprint may keep from obstacles
+FLAT = SurfaceMap(())  # no surfaces: the cost at hand applies everywhere
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,8 @@ from energyplan.planning.space.prices import remembered
 from energyplan.planning.space.queues import pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
-MOST_CELLS = 250_000
-"""Cells above which they are joined to larger ones."""
-
-ROUNDING = 1e-3
-"""Far above what rounding makes of a clearance [cells]."""
+MOST_CELLS = 250_000  # cells above which they are joined to larger ones
+ROUNDING = 1e-3  # far above what rounding makes of a clearance [cells]
 
 
 def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:

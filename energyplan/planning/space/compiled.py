@@ -35,11 +35,8 @@ Optimal paths touch obstacles. The margin keeps them free under another rounding
 subdivision, and exceeds the effect of the collision kernels' tolerance.
 """
 
-LEVELS = 32
-"""Levels that the costs of a costmap are rounded to while searching, at most."""
-
-MOST_CLASSES = 255
-"""A cell's class is kept in one byte."""
+LEVELS = 32  # levels that the costs of a costmap are rounded to while searching, at most
+MOST_CLASSES = 255  # a cell's class is kept in one byte
 
 
 class Segments(NamedTuple):

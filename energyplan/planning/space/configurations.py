@@ -245,8 +245,7 @@ def free_rows(
                     masks[out_row, (column // group) * step + shift_column] |= square[bit]
 
 
-HEADINGS = 64
-"""Headings, the first along the map's columns: as many as a word has bits."""
+HEADINGS = 64  # headings, the first along the map's columns: as many as a word has bits
 
 
 class Runs(NamedTuple):

@@ -430,10 +430,7 @@ def fill_regions(
     ground: MetrePrices,
     distance: Singles,
 ) -> int:
-    """Write the distance of every region from `start`, or to it; return the work.
-
-    It ends at `limit`, a little beyond the distance of the region `stop`.
-    """
+    """Write the distance of every region from `start`, or to it, until `limit`; return the work."""
     count = len(regions.x)
     closed = np.zeros(count, np.bool_)
     for region in range(count):
