@@ -8,12 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-ROUNDING = 1e-9  # part of a whole below which a part of it is rounding
-
 
 def number(value: float, digits: int = 4, *, whole: float = 0.0) -> str:
     """Return a number as a reader wants it: `digits` significant ones, no exponent if possible."""
-    value = 0.0 if abs(value) <= ROUNDING * abs(whole) else value
+    value = 0.0 if abs(value) <= 1e-9 * abs(whole) else value  # a part is rounding
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
 

@@ -16,7 +16,7 @@ from energyplan.errors import (
     OutsideMapError,
     StartInCollisionError,
 )
-from energyplan.path import FloatArray, Path, Pose, as_pose, wrap_angle
+from energyplan.path import PLACE, FloatArray, Path, Pose, as_pose, wrap_angle
 from energyplan.records import check_fields, numbers
 from energyplan.terrain import (
     CLEARANCE,
@@ -33,9 +33,8 @@ from energyplan.vehicle import Vehicle
 
 OBJECTIVES = ("energy", "length", "time")  # quantities that a plan can minimise
 TURNING = ("any", "forward")  # ways to turn that have a name; others are a radius
-ROUNDING = 1e-6  # part of a radius by which an arc may be tighter: rounding
+TIGHTER = 1e-6  # part of the least radius by which an arc may be tighter
 ARRIVED = 1e-6  # how far from start and goal a path may begin and end [m], [rad]: rounding
-AHEAD = 1e-9  # length of driving backwards that is rounding [m]
 
 KEPT = (0.9, 0.5, 0.0)
 """Shares of the clearance that there is at the ends which leaving them keeps, tried in turn."""
@@ -171,12 +170,12 @@ class PlanningProblem:
     def tightest(self, path: Path) -> int | None:
         """Return the first segment of a path that turns more tightly than is allowed, or None."""
         ahead = np.abs(self._ahead(path))
-        tight = ahead < self.least_radius * (1.0 - ROUNDING) * np.abs(path.dtheta) - 1e-9
+        tight = ahead < self.least_radius * (1.0 - TIGHTER) * np.abs(path.dtheta) - PLACE
         return int(np.argmax(tight)) if tight.any() else None
 
     def reversing(self, path: Path) -> int | None:
         """Return the first segment that drives backwards where the vehicle may not, or None."""
-        back = self._ahead(path) < -AHEAD
+        back = self._ahead(path) < -PLACE
         return int(np.argmax(back)) if back.any() and not self.robot.reverse else None
 
     def _ahead(self, path: Path) -> FloatArray:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
-from energyplan.path import Pose
+from energyplan.path import STILL, Pose
 from energyplan.steering.forwards import arcs_forwards, forward_energy, forward_path
 from energyplan.steering.kernels import (
     MAX_SEGMENTS,
@@ -33,7 +33,6 @@ from energyplan.steering.kernels import (
 from energyplan.terrain.collision import Body, Space, in_cells, motion_free
 
 DIRECTIONS = 128  # rays of the price table; a multiple of 8
-STILL = 1e-6  # arc lengths below this count as turning on the spot [m]
 TURN = 0.1  # turn by which the slope along the heading is looked up anew [rad]
 
 
