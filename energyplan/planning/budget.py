@@ -60,24 +60,9 @@ _unwanted: ContextVar[Callable[[], bool]] = ContextVar("unwanted", default=lambd
 
 @contextmanager
 def cancellable(unwanted: Callable[[], bool]) -> Iterator[None]:
-    """End all planning inside as soon as its result is unwanted.
+    """End all planning inside by a `CancelledError` as soon as its result is unwanted.
 
-    Budgets created inside call `unwanted` at every operation.
-
-    Parameters
-    ----------
-    unwanted : callable
-        Returns whether to end; called often, from several threads.
-
-    Raises
-    ------
-    CancelledError
-        From within the planning, when `unwanted` says so.
-
-    Examples
-    --------
-    >>> with cancellable(lambda: False):
-    ...     Budget(effort=1000).spend(10)
+    Budgets created inside call `unwanted` at every operation, from several threads.
     """
     token = _unwanted.set(unwanted)
     try:
@@ -163,13 +148,7 @@ class Budget:
         return time.perf_counter() - self._begun
 
     def spend(self, units: float) -> None:
-        """Count work that was done.
-
-        Raises
-        ------
-        CancelledError
-            If nobody wants the result any more; see `cancellable`.
-        """
+        """Count work that was done, or raise `CancelledError`; see `cancellable`."""
         self._spent[0] += units
         if self._unwanted():
             raise CancelledError("the planning was cancelled")
@@ -203,36 +182,14 @@ class Budget:
         return other
 
     def beside(self, make: Callable[[], Result]) -> Result:
-        """Return a result shared by many plans; the time to compute it extends the deadline.
-
-        Parameters
-        ----------
-        make : callable
-            Computes the result, or returns the one computed before.
-
-        Returns
-        -------
-        object
-            The result.
-        """
+        """Return a result shared by many plans; the time to compute it extends the deadline."""
         begun = time.perf_counter()
         made = make()
         self._deadline += time.perf_counter() - begun
         return made
 
     def check(self, done: str) -> None:
-        """Go on, or stop.
-
-        Parameters
-        ----------
-        done : str
-            How far one has got.
-
-        Raises
-        ------
-        TimeLimitError
-            If nothing is left.
-        """
+        """Raise a `TimeLimitError` that says how far one has got if nothing is left."""
         if self.over:
             raise TimeLimitError(f"{self.name} was over when {done}; give more {self.remedy}")
 

@@ -381,20 +381,7 @@ class OccupancyGrid(ByValue, html.Readable):
         return np.asarray(free.reshape(rows.shape[:-1]))
 
     def first_collision(self, path: Path, vehicle: Vehicle) -> int | None:
-        """Return the index of the path's first segment that is not free, or None.
-
-        Parameters
-        ----------
-        path : Path
-            The path.
-        vehicle : Vehicle
-            The vehicle, for its footprint.
-
-        Returns
-        -------
-        int or None
-            The segment; None where the whole path is free.
-        """
+        """Return the index of the path's first segment that is not free, or None."""
         instance(path, Path, "path")
         body = footprint(vehicle)
         if len(path) == 0:
@@ -434,21 +421,7 @@ class OccupancyGrid(ByValue, html.Readable):
     ) -> BoolArray:
         """Return along which of many motions, each from its own pose, the footprint is free.
 
-        Parameters
-        ----------
-        starts : array_like, shape (n, 3)
-            Poses of the body frame where the motions start: x, y [m], yaw [rad].
-        ds, dtheta : array_like, shape (n,)
-            Signed arc lengths of the reference point [m] and signed turns [rad].
-        vehicle : Vehicle
-            The vehicle, for its footprint.
-        longitudinal : float
-            x coordinate of the reference point in the body frame [m], as in `Path`.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            Which are free; as exact as `path_free`.
+        Arguments as in `Path`, one for each motion; as exact as `path_free`.
         """
         poses = numbers(starts, "starts", MapError, last=3, words="x, y [m], yaw [rad]")
         rows = np.ascontiguousarray(poses.reshape(-1, 3))
