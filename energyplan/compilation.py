@@ -383,7 +383,7 @@ def compile_kernels(*modules: str, processes: int = 2, load: bool = False) -> Pr
     wanted = [kernel for name, kernel in KERNELS.items() if name.startswith(inside)]
     missing = [kernel for kernel in wanted if not kernel.kept]
     kept = not missing or _can_be_kept()
-    processes = min(processes, 2, _processors()) if kept and len(missing) > FEW else 1
+    processes = min(processes, 2, processors()) if kept and len(missing) > FEW else 1
     names = [kernel.name for kernel in missing]
     with _helping(names[::-1]) if processes > 1 else nullcontext():
         _compile_missing(missing)
@@ -394,7 +394,8 @@ def compile_kernels(*modules: str, processes: int = 2, load: bool = False) -> Pr
     return Preparation(tuple(names), len(wanted) - len(names), kept, processes, seconds)
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Return how many threads can run at once: the processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

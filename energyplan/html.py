@@ -105,7 +105,10 @@ class Cells(NamedTuple):
     def of(cls, header: Sequence[str], rows: Iterable[Sequence[object]]) -> Cells:
         """Return the texts of values."""
         body = [[_text(value) for value in row] for row in rows]
-        numeric = [_is_numeric(column) for column in zip(*body, strict=True)]
+        numeric = [  # some numbers may be absent
+            any(text != "-" for text in column) and all(map(_NUMERIC.fullmatch, column))
+            for column in zip(*body, strict=True)
+        ]
         return cls((*header,), body, numeric or [False] * len(header))
 
     @property
@@ -166,8 +169,3 @@ def _text(value: object) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
     return number(float(value))
-
-
-def _is_numeric(column: Sequence[str]) -> bool:
-    """Return whether a column is one of numbers, some of which may be absent."""
-    return any(text != "-" for text in column) and all(map(_NUMERIC.fullmatch, column))

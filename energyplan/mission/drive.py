@@ -165,10 +165,6 @@ class Simulation:
         """Return the state of charge at the bound when the gauge shows one."""
         return max(soc - self.quantile * self.mission.spreads.soc, 0.0)
 
-    def _gauge_at(self, soc: float) -> float:
-        """Return what the gauge shows when the state of charge is at the bound."""
-        return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
-
     def latest(self, state: Status) -> float:
         """Return the time of a condition at the bound [s]."""
         return state.time + self.quantile * state.time_spread
@@ -261,9 +257,10 @@ class Simulation:
         power = np.where(t < min(enough, t[-1]), -charger.power, 0.0)
         t = state.time + t
         low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
+        shown = min(low_end.soc + self.quantile * self.mission.spreads.soc, 1.0)  # by the gauge
         state = replace(
             state, time=float(t[-1]), spent=gauge, expected=high_end, worst=low_end,
-            origin=(self._gauge_at(low_end.soc), float(t[-1])),
+            origin=(shown, float(t[-1])),
             stretches=(*state.stretches, state.spent),
         )  # fmt: skip
         return self._add(state, "charge", np.array([t, power, *filled]))

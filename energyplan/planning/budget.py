@@ -6,7 +6,6 @@ cap on top. Threads run in parallel: kernels release Python's global interpreter
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +14,7 @@ from contextvars import ContextVar, copy_context
 from math import inf, isfinite
 from typing import Any, NamedTuple, TypeVar
 
+from energyplan.compilation import processors
 from energyplan.errors import CancelledError, InvalidInputError, TimeLimitError
 from energyplan.records import checked
 
@@ -226,13 +226,6 @@ def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> B
 UNLIMITED = Budget()  # a budget without end, for work that nobody limits
 
 
-def workers() -> int:
-    """Return how many threads can run at once: the processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(len(os.sched_getaffinity(0)), 1)
-    return os.cpu_count() or 1
-
-
 def side_by_side(
     budget: Budget, tasks: Sequence[Callable[[Budget], Result]], units: float | Sequence[float]
 ) -> list[Result]:
@@ -243,7 +236,7 @@ def side_by_side(
     """
     if not tasks:
         return []
-    threads = min(workers(), len(tasks))
+    threads = min(processors(), len(tasks))
     turns = threads if budget.effort is None else 1
     wanted = units if isinstance(units, Sequence) else [units] * len(tasks)
     shares = _shares([min(own, budget.left) for own in wanted], turns * budget.left)

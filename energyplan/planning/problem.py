@@ -308,14 +308,12 @@ class PlanningProblem:
             if not grid.inside(pose[:2]):
                 rows, columns = grid.shape
                 near = grid.to_world(np.clip(grid.to_cells(pose[:2]), 0, (columns, rows)))
-                where = _nearest_free(
-                    grid, self.robot, Pose(float(near[0]), float(near[1]), pose.yaw)
-                )
+                where = where_free(grid, self.robot, Pose(float(near[0]), float(near[1]), pose.yaw))
                 raise OutsideMapError(
                     f"the {place} lies outside the map; it covers {grid.describe_extent()}; {where}"
                 )
             if not bool(grid.footprint_free(np.array([pose]), self.robot)[0]):
-                where = _nearest_free(grid, self.robot, pose)
+                where = where_free(grid, self.robot, pose)
                 within = f", grown by the clearance of {self.clearance:g} m," * (self.clearance > 0)
                 raise error(f"the footprint{within} at the {place} touches an obstacle; {where}")
 
@@ -333,7 +331,7 @@ def missed(verb: str, found: Pose, wanted: Pose) -> str | None:
     return f"{verb} at {here} in place of {there}"
 
 
-def _nearest_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:
+def where_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:
     """Say where the nearest free pose is."""
     near = nearest_free(grid, vehicle, pose)
     if near is None:

@@ -43,13 +43,9 @@ def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Value]) 
     if known is None or known[0]() is not part:
         if len(kept) >= SLOPES.remembered:
             kept.clear()
-        known = ref(part) if part is not None else _nothing, make()
+        known = ref(part) if part is not None else lambda: None, make()
         kept[id(part), key] = known
     return cast("Value", known[1])
-
-
-def _nothing() -> None:
-    """Return None, as a reference to a missing part."""
 
 
 def steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
