@@ -144,12 +144,7 @@ def tabulate(
     tolerance: float = 1e-7,
     most: int = 1024,
 ) -> DirectionTable:
-    """Tabulate a homogeneous energy, as finely as interpolation within `tolerance` needs.
-
-    An interval between two nodes is halved as long as the energy is off the straight line at its
-    quarters. So nodes gather where the energy bends, be it between straight motion and the widest
-    arcs that anybody would draw.
-    """
+    """Tabulate a homogeneous energy, as finely as interpolation within `tolerance` needs."""
     special = energy(SPECIAL[:, 0], SPECIAL[:, 1])
     near = energy(*octant_directions(np.array([_EDGE, 2 * _EDGE, 1 - 2 * _EDGE, 1 - _EDGE])))
     ends = np.column_stack([2 * near[:, 0] - near[:, 1], 2 * near[:, 3] - near[:, 2]])

@@ -353,11 +353,7 @@ class _Timing:
                 )
 
     def cooled(self, duration: float | None) -> FloatArray:
-        """Return rates within the continuous power too: lower where windows are warm.
-
-        Each point is slowed by the warmest window over it, and quickened where that is cold,
-        until the former are as warm as they may be.
-        """
+        """Return rates within the continuous power too: lower where windows are warm."""
         cell, limits, survey = self.reach.points.cell, self.reach.limits, self.reach.survey
         section = np.append(0, np.cumsum(cell == 0))
         quickest = np.zeros(section[-1] + 1)

@@ -594,11 +594,7 @@ class Tours(NamedTuple):
 
 @inner
 def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: int) -> float:
-    """Return the energy of a robot's tasks in a sequence, with an extra one put in at a place [J].
-
-    Each charge that the battery needs adds the least detour over a charger. Infinite
-    where the sequence cannot be.
-    """
+    """Return the energy of a robot's tasks in a sequence, with an extra one put in [J]."""
     n, places = len(tours.prize), tours.energy.shape[1]
     energy, time, load, here = 0.0, tours.start_time[r], tours.payload[r], 0
     detour = np.inf if places > 1 + n else 0.0

@@ -354,10 +354,7 @@ class Legs:
 
     @property
     def _planning_effort(self) -> int | None:
-        """Units of work for each route: a free order takes about four routes a task.
-
-        It is halved where routes are many, so that a task more or less seldom changes it.
-        """
+        """Units of work for each route, halved where many routes share them."""
         mission = self.mission
         if mission.planning_effort is not None or not find(mission.planner).effort:
             return mission.planning_effort

@@ -166,11 +166,7 @@ def fill_cost_to_go(
     direction: Singles,
     parent: ShortInts,
 ) -> int:
-    """Write the distance of the nodes from the goal, over 16 neighbours; return the work.
-
-    Nodes wait in buckets by their distance, as wide as the shortest step: lists in `nodes`, linked
-    by `older`. A node whose distance is lowered after its expansion is expanded once more.
-    """
+    """Write the distance of the nodes from the goal, over 16 neighbours; return the work."""
     across = places.columns + 2 * RIM
     lengths = np.empty(STEPS)
     for k in range(STEPS):
