@@ -72,14 +72,9 @@ AnyInts = Annotated[NDArray[np.int64], 1, STRIDED, READONLY]
 FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
 """Environment variable that names another folder for compiled kernels."""
 
-KERNELS: dict[str, Kernel] = {}
-"""All kernels of the modules imported so far, by module and name."""
-
-SELDOM = 100_000
-"""Objects created between two garbage collections while kernels are compiled."""
-
-FEW = 4
-"""Kernels up to which another process does not pay."""
+KERNELS: dict[str, Kernel] = {}  # all kernels of the modules imported so far, by module and name
+SELDOM = 100_000  # objects created between two garbage collections while kernels are compiled
+FEW = 4  # kernels up to which another process does not pay
 
 _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 _OPTIONS = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
@@ -122,10 +117,7 @@ def _distrust(folder: Path) -> str:
 
 @cache
 def kernel_digests() -> dict[str, str]:
-    """Return digests of the sources of all kernels of this package, by module and name.
-
-    They are kept on disk under a digest of all modules, since it takes a while to find them.
-    """
+    """Return digests of the sources of all kernels, by module and name; they are kept on disk."""
     everything = hashlib.sha256()
     for file in sources():
         everything.update(f"{file.relative_to(ROOT)}:".encode() + file.read_bytes())
@@ -391,7 +383,7 @@ def compile_kernels(*modules: str, processes: int = 2, load: bool = False) -> Pr
     wanted = [kernel for name, kernel in KERNELS.items() if name.startswith(inside)]
     missing = [kernel for kernel in wanted if not kernel.kept]
     kept = not missing or _can_be_kept()
-    processes = min(processes, 2, _processors()) if kept and len(missing) > FEW else 1
+    processes = min(processes, 2, processors()) if kept and len(missing) > FEW else 1
     names = [kernel.name for kernel in missing]
     with _helping(names[::-1]) if processes > 1 else nullcontext():
         _compile_missing(missing)
@@ -402,7 +394,8 @@ def compile_kernels(*modules: str, processes: int = 2, load: bool = False) -> Pr
     return Preparation(tuple(names), len(wanted) - len(names), kept, processes, seconds)
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Return how many threads can run at once: the processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -437,11 +430,7 @@ def work(names: list[str]) -> None:
 
 
 def _compile_missing(kernels: list[Kernel]) -> None:
-    """Compile those kernels that nobody has compiled yet.
-
-    The compiler makes many objects that last. To look for garbage among them at Python's own pace
-    takes an eighth of its time.
-    """
+    """Compile those kernels that nobody has compiled yet."""
     pace = gc.get_threshold()
     gc.set_threshold(max(pace[0], SELDOM) if pace[0] else 0, *pace[1:])
     try:

@@ -45,8 +45,7 @@ from energyplan.vehicle import Vehicle
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SHOWN = "quadriga:full:marble"
-"""The drive that is drawn; the others are in a table."""
+SHOWN = "quadriga:full:marble"  # the drive that is drawn; the others are in a table
 
 
 def _drive(model: PowerModel, pattern: str | Sequence[simulate.Part], **options: Any) -> DriveLog:

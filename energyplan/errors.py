@@ -39,17 +39,7 @@ class StorageError(EnergyPlanError):
 
 
 class UnknownNameError(InvalidInputError):
-    """A preset, term, planner or place has no such name.
-
-    Parameters
-    ----------
-    kind : str
-        What was looked up, such as ``"vehicle preset"``.
-    name : str
-        The name that was looked up.
-    known : iterable of str
-        The names that exist.
-    """
+    """A preset, term, planner or place has no such name; the known ones are listed."""
 
     def __init__(self, kind: str, name: str, known: object) -> None:
         names = ", ".join(sorted(str(k) for k in known)) if hasattr(known, "__iter__") else known

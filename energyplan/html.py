@@ -8,16 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-ROUNDING = 1e-9
-"""Part of a whole below which a part of it is rounding."""
-
 
 def number(value: float, digits: int = 4, *, whole: float = 0.0) -> str:
-    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible.
-
-    A part or a difference of a `whole` is zero where it is rounding.
-    """
-    value = 0.0 if abs(value) <= ROUNDING * abs(whole) else value
+    """Return a number as a reader wants it: `digits` significant ones, no exponent if possible."""
+    value = 0.0 if abs(value) <= 1e-9 * abs(whole) else value  # a part is rounding
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
 
@@ -100,8 +94,7 @@ def set_aside(counts: Mapping[str, Mapping[str, int]]) -> list[str]:
     ]
 
 
-WIDE = 4
-"""A table of more columns than these is shown row by row where a page is narrow."""
+WIDE = 4  # a table of more columns than these is shown row by row where a page is narrow
 
 _NUMERIC = re.compile(r"[-+]?\d[-+\d.e±%() to]*|-")
 
@@ -132,7 +125,10 @@ class Cells(NamedTuple):
     def of(cls, header: Sequence[str], rows: Iterable[Sequence[object]]) -> Cells:
         """Return the texts of values."""
         body = [[_text(value) for value in row] for row in rows]
-        numeric = [_is_numeric(column) for column in zip(*body, strict=True)]
+        numeric = [  # some numbers may be absent
+            any(text != "-" for text in column) and all(map(_NUMERIC.fullmatch, column))
+            for column in zip(*body, strict=True)
+        ]
         return cls((*header,), body, numeric or [False] * len(header))
 
     @property
@@ -193,8 +189,3 @@ def _text(value: object) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
     return number(float(value))
-
-
-def _is_numeric(column: Sequence[str]) -> bool:
-    """Return whether a column is one of numbers, some of which may be absent."""
-    return any(text != "-" for text in column) and all(map(_NUMERIC.fullmatch, column))

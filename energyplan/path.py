@@ -17,15 +17,10 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-ROUNDING = 1e-9
-"""Part of a number by which rounding may change it [1]."""
-
-PLACE = 1e-9
-"""Distance below which two places are one [m]."""
-
-ANGLE = 1e-12
-"""Difference below which two headings are one [rad]."""
-
+ROUNDING = 1e-9  # part of a number by which rounding may change it [1]
+PLACE = 1e-9  # distance below which two places are one [m]
+ANGLE = 1e-12  # difference below which two headings are one [rad]
+STILL = 1e-6  # arc length below which a motion is a turn on the spot [m]
 _MOST_PIECES = 1e8  # of a path that is divided
 _FULL_TURN = 6.3  # with rounding [rad]
 _TURNED = 10.0  # yaw beyond which whole and half numbers count as degrees

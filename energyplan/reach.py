@@ -27,8 +27,7 @@ from energyplan.planning.space.cost_to_go import no_cost_to_go
 from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
 from energyplan.records import checked, numbers
 
-STEP = 0.01
-"""Part of a standard deviation by which coefficients are changed to see what that does."""
+STEP = 0.01  # part of a standard deviation by which coefficients are changed to see what that does
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +108,9 @@ def _directions(cost: EnergyCost, spread: float) -> FloatArray:
     return np.column_stack([*own, model.principal_directions()])
 
 
-CELLS = 2
-"""Cells of the lattice to a cell of the raster, along either axis."""
-
-STEPS = 5
-"""Areas that are reported of a map."""
-
-STRIDE = 20_000
-"""Expansions between two looks at what is reached."""
+CELLS = 2  # cells of the lattice to a cell of the raster, along either axis
+STEPS = 5  # areas that are reported of a map
+STRIDE = 20_000  # expansions between two looks at what is reached
 
 
 class Contour(NamedTuple):

@@ -133,10 +133,7 @@ class ImpossibleError(ValueError):
 
 @dataclass(frozen=True)
 class Within:
-    """What a number may be, and what it usually is; part of a field's annotation.
-
-    What is not possible is refused, what is possible but unusual is accepted with a warning.
-    """
+    """What a number may be, and what it usually is, beyond which it is refused, or doubted."""
 
     possible: tuple[float, float]  # least and greatest number that is not refused
     usual: tuple[float, float]  # least and greatest number without a warning
@@ -501,10 +498,7 @@ def check_fields(record: Any, error: type[Exception], whose: str = "") -> None:
 
 
 def checked(error: type[Exception] = InvalidInputError) -> Callable[[Function], Function]:
-    """Decorate a function so that its arguments are checked against its annotations.
-
-    It warns of arguments that are possible but unusual.
-    """
+    """Decorate a function so that its arguments are checked; it warns of unusual ones."""
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
@@ -550,10 +544,7 @@ def _read_only(value: Any) -> Any:
 
 
 class ReadOnly:
-    """Base of frozen dataclasses with arrays or mappings: nobody can write to those of a copy.
-
-    Pickles and deep copies forget that an array is read-only, and refuse read-only mappings.
-    """
+    """Base of frozen dataclasses with arrays or mappings: nobody can write to those of a copy."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: _plain(value) for name, value in vars(self).items()}

@@ -17,11 +17,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).parent
-"""Folder of the package."""
-
-DECORATORS = ("njit", "inner")
-"""Names of the decorators that make a function a kernel."""
+ROOT = Path(__file__).parent  # folder of the package
+DECORATORS = ("njit", "inner")  # names of the decorators that make a function a kernel
 
 
 class Name(NamedTuple):

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan import html
 from energyplan.errors import UnknownNameError, VehicleError
+from energyplan.path import PLACE
 from energyplan.records import Array, ByValue, Scalar, Text, Within, checked, numbers, record
 
 ICR = Annotated[Scalar, Within((-1e3, 1e3), (-20, 20), "m")]
@@ -76,10 +77,7 @@ class TreadICR:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Body coordinates of the point midway between the tread ICRs [m].
-
-        Seen from this point every vehicle has symmetric tread ICRs.
-        """
+        """Body coordinates of the point midway between the tread ICRs [m]."""
         return self.longitudinal, 0.5 * (self.left - self.right)
 
 
@@ -105,8 +103,7 @@ __all__ = [
     "wheel_loads",
 ]
 
-GRAVITY = 9.81
-"""Gravitational acceleration [m/s^2]."""
+GRAVITY = 9.81  # gravitational acceleration [m/s^2]
 
 
 DEFAULT_ACCELERATION = 1.0
@@ -114,7 +111,6 @@ DEFAULT_ACCELERATION = 1.0
 set to. A robot without a limit would reach any speed at once."""
 
 _SLIPPING = 90.0  # times the distance of the wheels: a tread ICR that is in another unit
-_ROUNDING = 1e-9  # [m]
 _SIZES, _WHEELS = ("length", "width"), ("wheelbase", "track")  # along x and y
 
 
@@ -287,7 +283,7 @@ class Vehicle(ByValue, html.Readable):
         beyond = np.maximum(self.footprint[0] - self.contacts, self.contacts - self.footprint[1])
         wheel, axis = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
         _require(
-            beyond[wheel, axis] <= _ROUNDING,
+            beyond[wheel, axis] <= PLACE,
             f"wheel {wheel} stands {beyond[wheel, axis]:.3g} m outside the footprint along "
             f"{'xy'[axis]}; the footprint contains all wheels: enlarge {_SIZES[axis]}, or correct "
             f"{_WHEELS[axis]}; both are in metres",

@@ -275,7 +275,7 @@ MANY = """
 from energyplan.compilation import compile_kernels, telling
 import energyplan.compilation
 import energyplan.many
-energyplan.compilation._processors = lambda: 2
+energyplan.compilation.processors = lambda: 2
 with telling(lambda name: None):
     made = compile_kernels("energyplan.many", "energyplan.deep")
 print(len(made.compiled), made.found, made.processes, made.kept, energyplan.many.top(1.0))

@@ -105,8 +105,7 @@ _Charging = Annotated[
 ]
 _Limit = Annotated[Amps, Within((1e-9, 1e6), (0, 2e3), "A", "not milliamperes", endless=True)]
 
-EXAMPLE = "24 V 20 Ah lead-acid"
-"""A battery in words."""
+EXAMPLE = "24 V 20 Ah lead-acid"  # a battery in words
 
 _SYMBOLS = {
     "v": ("V", 1.0), "ah": ("Ah", 1.0), "mah": ("Ah", 1e-3), "wh": ("Wh", 1.0),

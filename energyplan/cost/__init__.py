@@ -245,10 +245,7 @@ class EnergyCost(SteadyDriving):
 
     @property
     def steering_error(self) -> float:
-        """Largest fraction by which `steering` may miss the minimum because corners were dropped.
-
-        Zero, or rounding, where the energy is piecewise linear.
-        """
+        """Fraction by which `steering` may miss the minimum, since corners were dropped."""
         return 0.0 if self.gauge.is_static else self._corners.error + self.gauge.error
 
     @cached_property

@@ -20,7 +20,7 @@ from energyplan.vehicle import TreadICR
 SLACK = 1e-6
 """Part by which a rate is reported lower than the least value that the search for it met."""
 
-_ROUNDING = 1e-13  # part by which a price may be off by rounding, where differences are taken
+_DIFFERENCE = 1e-13  # part by which a price may be off by rounding, where differences are taken
 _BASINS = 8  # local minima of the scan that are followed
 _ZOOMS, _CUTS = 7, 9  # rounds in which a minimum is enclosed, and places tried in each
 _WINDING = 0.1  # turn of a typical path, for each half slip track of its length [rad]
@@ -152,7 +152,7 @@ class Infimum:
         price, way, turn = lowest[turns], way[turns], turn[turns]
 
         def value(metre: float) -> float:
-            radian = float(((price * (1.0 + _ROUNDING) - metre * way) / turn).min())
+            radian = float(((price * (1.0 + _DIFFERENCE) - metre * way) / turn).min())
             return metre + _WINDING / half_track * radian if radian >= 0 else -np.inf
 
         # the price of a radian is concave in that of a metre, and so is their sum
@@ -187,7 +187,7 @@ def beyond(
     def value(x: FloatArray, y: FloatArray, price: FloatArray) -> FloatArray:
         turn = np.abs(y) / half_track
         with np.errstate(divide="ignore", invalid="ignore"):
-            rest = (price * (1.0 + _ROUNDING) - metre * travel(x, y)) / turn
+            rest = (price * (1.0 + _DIFFERENCE) - metre * travel(x, y)) / turn
         return np.where(turn > 0, rest, np.inf)
 
     return value

@@ -54,11 +54,8 @@ def element_energy(
 SPECIAL = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)], float)
 """Special directions (x, y): straight, spin left and right, then the pivots."""
 
-MOST_CORNERS = 40
-"""Largest number of corners of the cheapest mixtures for either turning direction."""
-
-OUTSIDE = 1e-7
-"""Fraction by which a corner that is left out may lie outside of the others."""
+MOST_CORNERS = 40  # largest number of corners of the cheapest mixtures for either turning direction
+OUTSIDE = 1e-7  # fraction by which a corner that is left out may lie outside of the others
 
 
 @dataclass(frozen=True)
@@ -147,12 +144,7 @@ def tabulate(
     tolerance: float = 1e-7,
     most: int = 1024,
 ) -> DirectionTable:
-    """Tabulate a homogeneous energy, as finely as interpolation within `tolerance` needs.
-
-    An interval between two nodes is halved as long as the energy is off the straight line at its
-    quarters. So nodes gather where the energy bends, be it between straight motion and the widest
-    arcs that anybody would draw.
-    """
+    """Tabulate a homogeneous energy, as finely as interpolation within `tolerance` needs."""
     special = energy(SPECIAL[:, 0], SPECIAL[:, 1])
     near = energy(*octant_directions(np.array([_EDGE, 2 * _EDGE, 1 - 2 * _EDGE, 1 - _EDGE])))
     ends = np.column_stack([2 * near[:, 0] - near[:, 1], 2 * near[:, 3] - near[:, 2]])

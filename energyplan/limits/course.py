@@ -73,11 +73,7 @@ class Course:
         acceleration: float,
         top: float,
     ) -> Course:
-        """Join neighbours of one curvature and one set of channels, and decide on the corners.
-
-        Corners are those of `profile`; `acceleration` [m/s^2] and `top` [m/s] are the largest of
-        a tread.
-        """
+        """Join neighbours of one curvature and one set of channels, and decide on the corners."""
         count, columns = len(path), {}
         for name, value in channels.items():
             if np.shape(value) not in ((), (count,)):

@@ -25,17 +25,13 @@ from energyplan.path import FloatArray, Trajectory, point_ahead
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap
 
-BLOCK = 8192
-"""Intervals per block: what is evaluated at once stays in the processor's cache."""
-
-SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
-"""Weights of the nodes of a subinterval."""
+BLOCK = 8192  # intervals per block: what is evaluated at once stays in the processor's cache
+SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0  # weights of the nodes of a subinterval
 
 PRECISION = 1e-8
 """Accepted error of a subinterval's mean power, as a fraction of the mean size of all powers."""
 
-HALVINGS = 30
-"""Maximum number of times that a subinterval is halved."""
+HALVINGS = 30  # maximum number of times that a subinterval is halved
 
 
 @dataclass(frozen=True)

@@ -34,30 +34,14 @@ from energyplan.vehicle import MotorLimits, Vehicle
 
 @dataclass(frozen=True)
 class Violation:
-    """One interval in which one limit of one side is exceeded.
+    """One interval in which one limit of one side is exceeded."""
 
-    Parameters
-    ----------
-    kind : str
-        ``"peak_power"``, ``"continuous_power"``, ``"regeneration"``, ``"force"``, ``"speed"``,
-        ``"ground_speed"``, ``"acceleration"``, ``"yaw_rate"``, ``"lateral_acceleration"``,
-        ``"battery_power"`` or ``"battery_return"``.
-    side : str
-        ``"left"``, ``"right"`` or ``"both"``.
-    start, end : float
-        First and last instant above the limit [s].
-    peak : float
-        Largest value in between, in the limit's unit.
-    limit : float
-        The limit [W, N, m/s, m/s^2 or rad/s].
-    """
-
-    kind: str
-    side: str
-    start: float
-    end: float
-    peak: float
-    limit: float
+    kind: str  # which limit, as in `UNITS`
+    side: str  # "left", "right" or "both"
+    start: float  # first instant above the limit [s]
+    end: float  # last one [s]
+    peak: float  # largest value in between, in the limit's unit
+    limit: float  # the limit [W, N, m/s, m/s^2 or rad/s]
 
     @property
     def margin(self) -> float:
@@ -71,42 +55,19 @@ class Violation:
 
 
 class Instant(NamedTuple):
-    """The instant at which least is left of a limit.
+    """The instant at which least is left of a limit."""
 
-    Parameters
-    ----------
-    t : float
-        When [s].
-    kind, side : str
-        Which limit, as in `Violation`.
-    value, limit : float
-        The load, and what limits it.
-    margin : float
-        What is left, as a fraction of the limit; negative where it is exceeded.
-    """
-
-    t: float
-    kind: str
-    side: str
-    value: float
-    limit: float
-    margin: float
+    t: float  # when [s]
+    kind: str  # which limit, as in `Violation`
+    side: str  # "left", "right" or "both"
+    value: float  # the load
+    limit: float  # what limits it
+    margin: float  # what is left, as a fraction of the limit; negative where it is exceeded
 
 
 @dataclass(frozen=True)
 class FeasibilityReport(html.Readable):
     """Whether motors and battery can drive a trajectory, as `check` found.
-
-    Parameters
-    ----------
-    violations : tuple of Violation
-        Every violated interval, by start.
-    worst : Instant or None
-        The instant with the least margin relative to its limit; None if nothing is limited.
-    energy : float
-        Energy of the trajectory under the model [J].
-    duration : float
-        Time that the trajectory takes [s].
 
     Examples
     --------
@@ -118,10 +79,10 @@ class FeasibilityReport(html.Readable):
     (True, 180)
     """
 
-    violations: tuple[Violation, ...]
-    worst: Instant | None
-    energy: float
-    duration: float
+    violations: tuple[Violation, ...]  # every violated interval, by start
+    worst: Instant | None  # that with the least margin; None if nothing is limited
+    energy: float  # energy of the trajectory under the model [J]
+    duration: float  # time that the trajectory takes [s]
     _search: Callable[[], SpeedScale] = field(repr=False, compare=False)
 
     def _summaries(self) -> list[html.Summary]:
@@ -261,41 +222,18 @@ def check(
 
 @dataclass(frozen=True)
 class FeasibleRegion:
-    """Which steady motions the motors can drive, over curvature and speed.
+    """Which steady motions the motors can drive, over n curvatures and m speeds."""
 
-    Parameters
-    ----------
-    curvature : ndarray, shape (n,)
-        Path curvature [1/m].
-    speed : ndarray, shape (m,)
-        Speed along the heading [m/s].
-    sustained : ndarray of bool, shape (n, m)
-        Feasible for ever: the continuous power suffices.
-    brief : ndarray of bool, shape (n, m)
-        Feasible for a time shorter than the motors' thermal one: the peak power suffices.
-    limiting : ndarray of str, shape (n, m)
-        Kind of the limit that is used most in sustained motion.
-    side : ndarray of str, shape (n, m)
-        The side at which it is.
-    use : ndarray, shape (n, m)
-        That limit's use: value over limit.
-    limiting_brief : ndarray of str, shape (n, m)
-        Kind of the limit that is used most in brief motion.
-    max_speed, max_speed_brief : ndarray, shape (n,)
-        Largest speed up to which every speed is feasible [m/s]; no more than the largest of
-        `speed`. 0 where no speed is.
-    """
-
-    curvature: FloatArray
-    speed: FloatArray
-    sustained: NDArray[np.bool_]
-    brief: NDArray[np.bool_]
-    limiting: NDArray[np.str_]
-    side: NDArray[np.str_]
-    use: FloatArray
-    limiting_brief: NDArray[np.str_]
-    max_speed: FloatArray
-    max_speed_brief: FloatArray
+    curvature: FloatArray  # (n,): path curvature [1/m]
+    speed: FloatArray  # (m,): speed along the heading [m/s]
+    sustained: NDArray[np.bool_]  # (n, m): feasible for ever, within the continuous power
+    brief: NDArray[np.bool_]  # (n, m): the same for less than the thermal time, within the peak
+    limiting: NDArray[np.str_]  # (n, m): kind of the limit that is used most when sustained
+    side: NDArray[np.str_]  # (n, m): the side at which it is
+    use: FloatArray  # (n, m): value over that limit
+    limiting_brief: NDArray[np.str_]  # (n, m): kind of the limit that is used most when brief
+    max_speed: FloatArray  # (n,): largest up to which every speed is feasible [m/s]; 0 for none
+    max_speed_brief: FloatArray  # (n,): the same when brief
 
 
 @checked()

@@ -9,19 +9,14 @@ import numpy as np
 from energyplan.compilation import AnyInts, Column, Floats, Ints, inner, njit
 from energyplan.path import ROUNDING
 
-EDGE = 1e-12
-"""Fraction of a subinterval's middle speed that replaces zero at its edges."""
+EDGE = 1e-12  # fraction of a subinterval's middle speed that replaces zero at its edges
 
 
 @njit
 def cut_intervals(
     v: Column, omega: Column, left: float, right: float, first: int, last: int
 ) -> tuple[Ints, Floats, Floats]:
-    """Cut the intervals [first, last) where v, omega or a tread's speed passes through zero.
-
-    Interval k lies between samples k and k + 1, and speeds run straight in it. Returns the
-    interval, begin and end of each subinterval, the latter as fractions of the interval.
-    """
+    """Cut the intervals [first, last) where v, omega or a tread's speed passes through zero."""
     interval = np.empty(5 * (last - first), np.int64)
     begin, end = np.empty(5 * (last - first)), np.empty(5 * (last - first))
     cuts = np.empty(5)

@@ -30,21 +30,15 @@ from energyplan.motion import Motion
 from energyplan.path import ROUNDING, FloatArray
 from energyplan.power import PowerModel
 
-UNLIMITED = 1e6
-"""Tread acceleration where no limit is known [m/s^2]: in effect a step."""
-
-UNBOUND = 1e9
-"""Rate of change of the rate that no limit of power or force has lowered yet [m/s^2]."""
+UNLIMITED = 1e6  # tread acceleration where no limit is known [m/s^2]: in effect a step
+UNBOUND = 1e9  # rate of change of the rate that no limit of power or force has lowered yet [m/s^2]
 
 STANDSTILL = 1e-6
 """Fraction of the largest rate that is treated as zero, where friction has no direction [1]."""
 
 
 class Changes(NamedTuple):
-    """Largest changes of the rate within limits of power and force, times the rate [m^2/s^3].
-
-    Between two rates the product is nearly straight, for a limit of power as for one of force.
-    """
+    """Largest changes of the rate within limits of power and force, times the rate [m^2/s^3]."""
 
     up: FloatTable  # (n, rungs + 1): for n steady motions at equally spaced rates
     down: FloatTable  # the same where the rate falls

@@ -159,7 +159,8 @@ def profile(
         battery_power=battery_power,
         battery_return=battery_return,
     )
-    ground = Ground(*laid_out(model, _about(path), surfaces, heights))
+    about = np.asarray(path.start[:2]) + np.array([[-1.0], [1.0]]) * path.length
+    ground = Ground(*laid_out(model, about, surfaces, heights))
     cut = _cut_at_limits(path, ground, corners, channels or {})
     ends = start_speed, end_speed
     course = Course.of(
@@ -227,11 +228,6 @@ def _cut_at_limits(
     halves = Path(path.start, np.repeat(ds / 2, 2), np.repeat(dtheta / 2, 2), path.longitudinal)
     known[GROUND_SPEED] = ground.top_speed(halves.vertices[1::2])
     return _Cut(Path(path.start, ds, dtheta, path.longitudinal), smooth, known)
-
-
-def _about(path: Path) -> FloatArray:
-    """Return two corners between which a path lies wherever it turns, shape (2, 2) [m]."""
-    return np.asarray(path.start[:2]) + np.array([[-1.0], [1.0]]) * path.length
 
 
 def _reach(
@@ -357,11 +353,7 @@ class _Timing:
                 )
 
     def cooled(self, duration: float | None) -> FloatArray:
-        """Return rates within the continuous power too: lower where windows are warm.
-
-        Each point is slowed by the warmest window over it, and quickened where that is cold,
-        until the former are as warm as they may be.
-        """
+        """Return rates within the continuous power too: lower where windows are warm."""
         cell, limits, survey = self.reach.points.cell, self.reach.limits, self.reach.survey
         section = np.append(0, np.cumsum(cell == 0))
         quickest = np.zeros(section[-1] + 1)

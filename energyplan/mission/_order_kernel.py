@@ -43,22 +43,15 @@ _EPSILON = 1e-9
 _FEW = 4096
 _FIELDS = 8
 _GONE = -2
-_TAKEN = 0.8
-"""Chance of a neighbour to be taken out with a task."""
-
-_CLOSED = 0.5
-"""Chance of a robot to get nothing at first, in every `_APART`-th round."""
+_TAKEN = 0.8  # chance of a neighbour to be taken out with a task
+_CLOSED = 0.5  # chance of a robot to get nothing at first, in every `_APART`-th round
 _APART = 8
 
-_FAR = 1e15
-"""Rank of labels that do not lead to the prize that is known, beyond their energy [J]."""
+_FAR = 1e15  # rank of labels that do not lead to the prize that is known, beyond their energy [J]
 
 
 class OrderProblem(NamedTuple):
-    """Which tasks to do in which order; n tasks, m chargers, L payloads, M ways of driving.
-
-    Of its N places, the first is the start, the next n are the tasks, and the others the chargers.
-    """
+    """Which tasks to do in which order; n tasks, m chargers, L payloads, M ways of driving."""
 
     loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
     energy: WideBlock  # (L, M, N, N): energies from place to place [J]
@@ -260,10 +253,7 @@ class LabelStore(NamedTuple):
 
 @inner
 def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
-    """Drive or work; charges longer before it where the charge would not do. May end below 0.
-
-    What comes back finds room up to a full battery.
-    """
+    """Drive or work; charges longer before it where the charge would not do. May end below 0."""
     left, time, slack = label.left - energy, label.time + seconds, label.slack
     if left > full:
         left = max(full, label.left)
@@ -456,10 +446,7 @@ def _priced(problem: OrderProblem, load: float) -> int:
 
 @njit
 def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
-    """Find an order of greater prize than the one known, or of the same and less energy.
-
-    Of orders of the same energy the quickest is taken.
-    """
+    """Find an order of greater prize than the one known, or of the same and less energy or time."""
     n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
     places = 1 + n + m
     store = LabelStore(
@@ -607,11 +594,7 @@ class Tours(NamedTuple):
 
 @inner
 def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: int) -> float:
-    """Return the energy of a robot's tasks in a sequence, with an extra one put in at a place [J].
-
-    Each charge that the battery needs adds the least detour over a charger. Infinite
-    where the sequence cannot be.
-    """
+    """Return the energy of a robot's tasks in a sequence, with an extra one put in [J]."""
     n, places = len(tours.prize), tours.energy.shape[1]
     energy, time, load, here = 0.0, tours.start_time[r], tours.payload[r], 0
     detour = np.inf if places > 1 + n else 0.0
@@ -659,10 +642,7 @@ def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tup
 def _insert_all(
     tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags, closed: Flags
 ) -> None:
-    """Insert the tasks left out where it pays, in the order of regret.
-
-    Robots that are closed get nothing.
-    """
+    """Insert the tasks left out where it pays, in the order of regret, at open robots."""
     robots, n = len(counts), len(open_tasks)
     total, place = np.full((robots, n), np.inf), np.zeros((robots, n), np.int64)
     stale = np.ones(robots, np.bool_)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from statistics import NormalDist
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -18,11 +17,18 @@ from energyplan.path import ROUNDING, FloatArray, Pose, Trajectory
 
 Kind = Literal["start", "drive", "wait", "work", "charge", "end"]
 
-_STEP = 30.0
-_MOST_STEPS = 10_000  # of one stay: three days in steps of that length, and longer ones beyond
-_PARTS = 300
-_HOURS = 48
-_INSTANT = 1e-6
+
+class Stepping(NamedTuple):
+    """Constants of the time steps of stays and charges."""
+
+    step: float = 30.0  # time between two samples [s]
+    most_steps: int = 10_000  # samples of one stay: three days in such steps, longer ones beyond
+    parts: int = 300  # parts of the step in which a charge ends
+    hours: int = 48  # longest charge [h]
+    instant: float = 1e-6  # time that is none [s]
+
+
+STEPPING = Stepping()
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +134,7 @@ class Simulation:
         self.legs = legs
         self.occupied = dict(occupied or {})  # when chargers are occupied by others [s], ascending
         self.mission: Mission = legs.mission
-        self.quantile = NormalDist().inv_cdf(self.mission.confidence)
+        self.quantile = legs.quantile
 
     @property
     def start(self) -> Status:
@@ -166,10 +172,6 @@ class Simulation:
         """Return the state of charge at the bound when the gauge shows one."""
         return max(soc - self.quantile * self.mission.spreads.soc, 0.0)
 
-    def _gauge_at(self, soc: float) -> float:
-        """Return what the gauge shows when the state of charge is at the bound."""
-        return min(soc + self.quantile * self.mission.spreads.soc, 1.0)
-
     def latest(self, state: Status) -> float:
         """Return the time of a condition at the bound [s]."""
         return state.time + self.quantile * state.time_spread
@@ -204,7 +206,7 @@ class Simulation:
         latest = self.latest(state)
         if state.time >= time:
             return state
-        late = max(latest - time, 0.0) / max(latest - state.time, _INSTANT)
+        late = max(latest - time, 0.0) / max(latest - state.time, STEPPING.instant)
         region, duration = self.legs.region(state.node), time - state.time
         energy = self.legs.models.idle(region, duration, state.payload)
         waited = self._stay(state, "wait", duration, energy)
@@ -212,9 +214,11 @@ class Simulation:
 
     def _stay(self, state: Status, kind: Kind, duration: float, energy: Estimate) -> Status:
         """Stand still for so long [s], which takes an energy."""
-        if duration <= _INSTANT:
+        if duration <= STEPPING.instant:
             return state if kind == "wait" else self.mark(state, kind)
-        t = np.linspace(0.0, duration, int(min(max(duration / _STEP, 1), _MOST_STEPS)) + 1)
+        t = np.linspace(
+            0.0, duration, int(min(max(duration / STEPPING.step, 1), STEPPING.most_steps)) + 1
+        )
         flat = np.full(len(t) - 1, energy.mean / duration)
         samples, after = self._draw(state, t, Consumption(flat, np.ones(len(flat)), energy))
         return self._add(after, kind, samples)
@@ -254,7 +258,7 @@ class Simulation:
         gauge = self.legs.gauge
         enough = high[0][-1]
         last = min(max(low[0][-1], enough), leave_by - state.time)
-        if last <= _INSTANT:
+        if last <= STEPPING.instant:
             return state
         t = np.unique(np.append(np.concatenate([low[0], high[0]]), last))
         t = t[t <= last]
@@ -262,9 +266,10 @@ class Simulation:
         power = np.where(t < min(enough, t[-1]), -charger.power, 0.0)
         t = state.time + t
         low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
+        shown = min(low_end.soc + self.quantile * self.mission.spreads.soc, 1.0)  # by the gauge
         state = replace(
             state, time=float(t[-1]), spent=gauge, expected=high_end, worst=low_end,
-            origin=(self._gauge_at(low_end.soc), float(t[-1])),
+            origin=(shown, float(t[-1])),
             stretches=(*state.stretches, state.spent),
         )  # fmt: skip
         return self._add(state, "charge", np.array([t, power, *filled]))
@@ -275,8 +280,8 @@ class Simulation:
         """Return times since charging began and charges, until it suffices or rises no more."""
         battery, power = self.mission.at_charger(charger), charger.power
         t, soc = [0.0], [charge.soc]
-        steps = _STEP * np.arange(int(3600 / _STEP) + 1)
-        for _ in range(_HOURS):
+        steps = STEPPING.step * np.arange(int(3600 / STEPPING.step) + 1)
+        for _ in range(STEPPING.hours):
             begun = soc[-1]
             if begun >= until:
                 break
@@ -288,13 +293,13 @@ class Simulation:
             soc.extend(run.soc[1:stop])
             if len(reached):
                 # the last step ends when it suffices
-                short = np.linspace(0.0, _STEP, _PARTS + 1)
+                short = np.linspace(0.0, STEPPING.step, STEPPING.parts + 1)
                 run = battery.simulate(
                     short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
                 )
                 # the shorter steps need not get there by the last bit
                 enough = np.flatnonzero(run.soc >= until)
-                end = int(enough[0]) if len(enough) else _PARTS
+                end = int(enough[0]) if len(enough) else STEPPING.parts
                 t.append(hour + steps[stop - 1] + short[end])
                 soc.append(until)
             elif run.soc_end - begun < 1e-3:
@@ -389,10 +394,7 @@ class Simulation:
         hurried: Sequence[bool],
         then: int | None = None,
     ) -> tuple[Status | None, tuple[Visit, ...]]:
-        """Do tasks and charge in the order of some stops; no state where that cannot be done.
-
-        Charges end in time for the windows of the stops and of one that comes `then`.
-        """
+        """Do tasks and charge in an order of stops, in time for these and one that comes `then`."""
         rest = (*stops, *(() if then is None else (then,)))
         visits: list[Visit] = []
         for k in range(len(stops)):
@@ -451,10 +453,7 @@ class Simulation:
     # -- shortfall --------------------------------------------------------------------------------
 
     def shortfall(self, safe: Status) -> float:
-        """Energy that is missing at a safe place to keep the reserve [J].
-
-        Nothing is missing where the battery holds the energy but not the power.
-        """
+        """Energy that is missing to keep the reserve [J]; none where it is the power that lacks."""
         soc, since = safe.origin
         need = safe.spent.upper(self.quantile)
         mean = max(need / max(safe.time - since, 1.0), 1.0)

@@ -25,12 +25,11 @@ from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
-from energyplan.records import ByValue
+from energyplan.records import ByValue, bounds
 from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
 
-_USUAL_SPEED = 1.0
-"""Speed of robots of this kind, where theirs is not known [m/s]."""
+_USUAL_SPEED = 1.0  # speed of robots of this kind, where theirs is not known [m/s]
 
 _RUN, _SPEED, _GAUGE = "difference from run to run", "speed of driving", "state of charge"
 _TOOLS, _DWELLS, _WAITS = "power of tools", "duration of tasks", "waiting"
@@ -90,33 +89,35 @@ _OF_BATTERY = ("capacity of the battery", "health of the battery", "temperature 
 class Gauge(NamedTuple):
     """What is open about a battery."""
 
-    shares: tuple[float, float, float]  # by which share of the energy it delivers less, by source
+    shares: tuple[float, float, float]  # by which share a drive empties it more, by source
     soc: float  # energy of one standard deviation of the state of charge [J]
 
 
-def gauge_of(battery: BatteryModel, spreads: Spreads, power: float) -> Gauge:
-    """Return what is open about a battery at a power [W]."""
-    stored = float(battery.usable_energy(power, 1.0))
+def gauge_of(battery: BatteryModel, spreads: Spreads, power: float, quantile: float) -> Gauge:
+    """Return what is open about a battery at a power [W], read where the bound lies.
+
+    That is a quantile of standard deviations to the worse side, which is exact for an unknown that
+    is alone, also where a table of capacities has a kink.
+    """
+    stored, steps = float(battery.usable_energy(power, 1.0)), max(quantile, 1.0)
     soc = spreads.soc * (stored or battery.full_energy)
+
+    def emptied(left: float) -> float:
+        # one that delivers nothing at all has nothing to lose
+        return max(max(stored, 1.0) / max(left, 1.0) - 1.0, 0.0) / steps
+
+    capacity = emptied(stored * (1.0 - steps * spreads.capacity))
     if not isinstance(battery, Battery):
-        return Gauge((spreads.capacity, 0.0, 0.0), soc)
+        return Gauge((capacity, 0.0, 0.0), soc)
 
-    def usable(changed: Battery) -> float:
-        return float(changed.usable_energy(power, 1.0))
+    def worse(name: str, spread: float) -> float:
+        now, (low, high) = getattr(battery, name), bounds(Battery)[name].possible
+        sides = (min(max(now + sign * steps * spread, low), high) for sign in (-1.0, 1.0))
+        changed = (replace(battery, **{name: side}) for side in sides)
+        return emptied(min(float(one.usable_energy(power, 1.0)) for one in changed))
 
-    warm, cold = (
-        usable(replace(battery, temperature=battery.temperature + sign * spreads.temperature))
-        for sign in (1.0, -1.0)
-    )
-    # one that delivers nothing at all has nothing to lose
-    most = max(stored, 1.0)
-    # a battery cannot be healthier than new, nor older than nothing
-    fresh = min(battery.health + spreads.health, 1.0)
-    aged = max(battery.health - spreads.health, 0.1 * battery.health)
-    better, worse = (usable(replace(battery, health=h)) for h in (fresh, aged))
-    steps = (fresh - aged) / spreads.health if spreads.health else 1.0
-    health, temperature = (better - worse) / most / steps, (warm - cold) / most / 2.0
-    return Gauge((spreads.capacity, health, temperature), soc)
+    health, warmth = worse("health", spreads.health), worse("temperature", spreads.temperature)
+    return Gauge((capacity, health, warmth), soc)
 
 
 class Consumption(NamedTuple):
@@ -131,10 +132,7 @@ class Consumption(NamedTuple):
 
 @dataclass(eq=False)
 class Models(ByValue):
-    """The power models of a mission, by surface and payload, with their unknowns.
-
-    What a mission has under the same names decides them, and nothing else.
-    """
+    """The power models of a mission, by surface and payload, with their unknowns."""
 
     model: PowerModel
     surfaces: SurfaceMap | None
@@ -179,10 +177,7 @@ class Models(ByValue):
         return len(self.labels)
 
     def by_source(self, energy: Estimate) -> dict[str, float]:
-        """Return the standard deviation of an energy due to each source of uncertainty alone [J].
-
-        The largest comes first; their squares add up to the variance.
-        """
+        """Return the standard deviation of an energy by source [J], the largest first."""
         squares = {"noise of the drive": energy.noise}
         for label, value in zip(self.labels, energy.sensitivity, strict=True):
             squares[label] = squares.get(label, 0.0) + float(value) ** 2
@@ -371,11 +366,7 @@ class Models(ByValue):
     # -- battery ----------------------------------------------------------------------------------
 
     def from_battery(self, energy: Estimate, gauge: Gauge) -> Estimate:
-        """Return an energy as the battery's charge feels it.
-
-        A battery that holds less than it should is emptied by a drive as one that holds what it
-        should is by a drive that takes more.
-        """
+        """Return an energy as the battery's charge feels it."""
         sensitivity = energy.sensitivity.copy()
         for label, share in zip(_OF_BATTERY, gauge.shares, strict=True):
             sensitivity[self._place[label, None]] += share * energy.mean
@@ -396,10 +387,7 @@ class Models(ByValue):
     def _one(
         self, region: int, motion: Motion, weight: FloatArray, payload: float
     ) -> tuple[Estimate, FloatArray]:
-        """Integrate over instants of a motion that stand for so much time each [s].
-
-        Also return the variance of the power at each instant [W^2].
-        """
+        """Integrate instants of so much time each [s]; also return variances of their power."""
         model, source = self.model_of(region, payload), self._sources[self._source_of[region]]
 
         def power(change: FloatArray | float = 0.0) -> FloatArray:
@@ -415,9 +403,10 @@ class Models(ByValue):
         sensitivity = np.zeros(self.size)
         for j, step in enumerate(self.directions(region, payload).T, source.places.start):
             if step.any():
-                more, less = power(step), power(-step)
-                sensitivity[j] = 0.5 * (energy(more) - energy(less))
-                squares += (0.5 * (more - less)) ** 2
+                # of two sides that differ, as where a wheel begins to brake, the worse one
+                rises = power(step) - watts, watts - power(-step)
+                sensitivity[j] = max(map(energy, rises), key=abs)
+                squares += np.maximum(*np.square(rises))
         mean = energy(watts)
         sensitivity[source.places.stop] = missed.error * mean
         return Estimate(mean, sensitivity, missed.strength * float(weight.sum())), squares

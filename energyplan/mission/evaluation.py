@@ -37,20 +37,17 @@ def contributions(sim: Simulation, end: Status) -> tuple[Contribution, ...]:
     )
 
 
-_CANDIDATES = 5
-"""How many earlier tasks are tried as the one to drop."""
+class Remedying(NamedTuple):
+    """Constants of the search for remedies."""
 
-_CONFIRMED = 8
-"""Remedies of a free order of so many tasks are confirmed by solving it anew."""
+    candidates: int = 5  # earlier tasks that are tried as the one to drop
+    confirmed: int = 8  # tasks of a free order up to which a remedy is confirmed by solving it anew
+    minute: float = 60.0  # least time that a remedy saves [s]
+    finer: float = 0.01  # steps in which strings are added, in units of those of the battery
+    most: float = 10.0  # batteries beyond so many times the one on board are not proposed
 
-_MINUTE = 60.0
-"""Least time that a remedy saves [s]."""
 
-_FINER = 0.01
-"""Steps in which strings are added, in units of those that the battery has."""
-
-_MOST = 10.0
-"""Batteries beyond so many times the one on board are not proposed."""
+REMEDYING = Remedying()
 
 
 @checked(MissionError)
@@ -300,7 +297,7 @@ class Evaluation:
         tasks, (_, tried, earlier) = self.mission.tasks, self.attempts[k]
         others = self.done if tried.reason == "none" else earlier
         ranked = sorted(others, key=lambda d: (tasks[d].required, tasks[d].prize, -d))
-        for dropped in ranked[:_CANDIDATES]:
+        for dropped in ranked[: REMEDYING.candidates]:
             rest = [d for d in earlier if d != dropped]
             remedy = Remedy("drop", task=tasks[dropped].name)
             if tasks[dropped].required and not tasks[k].required:
@@ -329,22 +326,18 @@ class Evaluation:
         return [remedies[least]]
 
     def _larger_battery(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
-        """Return how much more the battery has to hold, in whole watt-hours, or to deliver.
-
-        It has to hold more than is missing: part of it is reserve, and the load draws charge too.
-        Where no energy is missing, what limits is its power: that of its strings.
-        """
+        """Return how much more energy [J], or how many strings, the battery needs."""
         full, powerless = self.mission.battery.full_energy, self.sim.lacks_power(safe)
-        step = _FINER * full if powerless else 3600.0
+        step = REMEDYING.finer * full if powerless else 3600.0
 
         def remedy(n: int) -> Remedy:
-            strings = Remedy("strings", 1.0 + _FINER * n, "1")
+            strings = Remedy("strings", 1.0 + REMEDYING.finer * n, "1")
             return strings if powerless else Remedy("capacity", step * n, "J")
 
         low, high = 0, max(int(np.ceil(self.sim.shortfall(safe) / step)), 1)
         while not self._works(tasks, remedy(high)):
             low, high = high, 2 * high
-            if step * high > _MOST * full:
+            if step * high > REMEDYING.most * full:
                 return []
         while high - low > max(0.02 * high, 1):
             middle = (low + high) // 2
@@ -392,13 +385,13 @@ class Evaluation:
         low, high = int(100 * self.mission.reserve + ROUNDING) + 1, int(100 * max(levels))
         remedies = [Remedy("until", percent / 100, "1") for percent in range(low, high + 1)]
         least = bisect_left(remedies, True, key=lambda remedy: last(remedy) is not None)
-        for remedy in remedies[least : least + _CANDIDATES]:
+        for remedy in remedies[least : least + REMEDYING.candidates]:
             then = last(remedy)
             if self._confirms:
                 again = self._anew(remedy)
                 same = sorted(again.done) == sorted(self.done)
                 then = finish(again.sim, again.end) if same else None
-            if then is not None and end.time - then.time >= _MINUTE:
+            if then is not None and end.time - then.time >= REMEDYING.minute:
                 return (remedy,), end.time - then.time
         return (), 0.0
 
@@ -426,7 +419,7 @@ class Evaluation:
     @property
     def _confirms(self) -> bool:
         """Whether a remedy is tried on the whole mission, order included."""
-        return self.mission.order == "given" or len(self.mission.tasks) <= _CONFIRMED
+        return self.mission.order == "given" or len(self.mission.tasks) <= REMEDYING.confirmed
 
     def _anew(self, remedy: Remedy) -> Evaluation:
         """Return the whole mission with a remedy, driven; at another speed routes change."""

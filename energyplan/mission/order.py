@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -41,58 +41,37 @@ from energyplan.path import ROUNDING, FloatArray
 
 Record = TypeVar("Record", OrderProblem, Stages)
 
-EXACT = 15
-"""Largest number of tasks whose free order is proven."""
+EXACT = 15  # largest number of tasks whose free order is proven
 
-_MOST_LABELS = 2**22
-_NARROW = (1, 8)
-"""Labels of a stage and place that each search keeps, beyond `EXACT` tasks."""
 
-_WIDTHS = (*_NARROW, _MOST_LABELS)
-"""The same up to `EXACT` tasks, where the last search keeps all."""
+class Ordering(NamedTuple):
+    """Constants of the search for an order."""
 
-_STAGES = 2**19
-"""Most stages times tasks squared, beyond `EXACT` tasks."""
+    most_labels: int = 2**22  # labels of a stage and place that a search keeps at most
+    narrow: tuple[int, int] = (1, 8)  # the same of each search beyond `EXACT` tasks
+    stages: int = 2**19  # most stages times tasks squared, beyond `EXACT` tasks
+    visits: int = 6  # visits to chargers that bounds distinguish
+    least: float = 1e-8  # least difference of prizes
+    earlier: float = 1e-5  # prize that the first task of a given order has beyond the last one
+    rounds: int = 25  # most rounds of solving and planning
+    few_rounds: int = 3  # the same beyond `EXACT` tasks
+    shares: int = 3000  # rounds in which tasks are taken out and put in anew
+    halves: int = 3  # cautions that are tried between none and full
+    least_scale: float = 0.8  # part of its energy that a battery is trusted with at least
+    smaller: float = 0.98  # steps down to it
+    late: float = 0.5  # share of the bounds of times held back first: few come together
+    levels: int = 3  # payloads at which legs are priced where there are many
+    most_loads: int = 1024  # payloads that are distinguished at most
+    each: int = 64  # most payloads of a problem, and most that each leg is priced with
+    same: float = 1e-6  # part of an energy by which orders differ that count as one
+    lossless: float = 1.0  # power at which a battery loses nothing to its resistance [W]
 
-_VISITS = 6
-"""Visits to chargers that bounds distinguish."""
 
-_LEAST = 1e-8
-"""Least difference of prizes."""
+ORDERING = Ordering()
 
-_EARLIER = 1e-5
-"""Prize that the first task of a given order has beyond the last one."""
-
+_WIDTHS = (*ORDERING.narrow, ORDERING.most_labels)  # up to `EXACT` tasks the last one keeps all
 _NO_REST = Rest(np.empty((0, 1)), np.empty(0), 0.0)
 """Bound for a prize above that of all tasks: nothing reaches it."""
-
-_ROUNDS = 25
-"""Most rounds of solving and planning."""
-
-_FEW_ROUNDS = 3
-"""The same beyond `EXACT` tasks."""
-
-_SHARES = 3000
-"""Rounds in which tasks are taken out and put in anew."""
-
-_HALVES = 3
-"""Cautions that are tried between none and full."""
-
-_SMALLER = 0.98
-_LEAST_SCALE = 0.8
-"""Part of its energy that a battery is trusted with at least, and the steps down to it."""
-
-_LATE = 0.5
-"""Share of the bounds of single times that is held back first: they seldom all come together."""
-
-_LEVELS = 3
-_MOST_LOADS = 1024
-_EACH = 64
-"""Most payloads of a problem, and most that each leg is priced with."""
-
-_SAME = 1e-6
-_LOSSLESS = 1.0
-"""Power so small that a battery loses nothing to its resistance [W]."""
 
 
 def prizes(tasks: Sequence[Task]) -> FloatArray:
@@ -118,7 +97,7 @@ class Order:
 
     def answer(self, gap: float = np.nan) -> Order:
         """Return the order with its gap."""
-        return replace(self, proven=bool(gap <= _SAME), gap=gap)
+        return replace(self, proven=bool(gap <= ORDERING.same), gap=gap)
 
 
 def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
@@ -126,17 +105,17 @@ def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
     n = problem.tasks
     if problem.given or n <= EXACT:
         return _searched(problem, widths, 1 if problem.given else n)
-    reach = max(int(np.log2(_STAGES / n**2)), 1) + 1
+    reach = max(int(np.log2(ORDERING.stages / n**2)), 1) + 1
     (sequence,), left = shared([problem], problem.prize)
     best, prize = Order(), -1.0
     while True:
         turn = _with_left(problem, sequence, left)
-        found = _searched(problem.some(turn), _NARROW, reach)
+        found = _searched(problem.some(turn), ORDERING.narrow, reach)
         stops = tuple(turn[s - 1] + 1 if s <= n else s for s in found.stops)
         done = [s - 1 for s in stops if s <= n]
         gained = float(problem.prize[done].sum())
-        if gained < prize - _LEAST or (
-            gained < prize + _LEAST and found.energy >= best.energy * (1 - _SAME)
+        if gained < prize - ORDERING.least or (
+            gained < prize + ORDERING.least and found.energy >= best.energy * (1 - ORDERING.same)
         ):
             return best
         prize, best = gained, replace(found, stops=stops, proven=False, bound=np.nan)
@@ -150,7 +129,7 @@ def shared(
     n = len(prize)
     own = [range(n)] * len(problems) if own is None else own
     tours = _tours(problems, prize, own)
-    chances = np.random.default_rng(0).random((_SHARES, 3 + n + len(problems)))
+    chances = np.random.default_rng(0).random((ORDERING.shares, 3 + n + len(problems)))
     open_to_all = chances.copy()
     open_to_all[:, 3 + n :] = 1.0
 
@@ -159,7 +138,7 @@ def shared(
         energy, done = 0.0, 0.0
         for problem, mine, tasks in zip(problems, given, own, strict=True):
             part = problem.some([list(tasks).index(task) for task in mine])
-            found = solve(part._replace(given=len(mine) > EXACT), _NARROW)
+            found = solve(part._replace(given=len(mine) > EXACT), ORDERING.narrow)
             energy += found.energy
             done += float(sum(prize[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
         return round(-done, 6), energy
@@ -237,17 +216,17 @@ def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order
     for width in widths:
         found = search(problem, stages._replace(width=width), known)
         if found.better:
-            bound = bound if found.prize < best.prize + _LEAST else np.nan
+            bound = bound if found.prize < best.prize + ORDERING.least else np.nan
             best = best._replace(prize=found.prize, energy=found.energy, time=found.time)
             stops, hurried = found.stops, found.ways
-        if not found.open or best.prize > whole - _LEAST:
+        if not found.open or best.prize > whole - ORDERING.least:
             bound = np.nanmax([found.bound, bound])
         proven = bool(bound >= best.energy - ROUNDING * abs(best.energy))
         if proven:
             break
         if best.prize >= 0:
-            all_of_it = best.prize >= whole - _LEAST
-            beyond = best.prize + _LEAST
+            all_of_it = best.prize >= whole - ORDERING.least
+            beyond = best.prize + ORDERING.least
             more = _NO_REST if all_of_it else completions(problem, stages, beyond)
             known = best._replace(
                 same=completions(problem, stages, best.prize), more=more, beyond=beyond
@@ -265,10 +244,7 @@ def _sets(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _near(n: int, reach: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the stages of orders in which a task overtakes fewer than `reach` others.
-
-    A stage is the highest task done and which of those just below it are.
-    """
+    """Return the stages of orders in which a task overtakes fewer than `reach` others."""
     wide = 1 << (reach - 1)
     stage, task = np.arange(1 + n * wide)[:, None], np.arange(n)
     last, below = (stage - 1) // wide, (stage - 1) % wide
@@ -292,7 +268,7 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
     after, there, done = _sets(n) if free else _near(n, reach)
     prize, change, service = problem.prize, problem.change, problem.service
     if problem.given:
-        prize = prize + _EARLIER * (1.0 - np.arange(n) / max(n, 1))
+        prize = prize + ORDERING.earlier * (1.0 - np.arange(n) / max(n, 1))
     loads = np.full(len(after), np.inf)
     index = np.full(len(after), len(problem.loads))
     if free or not change.any():
@@ -324,9 +300,9 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
         energy=energy.min(axis=0),
         finish=problem.finish.min(axis=0),
         idle=float(problem.idle.max(initial=0.0)),
-        visits=_VISITS,
-        most=_MOST_LABELS,
-        width=_MOST_LABELS,
+        visits=ORDERING.visits,
+        most=ORDERING.most_labels,
+        width=ORDERING.most_labels,
     )
     return _contiguous(problem._replace(energy=energy, prize=prize)), _contiguous(stages)
 
@@ -345,9 +321,9 @@ def loads_of(payload: float, change: FloatArray) -> FloatArray:
     loads = {round(payload, 9)}
     for step in change[change != 0]:
         loads |= {round(load + step, 9) for load in loads}
-        if len(loads) > _MOST_LOADS:
+        if len(loads) > ORDERING.most_loads:
             low, high = change[change < 0].sum(), change[change > 0].sum()
-            return np.linspace(max(payload + low, 0.0), payload + high, _MOST_LOADS)
+            return np.linspace(max(payload + low, 0.0), payload + high, ORDERING.most_loads)
     return np.array(sorted(loads))
 
 
@@ -403,10 +379,10 @@ def best_stops(
         return trials.at_bounds().answer()
     hope = trials.tried(0.0, ideal=True)
     found, low, high = hope, 0.0, 1.0
-    if not trials.gap(hope, hope) <= _SAME:
+    if not trials.gap(hope, hope) <= ORDERING.same:
         found = min(hope, trials.at_bounds(), key=trials.rank)
-    for _ in range(_HALVES if sim.quantile > 0 else 0):
-        if trials.gap(found, hope) <= _SAME:
+    for _ in range(ORDERING.halves if sim.quantile > 0 else 0):
+        if trials.gap(found, hope) <= ORDERING.same:
             break
         middle = 0.5 * (low + high)
         tried = trials.tried(middle)
@@ -441,11 +417,11 @@ class OrderSearch:
 
         The order is found on energies that add up; the battery holds less at high power.
         """
-        scale, found = 1.0, self.tried(1.0, late=_LATE if self.sim.timed else None)
+        scale, found = 1.0, self.tried(1.0, late=ORDERING.late if self.sim.timed else None)
         if found.end is None and self.sim.timed:
             found = self.tried(1.0)
-        while found.end is None and found.stops and scale > _LEAST_SCALE:
-            scale *= _SMALLER
+        while found.end is None and found.stops and scale > ORDERING.least_scale:
+            scale *= ORDERING.smaller
             found = self.tried(1.0, scale)
         return found
 
@@ -461,11 +437,15 @@ class OrderSearch:
 
     def gap(self, found: Order, hope: Order) -> float:
         """Return by which fraction of an order's energy a better one may exist at most."""
-        if found.end is None or not hope.true or self.prize(found) < self.prize(hope) - _SAME:
+        if (
+            found.end is None
+            or not hope.true
+            or self.prize(found) < self.prize(hope) - ORDERING.same
+        ):
             return float(np.nan)
         spent = found.end.total.mean - self.state.total.mean
         if spent <= 0:
-            return 0.0 if spent <= hope.bound + _SAME else float(np.nan)
+            return 0.0 if spent <= hope.bound + ORDERING.same else float(np.nan)
         return max(1.0 - hope.bound / spent, 0.0)
 
 
@@ -493,8 +473,8 @@ class Matrix:
         self.exact = mission.order == "given" or len(tasks) <= EXACT
         loads = loads_of(state.payload, change)
         # few loads are priced each for itself; of many, some are, and the others lie in between
-        self._each = self.exact and len(loads) < _EACH
-        self._levels = np.linspace(low, high, 1 if low == high else _LEVELS)
+        self._each = self.exact and len(loads) < ORDERING.each
+        self._levels = np.linspace(low, high, 1 if low == high else ORDERING.levels)
         self._inflation = 1.0
         self._power = sim.legs.driving_power
         self._cache: dict[tuple[float, bool], FloatArray] = {}
@@ -618,7 +598,7 @@ class Matrix:
 
     def _stored(self, expected: float, least: float) -> float:
         """Return the energy that the battery gives from a state of charge to empty [J]."""
-        power = _LOSSLESS if self._ideal else self._power
+        power = ORDERING.lossless if self._ideal else self._power
         soc = expected + self._caution * (least - expected)
         return float(self._sim.mission.battery.usable_energy(power, soc))
 
@@ -660,7 +640,7 @@ class Matrix:
         The answer is proven where that point is reached with an exact order. Its stops are nodes.
         """
         order, missing = Order(), []
-        for turn in range(_ROUNDS if self.exact else _FEW_ROUNDS):
+        for turn in range(ORDERING.rounds if self.exact else ORDERING.few_rounds):
             order = solve(self.problem())
             missing = self.missing(order)
             if progress is not None:

@@ -20,8 +20,7 @@ StopKind = Literal["start", "task", "charge", "end"]
 Verdict = Literal["reachable", "unreachable"]
 Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
 
-_INSTANT = 0.5
-"""Shortest wait that the timetable lists [s]."""
+_INSTANT = 0.5  # shortest wait that the timetable lists [s]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from statistics import NormalDist
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -32,23 +33,12 @@ from energyplan.vehicle import Vehicle
 Value = TypeVar("Value")
 Progress = Callable[[str], None] | None  # called with a line of text
 
-_PERIOD = 0.1
-"""Largest time between two samples of a leg [s]."""
-
-_PLANNING = 1_000_000
-"""Units of work for all routes of a mission, where it does not say otherwise."""
-
-_LEAST = 5000
-"""Units of work for a route that are not halved any more."""
-
-_CELLS = 30_000
-"""Most cells of the coarse grid."""
-
-_TOGETHER = 8
-"""Most places whose ways to all others are found in one call."""
-
-_OCTILE = np.cos(np.pi / 8)
-"""Least distance over way along the eight directions of a grid."""
+_PERIOD = 0.1  # largest time between two samples of a leg [s]
+_PLANNING = 1_000_000  # units of work for all routes of a mission, where it does not say otherwise
+_LEAST = 5000  # units of work for a route that are not halved any more
+_CELLS = 30_000  # most cells of the coarse grid
+_TOGETHER = 8  # most places whose ways to all others are found in one call
+_OCTILE = np.cos(np.pi / 8)  # least distance over way along the eight directions of a grid
 
 
 @dataclass(frozen=True)
@@ -104,10 +94,7 @@ class Scene(ByValue):
 
     @cached_property
     def slower(self) -> tuple[EnergyCost, SurfaceMap | None]:
-        """The cost and the surfaces of driving at any speed up to the one wanted.
-
-        A drive is slower where it speeds up, turns or stops, and may take less there.
-        """
+        """The cost and the surfaces of driving at any speed up to the one wanted."""
 
         def up_to(model: PowerModel) -> PowerModel:
             if self.speed is None:
@@ -200,8 +187,7 @@ class Scene(ByValue):
 _SHARED = 2**25
 """Most memory of all routes and trajectories that are shared [B]: about 1,000 of 60 m."""
 
-_SCENES = 32
-"""Most scenes whose routes are shared."""
+_SCENES = 32  # most scenes whose routes are shared
 
 
 class Routes:
@@ -270,10 +256,7 @@ def _memory(found: Any) -> int:
 
 
 class Legs:
-    """All legs of a mission, each planned when it is first needed.
-
-    Node 0 is the start; tasks, chargers and home follow.
-    """
+    """All legs of a mission: from start, tasks and chargers to home, planned when needed."""
 
     def __init__(
         self, mission: Mission, progress: Progress = None, routes: Routes | None = None,
@@ -330,8 +313,14 @@ class Legs:
         return self.models.driving_power(self.mission.payload, self.mission.tread_speed)
 
     @cached_property
+    def quantile(self) -> float:
+        """How many standard deviations a bound is beyond what is expected."""
+        return NormalDist().inv_cdf(self.mission.confidence)
+
+    @cached_property
     def _gauge(self) -> Gauge:
-        return gauge_of(self.mission.battery, self.mission.spreads, self.driving_power)
+        mission = self.mission
+        return gauge_of(mission.battery, mission.spreads, self.driving_power, self.quantile)
 
     @property
     def gauge(self) -> Estimate:
@@ -365,10 +354,7 @@ class Legs:
 
     @property
     def _planning_effort(self) -> int | None:
-        """Units of work for each route: a free order takes about four routes a task.
-
-        It is halved where routes are many, so that a task more or less seldom changes it.
-        """
+        """Units of work for each route, halved where many routes share them."""
         mission = self.mission
         if mission.planning_effort is not None or not find(mission.planner).effort:
             return mission.planning_effort

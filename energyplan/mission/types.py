@@ -20,7 +20,7 @@ from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError
 from energyplan.path import Pose, as_pose, parse_pose
-from energyplan.planning.problem import free_beside, nearest_free
+from energyplan.planning.problem import free_beside, where_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
 from energyplan.records import (
@@ -151,8 +151,7 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
 Place = Annotated[Pose, PlainValidator(_pose)]
 
 
-LARGEST = 1e12
-"""Largest instant [s] or prize of a task."""
+LARGEST = 1e12  # largest instant [s] or prize of a task
 
 Name = Annotated[str, Field(min_length=1)]
 Duration = Annotated[Time, Within((0, 1e8), (0, 86400), "s")]
@@ -392,10 +391,6 @@ def _speed(value: Any) -> Any:
         raise ValueError(f"{problem}, or 'cheapest'") from None
 
 
-def _spreads(value: Any) -> Any:
-    return Spreads.none() if value == "none" else value
-
-
 _OPEN = {
     "soc": ("fraction", False, False), "waiting": ("time", True, False),
     "capacity": ("charge", True, True), "health": ("fraction", False, True),
@@ -527,7 +522,9 @@ class Mission(ReadOnly, html.Readable):
     ) = None
     name: str = "mission"
     heights: Annotated[HeightMap | None, instance_of(HeightMap, NoneType)] = None
-    spreads: Annotated[Spreads, BeforeValidator(_spreads)] = field(default_factory=Spreads)
+    spreads: Annotated[
+        Spreads, BeforeValidator(lambda value: Spreads.none() if value == "none" else value)
+    ] = field(default_factory=Spreads)
     waiting: Duration = 0.0
     clearance: Annotated[Length, CLEARANCE] = 0.0
     robots: Annotated[tuple[Robot, ...], Field(max_length=100)] = ()
@@ -708,20 +705,11 @@ class Mission(ReadOnly, html.Readable):
             where = f"({pose.x:g}, {pose.y:g}, {np.degrees(pose.yaw):.0f} deg)"
             if not self.map.inside(pose[:2]):
                 faults.append((f"{label}: {where} lies outside the map", place))
-            elif not good and not self._may_fail(place):
-                near = nearest_free(self.free_map, self.vehicle, pose)
-                hint = "" if near is None else (
-                    f"; the nearest free pose found is ({near.x:.2f}, {near.y:.2f}, "
-                    f"{np.degrees(near.yaw):.0f} deg)"
-                )  # fmt: skip
-                fault = f"{label}: the robot at {where} touches an obstacle{hint}"
-                faults.append((fault, place))
+            elif not good and (place[0] != "tasks" or self.tasks[int(place[1])].required):
+                near = where_free(self.free_map, self.vehicle, pose)
+                faults.append((f"{label}: the robot at {where} touches an obstacle; {near}", place))
         if faults:
             raise MissionError("; ".join(fault for fault, _ in faults), faults[0][1])
-
-    def _may_fail(self, place: tuple[str | int, ...]) -> bool:
-        """Return whether a pose is that of an optional task, which is then unreachable."""
-        return place[0] == "tasks" and not self.tasks[int(place[1])].required
 
     def _summaries(self) -> list[html.Summary]:
         rows = [

@@ -6,7 +6,6 @@ cap on top. Threads run in parallel: kernels release Python's global interpreter
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,13 +14,13 @@ from contextvars import ContextVar, copy_context
 from math import inf, isfinite
 from typing import Any, NamedTuple, TypeVar
 
+from energyplan.compilation import processors
 from energyplan.errors import CancelledError, InvalidInputError, TimeLimitError
 from energyplan.records import checked
 
 Result = TypeVar("Result")
 
-EFFORT = 30_000
-"""Default units of work for a plan."""
+EFFORT = 30_000  # default units of work for a plan
 
 PACE = 50_000
 """Units of work that count as a second where the two are compared.
@@ -61,24 +60,9 @@ _unwanted: ContextVar[Callable[[], bool]] = ContextVar("unwanted", default=lambd
 
 @contextmanager
 def cancellable(unwanted: Callable[[], bool]) -> Iterator[None]:
-    """End all planning inside as soon as its result is unwanted.
+    """End all planning inside by a `CancelledError` as soon as its result is unwanted.
 
-    Budgets created inside call `unwanted` at every operation.
-
-    Parameters
-    ----------
-    unwanted : callable
-        Returns whether to end; called often, from several threads.
-
-    Raises
-    ------
-    CancelledError
-        From within the planning, when `unwanted` says so.
-
-    Examples
-    --------
-    >>> with cancellable(lambda: False):
-    ...     Budget(effort=1000).spend(10)
+    Budgets created inside call `unwanted` at every operation, from several threads.
     """
     token = _unwanted.set(unwanted)
     try:
@@ -164,13 +148,7 @@ class Budget:
         return time.perf_counter() - self._begun
 
     def spend(self, units: float) -> None:
-        """Count work that was done.
-
-        Raises
-        ------
-        CancelledError
-            If nobody wants the result any more; see `cancellable`.
-        """
+        """Count work that was done, or raise `CancelledError`; see `cancellable`."""
         self._spent[0] += units
         if self._unwanted():
             raise CancelledError("the planning was cancelled")
@@ -204,36 +182,14 @@ class Budget:
         return other
 
     def beside(self, make: Callable[[], Result]) -> Result:
-        """Return a result shared by many plans; the time to compute it extends the deadline.
-
-        Parameters
-        ----------
-        make : callable
-            Computes the result, or returns the one computed before.
-
-        Returns
-        -------
-        object
-            The result.
-        """
+        """Return a result shared by many plans; the time to compute it extends the deadline."""
         begun = time.perf_counter()
         made = make()
         self._deadline += time.perf_counter() - begun
         return made
 
     def check(self, done: str) -> None:
-        """Go on, or stop.
-
-        Parameters
-        ----------
-        done : str
-            How far one has got.
-
-        Raises
-        ------
-        TimeLimitError
-            If nothing is left.
-        """
+        """Raise a `TimeLimitError` that says how far one has got if nothing is left."""
         if self.over:
             raise TimeLimitError(f"{self.name} was over when {done}; give more {self.remedy}")
 
@@ -259,10 +215,7 @@ class Budget:
 
 
 def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> Budget:
-    """Return the budget of a plan, with the default effort where none is given.
-
-    A planner that does not count its work gets the time that so much work takes.
-    """
+    """Return the budget of a plan, with the default effort where none is given."""
     if effort is None and counts:
         effort = EFFORT
     elif effort is None and not isfinite(time_limit):
@@ -270,15 +223,7 @@ def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> B
     return Budget(time_limit, effort=effort)
 
 
-UNLIMITED = Budget()
-"""A budget without end, for work that nobody limits."""
-
-
-def workers() -> int:
-    """Return how many threads can run at once: the processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(len(os.sched_getaffinity(0)), 1)
-    return os.cpu_count() or 1
+UNLIMITED = Budget()  # a budget without end, for work that nobody limits
 
 
 def side_by_side(
@@ -291,7 +236,7 @@ def side_by_side(
     """
     if not tasks:
         return []
-    threads = min(workers(), len(tasks))
+    threads = min(processors(), len(tasks))
     turns = threads if budget.effort is None else 1
     wanted = units if isinstance(units, Sequence) else [units] * len(tasks)
     shares = _shares([min(own, budget.left) for own in wanted], turns * budget.left)

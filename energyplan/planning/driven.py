@@ -26,11 +26,8 @@ from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
 
-SAME = 1e-6
-"""Part of the energy by which drives differ of which the quicker is taken."""
-
-NEAR = 0.5
-"""How far about a corner the footprint must be free for it to be rounded [m]."""
+SAME = 1e-6  # part of the energy by which drives differ of which the quicker is taken
+NEAR = 0.5  # how far about a corner the footprint must be free for it to be rounded [m]
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,7 @@ from energyplan.terrain import SurfaceMap, path_price
 Graph = Any
 """A networkx graph of any kind, directed or not; its nodes carry ``pos`` or ``x`` and ``y`` [m]."""
 
-EFFORT = 4000
-"""Units of work for each edge that is planned among obstacles."""
+EFFORT = 4000  # units of work for each edge that is planned among obstacles
 
 _RADII = np.linspace(0.0, 1.0, 9)
 """Radii at which a rounded corner is priced, as fractions of the largest."""
@@ -128,10 +127,7 @@ def _straight_prices(edges: Edges, prices: Prices) -> FloatArray:
 
 
 def _with_costs(graph: Graph, costs: Mapping[DrivenEdge, float]) -> Graph:
-    """Return a copy of a graph with the cost of its edges, less those of infinite cost.
-
-    An edge that is driven both ways has the greater cost of the two.
-    """
+    """Return a copy of a graph with the costs of its edges, the greater of both ways."""
     priced = graph.copy()
     several = graph.is_multigraph()
     edges = [(*state[:3],) if several else state[:2] for state in costs]
@@ -289,10 +285,7 @@ def _cheapest(
     leave: Callable[[DrivenEdge], float],
     arrive: Callable[[DrivenEdge], float],
 ) -> list[DrivenEdge]:
-    """Return the cheapest states from one node to another; none if nothing joins them.
-
-    `leave` and `arrive` price the first state with the turn onto it, and the turn after the last.
-    """
+    """Return the cheapest states from one node to another; none if nothing joins them."""
     # two more states for the ends, taken out again whatever happens
     begin, end = DrivenEdge(source, source, "start", 0), DrivenEdge(target, target, "goal", 0)
     first = [(begin, state, leave(state)) for state in states if state.source == source]

@@ -70,10 +70,7 @@ class EnergyObjective(base.OptimizationObjective):
 
     @override
     def motionCostHeuristic(self, first: Any, second: Any) -> Any:
-        """Return what no motion from one state to another costs less than.
-
-        Nor by rounding: BIT* crashes where one does.
-        """
+        """Return what no motion costs less than, even by rounding, at which BIT* crashes."""
         self._budget.spend(ESTIMATE)
         a, b = _pose(first), _pose(second)
         least = steer_energy(b.x - a.x, b.y - a.y, a.yaw, b.yaw, self._setting.steering)

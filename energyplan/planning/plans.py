@@ -412,11 +412,7 @@ def find(name: str) -> Planner:
 
 @contextmanager
 def _blaming(name: str) -> Iterator[None]:
-    """Report a failure of a planner in one line, with the place in the planner's own code.
-
-    What a planner says on purpose is passed on: that there is no path, and what it raises itself of
-    the library's errors.
-    """
+    """Report a failure of a planner in one line, with the place in the planner's own code."""
     try:
         yield
     except (PlanningError, CancelledError):
@@ -581,10 +577,7 @@ def priced_plan(
     problem: PlanningProblem | None = None,
     notes: tuple[str, ...] = (),
 ) -> Plan:
-    """Return the plan of a path that was checked, all but what the budget says computed from it.
-
-    `problem` is the one to answer where the query lacks its clearance, for ends that have less.
-    """
+    """Return the plan of a path that was checked, all but what the budget says computed from it."""
     path, of = found.path, query.problem
     price = of.terrain.price(path, of.cost)
     soft = query.soft_cost(path)

@@ -16,7 +16,7 @@ from energyplan.errors import (
     OutsideMapError,
     StartInCollisionError,
 )
-from energyplan.path import FloatArray, Path, Pose, as_pose, wrap_angle
+from energyplan.path import PLACE, FloatArray, Path, Pose, as_pose, wrap_angle
 from energyplan.records import check_fields, numbers
 from energyplan.terrain import (
     CLEARANCE,
@@ -31,20 +31,10 @@ from energyplan.terrain import (
 )
 from energyplan.vehicle import Vehicle
 
-OBJECTIVES = ("energy", "length", "time")
-"""Quantities that a plan can minimise."""
-
-TURNING = ("any", "forward")
-"""Ways to turn that have a name; others are a radius."""
-
-ROUNDING = 1e-6
-"""Part of a radius by which an arc may be tighter: rounding."""
-
-ARRIVED = 1e-6
-"""How far from start and goal a path may begin and end [m], [rad]: rounding."""
-
-AHEAD = 1e-9
-"""Length of driving backwards that is rounding [m]."""
+OBJECTIVES = ("energy", "length", "time")  # quantities that a plan can minimise
+TURNING = ("any", "forward")  # ways to turn that have a name; others are a radius
+TIGHTER = 1e-6  # part of the least radius by which an arc may be tighter
+ARRIVED = 1e-6  # how far from start and goal a path may begin and end [m], [rad]: rounding
 
 KEPT = (0.9, 0.5, 0.0)
 """Shares of the clearance that there is at the ends which leaving them keeps, tried in turn."""
@@ -180,12 +170,12 @@ class PlanningProblem:
     def tightest(self, path: Path) -> int | None:
         """Return the first segment of a path that turns more tightly than is allowed, or None."""
         ahead = np.abs(self._ahead(path))
-        tight = ahead < self.least_radius * (1.0 - ROUNDING) * np.abs(path.dtheta) - 1e-9
+        tight = ahead < self.least_radius * (1.0 - TIGHTER) * np.abs(path.dtheta) - PLACE
         return int(np.argmax(tight)) if tight.any() else None
 
     def reversing(self, path: Path) -> int | None:
         """Return the first segment that drives backwards where the vehicle may not, or None."""
-        back = self._ahead(path) < -AHEAD
+        back = self._ahead(path) < -PLACE
         return int(np.argmax(back)) if back.any() and not self.robot.reverse else None
 
     def _ahead(self, path: Path) -> FloatArray:
@@ -233,11 +223,7 @@ class PlanningProblem:
         return replace(self, clearance=0.0) if self.clearance else self
 
     def first_collision(self, path: Path, share: float = 0.0) -> int | None:
-        """Return the first segment of a path that is not free, or None.
-
-        From an end that lacks the clearance to the nearest pose that has it, this share of what
-        there is at the ends is enough.
-        """
+        """Return the first segment that is not free; ends need a `share` of what they have."""
         grid = self.terrain.obstacles
         segment = grid.first_collision(path, self.robot)
         if segment is None or self.ends_clear:
@@ -258,10 +244,7 @@ class PlanningProblem:
         return len(path) == 0 or part.first_collision(path) is None
 
     def fault(self, path: object, share: float = 0.0) -> str | None:
-        """Return what is wrong with a path as an answer to the problem, or None.
-
-        For `share` see `first_collision`.
-        """
+        """Return what is wrong with a path as an answer to the problem, or None."""
         if not isinstance(path, Path):
             return f"a {type(path).__name__} in place of a Path"
         reference = self.cost.icr.longitudinal
@@ -325,14 +308,12 @@ class PlanningProblem:
             if not grid.inside(pose[:2]):
                 rows, columns = grid.shape
                 near = grid.to_world(np.clip(grid.to_cells(pose[:2]), 0, (columns, rows)))
-                where = _nearest_free(
-                    grid, self.robot, Pose(float(near[0]), float(near[1]), pose.yaw)
-                )
+                where = where_free(grid, self.robot, Pose(float(near[0]), float(near[1]), pose.yaw))
                 raise OutsideMapError(
                     f"the {place} lies outside the map; it covers {grid.describe_extent()}; {where}"
                 )
             if not bool(grid.footprint_free(np.array([pose]), self.robot)[0]):
-                where = _nearest_free(grid, self.robot, pose)
+                where = where_free(grid, self.robot, pose)
                 within = f", grown by the clearance of {self.clearance:g} m," * (self.clearance > 0)
                 raise error(f"the footprint{within} at the {place} touches an obstacle; {where}")
 
@@ -350,7 +331,7 @@ def missed(verb: str, found: Pose, wanted: Pose) -> str | None:
     return f"{verb} at {here} in place of {there}"
 
 
-def _nearest_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:
+def where_free(grid: OccupancyGrid, vehicle: Vehicle, pose: Pose) -> str:
     """Say where the nearest free pose is."""
     near = nearest_free(grid, vehicle, pose)
     if near is None:

@@ -149,31 +149,7 @@ def _empirical_whole(
 
 
 def empirical_term(name: str, knots: Sequence[float] = (), values: Sequence[float] = ()) -> Term:
-    """Return the empirical term of that name.
-
-    Parameters
-    ----------
-    name : str
-        ``empirical_<carrier>_<channel>``.
-    knots, values : sequence of float
-        Channel at the knots, and the shape there in the carrier's unit.
-
-    Returns
-    -------
-    Term
-        A term whose coefficient 1 gives that shape.
-
-    Raises
-    ------
-    UnknownNameError
-        If the name has no such form.
-
-    Examples
-    --------
-    >>> made = empirical_term("empirical_traction_v", knots=[0.0, 1.0], values=[0.0, 30.0])
-    >>> made.name, made.params["y1"]
-    ('empirical_traction_v', 30.0)
-    """
+    """Return the term ``empirical_<carrier>_<channel>`` with its shape at some knots."""
     head, _, rest = name.partition("_")
     carrier, _, channel = rest.partition("_")
     if (

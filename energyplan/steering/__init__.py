@@ -19,8 +19,7 @@ from energyplan.steering.forwards import forward_energies, forward_path
 from energyplan.steering.kernels import MAX_SEGMENTS, steer_energies, steer_path
 from energyplan.steering.polygon import polygon_energies, polygon_path
 
-FARTHEST = 1e9
-"""Largest coordinate of a pose [m]; far beyond it energies overflow."""
+FARTHEST = 1e9  # largest coordinate of a pose [m]; far beyond it energies overflow
 
 
 def _poses(value: ArrayLike, name: str) -> FloatArray:
@@ -155,10 +154,7 @@ def _refuse_forwards(reverse: bool) -> None:
 
 
 def _spin_if_as_good(found: Path, goal: FloatArray, cost: EnergyCost) -> Path:
-    """Return the turn on the spot where that leads to the goal for no more energy.
-
-    Pivots there and back take as much, and more time.
-    """
+    """Return the turn on the spot where that leads to the goal for no more energy."""
     turn = float(found.dtheta.sum())
     moved = np.array([cost.icr.centre[1] * turn])
     spin = Path(found.start, moved, np.array([turn]), found.longitudinal)

@@ -103,10 +103,7 @@ def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
 def _boundary(
     t: float, stretch: float, lo: float, hi: float, af: float, ab: float
 ) -> tuple[float, float, int, int]:
-    """Point of the constraints' boundary in direction `t`, and which constraint is active there.
-
-    With few headings visited the region is long and narrow; directions are stretched with it.
-    """
+    """Point of the constraints' boundary in direction `t`, and which constraint is active there."""
     ex, ey = math.cos(t), stretch * math.sin(t)
     ahead, where = _reach(ex, ey, lo, hi)
     behind, place = _reach(-ex, -ey, lo, hi)
@@ -119,10 +116,7 @@ def _boundary(
 
 @inner
 def between(a: float, b: float, f_a: float, f_b: float) -> float:
-    """Next point of a bracketed root search: regula falsi, or the middle where both signs agree.
-
-    The caller halves the value at an end that stays twice (the Illinois rule).
-    """
+    """Next point of a bracketed root search: regula falsi (Illinois), or the middle."""
     middle = 0.5 * (a + b)
     if f_a * f_b >= 0.0:
         return middle

@@ -107,10 +107,7 @@ def _angle(q: float, rest: float) -> float:
 
 @inner
 def _at_upper_end(x: float, y: float, eta: float, c: float, side: float, best: Forward) -> Forward:
-    """Return the cheapest word with a line at the upper end of the schedule, or the best so far.
-
-    For the lower end, `side` is -1 and the frame mirrored.
-    """
+    """Return the cheapest word with a line at the upper end (lower: `side` -1), or the best."""
     k, s, turn = cos(eta), sin(eta), 1.0 + c
     base = 2.0 * turn * eta
     # no excursion: the robot moves ahead above z, and maybe below z - pi

@@ -95,11 +95,7 @@ class Switches(NamedTuple):
 
 @inner
 def free_switches(x: float, y: float, eta: float) -> Switches:
-    """Return the pivots that reach ``(x, y)`` within the sweep.
-
-    As ``sign * d = U(eta) - U(-eta) - 2 (U(z2) - U(z1))``, a chord of the unit circle
-    gives both switches.
-    """
+    """Return the pivots that reach ``(x, y)`` within the sweep: a chord gives both switches."""
     best, choice = math.inf, Switches(1.0, 0.0, 0.0)
     for j in range(4):
         sign = 1.0 if j % 2 == 0 else -1.0

@@ -80,10 +80,7 @@ def _both(
     dx: float, dy: float, lo: float, hi: float, eta: float, side: int, af: float, ab: float,
     left: FloatTable, right: FloatTable,
 ) -> tuple[float, float, bool]:  # fmt: skip
-    """Best extent ``(lo, hi, found)`` beyond both ends, by Newton's method.
-
-    Straight lines at both ends, and both excursions that save exactly their cost.
-    """
+    """Best extent ``(lo, hi, found)`` with straight lines beyond both ends, by Newton's method."""
     if not (lo < -eta and hi > eta):
         return lo, hi, False
     a, b = math.log(-eta - lo), math.log(hi - eta)  # logarithms keep both excursions positive
@@ -120,11 +117,7 @@ def best_extent(
     dx: float, dy: float, eta: float, af: float, ab: float, left: FloatTable, right: FloatTable,
     bound: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return ``(energy, lo, hi)`` of the best schedule that sweeps to the left.
-
-    The search is given up once no schedule can cost less than `bound`; the energy returned is then
-    infinite.
-    """
+    """Return ``(energy, lo, hi)`` of the best schedule to the left; infinite above `bound`."""
     # A dual vector within both straight costs is feasible for every schedule, and an excursion
     # never lowers its value: it bounds all of them from below.
     d = math.hypot(dx, dy)

@@ -27,19 +27,8 @@ TWO_PI = 2.0 * math.pi
 HALF_PI = 0.5 * math.pi
 
 # Codes of the words. The letter of the group: N, no excursion; E, excursion at one end; B, at both.
-FREE = 0
-N_STRAIGHT = 1
-N_INNER = 2
-N_END = 3
-N_ENDS = 4
-N_TWO_ZEROS = 5
-E_PLAIN = 6
-E_ZERO = 7
-E_ZERO_OUT = 8
-E_ENDS = 9
-E_ENDS_OUT = 10
-B_ZERO = 11
-B_ZERO_OUT = 12
+FREE, N_STRAIGHT, N_INNER, N_END, N_ENDS, N_TWO_ZEROS = range(6)
+E_PLAIN, E_ZERO, E_ZERO_OUT, E_ENDS, E_ENDS_OUT, B_ZERO, B_ZERO_OUT = range(6, 13)
 
 
 class Word(NamedTuple):

@@ -37,11 +37,8 @@ TOLERANCE = 0.02
 TOUCH = 1e-6
 """Cells nearer than this count as touched [cells]; far above rounding, far below a cell."""
 
-ALIGNED = 3e-8
-"""Sines and cosines below this count as zero, so that no rounding error is blown up."""
-
-STRAIGHT = 1e-6
-"""Turns below this are swept as straight lines, slightly widened [rad]."""
+ALIGNED = 3e-8  # sines and cosines below this count as zero, so that no rounding error is blown up
+STRAIGHT = 1e-6  # turns below this are swept as straight lines, slightly widened [rad]
 
 
 class Space(NamedTuple):
@@ -103,11 +100,7 @@ def next_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> ShortInt
 def _rectangle_free(
     space: Space, x: float, y: float, c: float, s: float, half_x: float, half_y: float
 ) -> bool:
-    """Return whether a rectangle is free; everything in cells, in the frame of the grid.
-
-    It has its centre at (x, y) and half sides `half_x`, `half_y`; its first axis points along
-    (c, s).
-    """
+    """Return whether a rectangle about (x, y) [cells] whose first axis is along (c, s) is free."""
     rows, columns = space.clearance.shape
     if abs(s) < ALIGNED:
         s = 0.0

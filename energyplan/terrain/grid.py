@@ -58,11 +58,8 @@ def extent_in_words(width: float, height: float, origin: Pose) -> str:
 
 BoolArray = NDArray[np.bool_]
 
-MAX_CELLS = 2**26
-"""Largest number of cells of a map; more counts as a mistake or an attack."""
-
-MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4
-"""Smallest and largest size of a cell [m]."""
+MAX_CELLS = 2**26  # largest number of cells of a map; more counts as a mistake or an attack
+MIN_RESOLUTION, MAX_RESOLUTION = 1e-4, 1e4  # smallest and largest size of a cell [m]
 
 
 def _frozen_bool(value: ArrayLike, name: str) -> BoolArray:
@@ -384,20 +381,7 @@ class OccupancyGrid(ByValue, html.Readable):
         return np.asarray(free.reshape(rows.shape[:-1]))
 
     def first_collision(self, path: Path, vehicle: Vehicle) -> int | None:
-        """Return the index of the path's first segment that is not free, or None.
-
-        Parameters
-        ----------
-        path : Path
-            The path.
-        vehicle : Vehicle
-            The vehicle, for its footprint.
-
-        Returns
-        -------
-        int or None
-            The segment; None where the whole path is free.
-        """
+        """Return the index of the path's first segment that is not free, or None."""
         instance(path, Path, "path")
         body = footprint(vehicle)
         if len(path) == 0:
@@ -437,21 +421,7 @@ class OccupancyGrid(ByValue, html.Readable):
     ) -> BoolArray:
         """Return along which of many motions, each from its own pose, the footprint is free.
 
-        Parameters
-        ----------
-        starts : array_like, shape (n, 3)
-            Poses of the body frame where the motions start: x, y [m], yaw [rad].
-        ds, dtheta : array_like, shape (n,)
-            Signed arc lengths of the reference point [m] and signed turns [rad].
-        vehicle : Vehicle
-            The vehicle, for its footprint.
-        longitudinal : float
-            x coordinate of the reference point in the body frame [m], as in `Path`.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            Which are free; as exact as `path_free`.
+        Arguments as in `Path`, one for each motion; as exact as `path_free`.
         """
         poses = numbers(starts, "starts", MapError, last=3, words="x, y [m], yaw [rad]")
         rows = np.ascontiguousarray(poses.reshape(-1, 3))
@@ -513,8 +483,7 @@ def footprint(vehicle: Vehicle) -> _collision.Body:
     return _collision.Body(x_min, y_min, x_max, y_max)
 
 
-PIECE = 0.25
-"""Length of the segments of a path that pay for the cell under their middle [cells]."""
+PIECE = 0.25  # length of the segments of a path that pay for the cell under their middle [cells]
 
 
 @dataclass(frozen=True, eq=False)
@@ -544,11 +513,7 @@ class CostMap(ByValue):
         return frame.values_at(self.costs, points)
 
     def along(self, path: Path) -> float:
-        """Return the costs along a path, times the metres of its reference point [m].
-
-        Segments of a quarter of a cell pay for the cell under their middle; turns on the spot pay
-        nothing.
-        """
+        """Return the costs along a path, times the metres of its reference point [m]."""
         fine = path.subdivide(PIECE * self.resolution)
         points = fine.points
         middle = 0.5 * (points[:-1] + points[1:])

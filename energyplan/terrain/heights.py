@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.errors import MapError
-from energyplan.path import ROUNDING, FloatArray, Path, Pose, as_pose
+from energyplan.path import ROUNDING, STILL, FloatArray, Path, Pose, as_pose
 from energyplan.records import ByValue, check_fields, checked, numbers
 from energyplan.terrain.grid import ORIGIN, extent_in_words, from_raster, to_raster
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-STILL = 1e-6
-"""Arc lengths below this count as turning on the spot [m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -317,8 +317,7 @@ def _fill(raster: IntTable, a: FloatTable, b: FloatTable, value: int) -> None:
                 raster[row, column] = value
 
 
-_INSIDE = 1e-6
-"""How far an edge must reach into a cell to share it [cells]: rounding."""
+_INSIDE = 1e-6  # how far an edge must reach into a cell to share it [cells]: rounding
 
 
 @njit

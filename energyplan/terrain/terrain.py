@@ -18,17 +18,10 @@ from energyplan.terrain.grid import CostMap, OccupancyGrid
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import SurfaceMap
 
-_KEPT = 4
-"""Number of `Terrain` objects that a map keeps: those requested last."""
-
-_MOST_SURFACES = 255
-"""A cell's class of surface is kept in one byte."""
-
-CLEARANCE = Within((0, 20), (0, 2), "m")
-"""Distances that a footprint may keep from obstacles."""
-
-FLAT = SurfaceMap(())
-"""No surfaces: the cost at hand applies everywhere."""
+_KEPT = 4  # number of `Terrain` objects that a map keeps: those requested last
+MOST_CLASSES = 255  # a cell's class of surface is kept in one byte
+CLEARANCE = Within((0, 20), (0, 2), "m")  # distances that a footprint may keep from obstacles
+FLAT = SurfaceMap(())  # no surfaces: the cost at hand applies everywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,9 +175,9 @@ class Terrain:
 
     def __post_init__(self) -> None:
         check_fields(self, MapError)
-        if len(self.ground.surfaces) > _MOST_SURFACES:
+        if len(self.ground.surfaces) > MOST_CLASSES:
             raise MapError(
-                f"there are {len(self.ground.surfaces)} surfaces, more than {_MOST_SURFACES}; "
+                f"there are {len(self.ground.surfaces)} surfaces, more than {MOST_CLASSES}; "
                 "merge those of one model"
             )
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from corridors import METRE, corridor
+from corridors import METRE, charger, corridor
 from test_remedies import Bucket
 from uncertain_missions import missions, simulated
 from worlds import tiny
@@ -17,6 +17,8 @@ from energyplan.mission import Charger, Spreads, Task, evaluate
 from energyplan.output import documents, text
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel, Residual
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap
 
 DRAWS = 1000
 QUANTILE = 1.6448536
@@ -50,7 +52,11 @@ def test_each_unknown_costs_what_its_spread_says() -> None:
     asked = replace(asked, tasks=(work,))
     expected = {
         "soc": ("state of charge", 0.02 * 1e5),
-        "capacity": ("capacity of the battery", 0.02 * energy),
+        # where the bound lies it holds less, and whatever is drawn is a greater part of it
+        "capacity": (
+            "capacity of the battery",
+            energy * (1 / (1 - 0.02 * QUANTILE) - 1) / QUANTILE,
+        ),
         "power": ("power of tools", 0.02 * 5000),
         "dwell": ("duration of tasks", 0.02 * 5000),
         "run": ("difference from run to run", 0.02 * 40 * METRE),
@@ -76,9 +82,35 @@ def test_health_and_temperature_count_by_what_the_battery_then_holds(health: flo
         1e5, {"a": 25.0}, 5.0, battery=pack, confidence=0.95,
         spreads=replace(Spreads.none(), health=0.04, temperature=7.0), coefficient_spread=1e-9,
     )  # fmt: skip
-    told = {doubt.source: doubt.energy for doubt in evaluate(asked).uncertainty}
-    assert told["health of the battery"] == pytest.approx(0.04 / health * 40 * METRE, rel=1e-3)
-    assert told["temperature of the battery"] == pytest.approx(0.1 * 40 * METRE, rel=1e-3)
+    told = {doubt.source: QUANTILE * doubt.energy for doubt in evaluate(asked).uncertainty}
+    aged, colder = health - 0.04 * QUANTILE, 0.7 - 0.07 * QUANTILE
+    worn = (health / aged - 1) * 40 * METRE
+    assert told["health of the battery"] == pytest.approx(worn, rel=1e-3)
+    cooled = (0.7 / colder - 1) * 40 * METRE
+    assert told["temperature of the battery"] == pytest.approx(cooled, rel=1e-3)
+
+
+@pytest.mark.parametrize("limit", [{"temperature": -40.0}, {"temperature": 70.0}, {"health": 0.01}])
+def test_a_battery_at_the_edge_of_what_is_possible_has_a_bound(limit: dict[str, float]) -> None:
+    pack = replace(Battery.preset("quadriga"), **limit)
+    report = evaluate(corridor(1e5, {"a": 25.0}, 5.0, battery=pack, spreads=Spreads()))
+    assert 0.0 <= report.soc_end_lower <= report.soc_end
+
+
+def test_a_drive_near_balance_has_the_bound_of_its_worse_side() -> None:
+    """Downhill the weight drives the wheels; what they would return a brake resistor takes."""
+    model = with_weight(PowerModel.preset("quadriga:empty:marble"))
+    vehicle = replace(model.vehicle, regen_efficiency=0.0)
+    slope = METRE / (9.80665 * model.coefficients[-1])  # the sine; small, so the tangent too
+    x = np.linspace(0, 35, 71)
+    asked = corridor(
+        1e6, {"below": 25.0}, 5.0, model=replace(model, vehicle=vehicle), confidence=0.95,
+        heights=HeightMap(np.tile(-slope * x, (8, 1)), 0.5), coefficient_spread=0.05,
+        chargers=(charger(25.0, "dock"),), return_to="charger",
+    )  # fmt: skip
+    (told,) = evaluate(asked).uncertainty
+    # were the gain of the other side averaged in, it would be a quarter less
+    assert told.energy == pytest.approx(np.hypot(1.0, 1.0) * 0.05 * 20 * METRE, rel=0.02)
 
 
 def test_a_temperature_without_data_is_told() -> None:

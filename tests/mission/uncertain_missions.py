@@ -67,6 +67,9 @@ def missions() -> dict[str, Mission]:
         "drives": corridor(long, soc=1.0),
         "tools": corridor(tools, spreads=Spreads(power=0.15, dwell=0.2)),
         "cold": corridor(mixed, battery=replace(aged, temperature=2.0)),
+        "frost": corridor(
+            mixed, battery=replace(aged, temperature=0.0), spreads=Spreads(temperature=8.0)
+        ),
         "lithium": corridor(mixed, battery=lithium),
         "charging": corridor({**mixed, "d": (50.0, 3000.0, 250.0)}, battery=aged, chargers=(dock,)),
     }

@@ -40,7 +40,7 @@ def test_with_effort_a_plan_does_not_depend_on_the_threads(monkeypatch, effort):
     problem = PlanningProblem(rooms(0.9), COST, (1, 4, 0), (11, 1, 2))
     made = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr(budgets, "workers", lambda threads=threads: threads)
+        monkeypatch.setattr(budgets, "processors", lambda threads=threads: threads)
         made.append(plan(problem, effort=effort))
     for other in made[1:]:
         assert np.array_equal(other.path.ds, made[0].path.ds)

@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from energyplan.compilation import processors
 from energyplan.planning.bound.corners import DiscEnds, least_over_corners, ways_to_goal
 from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess
-from energyplan.planning.budget import SHARES, UNITS, Budget, Work, workers
+from energyplan.planning.budget import SHARES, UNITS, Budget, Work
 from energyplan.planning.settings import BOUND
 from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.space.configurations import grown
@@ -76,7 +77,7 @@ def prepare_bound(query: CompiledProblem) -> None:
     coarsest = sights(grid, radius, DETAILS[-1]).outline
     finest = _finest(coarsest, ends, BOUND.detours[0] * straight)
     last = _finest(coarsest, ends, BOUND.detours[1] * straight)
-    with ThreadPoolExecutor(workers()) as pool:
+    with ThreadPoolExecutor(processors()) as pool:
         list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
 
 

@@ -93,11 +93,7 @@ def ways_to_goal(
     limit: float,
     effort: float,
 ) -> Ways:
-    """Return the shortest ways to the goal from all corners that a short way can touch.
-
-    A* from the goal, over lines that touch the outline at both ends: shortest ways consist of
-    these.
-    """
+    """Return the shortest ways to the goal from all corners that a short way can touch, by A*."""
     n = len(outline.point)
     ux = ends.start_x
     uy = ends.start_y

@@ -85,8 +85,7 @@ def gate(
     return length, any_closed
 
 
-HEADINGS = 256
-"""Nodes of the heading."""
+HEADINGS = 256  # nodes of the heading
 
 SWEEPS = (0.0, pi / 6, pi / 3, pi / 2, 2 * pi / 3, pi)
 """Limits of the classes of ways along a line, by how far their headings spread [rad]."""
@@ -186,14 +185,12 @@ def pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
     spread(cost, turn)
 
 
-BEYOND = pi / 72
-"""Steps in which headings beyond the two ends of a turn are tried [rad]."""
+BEYOND = pi / 72  # steps in which headings beyond the two ends of a turn are tried [rad]
 
 NORMALS = 16
 """Directions tried for the force of the dual, over half a circle; even, so one is straight on."""
 
-MOST = 96
-"""Steps of `BEYOND` beyond either end; more than half a turn, beyond which nothing is new."""
+MOST = 96  # steps of `BEYOND` beyond either end; more than half a turn, beyond which nothing is new
 
 
 class Section(NamedTuple):

@@ -199,10 +199,7 @@ class Sight(NamedTuple):
 
 @inner
 def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: float) -> Sight:
-    """Look along a line, until it crosses an edge of the outline; touching is no crossing.
-
-    Clearance decides most places; where it does not, the edges nearby are tested.
-    """
+    """Look along a line, until it crosses an edge of the outline; touching is no crossing."""
     rows, columns = space.clearance.shape
     across = (columns - 1) // OUTLINES.bucket + 1
     length = hypot(bx - ax, by - ay)
@@ -394,10 +391,7 @@ def _simplified(lines: Lines, tolerance: float) -> Lines:
 
 
 def _polygons(grid: OccupancyGrid, radius: float, arc: int) -> Lines:
-    """Return the outlines of the blocked cells grown by `radius`.
-
-    Round corners are drawn as polygons inside them.
-    """
+    """Return outlines of the blocked cells grown by `radius`, polygons inside round corners."""
     change = np.diff(np.pad(grid.blocked, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, first = np.nonzero(change == 1)
     _, last = np.nonzero(change == -1)

@@ -18,11 +18,8 @@ from energyplan.planning.space.prices import remembered
 from energyplan.planning.space.queues import pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 
-MOST_CELLS = 250_000
-"""Cells above which they are joined to larger ones."""
-
-ROUNDING = 1e-3
-"""Far above what rounding makes of a clearance [cells]."""
+MOST_CELLS = 250_000  # cells above which they are joined to larger ones
+CLEARANCE_ERROR = 1e-3  # far above what rounding makes of a clearance [cells]
 
 
 def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
@@ -43,7 +40,7 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     # the reference point lies within the disc: what its ground would cost at an edge of a surface
     # that runs along a wall, or along the map's edge, is of no matter
     lateral = abs(query.middle[1])
-    per_metre[clearance < radius - lateral - ROUNDING * grid.resolution] = np.inf
+    per_metre[clearance < radius - lateral - CLEARANCE_ERROR * grid.resolution] = np.inf
     factor = max(ceil(sqrt(per_metre.size / MOST_CELLS)), 1)
     per_metre = _blocks(per_metre, factor, np.inf).min(axis=(1, 3))
     passable = np.asarray(_blocks(clear, factor, False).any(axis=(1, 3)))

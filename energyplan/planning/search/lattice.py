@@ -30,8 +30,7 @@ from energyplan.planning.space.queues import angle_between, pop, push, slot_of, 
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
 from energyplan.terrain.collision import in_cells, motion_free
 
-RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3
-"""Why a slice of the search ended."""
+RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3  # why a slice of the search ended
 
 MOTIONS = 10
 

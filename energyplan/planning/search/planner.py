@@ -116,10 +116,7 @@ def plan(
 
 
 def _find_more(paths: Paths, budget: Budget) -> float:
-    """Find further paths until a part of the budget is over, or the gap closed.
-
-    Return the units of work that are kept for a lower bound.
-    """
+    """Find further paths for a part of the budget; return the units that are kept for a bound."""
     searching = budget.part(SHARES.stage)
     kept = SHARES.aside * budget.left
     setting, portfolio = paths.setting, paths.portfolio
@@ -242,8 +239,7 @@ def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
     return path
 
 
-_MOST_POSES = 20
-"""Poses of the path that are joined, any two of them."""
+_MOST_POSES = 20  # poses of the path that are joined, any two of them
 
 
 def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:

@@ -49,8 +49,7 @@ from energyplan.planning.space.queues import (
     turning_by,
 )
 
-FACINGS = 16
-"""Number of sectors of headings that the search distinguishes."""
+FACINGS = 16  # number of sectors of headings that the search distinguishes
 
 
 class PricedRoute(NamedTuple):

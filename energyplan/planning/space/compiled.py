@@ -24,6 +24,7 @@ from energyplan.planning.space.motions import DIRECTIONS, LEVEL, Hills, KernelPr
 from energyplan.planning.space.prices import LeastPrices, Minorant, Prices, least_prices
 from energyplan.terrain import OccupancyGrid, Terrain
 from energyplan.terrain.collision import Body, pose_free
+from energyplan.terrain.terrain import MOST_CLASSES
 
 SHORT_TRACK = 1e-3
 """Radius of the pivots that replace spins where pivots are no cheaper than spins [m]."""
@@ -35,11 +36,7 @@ Optimal paths touch obstacles. The margin keeps them free under another rounding
 subdivision, and exceeds the effect of the collision kernels' tolerance.
 """
 
-LEVELS = 32
-"""Levels that the costs of a costmap are rounded to while searching, at most."""
-
-MOST_CLASSES = 255
-"""A cell's class is kept in one byte."""
+LEVELS = 32  # levels that the costs of a costmap are rounded to while searching, at most
 
 
 class Segments(NamedTuple):

@@ -28,8 +28,8 @@ from energyplan.compilation import (
     WordTable,
     inner,
     njit,
+    processors,
 )
-from energyplan.planning.budget import workers
 from energyplan.planning.settings import FREE
 from energyplan.terrain.collision import ALIGNED, TOUCH, Body, Space
 from energyplan.terrain.updates import Window
@@ -245,8 +245,7 @@ def free_rows(
                     masks[out_row, (column // group) * step + shift_column] |= square[bit]
 
 
-HEADINGS = 64
-"""Headings, the first along the map's columns: as many as a word has bits."""
+HEADINGS = 64  # headings, the first along the map's columns: as many as a word has bits
 
 
 class Runs(NamedTuple):
@@ -406,7 +405,7 @@ def _masks(
     levels = max(ceil(2 * reach + 3).bit_length(), 1)
     runs_of_map = run_levels(rows_of_bits(blocked, pad), levels)
     bands = np.linspace(0, -(-rows // group), min(FREE.bands, rows) + 1).astype(int) * group
-    count = workers() if threads is None else threads
+    count = processors() if threads is None else threads
     with ThreadPoolExecutor(count) as pool:
         for part in range(parts * parts):
             shift_row, shift_column = divmod(part, parts)

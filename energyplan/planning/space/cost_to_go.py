@@ -166,11 +166,7 @@ def fill_cost_to_go(
     direction: Singles,
     parent: ShortInts,
 ) -> int:
-    """Write the distance of the nodes from the goal, over 16 neighbours; return the work.
-
-    Nodes wait in buckets by their distance, as wide as the shortest step: lists in `nodes`, linked
-    by `older`. A node whose distance is lowered after its expansion is expanded once more.
-    """
+    """Write the distance of the nodes from the goal, over 16 neighbours; return the work."""
     across = places.columns + 2 * RIM
     lengths = np.empty(STEPS)
     for k in range(STEPS):
@@ -430,10 +426,7 @@ def fill_regions(
     ground: MetrePrices,
     distance: Singles,
 ) -> int:
-    """Write the distance of every region from `start`, or to it; return the work.
-
-    It ends at `limit`, a little beyond the distance of the region `stop`.
-    """
+    """Write the distance of every region from `start`, or to it, until `limit`; return the work."""
     count = len(regions.x)
     closed = np.zeros(count, np.bool_)
     for region in range(count):

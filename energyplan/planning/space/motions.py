@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, njit
 from energyplan.cost.steering import StaticSteering
-from energyplan.path import Pose
+from energyplan.path import STILL, Pose
 from energyplan.steering.forwards import arcs_forwards, forward_energy, forward_path
 from energyplan.steering.kernels import (
     MAX_SEGMENTS,
@@ -32,14 +32,8 @@ from energyplan.steering.kernels import (
 )
 from energyplan.terrain.collision import Body, Space, in_cells, motion_free
 
-DIRECTIONS = 128
-"""Rays of the price table; a multiple of 8."""
-
-STILL = 1e-6
-"""Arc lengths below this count as turning on the spot [m]."""
-
-TURN = 0.1
-"""Turn by which the slope along the heading is looked up anew [rad]."""
+DIRECTIONS = 128  # rays of the price table; a multiple of 8
+TURN = 0.1  # turn by which the slope along the heading is looked up anew [rad]
 
 
 class Hills(NamedTuple):
@@ -58,8 +52,7 @@ class Hills(NamedTuple):
 
 _FLAT = np.zeros((1, 1))
 _FLAT.setflags(write=False)  # as those of a `HeightMap`: the kernels are compiled for one kind
-LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1, 1.0)
-"""Level ground."""
+LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1, 1.0)  # level ground
 
 
 class KernelProblem(NamedTuple):

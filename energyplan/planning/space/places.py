@@ -39,14 +39,9 @@ from energyplan.planning.space.queues import STEP_COLUMNS, STEP_ROWS
 from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import Window, tables_of
 
-RIM = 2
-"""Empty rows and columns about the places, so that no neighbour is off the map."""
-
-STEPS = 16
-"""Neighbours of a place that a route may lead to."""
-
-NEIGHBOURS = 8
-"""Neighbours of a place, the first of these, that decide what is connected."""
+RIM = 2  # empty rows and columns about the places, so that no neighbour is off the map
+STEPS = 16  # neighbours of a place that a route may lead to
+NEIGHBOURS = 8  # neighbours of a place, the first of these, that decide what is connected
 
 
 class Places(NamedTuple):

@@ -26,12 +26,10 @@ from energyplan.terrain.grid import from_raster
 
 Value = TypeVar("Value")
 
-BINS = 65
-"""Slopes in the price tables of the kernels; odd, so that level ground is one of them."""
+BINS = 65  # slopes in the price tables of the kernels; odd, so that level ground is one of them
 
 
-FLAT = 1e-9
-"""Slopes below this are none."""
+FLAT = 1e-9  # slopes below this are none
 
 
 _remembered: WeakKeyDictionary[Any, dict[Hashable, tuple[Callable[[], Any], Any]]]
@@ -45,13 +43,9 @@ def remembered(owner: Any, part: Any, key: Hashable, make: Callable[[], Value]) 
     if known is None or known[0]() is not part:
         if len(kept) >= SLOPES.remembered:
             kept.clear()
-        known = ref(part) if part is not None else _nothing, make()
+        known = ref(part) if part is not None else lambda: None, make()
         kept[id(part), key] = known
     return cast("Value", known[1])
-
-
-def _nothing() -> None:
-    """Return None, as a reference to a missing part."""
 
 
 def steepest(grid: OccupancyGrid, heights: HeightMap, radius: float) -> float:
@@ -185,8 +179,7 @@ def _degrees(steep: float) -> float:
     return float(np.degrees(np.arctan(steep)))
 
 
-TIE_BREAK = 0.01
-"""Weight of the energy, as metres of straight driving, in the length objective."""
+TIE_BREAK = 0.01  # weight of the energy, as metres of straight driving, in the length objective
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +197,7 @@ class Prices:
 
     @cached_property
     def _weights(self) -> tuple[float, float, float]:
-        """Weights of energy, length and time.
-
-        Of the routes of one length the one of least energy is wanted, so length counts energy too.
-        """
+        """Weights of energy, length and time; of one length the least energy is wanted."""
         given = objective_weights(self.objective)
         length = given.get("length", 0.0)
         tie = TIE_BREAK / float(self.cost.segment_energy(1.0, 0.0))

@@ -80,11 +80,7 @@ def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
 
 @inner
 def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
-    """Return the slot of a key in a hash table: its own, or the empty one where it belongs.
-
-    The table holds nodes, -1 where it is empty, and its size is a power of two; `keys` holds the
-    nodes' keys.
-    """
+    """Return the slot of a key in a hash table, or the empty one (-1) where it belongs."""
     mask = len(table) - 1
     slot = (key * 0x9E3779B97F4A7C1) >> 17 & mask
     while table[slot] >= 0 and keys[table[slot]] != key:

@@ -26,16 +26,12 @@ from energyplan.terrain.collision import Body, pose_free
 BLOCKED = 2
 """What is known of a pose that is not free; else the end from which it was reached, 0 or 1."""
 
-BITS = 20
-"""Bits of a place's number along either axis."""
-
-NEIGHBOURS = 10
-"""Neighbours of a pose: eight places, and two headings."""
+BITS = 20  # bits of a place's number along either axis
+NEIGHBOURS = 10  # neighbours of a pose: eight places, and two headings
 
 STEP_I = np.array([1, 1, 0, -1, -1, -1, 0, 1, 0, 0])
 STEP_J = np.array([0, 1, 1, 1, 0, -1, -1, -1, 0, 0])
-STEP_H = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, -1])
-"""Steps to them."""
+STEP_H = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, -1])  # steps to them
 
 
 def through_passage(

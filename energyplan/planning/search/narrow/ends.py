@@ -37,8 +37,7 @@ from energyplan.planning.space.queues import pop, push, slot_of
 from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import Body, Space, motion_free, pose_free
 
-KINDS = 8
-"""Straight forwards and backwards, spins both ways, pivots about either tread both ways."""
+KINDS = 8  # straight forwards and backwards, spins both ways, pivots about either tread both ways
 
 
 class Escape(NamedTuple):
