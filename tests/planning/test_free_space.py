@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from by_day import by_day
 
-from energyplan.path import Pose
+from energyplan import OccupancyGrid, Pose
 from energyplan.planning.space.configurations import HEADINGS, free_space
-from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body, poses_free
 
 # sides that are no multiples of a part of a cell: rounding decides no touch
