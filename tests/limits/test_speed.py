@@ -45,7 +45,7 @@ def random_path(rng, segments=None):
 
 def tread_length(path, icr):
     left, right = path.ds - icr.left * path.dtheta, path.ds + icr.right * path.dtheta
-    return np.maximum(np.abs(left), np.abs(right)), left, right
+    return np.maximum(np.abs(left), np.abs(right))
 
 
 def shortest_time_lp(path, vehicle, lateral, nodes=150):
@@ -54,7 +54,7 @@ def shortest_time_lp(path, vehicle, lateral, nodes=150):
     Within a cell the acceleration is constant, so every solution can be driven: its time is an
     upper bound that falls to the minimum as the grid is refined.
     """
-    length, _, _ = tread_length(path, vehicle.icr)
+    length = tread_length(path, vehicle.icr)
     motor, total = vehicle.motor, 0.0
     for k, whole in enumerate(length):
         cap = motor.speed
@@ -63,8 +63,7 @@ def shortest_time_lp(path, vehicle, lateral, nodes=150):
         if path.ds[k] and path.dtheta[k]:
             cap = min(cap, np.sqrt(lateral * whole**2 / abs(path.ds[k] * path.dtheta[k])))
         step = whole / nodes
-        change = diags_array([-np.ones(nodes), np.ones(nodes)], offsets=[0, 1],
-                             shape=(nodes, nodes + 1))  # fmt: skip
+        change = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(nodes, nodes + 1))
         bounds = np.tile([0.0, cap**2], (nodes + 1, 1))
         bounds[[0, -1]] = 0.0
         solved = linprog(
@@ -82,7 +81,7 @@ def least_cost_dp(model, ds, dtheta, price=0.0, cells=100, levels=400):
     """Least energy plus `price` times duration from standstill to standstill, by dynamic
     programming over squared tread rates on one arc."""
     vehicle = model.vehicle
-    whole = float(tread_length(Path(START, [ds], [dtheta]), vehicle.icr)[0][0])
+    whole = float(tread_length(Path(START, [ds], [dtheta]), vehicle.icr)[0])
     step = whole / cells
     square = np.linspace(0.0, vehicle.motor.speed**2, levels + 1)
     rate = np.sqrt(square)
@@ -340,7 +339,7 @@ def test_splitting_a_segment_changes_nothing():
 def test_without_an_acceleration_limit_the_profile_is_length_over_speed():
     path = Path(START, [2.0, 1.5, 0.0], [0.0, 1.0, 1.0])
     vehicle = replace(PAPER.vehicle, motor=MotorLimits(speed=0.8, acceleration=np.inf))
-    length, _, _ = tread_length(path, vehicle.icr)
+    length = tread_length(path, vehicle.icr)
     found = profile(path, PAPER, vehicle=vehicle).duration
     assert found == pytest.approx(length.sum() / 0.8, rel=1e-5)
 
