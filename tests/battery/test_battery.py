@@ -296,6 +296,7 @@ BatteryError: plain(min_charge_temperature=50.0, max_charge_temperature=45.0) | 
 BatteryError: plain().simulate([0.0, 0.0], [1.0, 1.0]) | does not increase
 BatteryError: plain().simulate([0.0, 1.0], [np.nan, 1.0]) | power is not finite at sample
 BatteryError: plain().simulate([0.0, 1.0], [1.0, 1.0], soc=1.5) | soc is 1\.5
+BatteryError: plain().usable_energy(60.0, 1.5) | soc must be a fraction
 UnknownNameError: Battery.preset("none") | battery preset
 # words: all that is missing is said at once
 BatteryError: Battery.of("20 Ah") | (?=.*voltage)(?=.*chemistry).*24 V 20 Ah lead-acid
