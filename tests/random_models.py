@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, MotorLimits, PowerModel, TreadICR
 from energyplan.errors import ModelError
-from energyplan.power import PowerModel
 from energyplan.power.effects import term
 from energyplan.power.empirical import empirical_term
-from energyplan.vehicle import MotorLimits, TreadICR
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 SIZES = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import os
 import shutil
 import subprocess
@@ -11,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import commands
 import numba
 import numpy as np
 import pytest
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from typing_extensions import TypeAliasType
 
 import energyplan
-from energyplan import cli
 from energyplan.compilation import KERNELS, _numba_type, cache_folder, kernel_modules
 
 PACKAGE = Path(energyplan.__file__).parent
@@ -47,10 +46,8 @@ def run(
     )
 
 
-@pytest.fixture
-def copy(tmp_path: Path) -> Path:
-    """Folder with a copy of the package and three kernels more, each calling the next one."""
-    target = tmp_path / "copy"
+def copied(target: Path) -> Path:
+    """Copy the package to a folder, with three kernels more, each of which calls the next one."""
     ignored = shutil.ignore_patterns("__pycache__", "bundle")
     shutil.copytree(PACKAGE, target / "energyplan", ignore=ignored)
     small = {
@@ -64,6 +61,21 @@ def copy(tmp_path: Path) -> Path:
         head = "from energyplan.compilation import njit\n"
         (target / "energyplan" / f"{name}.py").write_text(head + text)
     return target
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    return copied(tmp_path / "copy")
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with such a copy, and with a folder in which its three kernels are kept."""
+    folder = tmp_path_factory.mktemp("compiled")
+    kept = str(folder / "new" / "kept")
+    first = run(CALL, path=copied(folder / "copy"), ENERGYPLAN_CACHE_DIR=kept)
+    assert first.stdout.split() == ["31.0", "outer", "middle", "deep"], first.stderr
+    return folder
 
 
 def test_an_edit_two_calls_away_changes_what_runs(copy: Path, tmp_path: Path) -> None:
@@ -168,9 +180,9 @@ def test_a_message_of_an_error_recompiles_nothing(copy: Path) -> None:
         assert run(code, path=copy, PYTHONHASHSEED="0").stdout.split() == first
 
 
-def test_a_damaged_file_is_a_miss(copy: Path, tmp_path: Path) -> None:
-    kept = tmp_path / "kept"
-    run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=str(kept))
+def test_a_damaged_file_is_a_miss(compiled: Path, tmp_path: Path) -> None:
+    copy, kept = compiled / "copy", tmp_path / "kept"
+    shutil.copytree(compiled / "new" / "kept", kept)
     files = sorted(kept.rglob("*.nbc"))
     assert len(files) == 3
     for content in (b"no machine code", files[0].read_bytes()[:-100]):
@@ -197,25 +209,28 @@ def test_without_a_folder_the_library_warns_once_and_works(copy: Path, unwritabl
     assert "ENERGYPLAN_CACHE_DIR" in found.stderr
 
 
-def test_without_a_home_machine_code_is_kept_among_temporary_files(tmp_path: Path) -> None:
-    code = (
-        "import os, pathlib\n"
-        "def no_home(): raise RuntimeError('no home')\n"
-        "pathlib.Path.home = no_home\n"
-        "from energyplan.compilation import cache_folder\n"
-        "print(cache_folder())\n"
-        "del os.getuid\n"
-        "print(cache_folder())"
-    )
-    found = run(code, TMPDIR=str(tmp_path), XDG_CACHE_HOME="").stdout.split()
-    assert found == [str(tmp_path / f"energyplan-{os.getuid()}"), str(tmp_path / "energyplan")]
+NO_HOME = """
+import os, pathlib
+def no_home(): raise RuntimeError('no home')
+pathlib.Path.home = no_home
+"""
 
 
-def test_a_home_or_a_shared_folder_without_a_name_is_none(tmp_path: Path) -> None:
-    code = "from energyplan.compilation import cache_folder\nprint(cache_folder())"
-    for given in ({"HOME": "", "XDG_CACHE_HOME": ""}, {"HOME": "", "XDG_CACHE_HOME": "here"}):
-        found = run(code, TMPDIR=str(tmp_path), **given).stdout.split()
-        assert found == [str(tmp_path / f"energyplan-{os.getuid()}")]
+@pytest.mark.parametrize(
+    ("before", "environment", "kept"),
+    [
+        ("", {"HOME": "", "XDG_CACHE_HOME": ""}, f"energyplan-{os.getuid()}"),
+        ("", {"HOME": "", "XDG_CACHE_HOME": "here"}, f"energyplan-{os.getuid()}"),
+        (NO_HOME, {"XDG_CACHE_HOME": ""}, f"energyplan-{os.getuid()}"),
+        (NO_HOME + "del os.getuid\n", {"XDG_CACHE_HOME": ""}, "energyplan"),
+    ],
+)
+def test_without_a_home_machine_code_is_kept_among_temporary_files(
+    tmp_path: Path, before: str, environment: dict[str, str], kept: str
+) -> None:
+    code = before + "from energyplan.compilation import cache_folder\nprint(cache_folder())"
+    found = run(code, TMPDIR=str(tmp_path), **environment).stdout.split()
+    assert found == [str(tmp_path / kept)]
 
 
 @pytest.mark.parametrize("inner", [False, True])
@@ -228,11 +243,11 @@ def test_a_home_or_a_shared_folder_without_a_name_is_none(tmp_path: Path) -> Non
     ],
 )
 def test_code_that_others_could_have_written_is_not_run(
-    copy: Path, tmp_path: Path, mode: int, owner: int | None, told: str, inner: bool
+    compiled: Path, tmp_path: Path, mode: int, owner: int | None, told: str, inner: bool
 ) -> None:
     """Code is kept in a folder for this user alone; planted code would print another number."""
-    kept = tmp_path / "new" / "kept"
-    assert run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=str(kept)).stdout.split()[0] == "31.0"
+    copy, kept = compiled / "copy", tmp_path / "kept"
+    shutil.copytree(compiled / "new" / "kept", kept)
     folders = [kept, *(one for one in kept.iterdir() if one.is_dir())]
     assert {folder.stat().st_mode & 0o777 for folder in folders} == {0o700}
     if owner is not None and os.getuid() != 0:
@@ -310,9 +325,8 @@ def test_kernels_are_compiled_ahead_side_by_side(many: Path, tmp_path: Path) -> 
 def test_without_a_second_process_the_first_does_it_all(many: Path, tmp_path: Path) -> None:
     for nobody in ("/nowhere/python", "/bin/false"):
         code = f"import sys\nsys.executable = {nobody!r}\n" + MANY
-        found = run(
-            code, path=many, ENERGYPLAN_CACHE_DIR=str(tmp_path / nobody[1:].replace("/", ""))
-        )
+        kept = str(tmp_path / nobody[1:].replace("/", ""))
+        found = run(code, path=many, ENERGYPLAN_CACHE_DIR=kept)
         assert found.stdout.startswith("7 0 2 True 20.0\n"), found.stderr
 
 
@@ -359,21 +373,15 @@ def test_annotations_mean_the_same_with_each_kind_of_alias(number: type[np.gener
         assert _numba_type(Annotated[array, 2]) == expected
 
 
-def test_warmup_compiles_and_tells_what(
+def test_warmup_compiles_and_says_what(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ENERGYPLAN_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(
-        "energyplan.compilation.kernel_modules", lambda: ["energyplan.planning.space.queues"]
-    )
-    monkeypatch.setattr(sys, "argv", ["energyplan", "warmup", "--json"])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert end.value.code == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["folder"] == str(tmp_path)
-    assert told["kept"] is True
-    assert len(told["compiled"]) + told["found"] > 0
+    modules = ["energyplan.planning.space.queues"]
+    monkeypatch.setattr("energyplan.compilation.kernel_modules", lambda: modules)
+    said = commands.run(capsys, "warmup", "--json").json
+    assert (said["folder"], said["kept"]) == (str(tmp_path), True)
+    assert len(said["compiled"]) + said["found"] > 0
 
 
 # -- nothing is compiled while the clock runs -----------------------------------------------------
@@ -383,7 +391,7 @@ import numpy as np
 import shapely
 import energyplan as ep
 from numba.core import event
-from energyplan.compilation import KERNELS, _numba_type
+from energyplan.compilation import KERNELS
 from energyplan.planning.search import planner
 from energyplan.power import HOTEL
 from energyplan.reach import energy_map
@@ -403,12 +411,16 @@ class Listener(event.Listener):
         pass
 
 
-def problem(cost=COST, size=100, resolution=0.1, start=(1.5, 1.5, 0.0), **more):
-    blocked = np.zeros((size, size), bool)
-    blocked[size // 3 : size // 3 + 3, : 2 * size // 3] = True
-    far = size * resolution - 1.5
-    grid = ep.OccupancyGrid(blocked, resolution)
-    return ep.PlanningProblem(grid, cost, start, (1.5, far, 2.0), **more)
+def rest():
+    Listener.seen.clear()
+    at_rest.update({name: set(kernel.overloads) for name, kernel in KERNELS.items()})
+
+
+def problem(cost=COST, start=(1.5, 1.5, 0.0), **more):
+    blocked = np.zeros((100, 100), bool)
+    blocked[33:36, :66] = True
+    grid = ep.OccupancyGrid(blocked, 0.1)
+    return ep.PlanningProblem(grid, cost, start, (1.5, 8.5, 2.0), **more)
 
 
 rough = ep.PowerModel.preset("quadriga:full:concrete")
@@ -422,17 +434,14 @@ KINDS = {
     "length": lambda: problem(objective="length"),
     "time": lambda: problem(objective={"energy": 1.0, "time": 20.0}),
     "tight": lambda: problem(start=(1.5, 3.297 - MODEL.vehicle.footprint[:, 1].max(), 0.0)),
-    "big": lambda: problem(size=500, resolution=0.2),
 }
-late = []
-at_rest = []
+at_rest = {}
 original = planner.compile_kernels
 
 
 def watched(*modules, load):
     made = original(*modules, load=True)  # as where a clock is about to start
-    Listener.seen.clear()
-    at_rest[:] = [{name: set(kernel.overloads) for name, kernel in KERNELS.items()}]
+    rest()
     return made
 
 
@@ -444,13 +453,12 @@ for planner, name in WAYS:
         assert ep.compare(kind, effort=5_000).saving >= -1e-9
     elif planner == "range":
         energy_map(kind, energy=2e3)  # no clock runs: what it calls may be compiled then
-        Listener.seen.clear()
-        at_rest[:] = [{name: set(kernel.overloads) for name, kernel in KERNELS.items()}]
+        rest()
     elif planner == "drive":
         assert ep.plan(kind, effort=1_000).driven.energy > 0
     else:
         assert ep.plan(kind, planner=planner, effort=5_000).energy > 0
-    late = [n for n, k in KERNELS.items() if set(k.overloads) - at_rest[0].get(n, set())]
+    late = [n for n, k in KERNELS.items() if set(k.overloads) - at_rest.get(n, set())]
     print(planner, name, "late:", *late, *Listener.seen)
 """
 """Plan in ways, and print what was loaded or compiled after the planner said that all is ready."""

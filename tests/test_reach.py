@@ -11,54 +11,37 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 import shapely
+from refusals import check_refusal, lines
+from worlds import COST, room
 
-from energyplan import (
-    EnergyCost,
-    OccupancyGrid,
-    PlanningProblem,
-    Pose,
-    PowerModel,
-    energy_map,
-    plan,
-    steering,
-)
-from energyplan.errors import (
-    InvalidInputError,
-    MapError,
-    PlanningError,
-    StartInCollisionError,
-)
+from energyplan import EnergyCost, PlanningProblem, Pose, energy_map, plan, steering
+from energyplan.errors import MapError, PlanningError
 from energyplan.io.tables import write_contours, write_energies
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import Residual
 from energyplan.reach import upper_prices
 
-COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+HALL = room(90, 120, 0.1, np.s_[30:90, 58:62])
 
 
-def hall(origin=(0.0, 0.0, 0.0)) -> OccupancyGrid:
-    occupied = np.zeros((90, 120), bool)
-    occupied[30:90, 58:62] = True
-    return OccupancyGrid(occupied, 0.1, origin)
+def problem(cost=COST, goal=(3, 6, 1.0), start=(3, 6, 1.0), **more) -> PlanningProblem:
+    return PlanningProblem(HALL, cost, start, goal, **more)
 
 
 @pytest.fixture(scope="module")
 def found():
-    return energy_map(PlanningProblem(hall(), COST, (3, 6, 1.0), (3, 6, 1.0)))
+    return energy_map(problem())
 
 
 def test_energies_are_never_below_the_least_without_obstacles(found):
-    rows, columns = found.energy.shape
-    place = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
+    place = np.indices(found.energy.shape)[::-1].reshape(2, -1).T
     reached = np.isfinite(found.energy).ravel()
     headings = np.linspace(-np.pi, np.pi, 25)
     corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5)])
     least = np.full(len(place), np.inf)
     for corner in corners:
         xy = (place + corner) * found.resolution
-        poses = np.concatenate(
-            [np.repeat(xy, 25, axis=0), np.tile(headings, len(xy))[:, None]], axis=1
-        )
+        poses = np.column_stack([np.repeat(xy, 25, axis=0), np.tile(headings, len(xy))])
         free = steering.energy(np.array([3, 6, 1.0]), poses, COST).reshape(-1, 25).min(axis=1)
         least = np.minimum(least, free)
     # from a pose between those tried one of them is half a place away, at worst sideways, and half
@@ -71,9 +54,8 @@ def test_energies_are_never_below_the_least_without_obstacles(found):
 
 @pytest.mark.parametrize("goal", [(10.5, 7.5), (8.0, 1.0), (2.0, 1.5)])
 def test_energies_are_close_to_those_of_single_plans(found, goal):
-    problem = PlanningProblem(hall(), COST, (3, 6, 1.0), (*goal, 0.0))
     single = min(
-        plan(replace(problem, goal=Pose(*goal, yaw)), effort=1_000_000, gap=0.1).energy
+        plan(problem(goal=(*goal, yaw)), effort=1_000_000, gap=0.1).energy
         for yaw in np.arange(4) * np.pi / 2
     )
     slack = float(COST.segment_energy(np.sqrt(0.5) * found.resolution, 0.0))
@@ -81,24 +63,22 @@ def test_energies_are_close_to_those_of_single_plans(found, goal):
 
 
 def test_there_and_back_takes_more_and_a_limit_cuts_off(found):
-    problem = PlanningProblem(hall(), COST, (3, 6, 1.0), (3, 6, 1.0))
-    both = energy_map(problem, back=(3, 6, 1.0))
+    both = energy_map(problem(), back=(3, 6, 1.0))
     reached = np.isfinite(both.energy) & np.isfinite(found.energy)
     assert reached.sum() > 800
     assert np.all(both.energy[reached] >= found.energy[reached])
     # a way can be driven back along itself, at the same price for this model
     assert np.median(both.energy[reached] / np.maximum(found.energy[reached], 1.0)) < 2.2
-    near = energy_map(problem, energy=1500.0)
+    near = energy_map(problem(), energy=1500.0)
     assert np.array_equal(np.isfinite(near.energy), found.energy <= 1500.0)
     assert near.complete_to == 1500.0
     assert near.reachable(1500.0) == found.reachable(1500.0) < found.reachable(3000.0)
 
 
 def test_contours_hold_one_another_and_their_places():
-    turned = hall((2.0, -1.0, 0.5))
-    x, y = turned.to_world(np.array([30.0, 60.0]))
-    start = Pose(float(x), float(y), 1.5)
-    made = energy_map(PlanningProblem(turned, COST, start, start))
+    turned = replace(HALL, origin=Pose(2.0, -1.0, 0.5))
+    start = Pose(*turned.to_world([30.0, 60.0]), 1.5)
+    made = energy_map(replace(problem(), map=turned, start=start, goal=start))
     areas = made.contours([3000.0, 1000.0, 2000.0])
     assert [a.energy for a in areas] == [1000.0, 2000.0, 3000.0]
     for small, large in pairwise(areas):
@@ -124,16 +104,6 @@ def test_files(found, tmp_path):
         write_energies(replace(found, origin=Pose(0.0, 0.0, 0.3)), tmp_path / "no.asc")
 
 
-def test_what_cannot_be_is_refused():
-    problem = PlanningProblem(hall(), COST, (3, 6, 1.0), (3, 6, 1.0))
-    with pytest.raises(InvalidInputError, match="positive"):
-        energy_map(problem, energy=0.0)
-    with pytest.raises(InvalidInputError, match="objective"):
-        energy_map(replace(problem, objective="time"))
-    with pytest.raises(StartInCollisionError):
-        energy_map(replace(problem, start=(6.0, 6.0, 0.0)))
-
-
 def doubtful(covariance: np.ndarray, residual: Residual | None = None) -> EnergyCost:
     """Return a cost whose model has a covariance."""
     return EnergyCost(replace(COST.model, covariance=covariance, residual=residual))
@@ -142,17 +112,15 @@ def doubtful(covariance: np.ndarray, residual: Residual | None = None) -> Energy
 def test_one_unknown_scales_all_prices():
     error = 0.1 * COST.model.coefficients
     cost = doubtful(np.outer(error, error))
-    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
-    query = CompiledProblem(problem)
+    query = CompiledProblem(problem(cost))
     upper = upper_prices(query, 0.95, 0.0)
     share = 0.1 * NormalDist().inv_cdf(0.95)
     assert upper.extra == pytest.approx(share * query.prices, rel=1e-6)
-    sure = energy_map(problem, back=(10, 5, 0), confidence=0.95)
-    expected = energy_map(problem, back=(10, 5, 0))
+    sure = energy_map(problem(cost), back=(10, 5, 0), confidence=0.95)
+    expected = energy_map(problem(cost), back=(10, 5, 0))
     # prices in proportion are rounded otherwise: of two motions that cost the same another is taken
-    ratio = sure.energy_at([(10, 7), (8, 1), (2, 4)]) / expected.energy_at(
-        [(10, 7), (8, 1), (2, 4)]
-    )
+    places = [(10, 7), (8, 1), (2, 4)]
+    ratio = sure.energy_at(places) / expected.energy_at(places)
     assert ratio == pytest.approx(1 + share, rel=0.03)
     assert sure.confidence == 0.95
 
@@ -163,14 +131,13 @@ def test_told_with_confidence_is_what_so_many_robots_take_at_most(goal):
     root = np.array([[0.08, 0.0], [5.0, 9.0]])
     missed = Residual(20.0, 15.0, 0.0, 0.03, correlation_time=0.8, duration=300.0)
     cost = doubtful(root @ root.T, missed)
-    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
-    sure = float(energy_map(problem, confidence=0.95).energy_at(goal))
-    expected = float(energy_map(problem).energy_at(goal))
+    sure = float(energy_map(problem(cost), confidence=0.95).energy_at(goal))
+    expected = float(energy_map(problem(cost)).energy_at(goal))
     # the path of least expected energy to some heading there, as each robot pays for it
     found = []
     for yaw in np.arange(4) * np.pi / 2:
         with suppress(PlanningError):
-            found.append(plan(replace(problem, goal=(*goal, yaw)), effort=3000))
+            found.append(plan(problem(cost, (*goal, yaw)), effort=3000))
     near = min(found, key=lambda one: one.energy)
     by_term = np.array([near.breakdown[t.name] for t in cost.model.terms])
     drawn = cost.model.coefficients + rng.normal(size=(4000, 2)) @ root.T
@@ -183,18 +150,22 @@ def test_told_with_confidence_is_what_so_many_robots_take_at_most(goal):
     assert sure / expected <= 1.25 * share
 
 
-def test_a_model_that_missed_all_energy_tells_nothing_with_confidence():
-    cost = doubtful(np.eye(2), Residual(20.0, 15.0, 0.0, energy_error=-np.inf))
-    problem = PlanningProblem(hall(), cost, (3, 6, 1.0), (3, 6, 1.0))
-    with pytest.raises(InvalidInputError, match="which measured none"):
-        energy_map(problem, confidence=0.95)
+def test_a_coefficient_spread_stands_for_what_is_not_known_of_a_model(found):
+    spread = energy_map(problem(), confidence=0.95, coefficient_spread=0.1)
+    assert spread.energy_at((8, 1)) > found.energy_at((8, 1))
 
 
-def test_nothing_known_of_a_model_is_nothing_told_with_confidence():
-    problem = PlanningProblem(hall(), COST, (3, 6, 1.0), (3, 6, 1.0))
-    with pytest.raises(InvalidInputError, match="state a coefficient spread"):
-        energy_map(problem, confidence=0.95)
-    with pytest.raises(InvalidInputError, match=r"0\.5 to below 1"):
-        energy_map(problem, confidence=95, coefficient_spread=0.1)
-    spread = energy_map(problem, confidence=0.95, coefficient_spread=0.1)
-    assert spread.energy_at((8, 1)) > energy_map(problem).energy_at((8, 1))
+LOST = Residual(20.0, 15.0, 0.0, energy_error=-np.inf)
+REFUSED = r"""
+InvalidInputError: energy_map(problem(), energy=0.0) | positive
+InvalidInputError: energy_map(problem(objective="time")) | objective
+StartInCollisionError: energy_map(problem(start=(6.0, 6.0, 0.0))) | start
+InvalidInputError: energy_map(problem(doubtful(np.eye(2), LOST)), confidence=0.95) | measured none
+InvalidInputError: energy_map(problem(), confidence=0.95) | state a coefficient spread
+InvalidInputError: energy_map(problem(), confidence=95, coefficient_spread=0.1) | 0\.5 to below 1
+"""
+
+
+@pytest.mark.parametrize("case", lines(REFUSED))
+def test_bad_input_is_refused(case):
+    check_refusal(case, globals())

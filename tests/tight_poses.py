@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -119,6 +120,7 @@ def turning_room(grid: OccupancyGrid, robot: Vehicle, pose: Pose) -> float:
     return total
 
 
+@cache
 def tight_problem(seed: int) -> tuple[PlanningProblem, Path]:
     """Return a problem whose start or goal, or both, have hardly any room, and a path.
 

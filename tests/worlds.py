@@ -1,9 +1,22 @@
-"""Maps with boxes at random or a wall, free poses on them, and a battery of any size."""
+"""Maps with boxes at random or a wall, free poses on them, a robot and a battery of any size."""
+
+from pathlib import Path
 
 import numpy as np
 
-from energyplan.battery import Battery
-from energyplan.terrain import OccupancyGrid
+from energyplan import Battery, EnergyCost, OccupancyGrid, PowerModel, Vehicle
+
+MODEL = PowerModel.preset("quadriga:empty:concrete")
+COST = EnergyCost(MODEL)
+MAPS = Path(__file__).resolve().parents[1] / "maps"
+
+
+def room(rows, columns, resolution, *boxes, origin=(0.0, 0.0, 0.0)):
+    """Return a map of so many cells, free but for boxes: slices of rows and of columns."""
+    occupied = np.zeros((rows, columns), bool)
+    for box in boxes:
+        occupied[box] = True
+    return OccupancyGrid(occupied, resolution, origin)
 
 
 def cluttered(seed, count=14):
@@ -16,18 +29,25 @@ def cluttered(seed, count=14):
     return OccupancyGrid(occupied, 0.05)
 
 
-def free_poses(grid, count, seed, vehicle):
+def free_poses(grid, count, seed, vehicle=COST.vehicle, draws=400):
     """Return poses at which a vehicle is free."""
     rng = np.random.default_rng(seed)
-    poses = rng.uniform((0, 0, -np.pi), (*grid.size, np.pi), (400, 3))
+    poses = rng.uniform((0, 0, -np.pi), (*grid.size, np.pi), (draws, 3))
+    poses[:, :2] = grid.to_world(poses[:, :2] / grid.resolution)
     return poses[grid.footprint_free(poses, vehicle)][:count]
 
 
 def walled(door):
     """Return a room of 10 m by 8 m with a wall across it, with or without a door at the top."""
-    occupied = np.zeros((80, 100), bool)
-    occupied[: 60 if door else 80, 48:52] = True
-    return OccupancyGrid(occupied, 0.1)
+    return room(80, 100, 0.1, np.s_[: 60 if door else 80, 48:52])
+
+
+def box_robot(length, width, wheelbase=0.6, track=0.8):
+    """Return a robot of some length and width [m], which its wheels take up to some part."""
+    return Vehicle.from_geometry(
+        "robot", mass=40.0, wheelbase=wheelbase * length, track=track * width, length=length,
+        width=width,
+    )  # fmt: skip
 
 
 def tiny(energy):

@@ -39,11 +39,8 @@ def test_every_effect_of_level_ground_is_tried():
         if entry.acts == "motion" and not set(made.channels) and entry.planner != "no"
     }
     steady = {"specific_force", "tilt_x", "tilt_y", "warm_up"}  # nothing on level ground
-    returned = {
-        "drive_efficiency",
-        "regeneration_efficiency",
-    }  # the vehicle's efficiencies stand for them
-    assert flat - steady - returned == set(SIZES)
+    vehicles = {"drive_efficiency", "regeneration_efficiency"}  # its own stand for them
+    assert flat - steady - vehicles == set(SIZES)
 
 
 BY_DAY = (1, 3, 5, 8, 9, 11, 12, 16)
@@ -112,9 +109,8 @@ def test_no_motion_on_surfaces_and_slopes_costs_less(seed):
         pytest.skip("no model: some motion would cost nothing")
     rng = np.random.default_rng(seed)
     icr = replace(cost.icr, left=cost.icr.left * 1.3)
-    other = PowerModel.paper(
-        replace(cost.vehicle, icr=icr), K=rng.uniform(60, 200), mu=rng.uniform(0.3, 0.9)
-    )
+    wider = replace(cost.vehicle, icr=icr)
+    other = PowerModel.paper(wider, K=rng.uniform(60, 200), mu=rng.uniform(0.3, 0.9))
     cost = replace(cost, model=with_weight(cost.model))
     ground = SurfaceMap((Surface(shapely.box(0, 0, 1, 1), with_weight(other)),))
     objective = Prices(cost, ground, {"energy": 1.0, "time": [0.0, 70.0][seed % 2]})

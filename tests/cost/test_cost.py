@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import check_refusal, lines
 
 from energyplan import (
     EnergyCost,
@@ -18,9 +19,10 @@ from energyplan import (
     Vehicle,
     steering,
 )
-from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
+from energyplan.cost.speeds import parse_speed
+from energyplan.errors import MissingChannelError
 from energyplan.power import HOTEL, TRACTION, Term
-from energyplan.power.effects import GRADE, VISCOUS_LOSS, term
+from energyplan.power.effects import GRADE, VISCOUS_LOSS
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 C = MODEL.vehicle.icr.half_track
@@ -38,10 +40,15 @@ def random_elements(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return ds, dtheta
 
 
-def test_static_cost_is_the_closed_form() -> None:
+@pytest.mark.parametrize("hotel", [0.0, 60.0])
+def test_cost_is_the_closed_form(hotel: float) -> None:
+    """A hotel load adds the time at the speed limit."""
+    model = with_vehicle(MODEL, motor=MotorLimits(speed=1.2)).with_term(HOTEL, hotel)
     ds, dtheta = random_elements(1000)
     expected = 2 * K * np.maximum(abs(ds), C * abs(dtheta)) + 2 * C * SLIP_FORCE * abs(dtheta)
-    np.testing.assert_allclose(EnergyCost(MODEL).segment_energy(ds, dtheta), expected, rtol=1e-12)
+    expected = expected + hotel * (abs(ds) + C * abs(dtheta)) / 1.2
+    found = EnergyCost(model).segment_energy(ds, dtheta)
+    np.testing.assert_allclose(found, expected, rtol=1e-9 if hotel else 1e-12)
 
 
 def test_lossy_regeneration_is_the_closed_form() -> None:
@@ -67,10 +74,9 @@ def test_cheapest_speed_balances_hotel_load_and_viscous_loss() -> None:
     )
     cost = EnergyCost(model, speed="cheapest")
     best = np.sqrt(50.0 / (2 * 40.0))  # least of 2 K + 2 B v + P / v
-    np.testing.assert_allclose(cost.cheapest_speed(0.0), best, rtol=1e-6)
-    np.testing.assert_allclose(
-        cost.per_metre(0.0), 2 * K + 2 * 40.0 * best + 50.0 / best, rtol=1e-9
-    )
+    least = 2 * K + 2 * 40.0 * best + 50.0 / best
+    assert float(cost.cheapest_speed(0.0)) == pytest.approx(best, rel=1e-6)
+    assert float(cost.per_metre(0.0)) == pytest.approx(least, rel=1e-9)
     slow = EnergyCost(model, speed=0.3)
     assert float(slow.cheapest_speed(0.0)) == pytest.approx(0.3)
     assert float(slow.per_metre(0.0)) == pytest.approx(2 * K + 2 * 40.0 * 0.3 + 50.0 / 0.3)
@@ -173,9 +179,8 @@ def test_slope_without_losses_is_a_potential() -> None:
     slope = np.random.default_rng(7).uniform(-0.4, 0.4, 300)
     rise = ds * np.sin(slope)
     level = cost.segment_energy(ds, dtheta)
-    np.testing.assert_allclose(
-        cost.segment_energy(ds, dtheta, slope) - WEIGHT * rise, level, rtol=1e-9
-    )
+    sloping = cost.segment_energy(ds, dtheta, slope)
+    np.testing.assert_allclose(sloping - WEIGHT * rise, level, rtol=1e-9)
 
 
 def test_slope_with_losses_never_undercuts_its_potential() -> None:
@@ -189,24 +194,6 @@ def test_slope_with_losses_never_undercuts_its_potential() -> None:
     energy = cost.segment_energy(ds, dtheta, slope)
     assert np.any(energy < 0)  # steep descents return energy
     assert np.all(energy - 0.5 * WEIGHT * ds * np.sin(slope) >= 0)
-
-
-def test_bad_input_is_told() -> None:
-    with pytest.raises(InvalidInputError, match="per_metre"):
-        EnergyCost.from_coefficients(0.0, 1.0, icr=0.5)
-    with pytest.raises(InvalidInputError, match="per_radian"):
-        EnergyCost.from_coefficients(1.0, -1.0, icr=0.5)
-    with pytest.raises(InvalidInputError, match="speed"):
-        EnergyCost(MODEL, speed=0.0)
-    with pytest.raises(InvalidInputError, match="longitudinal"):
-        EnergyCost(MODEL).energy(Path(Pose(0, 0, 0), [1.0], [0.0], longitudinal=0.2))
-    with pytest.raises(ModelError, match="must cost energy"):
-        EnergyCost(MODEL.with_coefficients([MU, -K]))
-    free = with_vehicle(MODEL, motor=MotorLimits())
-    with pytest.raises(ModelError, match="no speed limit"):
-        EnergyCost(free.with_term(HOTEL, 10.0))
-    with pytest.raises(InvalidInputError, match="no speed limit"):
-        EnergyCost(free).duration(Path(Pose(0, 0, 0), [1.0], [0.0]))
 
 
 def test_constant_channels_reach_the_terms() -> None:
@@ -223,21 +210,6 @@ def test_constant_channels_reach_the_terms() -> None:
     assert float(cost.per_metre(0.0)) == pytest.approx(2 * (K - 10.0))
 
 
-def test_arcs_may_be_cheaper_than_straights_and_pivots_alike():
-    """At a set tread speed inner treads lose less, and wide turns slide less."""
-    mobilised = replace(term("friction_mobilisation"), params={"radius": 23.0})
-    model = PowerModel.paper(Vehicle.preset("quadriga:full"), K=127.0, mu=0.666)
-    model = model.with_term(term("viscous_loss"), 131.0).with_term(mobilised, 0.65)
-    gauge = EnergyCost(model, speed=0.72).gauge
-    corners = gauge.corners()
-    kept = np.vstack([corners.left, corners.right])
-    every = gauge.directions / gauge.values[:, None]
-    angle = np.linspace(0.0, 2 * np.pi, 1000)
-    towards = np.column_stack([np.cos(angle), np.sin(angle)]).T
-    lost = (every @ towards).max(axis=0) / (kept @ towards).max(axis=0) - 1.0
-    assert lost.max() <= corners.error * (1 + 1e-9) < 1e-2
-
-
 def test_steering_misses_the_minimum_by_no_more_than_it_says() -> None:
     """Straight ahead nothing is cheaper than the straight line, as the model prices it."""
     assert EnergyCost(MODEL).steering_error == 0.0
@@ -251,9 +223,32 @@ def test_steering_misses_the_minimum_by_no_more_than_it_says() -> None:
     assert (1 - cost.steering_error) * straight <= found <= (1 + 1e-9) * straight
 
 
-def test_hotel_load_adds_the_time_at_the_speed_limit() -> None:
-    model = with_vehicle(MODEL.with_term(HOTEL, 60.0), motor=MotorLimits(speed=1.2))
-    ds, dtheta = random_elements(1000)
-    expected = EnergyCost(MODEL).segment_energy(ds, dtheta)
-    expected = expected + 60.0 * (abs(ds) + C * abs(dtheta)) / 1.2
-    np.testing.assert_allclose(EnergyCost(model).segment_energy(ds, dtheta), expected, rtol=1e-9)
+LINE = Path(Pose(0, 0, 0), [1.0], [0.0])
+FREE = with_vehicle(MODEL, motor=MotorLimits())
+HUSKY = Vehicle.preset("husky_a200")
+ODD = replace(HUSKY, motor=replace(HUSKY.motor, speed=1.2277168))
+WEAK = replace(HUSKY.motor, continuous_power=0.0)
+REFUSED = r"""
+InvalidInputError: EnergyCost.from_coefficients(0.0, 1.0, icr=0.5) | per_metre
+InvalidInputError: EnergyCost.from_coefficients(1.0, -1.0, icr=0.5) | per_radian
+InvalidInputError: EnergyCost(MODEL, speed=0.0) | speed
+InvalidInputError: EnergyCost(MODEL).energy(replace(LINE, longitudinal=0.2)) | longitudinal
+InvalidInputError: EnergyCost(FREE).duration(LINE) | no speed limit
+ModelError: EnergyCost(FREE.with_term(HOTEL, 10.0)) | no speed limit
+ModelError: EnergyCost(MODEL.with_coefficients([MU, -K])) | must cost energy
+ModelError: EnergyCost(with_vehicle(MODEL, motor=WEAK)) | no speed lets the motors.*0 W
+# speeds as they are written
+InvalidInputError: parse_speed("0", HUSKY) | metres per second
+InvalidInputError: parse_speed("-1.0", HUSKY) | metres per second
+InvalidInputError: parse_speed("inf", HUSKY) | metres per second
+InvalidInputError: parse_speed("nan", HUSKY) | metres per second
+InvalidInputError: parse_speed("as fast as it goes", HUSKY) | metres per second
+InvalidInputError: parse_speed("", HUSKY) | metres per second
+InvalidInputError: parse_speed("90", HUSKY) | give 1 m/s at most
+InvalidInputError: parse_speed("1.229", ODD) | speed 1.229 m/s .* give 1.228 m/s at most
+"""
+
+
+@pytest.mark.parametrize("case", lines(REFUSED))
+def test_bad_input_is_refused(case: str) -> None:
+    check_refusal(case, {"parse_speed": parse_speed, **globals()})

@@ -6,38 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from worlds import room
 
-from energyplan import (
-    EnergyCost,
-    MotorLimits,
-    OccupancyGrid,
-    Path,
-    PlanningProblem,
-    Pose,
-    PowerModel,
-    Vehicle,
-    check,
-    plan,
-)
-from energyplan.errors import ModelError
+import energyplan as ep
 from energyplan.power import HOTEL
 
-HALF = Vehicle.preset("quadriga:empty").icr.half_track
+HALF = ep.Vehicle.preset("quadriga:empty").icr.half_track
 SLIPPING = 2.0
 """Friction coefficient at which an inner side is dragged in any arc."""
 
 
-def model(hotel: float = 0.0, **limits: float) -> PowerModel:
-    vehicle = Vehicle.preset("quadriga:empty")
-    motor = replace(MotorLimits(speed=1.0), **limits)
-    found = PowerModel.paper(replace(vehicle, motor=motor), K=50.0, mu=SLIPPING)
+def model(hotel: float = 0.0, **limits: float) -> ep.PowerModel:
+    vehicle = ep.Vehicle.preset("quadriga:empty")
+    motor = replace(ep.MotorLimits(speed=1.0), **limits)
+    found = ep.PowerModel.paper(replace(vehicle, motor=motor), K=50.0, mu=SLIPPING)
     return found.with_term(HOTEL, hotel) if hotel else found
 
 
 @pytest.mark.parametrize("hotel", [0.0, 60.0])
 def test_an_arc_costs_and_lasts_as_long_as_the_pivot_and_the_line_that_lead_there(hotel):
-    cost = EnergyCost(model(hotel, regeneration=0.0))
-    free = EnergyCost(model(hotel))
+    cost = ep.EnergyCost(model(hotel, regeneration=0.0))
+    free = ep.EnergyCost(model(hotel))
     radius = np.array([1.5, 3.0, -8.0])
     pivot = np.copysign(HALF, radius), np.ones(3)
     for of in ("segment_energy", "segment_duration"):
@@ -46,7 +35,7 @@ def test_an_arc_costs_and_lasts_as_long_as_the_pivot_and_the_line_that_lead_ther
         # a spin, a pivot and a line return nothing
         for ds, turn in ((0.0, 1.0), (HALF, -1.0), (-1.0, 0.0), (0.2, 1.0)):
             assert np.isclose(getattr(cost, of)(ds, turn), getattr(free, of)(ds, turn), rtol=1e-7)
-    path = Path(Pose(0, 0, 0), radius, np.ones(3))
+    path = ep.Path(ep.Pose(0, 0, 0), radius, np.ones(3))
     assert np.isclose(cost.energy(path), cost.segment_energy(radius, 1.0).sum(), rtol=1e-6)
     assert np.isclose(sum(cost.breakdown(path).values()), cost.energy(path))
     assert np.isclose(cost.duration(path), cost.segment_duration(radius, 1.0).sum(), rtol=1e-6)
@@ -55,17 +44,7 @@ def test_an_arc_costs_and_lasts_as_long_as_the_pivot_and_the_line_that_lead_ther
 
 @pytest.mark.parametrize("hotel", [0.0, 60.0])
 def test_a_plan_is_driven_without_returning_power(hotel):
-    occupied = np.zeros((60, 80), bool)
-    occupied[:35, 38:42] = True
-    task = PlanningProblem(
-        OccupancyGrid(occupied, 0.1), EnergyCost(model(hotel, regeneration=0.0)),
-        (1.5, 1.5, 0.0), (6.5, 1.5, -2.0),
-    )  # fmt: skip
-    found = plan(task, effort=3000)
-    assert check(found.driven.trajectory, task.cost.model).feasible
-    assert found.lower_bound <= found.energy
-
-
-def test_motors_that_no_speed_helps_are_told_of():
-    with pytest.raises(ModelError, match=r"no speed lets the motors.*0 W"):
-        EnergyCost(model(continuous_power=0.0))
+    cost = ep.EnergyCost(model(hotel, regeneration=0.0))
+    around = room(60, 80, 0.1, np.s_[:35, 38:42])
+    task = ep.PlanningProblem(around, cost, (1.5, 1.5, 0.0), (6.5, 1.5, -2.0))
+    assert ep.check(ep.plan(task, effort=3000).driven.trajectory, cost.model).feasible

@@ -7,15 +7,13 @@ import json
 import networkx as nx
 import pytest
 import shapely
+from worlds import COST
 
-from energyplan.cost import EnergyCost
+from energyplan import PowerModel, SurfaceMap, steering
 from energyplan.errors import MapError
 from energyplan.export.graph import read_route_graph, write_route_graph
 from energyplan.planning.graphs import Roadmap, price_edges
-from energyplan.power import PowerModel
-from energyplan.terrain import Surface, SurfaceMap
-
-COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+from energyplan.terrain import Surface
 
 
 def node(number, x, y, **more):
@@ -118,8 +116,12 @@ def test_nav2_graphs(shared_data, tmp_path, name):
     # the route that pays for turns, too, costs no less than the sum of the edges
     route = Roadmap(graph, COST).route(source, target)
     assert route.energy >= shortest * (1 - 1e-9)
-    assert route.nodes[0] == source
-    assert route.nodes[-1] == target
+    assert (route.nodes[0], route.nodes[-1]) == (source, target)
+    # nor less than the exact motion where nothing is in the way
+    for target in nodes[1::5]:
+        route = Roadmap(graph, COST).route(source, target, start_yaw=0.3, goal_yaw=1.0)
+        least = float(steering.energy(route.path.start, route.path.end, COST))
+        assert route.energy >= least * (1 - 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,10 @@ from datetime import date
 import numpy as np
 import pytest
 import yaml
+from refusals import check_refusal, lines
+from worlds import COST
 
-from energyplan import EnergyCost, Path, Pose, PowerModel
-from energyplan.errors import InvalidInputError
+from energyplan import EnergyCost, Path, Pose
 from energyplan.export.lattice import (
     control_set,
     headings_of,
@@ -19,8 +20,7 @@ from energyplan.export.lattice import (
     write_lattice,
     write_penalties,
 )
-
-COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+from energyplan.export.table import tabulate
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,6 @@ def test_headings_lead_to_cells():
     assert len(angles) == 16
     assert angles[:5] == pytest.approx(np.arctan2([0, 1, 1, 2, 1], [1, 2, 1, 1, 0]))
     assert cells[:5] == ((1, 0), (2, 1), (1, 1), (1, 2), (0, 1))
-    with pytest.raises(InvalidInputError, match="multiple of 8"):
-        headings_of(12)
 
 
 @pytest.mark.parametrize("count", [8, 16, 24])
@@ -64,7 +62,7 @@ def test_penalties_of_a_robot_whose_turns_cost_nothing_are_none():
     assert told.error < 0.2
 
 
-def test_penalties_tell_the_energy(controls):
+def test_penalties_tell_the_energy_and_are_parameters_of_the_planner(controls, tmp_path):
     told = penalties(controls, COST)
     unit = float(COST.segment_energy(1.0, 0.0)) * controls.resolution
     spins = [primitive_energy(COST, p) for p in controls.primitives if p.length == 0]
@@ -76,6 +74,10 @@ def test_penalties_tell_the_energy(controls):
     for other in (0.98, 1.02):
         best = np.sum((told.non_straight * length - true) ** 2)
         assert best <= np.sum((other * told.non_straight * length - true) ** 2)
+    write_penalties(told, tmp_path / "nav2.yaml", "lattice.json")
+    read = yaml.safe_load((tmp_path / "nav2.yaml").read_text())["GridBased"]
+    assert read["rotation_penalty"] == pytest.approx(told.rotation, abs=1e-4)
+    assert read["lattice_filepath"] == "lattice.json"
 
 
 def test_files_hold_the_primitives_as_nav2_reads_them(controls, tmp_path):
@@ -96,37 +98,27 @@ def test_files_hold_the_primitives_as_nav2_reads_them(controls, tmp_path):
         # by the lengths of the file alone, on a circle of the file's radius
         ahead = one["arc_length"] / one["trajectory_radius"] if one["arc_length"] else 0.0
         assert ahead == pytest.approx(abs(p.turn) if p.arc else 0.0, abs=1e-3)
-        at = [
-            p.column * controls.resolution,
-            p.row * controls.resolution,
-            meta["heading_angles"][p.end],
-        ]
+        x, y = p.column * controls.resolution, p.row * controls.resolution
+        at = [x, y, meta["heading_angles"][p.end]]
         assert one["poses"][-1] == pytest.approx(at, abs=1e-5)
         steps = np.diff([[0.0, 0.0], *(pose[:2] for pose in one["poses"])], axis=0)
         assert np.hypot(*steps.T).sum() == pytest.approx(whole, rel=0.01, abs=1e-4)
 
 
-def test_penalties_are_parameters_of_the_planner(controls, tmp_path):
-    told = penalties(controls, COST)
-    write_penalties(told, tmp_path / "nav2.yaml", "lattice.json")
-    read = yaml.safe_load((tmp_path / "nav2.yaml").read_text())["GridBased"]
-    assert read["rotation_penalty"] == pytest.approx(told.rotation, abs=1e-4)
-    assert read["lattice_filepath"] == "lattice.json"
+REFUSED = """
+InvalidInputError: headings_of(12) | multiple of 8
+InvalidInputError: control_set(COST, 0.0) | resolution
+InvalidInputError: control_set(COST, 1e-9) | reach beyond 1000 cells
+InvalidInputError: control_set(COST, 1e-300) | reach beyond
+InvalidInputError: control_set(COST, 0.1, headings=10**6) | up to 512
+InvalidInputError: tabulate(COST, []) | speeds
+InvalidInputError: tabulate(COST, [0.0]) | speeds
+InvalidInputError: tabulate(COST, [-1.0]) | speeds
+InvalidInputError: tabulate(COST, [np.nan]) | speeds
+InvalidInputError: tabulate(COST, tolerance=0.0) | tolerance
+"""
 
 
-@pytest.mark.parametrize(
-    ("resolution", "headings", "told"),
-    [
-        (1e-9, 16, "reach beyond 1000 cells"),
-        (1e-300, 16, "reach beyond"),
-        (0.1, 10**6, "up to 512"),
-    ],
-)
-def test_a_lattice_of_more_primitives_than_anyone_needs_is_refused(resolution, headings, told):
-    with pytest.raises(InvalidInputError, match=told):
-        control_set(COST, resolution, headings=headings)
-
-
-def test_cells_too_large_for_arcs_are_refused():
-    with pytest.raises(InvalidInputError, match="resolution"):
-        control_set(COST, 0.0)
+@pytest.mark.parametrize("case", lines(REFUSED))
+def test_bad_input_is_refused(case):
+    check_refusal(case, {"tabulate": tabulate, **globals()})

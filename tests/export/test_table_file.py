@@ -12,7 +12,6 @@ import pytest
 from random_models import random_model
 
 from energyplan import EnergyCost, PowerModel
-from energyplan.errors import InvalidInputError
 from energyplan.export.table import tabulate, write_cost_table
 
 MODEL = PowerModel.preset("quadriga:full:marble")
@@ -50,11 +49,3 @@ def test_a_program_without_the_library_reads_the_file(tmp_path: Path) -> None:
         where = math.atan2(half * dtheta, ds)
         read = math.hypot(ds, half * dtheta) * float(np.interp(where, angles, energies))
         assert read == pytest.approx(float(exact.segment_energy(ds, dtheta)), rel=1.1e-3)
-
-
-@pytest.mark.parametrize("speeds", [[], [0.0], [-1.0], [np.nan]])
-def test_bad_speeds_are_named(speeds: list[float]) -> None:
-    with pytest.raises(InvalidInputError, match="speeds"):
-        tabulate(EnergyCost(MODEL), speeds)
-    with pytest.raises(InvalidInputError, match="tolerance"):
-        tabulate(EnergyCost(MODEL), tolerance=0.0)

@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from energyplan.path import Path, Pose
-from energyplan.power import PowerModel
+from energyplan import MotorLimits, Path, Pose, PowerModel, TreadICR, Vehicle
 from energyplan.power.effects import term
-from energyplan.vehicle import MotorLimits, TreadICR, Vehicle
 
 STEPS = 400
 

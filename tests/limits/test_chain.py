@@ -7,36 +7,41 @@ import pytest
 from by_day import by_day
 from limits.fine_integral import fine_energy, random_case
 from limits.least_drive import least_energy
+from scipy.integrate import cumulative_trapezoid
+from worlds import room
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError
 from energyplan.limits.feasibility import check
 from energyplan.limits.speed import profile
 from energyplan.path import Path, Pose, Trajectory
-from energyplan.planning.driven import priced_models
+from energyplan.planning.driven import drive_path, priced_models
 from energyplan.power import PowerModel
 from energyplan.power.effects import term
+from energyplan.terrain import HeightMap
 from energyplan.vehicle import MotorLimits
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_every_profile_is_accepted_and_its_energy_is_the_integral(seed):
-    rng = np.random.default_rng([21, seed])
-    for k in range(10):
+    """On paths with corners, rounded or not, and on curves, within limits of all kinds."""
+    rng = np.random.default_rng([25, seed])
+    for k in range(12):
         case = random_case(rng)
-        objective, smooth = ("time", "energy")[k % 2], (0.0, 0.1)[k // 2 % 2]
+        path, smooth = case.path, (0.0, 0.1)[k // 2 % 2]
+        if k % 3 == 2:
+            path, smooth = smooth_curve(rng), float(rng.choice([0.05, 0.1, 0.3]))
+        lateral = {} if k % 4 else {"lateral_acceleration": float(rng.uniform(0.05, 1.0))}
+        objective = ("time", "energy")[k % 2]
         made = profile(
-            case.path, case.model, vehicle=case.vehicle, objective=objective, smooth=smooth
+            path, case.model, vehicle=case.vehicle, objective=objective, smooth=smooth, **lateral
         )
-        report = check(made, case.model, case.vehicle)
+        report = check(made, case.model, case.vehicle, **lateral)
         assert report.feasible, (k, report.violations[0])
-        assert report.energy == pytest.approx(
-            fine_energy(made, case.model.vehicle, case.size), rel=1e-5
-        )
-        battery = check(made, case.model.battery_side(), case.vehicle).energy
-        assert battery == pytest.approx(
-            fine_energy(made, case.model.vehicle, case.size, battery=True), rel=1e-5
-        )
+        assert made.poses[[0, -1]] == pytest.approx(np.array([path.start, path.end]), abs=1e-9)
+        at_battery = check(made, case.model.battery_side(), case.vehicle)
+        for battery, found in ((False, report), (True, at_battery)):
+            exact = fine_energy(made, case.model.vehicle, case.size, battery=battery)
+            assert found.energy == pytest.approx(exact, rel=1e-5)
 
 
 def test_energy_is_exact_where_a_drive_brakes_and_turns_round_between_two_samples():
@@ -129,25 +134,20 @@ def test_a_corner_is_rounded_within_the_tolerance_and_saves_the_stop():
         assert check(made, model).feasible
         assert made.duration < 0.97 * stops.duration
         between = np.abs(made.t - 0.5 * made.duration) < 0.5 * made.duration - 0.1
-        moving = np.hypot(made.v, made.omega)[between]
-        assert moving.min() > 0.05
+        assert np.hypot(made.v, made.omega)[between].min() > 0.05
         # Integrate what is commanded: it ends where the path does but for the tolerance's offsets.
         assert made.poses[-1] == pytest.approx(path.end, abs=1e-9)
         fine = np.linspace(0, made.duration, 20_001)
         v, w = np.interp(fine, made.t, made.v), np.interp(fine, made.t, made.omega)
         step = fine[1]
-        yaw = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * step)])
-        x = np.concatenate([[0.0], np.cumsum((0.5 * (v[1:] + v[:-1])) * step * np.cos(yaw[:-1]))])
-        y = np.concatenate([[0.0], np.cumsum((0.5 * (v[1:] + v[:-1])) * step * np.sin(yaw[:-1]))])
-        off = np.hypot(x[-1] - path.end.x, y[-1] - path.end.y)
+        yaw = cumulative_trapezoid(w, dx=step, initial=0.0)
+        x, y = (np.trapezoid(v * along(yaw), dx=step) for along in (np.cos, np.sin))
+        off = np.hypot(x - path.end.x, y - path.end.y)
         assert off <= 2 * 2 * tolerance + 1e-3
         assert yaw[-1] == pytest.approx(path.end.yaw, abs=0.02)
 
 
 def test_a_corner_is_rounded_only_where_it_may_be_and_where_the_footprint_is_free():
-    from energyplan.planning.driven import drive_path
-    from energyplan.terrain import HeightMap, OccupancyGrid
-
     model = PowerModel.preset("quadriga:empty:concrete")
     c = model.vehicle.icr.left
     path = Path(Pose(1.5, 4, 0), [3.0, 1.2 * c, 2.0, 0.8 * c, 1.0], [0.0, 1.2, 0.0, -0.8, 0.0])
@@ -161,18 +161,13 @@ def test_a_corner_is_rounded_only_where_it_may_be_and_where_the_footprint_is_fre
         made = profile(path, model, smooth=[1, 1, 0, 1], tolerance=0.05, heights=heights)
         assert stops(made) == 1
         assert check(made, model, heights=heights).feasible
-    cells = np.zeros((120, 120), bool)
-    cost = EnergyCost(model)
-    cost = replace(cost, speed=1.2)
-    free = drive_path(path, cost, tolerance=0.05, grid=OccupancyGrid(cells, 0.1))
+    cost = EnergyCost(model, speed=1.2)
+    free = drive_path(path, cost, tolerance=0.05, grid=room(120, 120, 0.1))
     assert stops(free.trajectory) == 0
     # A post 3 cm beside the robot where it begins to turn: that corner stays a stop.
-    cells[44, 40] = True
-    near = drive_path(path, cost, tolerance=0.1, grid=OccupancyGrid(cells, 0.1))
+    near = drive_path(path, cost, tolerance=0.1, grid=room(120, 120, 0.1, (44, 40)))
     assert 0 < stops(near.trajectory) < 4
     assert near.duration > free.duration
-    with pytest.raises(InvalidInputError, match="corners"):
-        profile(path, model, smooth=[1.0, 0.0])
 
 
 @pytest.mark.parametrize("drawn", by_day([(0, 6), (0, 12), (1, 12)], [(0, 6)]))

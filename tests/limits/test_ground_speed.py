@@ -10,18 +10,15 @@ import shapely
 from limits.test_speed import HOTEL, PAPER, random_path
 from PIL import Image
 
+import energyplan as ep
 from energyplan.errors import MapError
-from energyplan.io.geojson import read_surfaces, write_surfaces
+from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import read_speed_mask
 from energyplan.io.sites import read_site
-from energyplan.limits.feasibility import check
-from energyplan.limits.speed import profile
-from energyplan.path import Path, Pose, Trajectory
-from energyplan.terrain import HeightMap, SpeedLimit, SurfaceMap
-from energyplan.vehicle import TreadICR
+from energyplan.terrain import SpeedLimit
 
-STRAIGHT = Path(Pose(0.0, 0.0, 0.0), [8.0], [0.0])
-ZONES = SurfaceMap(
+STRAIGHT = ep.Path(ep.Pose(0.0, 0.0, 0.0), [8.0], [0.0])
+ZONES = ep.SurfaceMap(
     (),
     speed_limits=(
         SpeedLimit(shapely.box(2, -1, 4, 1), 0.3),
@@ -45,7 +42,7 @@ def test_least_time_on_a_straight_is_the_closed_form():
     motor = PAPER.vehicle.motor
     caps = [motor.speed, 0.3, 0.5 * motor.speed, motor.speed]
     expected = closed_form([0.0, 2.0, 4.0, 5.0, 8.0], caps, motor.acceleration)
-    found = profile(STRAIGHT, PAPER, surfaces=ZONES).duration
+    found = ep.profile(STRAIGHT, PAPER, surfaces=ZONES).duration
     assert expected <= found <= (1 + 5e-4) * expected  # speeds change from cell to cell
 
 
@@ -71,7 +68,7 @@ def fine(trajectory, lever, steps=60):
 def test_no_instant_is_faster_than_its_ground_allows(more):
     """On random paths over random areas, by an integration of its own, a micrometre inside."""
     rng = np.random.default_rng(8)
-    model = replace(HOTEL, vehicle=HOTEL.vehicle.with_icr(TreadICR(0.45, 0.5, 0.1)))
+    model = replace(HOTEL, vehicle=HOTEL.vehicle.with_icr(ep.TreadICR(0.45, 0.5, 0.1)))
     slowed = 0
     for _ in range(10):
         path = replace(random_path(rng), longitudinal=0.1)
@@ -81,41 +78,41 @@ def test_no_instant_is_faster_than_its_ground_allows(more):
             for at in middle + rng.normal(0, 0.3, (3, 2))
         ]
         limits = [SpeedLimit(area, float(rng.uniform(0.05, 0.5))) for area in areas]
-        surfaces = SurfaceMap((), speed_limits=limits)
-        driven = profile(path, model, surfaces=surfaces, **more)
+        surfaces = ep.SurfaceMap((), speed_limits=limits)
+        driven = ep.profile(path, model, surfaces=surfaces, **more)
         x, y, speed = fine(driven, 0.1)
         for limit in limits:
             inside = shapely.intersects_xy(limit.area.buffer(-1e-5), x, y)
             slowed += inside.sum()
             assert np.all(speed[inside] <= limit.speed * (1 + 1e-9))
-        assert check(driven, model, surfaces=surfaces).feasible
+        assert ep.check(driven, model, surfaces=surfaces).feasible
     assert slowed > 10_000
 
 
 def test_a_limit_on_slopes_with_a_channel_of_each_segment_is_kept():
-    ground = HeightMap(0.1 * np.arange(12.0) * np.ones((4, 1)), 1.0, Pose(-1.0, -2.0, 0.0))
-    path = Path(Pose(0.0, 0.0, 0.0), [3.0, 5.0], [0.0, 0.0])
-    driven = profile(path, PAPER, surfaces=ZONES, heights=ground, channels={"load": [1.0, 2.0]})
-    assert check(driven, PAPER, surfaces=ZONES, heights=ground).feasible
+    ground = ep.HeightMap(0.1 * np.arange(12.0) * np.ones((4, 1)), 1.0, ep.Pose(-1.0, -2.0, 0.0))
+    path = ep.Path(ep.Pose(0.0, 0.0, 0.0), [3.0, 5.0], [0.0, 0.0])
+    driven = ep.profile(path, PAPER, surfaces=ZONES, heights=ground, channels={"load": [1.0, 2.0]})
+    assert ep.check(driven, PAPER, surfaces=ZONES, heights=ground).feasible
     assert driven.duration > 10.0
 
 
 def test_a_check_names_the_limit_and_how_much_slower_to_drive():
     t = np.linspace(0.0, 10.0, 201)
-    driven = Trajectory(t, 0.6 * t, 0 * t, 0 * t, 0.6 + 0 * t, 0 * t)
-    report = check(driven, PAPER, surfaces=ZONES)
+    driven = ep.Trajectory(t, 0.6 * t, 0 * t, 0 * t, 0.6 + 0 * t, 0 * t)
+    report = ep.check(driven, PAPER, surfaces=ZONES)
     (found,) = report.violations
     assert (found.kind, found.side, found.peak, found.limit) == ("ground_speed", "both", 0.6, 0.3)
     assert (found.start, found.end) == pytest.approx((2 / 0.6, 4 / 0.6), abs=0.05)
     assert report.max_speed_scale == pytest.approx(0.5)
-    assert check(driven.scaled(0.5), PAPER, surfaces=ZONES).feasible
+    assert ep.check(driven.scaled(0.5), PAPER, surfaces=ZONES).feasible
 
 
 def test_a_relative_limit_needs_a_top_speed():
     motor = replace(PAPER.vehicle.motor, speed=np.inf)
     model = replace(PAPER, vehicle=replace(PAPER.vehicle, motor=motor))
     with pytest.raises(MapError, match=r"50 % of the top speed.*give its motor a speed"):
-        profile(STRAIGHT, model, surfaces=ZONES)
+        ep.profile(STRAIGHT, model, surfaces=ZONES)
 
 
 # -- files --------------------------------------------------------------------------------------
@@ -137,13 +134,13 @@ def test_surfaces_with_a_speed_are_read_and_written(tmp_path):
     file = tmp_path / "ground.geojson"
     marble = {"model": "quadriga:empty:marble", "speed": 0.4}
     file.write_text(features(marble, {"speed": "12.5 %"}, {"surface": "keep_out"}))
-    ground = read_surfaces(file)
+    ground = ep.read_surfaces(file)
     assert [(one.speed, one.relative) for one in ground.speed_limits] == [
         (0.4, False), (0.125, True),
     ]  # fmt: skip
     assert (len(ground.surfaces), len(ground.keep_out)) == (1, 1)
     write_surfaces(ground, file)
-    assert read_surfaces(file).speed_limits == ground.speed_limits
+    assert ep.read_surfaces(file).speed_limits == ground.speed_limits
 
 
 @pytest.mark.parametrize(
@@ -162,7 +159,7 @@ def test_a_speed_that_is_none_is_refused(tmp_path, speed, message):
     file = tmp_path / "ground.geojson"
     file.write_text(features({"speed": speed}))
     with pytest.raises(MapError, match=message):
-        read_surfaces(file)
+        ep.read_surfaces(file)
 
 
 def mask(folder, pixels, **keys):
@@ -186,7 +183,7 @@ def mask(folder, pixels, **keys):
 def test_each_cell_of_a_mask_limits_as_nav2_says(tmp_path, keys, limit):
     """0 and unknown are no limit; nor are results that are not above 0, or above 100 %."""
     pixels = np.random.default_rng(1).choice([0, 1, 30, 50, 80, 100, 180], (9, 13)).astype(np.uint8)
-    ground = SurfaceMap((), speed_limits=read_speed_mask(mask(tmp_path, pixels, **keys)))
+    ground = ep.SurfaceMap((), speed_limits=read_speed_mask(mask(tmp_path, pixels, **keys)))
     value = pixels[::-1].astype(float)
     expected = np.asarray(limit(value))
     expected = np.where((value > 0) & (value <= 100) & (expected > 1e-12), expected, np.inf)

@@ -10,10 +10,7 @@ from limits.test_speed import PAPER, START, random_path
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, diags_array, vstack
 
-from energyplan.limits.feasibility import check
-from energyplan.limits.speed import profile
-from energyplan.motion import Motion
-from energyplan.path import Path
+from energyplan import Motion, Path, check, profile
 
 
 def warm_vehicle(rng):

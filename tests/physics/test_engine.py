@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from by_day import by_day
+from refusals import check_refusal, lines
 from scipy.optimize import fsolve
 
 import energyplan as ep
-from energyplan import HeightMap
-from energyplan.errors import InvalidInputError, ModelError, PhysicsError, UnknownNameError
+from energyplan.errors import PhysicsError
 from energyplan.physics import (
     EFFECTS,
     Effect,
@@ -19,10 +19,12 @@ from energyplan.physics import (
     EngineGround,
     Robot,
     Run,
+    Sensors,
     State,
     draw_effects,
     switch_on,
 )
+from energyplan.physics.design import Hypothesis, design
 from energyplan.physics.engine import Controller
 from energyplan.power.effects import term
 from energyplan.vehicle import GRAVITY, predict_icr
@@ -94,7 +96,7 @@ def test_slope_adds_the_weight(direction: float) -> None:
 
 
 def test_heights_tilt_gravity_like_the_plane() -> None:
-    ramp = HeightMap(np.tile(0.1 * np.tan(0.05) * np.arange(101), (101, 1)), 0.1, (-5, -5, 0))
+    ramp = ep.HeightMap(np.tile(0.1 * np.tan(0.05) * np.arange(101), (101, 1)), 0.1, (-5, -5, 0))
     on_map = Engine(ROBOT, EngineGround(heights=ramp)).drive(steady(0.5, 0.5))
     tilted = Effect("tilted_plane", 0.05).on(ROBOT)
     on_plane = Engine(tilted).drive(steady(0.5, 0.5))
@@ -193,8 +195,6 @@ def test_a_drive_that_does_not_add_up_is_refused(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("energyplan.physics.engine.BALANCE", -1.0)
     with pytest.raises(PhysicsError, match=r"unaccounted for.*slowly"):
         Engine(ROBOT).drive(steady(0.5, 0.5, duration=1.0))
-    with pytest.raises(InvalidInputError, match=r"at 0\.00 s; give two finite"):
-        Engine(ROBOT).drive(lambda state: (np.nan, 0.5))
 
 
 def test_the_centre_of_mass_moves_the_icr() -> None:
@@ -243,17 +243,34 @@ def test_same_seed_same_effects_and_names_are_known() -> None:
         switch_on(ROBOT, draw_effects(ROBOT, seed))  # none is out of range
 
 
-def test_bad_input_is_named() -> None:
-    with pytest.raises(UnknownNameError, match="viscous_loss"):
-        Effect("viscosity", 3.0)
-    with pytest.raises(UnknownNameError, match="direction"):
-        Effect("tilted_plane", 0.1, {"angle": 1.0})
-    with pytest.raises(InvalidInputError, match="NAME=SIZE"):
-        Effect.parse("viscous_loss")
-    with pytest.raises(InvalidInputError, match="not a finite"):
-        Effect.parse("viscous_loss=nan")
-    with pytest.raises(ModelError, match="friction_mobilisation"):
-        Robot.from_model(MODEL.with_term(term("friction_mobilisation"), 0.1))
-    with pytest.raises(InvalidInputError, match="one line"):
-        line = np.array([(0.0, 0.3), (0.0, -0.3)])
-        Robot(replace(VEHICLE, contacts=line, loads=np.array([50.0, 50.0])), 0.5, (10, 10))
+LINE = np.array([(0.0, 0.3), (0.0, -0.3)])
+RAIL = replace(VEHICLE, contacts=LINE, loads=np.array([50.0, 50.0]))
+MOBILISED = MODEL.with_term(term("friction_mobilisation"), 0.1)
+SPEEDS = (Hypothesis(("viscous_loss",)), Hypothesis(("air_drag",)))
+REFUSED = r"""
+UnknownNameError: Effect("viscosity", 3.0) | viscous_loss
+UnknownNameError: Effect("tilted_plane", 0.1, {"angle": 1.0}) | direction
+InvalidInputError: Effect.parse("viscous_loss") | NAME=SIZE
+InvalidInputError: Effect.parse("viscous_loss=nan") | not a finite
+ModelError: Robot.from_model(MOBILISED) | friction_mobilisation
+InvalidInputError: Robot(RAIL, 0.5, (10, 10)) | one line
+InvalidInputError: replace(ROBOT, sharing=0.0) | sharing
+InvalidInputError: Engine(ROBOT).drive(lambda state: (np.nan, 0.5)) | at 0\.00 s; give two finite
+InvalidInputError: Sensors(rate=0.0) | rate is 0
+InvalidInputError: Sensors(measured="engine") | battery
+UnknownNameError: Sensors(without=("z",)).log(SHORT) | channel
+InvalidInputError: Sensors(rate=0.01).log(SHORT) | too short
+InvalidInputError: Sensors.parse("rate=fast") | rate is fast; .*number
+InvalidInputError: Sensors.parse("rate=0") | rate is 0
+InvalidInputError: Sensors.parse("measured=") | 'battery'
+UnknownNameError: Sensors.parse("colour=red") | power_noise
+InvalidInputError: design(MODEL, duration=0.0) | duration
+InvalidInputError: design(MODEL, SPEEDS, duration=1.0) | no manoeuvre fits
+InvalidInputError: design(MODEL, square=0.5) | room
+"""
+
+
+@pytest.mark.parametrize("case", lines(REFUSED))
+def test_bad_input_is_refused(case: str) -> None:
+    short = Engine(ROBOT).drive(steady(0.1, 0.1, duration=1.0)) if "SHORT" in case else None
+    check_refusal(case, {"SHORT": short, "Sensors": Sensors, "design": design, **globals()})

@@ -19,19 +19,10 @@ from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.fit.run import RunEffect
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
-from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, switch_on
+from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, loop, switch_on
 from energyplan.physics.driving import energy_predicted
-from energyplan.physics.loop import (
-    SPEED_SHARE,
-    LearnedModel,
-    Round,
-    Steered,
-    believed,
-    learn,
-    predicted_energy,
-    ratio,
-    timed,
-)
+from energyplan.physics.loop import SPEED_SHARE, LearnedModel, Round, Steered, believed, learn
+from energyplan.power import HOTEL
 from energyplan.power.effects import term
 from energyplan.vehicle import predict_icr
 
@@ -87,10 +78,8 @@ def true_model(effect: Effect) -> ep.PowerModel:
         return MODEL.with_term(term(effect.name), effect.size)
     place = dict(effect.details)
     model, rise = MODEL, effect.size / MODEL.coefficient("slip_friction")
-    for name, base in (
-        ("slip_beyond", "slip_friction"),
-        ("traction_beyond", "traction_resistance"),
-    ):
+    bases = {"slip_beyond": "slip_friction", "traction_beyond": "traction_resistance"}
+    for name, base in bases.items():
         model = model.with_term(replace(term(name), params=place), rise * MODEL.coefficient(base))
     return model
 
@@ -107,7 +96,7 @@ def test_who_knows_the_effect_takes_another_way(made: Callable[[float], forks.Fo
     for model in (MODEL, true):
         asked = believed(problem, model, speed)
         planned = ep.plan(asked, effort=30_000)
-        taken.append(predicted_energy(timed(planned, asked, speed), right))
+        taken.append(loop.predicted_energy(loop.timed(planned, asked, speed), right))
     # without the drag both ways round the block take the same: chance may find the right one
     assert taken[1] < (taken[0] if made is forks.dragging else 0.98 * taken[0])
 
@@ -125,9 +114,8 @@ def test_the_second_route_takes_less() -> None:
     assert abs(last.error) < 0.03
     assert last.energy_measured < 0.9 * first.energy_measured
     document = documents.loop(made)
-    assert set(document["rounds"][0]) >= {
-        "energy_predicted", "energy_interval", "energy_measured", "effects", "length",
-    }  # fmt: skip
+    keys = "energy_predicted", "energy_interval", "energy_measured", "effects", "length"
+    assert set(document["rounds"][0]) >= set(keys)
     assert text.loop(made)[0].startswith("round 1")
     for interval, words in (((0.0, 2.0), "is too wide"), ((2.0, 3.0), "was still wrong")):
         told = (interval[0] * last.energy_measured, interval[1] * last.energy_measured)
@@ -137,8 +125,6 @@ def test_the_second_route_takes_less() -> None:
 
 
 def test_real_logs_take_the_place_of_the_engine() -> None:
-    from energyplan.power import HOTEL
-
     truth = MODEL.with_term(HOTEL, 60.0)
     logs = [simulate.drive(truth, "survey", seed=k, power_noise=2.0) for k in (1, 2)]
     made = close_loop(PROBLEM, logs, rounds=5, effort=2_000)
@@ -173,28 +159,16 @@ def test_an_interval_that_says_nothing_closes_nothing() -> None:
 
 def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     stuck = MODEL.with_term(term("dragging_wheel_left"), 1e4)
-    monkeypatch.setattr(
-        "energyplan.physics.loop.learn", lambda logs, vehicle: LearnedModel(stuck, ())
-    )
-    made = close_loop(
-        PROBLEM,
-        EngineDrives(switch_on(Robot.from_model(MODEL), [Effect("payload", 30.0)])),
-        rounds=2,
-        tolerance=0.0,
-        survey=10.0,
-        effort=2_000,
-    )
+    monkeypatch.setattr(loop, "learn", lambda logs, vehicle: LearnedModel(stuck, ()))
+    source = EngineDrives(switch_on(Robot.from_model(MODEL), [Effect("payload", 30.0)]))
+    made = close_loop(PROBLEM, source, rounds=2, tolerance=0.0, survey=10.0, effort=2_000)
     (only,) = made.rounds
     assert not made.closed
     assert "nothing can be planned with it" in only.note
     assert made.model is not stuck
     assert "force" in only.note or "power" in only.note
     with pytest.raises(InfeasibleMotionError):  # nothing was learned yet: the model given is wrong
-        close_loop(
-            replace(PROBLEM, cost=ep.EnergyCost(MODEL.with_term(term("dragging_wheel_left"), 1e4))),
-            EngineDrives(Robot.from_model(MODEL)),
-            effort=2_000,
-        )
+        close_loop(replace(PROBLEM, cost=ep.EnergyCost(stuck)), source, effort=2_000)
 
 
 def test_bad_input_is_named() -> None:
@@ -230,11 +204,11 @@ def test_what_a_controller_takes_that_steers_otherwise_is_not_carried_over() -> 
     pose = (log.channel(name) for name in ("x", "y", "yaw"))
     asked = ep.Trajectory(log.t, *pose, motion.v, motion.omega / 1.1)
     problem = believed(PROBLEM, MODEL, 0.5)
-    alike = ratio(Steered(asked, log, ICR), MODEL, problem, None)
+    alike = loop.ratio(Steered(asked, log, ICR), MODEL, problem, None)
     assert alike == pytest.approx(log.energy / sum(energy_predicted(asked, MODEL).values()))
     assert alike > 1.02
     other = replace(ICR, longitudinal=0.1 * ICR.half_track)
-    told = ratio(Steered(asked, log, other), MODEL, problem, None)
+    told = loop.ratio(Steered(asked, log, other), MODEL, problem, None)
     assert told == pytest.approx(1.0, abs=0.002)
 
 

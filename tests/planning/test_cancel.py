@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 
 import pytest
-from worlds import cluttered, free_poses
+from worlds import COST, MAPS, cluttered, free_poses
 
 import energyplan as ep
 from energyplan.errors import CancelledError
-from energyplan.planning import PlanningProblem, cancellable, plan, planners
+from energyplan.planning import cancellable, planners
 
-COST = ep.EnergyCost(ep.PowerModel.preset("quadriga:empty:concrete"))
-MAPS = Path(__file__).parents[2] / "maps"
 MISSION = MAPS.parent / "examples" / "mission_warehouse.yaml"
 
 
@@ -36,28 +33,29 @@ class Unwanted:
 def problem():
     grid = cluttered(4)
     start, goal = free_poses(grid, 2, 11, COST.vehicle)
-    return PlanningProblem(grid, COST, start, goal)
+    return ep.PlanningProblem(grid, COST, start, goal)
 
 
 @pytest.mark.parametrize("after", [1, 2, 9, 60])
 def test_a_plan_ends_wherever_it_is(after):
     unwanted = Unwanted(after)
-    aisles = PlanningProblem(ep.read_map(MAPS / "warehouse.yaml"), COST, (2, 2, 0), (20, 12, 1.5))
+    hall = ep.read_map(MAPS / "warehouse.yaml")
+    aisles = ep.PlanningProblem(hall, COST, (2, 2, 0), (20, 12, 1.5))
     with pytest.raises(CancelledError, match="cancelled"), cancellable(unwanted):
-        plan(aisles, effort=500_000)
+        ep.plan(aisles, effort=500_000)
     assert sum(unwanted.asked_again.values()) <= 16  # those that ran side by side
 
 
 @pytest.mark.parametrize("name", planners())
 def test_every_planner_can_be_cancelled(name):
     with pytest.raises(CancelledError), cancellable(Unwanted(2)):
-        plan(problem(), name, effort=100_000)
+        ep.plan(problem(), name, effort=100_000)
 
 
 def test_a_plan_that_is_wanted_is_the_same():
-    plain = plan(problem(), effort=5_000)
+    plain = ep.plan(problem(), effort=5_000)
     with cancellable(lambda: False):
-        again = plan(problem(), effort=5_000)
+        again = ep.plan(problem(), effort=5_000)
     assert (again.path.ds.tolist(), again.energy) == (plain.path.ds.tolist(), plain.energy)
 
 
@@ -70,4 +68,4 @@ def test_what_plans_inside_ends_too():
     ):
         with pytest.raises(CancelledError), cancellable(Unwanted(3)):
             work()
-    assert plan(problem(), effort=3_000).energy > 0  # nothing is left behind
+    assert ep.plan(problem(), effort=3_000).energy > 0  # nothing is left behind

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import networkx as nx
 import numpy as np
 import pytest
 from by_day import by_day
+from worlds import room as boxes
 
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, plan
 from energyplan.errors import NoPathError, TimeLimitError
-from energyplan.path import Pose
-from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
 from energyplan.planning.search.narrow import infeasible
-from energyplan.planning.search.narrow.infeasible import (
-    Prover,
-    chain_between,
-    look_closer,
-    none_in_time,
-)
+from energyplan.planning.search.narrow.infeasible import chain_between, look_closer, none_in_time
 from energyplan.planning.settings import PROOF
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.places import RIM, places_for
-from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body, poses_free
 
 
@@ -70,12 +64,9 @@ def drawn(seed: int, spare: float) -> PlanningProblem:
 
 def looked(problem: PlanningProblem, tested: bool = True) -> infeasible.Proof:
     """Return what is known of the ways of a problem, with or without the poses that were tested."""
-    kernel, budget = CompiledProblem(problem).setting, Budget(effort=10**7)
-    if tested:
-        return Prover(kernel, budget).found()
-    closer = Prover(kernel, budget)
-    closer.tested[:] = 0
-    closer.known[:] = 0
+    closer = infeasible.Prover(CompiledProblem(problem).setting, Budget(effort=10**7))
+    if not tested:
+        closer.tested[:] = closer.known[:] = 0
     return closer.found()
 
 
@@ -111,7 +102,7 @@ def test_a_door_too_narrow_is_proven_to_be(seed):
 def test_places_are_the_same_however_the_body_is_enlarged():
     """Where cells are a place each but for the margin of planning."""
     for width in np.linspace(0.3, 0.5, 21):
-        hall = OccupancyGrid(np.zeros((40, 40), bool), 0.05)
+        hall = boxes(40, 40, 0.05)
         asked = PlanningProblem(hall, robot(0.6, width), (1.0, 1.0, 0), (1.1, 1.0, 0))
         kernel = CompiledProblem(asked).setting
         assert len(places_for(kernel).masks) == len(places_for(kernel, enlarged=True).masks)
@@ -129,6 +120,8 @@ def verdict(door: float, length: float = 0.9, width: float = 0.6, ahead: float =
 def test_three_verdicts_are_told_apart():
     narrow = verdict(0.5, effort=6000)
     assert (type(narrow), narrow.certainty) == (NoPathError, "proven")
+    again = pickle.loads(pickle.dumps(narrow))
+    assert (again.certainty, str(again)) == ("proven", str(narrow))
     # one of 0.3 m about the tread ICRs, which lie far behind, would
     behind = verdict(0.58, ahead=0.83, effort=6000)
     assert (type(behind), behind.certainty) == (NoPathError, "proven")
@@ -147,8 +140,8 @@ def test_three_verdicts_are_told_apart():
 
 
 def test_a_budget_that_ends_before_any_search_names_the_start():
-    hall = OccupancyGrid(np.zeros((60, 60), bool), 0.05)
-    query = CompiledProblem(PlanningProblem(hall, robot(0.6, 0.4), (1.5, 1.25, 0), (1.5, 2.25, 0)))
+    ends = (1.5, 1.25, 0), (1.5, 2.25, 0)
+    query = CompiledProblem(PlanningProblem(boxes(60, 60, 0.05), robot(0.6, 0.4), *ends))
     error = none_in_time(query, Budget(effort=1), "nothing was searched", [])
     assert "(1.50, 1.25), 1.00 m from it" in str(error)
 
@@ -156,9 +149,8 @@ def test_a_budget_that_ends_before_any_search_names_the_start():
 def test_looking_closer_agrees_with_poses_at_random():
     rng = np.random.default_rng(0)
     grid = OccupancyGrid(rng.random((60, 60)) < 0.01, 0.05, (1.0, 2.0, 0.4))
-    hall = OccupancyGrid(np.zeros((60, 60), bool), 0.05)
-    asked = PlanningProblem(hall, robot(0.6, 0.4), (1.5, 1.5, 0), (1.6, 1.5, 0))
-    query = CompiledProblem(asked)
+    ends = (1.5, 1.5, 0), (1.6, 1.5, 0)
+    query = CompiledProblem(PlanningProblem(boxes(60, 60, 0.05), robot(0.6, 0.4), *ends))
     kernel = query.setting._replace(space=grid.space)
     places = places_for(kernel, enlarged=True)
     body = Body(-0.3, -0.2, 0.3, 0.2)

@@ -18,21 +18,18 @@ import numpy as np
 import pytest
 import shapely
 from by_day import by_day
-from worlds import cluttered, free_poses
+from worlds import COST, MAPS, cluttered, free_poses, room
 
 from energyplan.comparison import compare
-from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError, TimeLimitError
+from energyplan.errors import TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.planning import Budget, Candidate, Plan, Planner, PlanningProblem, plan
 from energyplan.planning.budget import EFFORT, PACE
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.planner import prepare
 from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain import Surface, SurfaceMap
 
-MAPS = Path(__file__).resolve().parents[2] / "maps"
-COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 MARBLE = SurfaceMap([Surface(shapely.box(2, 2, 7, 5), PowerModel.preset("quadriga:empty:marble"))])
 ANSWER = """
 import sys; sys.path.insert(0, {folder!r})
@@ -115,8 +112,7 @@ def test_nothing_that_decides_reads_the_clock(monkeypatch):
 
 
 def test_every_way_to_plan_has_the_same_work_where_none_is_asked_for():
-    hall = replace(PROBLEM, map=OccupancyGrid(np.zeros((80, 80), bool), 0.1), surfaces=None)
-    problem = replace(hall, start=(2, 2, 0), goal=(6, 2, 0))
+    problem = PlanningProblem(room(80, 80, 0.1), COST, (2, 2, 0), (6, 2, 0))
     former = plan(problem)
     told = compare(problem)
     plans = [
@@ -218,12 +214,6 @@ def test_much_more_effort_is_better_and_effort_is_what_was_spent():
     for plan_found, effort in zip(found, efforts, strict=True):
         # one step more than asked for at most: a slice of attempts or the shortcuts of a path
         assert 0 < plan_found.effort <= effort + 3_000
-
-
-@pytest.mark.parametrize("effort", [0, -5, np.nan])
-def test_no_effort_is_refused(effort):
-    with pytest.raises(InvalidInputError, match=r"effort is .*; give a (whole )?number"):
-        plan(PROBLEM, effort=effort)
 
 
 def test_parts_of_a_budget_spend_from_the_whole():

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from by_day import by_day
+from worlds import box_robot
 
-from energyplan.cost import EnergyCost
-from energyplan.path import Path, Pose
-from energyplan.planning import Budget, PlanningProblem
+from energyplan import EnergyCost, OccupancyGrid, Path, PlanningProblem, Pose
+from energyplan.planning import Budget
 from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.cost_to_go import cost_to_go, node_at, reached
-from energyplan.terrain import OccupancyGrid
-from energyplan.vehicle import Vehicle
 
 EXPANSIONS = 100_000
 """Within which a first path must be found."""
@@ -57,12 +55,9 @@ def wander(seed: int, length: float, motions: int = 6) -> Path:
 
 def problem_along(path: Path, size: tuple[float, float], resolution: float, room: float):
     """Return the problem from one end of a path to the other, with nowhere else to go."""
-    length, width = size
-    robot = Vehicle.from_geometry(
-        "robot", mass=40.0, wheelbase=0.6 * length, track=0.8 * width, length=length, width=width
-    )
+    robot = box_robot(*size)
     cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
-    grid = carved(path, length, width, resolution, room)
+    grid = carved(path, *size, resolution, room)
     assert grid.path_free(path, robot)
     return PlanningProblem(grid, cost, path.start, path.end, vehicle=robot)
 
@@ -108,9 +103,7 @@ def test_the_way_to_go_knows_what_the_body_cannot_pass():
     free[36:56, 85:95] = free[46:56, 85:115] = free[36:56, 105:115] = True
     free[60:110, 10:30] = free[90:110, 10:190] = free[60:110, 165:185] = True
     grid = OccupancyGrid(~free, 0.1)
-    robot = Vehicle.from_geometry(
-        "robot", mass=40.0, wheelbase=1.2, track=0.6, length=2.0, width=0.8
-    )
+    robot = box_robot(2.0, 0.8)
     cost = EnergyCost.from_coefficients(150.0, 60.0, robot.icr)
     problem = PlanningProblem(grid, cost, (2.5, 4.0, 0), (17.0, 4.0, 0), vehicle=robot)
     asked, search = first_path(problem)

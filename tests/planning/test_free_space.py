@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from by_day import by_day
 
-from energyplan.path import Pose
+from energyplan import OccupancyGrid, Pose
 from energyplan.planning.space.configurations import HEADINGS, free_space
-from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Body, poses_free
 
 # sides that are no multiples of a part of a cell: rounding decides no touch
@@ -48,19 +47,15 @@ def test_a_bit_says_what_the_collision_test_says(body, resolution):
     # poses tested lie at the centres of the finer of cells and places
     parts = max(round(found.spacing / resolution), 1)
     free = np.zeros((rows, columns, HEADINGS), bool)
-    for i in range(parts):
-        for j in range(parts):
-            row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-            place = np.stack([column, row], -1) * found.spacing + found.spacing / parts * (
-                np.array([j, i]) + 0.5
-            )
-            inside = np.all(place < np.array(grid.size), axis=-1)
-            world = grid.to_world(place / resolution)
-            poses = np.empty((rows, columns, HEADINGS, 3))
-            poses[..., :2] = world[:, :, None]
-            poses[..., 2] = heading
-            tested = poses_free(space, body, poses.reshape(-1, 3)).reshape(free.shape)
-            free |= tested & inside[..., None]
+    row, column = np.indices((rows, columns))
+    for i, j in np.ndindex(parts, parts):
+        place = np.stack([column + (j + 0.5) / parts, row + (i + 0.5) / parts], -1) * found.spacing
+        inside = np.all(place < np.array(grid.size), axis=-1)
+        poses = np.empty((rows, columns, HEADINGS, 3))
+        poses[..., :2] = grid.to_world(place / resolution)[:, :, None]
+        poses[..., 2] = heading
+        tested = poses_free(space, body, poses.reshape(-1, 3)).reshape(free.shape)
+        free |= tested & inside[..., None]
     assert 0.02 < free.mean() < 0.98
     assert np.array_equal(bits(found.masks), free)
 

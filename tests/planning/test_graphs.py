@@ -10,20 +10,16 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
+from worlds import COST, MODEL, room
 
-from energyplan import steering
-from energyplan.cost import EnergyCost
+import energyplan as ep
 from energyplan.errors import InvalidInputError, NoPathError
 from energyplan.export.graph import read_route_graph, write_route_graph
-from energyplan.path import Path, Pose, wrap_angle
-from energyplan.planning import PlanningProblem
+from energyplan.path import wrap_angle
 from energyplan.planning.graphs import Roadmap, plan_edges, price_edges, round_corner
-from energyplan.power import HOTEL, PowerModel
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
-from energyplan.vehicle import MotorLimits, TreadICR
+from energyplan.power import HOTEL
+from energyplan.terrain import Surface
 
-MODEL = PowerModel.preset("quadriga:empty:concrete")
-COST = EnergyCost(MODEL)
 A, BETA, C = 226.0, 0.627 * MODEL.vehicle.slip_moment, 0.47
 SPIN = A * C + BETA
 
@@ -37,7 +33,7 @@ def grid_graph(rng, side=4, size=2.0):
 
 
 def brute_force(graph, source, target, start_yaw, goal_yaw, reverse, metre=A, radian=SPIN):
-    """Every simple path, every gear on every edge, priced by the closed fo"""
+    """Every simple path, every gear on every edge, priced by the closed form."""
     place = nx.get_node_attributes(graph, "pos")
     best = np.inf
     for nodes in nx.all_simple_paths(graph, source, target):
@@ -62,9 +58,8 @@ def test_routes_are_the_best_of_all(reverse, ends):
     rng = np.random.default_rng(21)
     for _ in range(3):
         graph = grid_graph(rng, side=3)
-        route = Roadmap(graph, COST, reverse=reverse).route(
-            (0, 0), (2, 2), start_yaw=ends[0], goal_yaw=ends[1]
-        )
+        yaws = dict(zip(("start_yaw", "goal_yaw"), ends, strict=True))
+        route = Roadmap(graph, COST, reverse=reverse).route((0, 0), (2, 2), **yaws)
         expected = brute_force(graph, (0, 0), (2, 2), *ends, reverse)
         assert route.energy == pytest.approx(expected, rel=1e-9)
 
@@ -74,26 +69,24 @@ def test_routes_are_the_best_of_all(reverse, ends):
 )
 def test_routes_are_the_best_of_all_at_every_objective(objective):
     """Hotel load and a limit of power: a turn and a metre have prices of their own in each."""
-    vehicle = replace(MODEL.vehicle, motor=MotorLimits(continuous_power=150.0, speed=1.2))
-    cost = EnergyCost(replace(MODEL, vehicle=vehicle).with_term(HOTEL, 90.0))
+    vehicle = replace(MODEL.vehicle, motor=ep.MotorLimits(continuous_power=150.0, speed=1.2))
+    cost = ep.EnergyCost(replace(MODEL, vehicle=vehicle).with_term(HOTEL, 90.0))
     weights = {objective: 1.0} if isinstance(objective, str) else objective
 
     def price(ds, turn):
         """By hand: what `Plan.cost` is said to be."""
-        motion = Path(Pose(0, 0, 0), [ds], [turn])
+        motion = ep.Path(ep.Pose(0, 0, 0), [ds], [turn])
         energy = cost.energy(motion)
-        tied = abs(ds) + 0.01 * energy / cost.energy(Path(Pose(0, 0, 0), [1.0], [0.0]))
+        tied = abs(ds) + 0.01 * energy / cost.energy(ep.Path(ep.Pose(0, 0, 0), [1.0], [0.0]))
         total = weights.get("energy", 0) * energy + weights.get("length", 0) * tied
         return total + weights.get("time", 0) * cost.duration(motion)
 
     rng = np.random.default_rng(28)
     for _ in range(4):
         graph = grid_graph(rng, side=3)
-        roadmap = Roadmap(graph, cost, objective=objective)
-        route = roadmap.route((0, 0), (2, 2), start_yaw=1.5)
-        expected = brute_force(
-            graph, (0, 0), (2, 2), 1.5, None, True, price(1.0, 0.0), price(0.0, 1.0)
-        )
+        route = Roadmap(graph, cost, objective=objective).route((0, 0), (2, 2), start_yaw=1.5)
+        prices = price(1.0, 0.0), price(0.0, 1.0)
+        expected = brute_force(graph, (0, 0), (2, 2), 1.5, None, True, *prices)
         assert route.cost == pytest.approx(expected, rel=1e-6)
         assert route.energy == pytest.approx(cost.energy(route.path), rel=1e-12)
 
@@ -102,8 +95,8 @@ def test_a_route_ends_where_it_should():
     rng = np.random.default_rng(22)
     graph = grid_graph(rng)
     nx.set_node_attributes(graph, 0.5, "radius")
-    ahead = MODEL.vehicle.with_icr(TreadICR(0.5, 0.45, 0.1))
-    cost = EnergyCost(PowerModel.paper(ahead, 113.0, 0.627))
+    ahead = MODEL.vehicle.with_icr(ep.TreadICR(0.5, 0.45, 0.1))
+    cost = ep.EnergyCost(ep.PowerModel.paper(ahead, 113.0, 0.627))
     route = Roadmap(graph, cost).route((0, 0), (3, 2), start_yaw=2.5, goal_yaw=-1.0)
     end, start = route.path.end, route.path.start
     for pose, node in ((start, (0, 0)), (end, (3, 2))):
@@ -118,9 +111,8 @@ def test_the_weights_along_a_route_add_up_to_its_energy():
     """Also with rounded corners, on two surfaces."""
     rng = np.random.default_rng(23)
     graph = grid_graph(rng)
-    ground = SurfaceMap(
-        [Surface(shapely.box(3, -5, 20, 20), PowerModel.preset("quadriga:empty:marble"))]
-    )
+    marble = ep.PowerModel.preset("quadriga:empty:marble")
+    ground = ep.SurfaceMap([Surface(shapely.box(3, -5, 20, 20), marble)])
     for radius, surfaces in ((0.0, ground), (0.6, None)):
         roadmap = Roadmap(graph, COST, surfaces=surfaces, radius=radius)
         route = roadmap.route((0, 0), (3, 3))
@@ -150,17 +142,15 @@ def test_backing_out_of_a_dead_end_is_cheaper_than_turning_round():
 
 
 def test_any_kind_of_graph_will_do():
-    place = {0: (0, 0), 1: (1, 0), 2: (1, 1)}
     energies = []
     for kind in (nx.Graph, nx.DiGraph, nx.MultiGraph, nx.MultiDiGraph):
         graph = kind([(0, 1), (1, 2)])
-        nx.set_node_attributes(graph, {n: x for n, (x, _) in place.items()}, "x")
-        nx.set_node_attributes(graph, {n: y for n, (_, y) in place.items()}, "y")
+        nx.set_node_attributes(graph, {0: 0, 1: 1, 2: 1}, "x")
+        nx.set_node_attributes(graph, {0: 0, 1: 0, 2: 1}, "y")
         energies.append(Roadmap(graph, COST).route(0, 2).energy)
         if graph.is_directed():
-            with pytest.raises(
-                NoPathError, match=r"nearest node that is reached is 2 at \(1.00, 1.00\), 1.41 m"
-            ):
+            said = r"nearest node that is reached is 2 at \(1.00, 1.00\), 1.41 m"
+            with pytest.raises(NoPathError, match=said):
                 Roadmap(graph, COST).route(2, 0)
     assert np.allclose(energies, 2 * A + SPIN * np.pi / 2)
 
@@ -191,7 +181,7 @@ def test_without_losses_the_widest_corner_is_best():
 def test_with_losses_the_pivot_beats_wide_arcs():
     """Where an inner motor's power is lost, an arc wider than C pays for power going round."""
     vehicle = replace(MODEL.vehicle, regen_efficiency=0.0)
-    wasteful = EnergyCost(PowerModel.paper(vehicle, 113.0, 0.627), battery=True)
+    wasteful = ep.EnergyCost(ep.PowerModel.paper(vehicle, 113.0, 0.627), battery=True)
     turn, limit = np.array([0.1, -0.3]), np.array([3.0, 3.0])
     corner = round_corner(wasteful.segment_energy, C, turn, limit, np.array([1.0, -1.0]))
     radii = np.linspace(0, 3, 3001)
@@ -215,26 +205,12 @@ def test_rounded_corners_lie_within_the_lines():
     assert np.allclose(np.abs(wide.path.ds), [1.0, 1.0 * np.pi / 2, 2.0])
 
 
-@pytest.mark.shared
-def test_nav2_graph_routes_cost_at_least_the_free_minimum(shared_data):
-    graph = read_route_graph(shared_data / "route_graphs" / "turtlebot4_graph.geojson")
-    roadmap = Roadmap(graph, COST)
-    nodes = sorted(graph)
-    for target in nodes[1::5]:
-        route = roadmap.route(nodes[0], target, start_yaw=0.3, goal_yaw=1.0)
-        least = float(steering.energy(route.path.start, route.path.end, COST))
-        assert route.energy >= least * (1 - 1e-9)
-
-
 # -- edges planned among obstacles ------------------------------------------------------------
 
 
-def problem(*boxes: tuple[int, int, int, int]) -> PlanningProblem:
+def problem(*boxes: tuple[slice, slice]) -> ep.PlanningProblem:
     """Return a hall of 10 m by 8 m with boxes of cells."""
-    occupied = np.zeros((160, 200), bool)
-    for row, column, height, width in boxes:
-        occupied[row : row + height, column : column + width] = True
-    return PlanningProblem(OccupancyGrid(occupied, 0.05), COST, (1, 1, 0), (1, 1, 0))
+    return ep.PlanningProblem(room(160, 200, 0.05, *boxes), COST, (1, 1, 0), (1, 1, 0))
 
 
 def square(kind=nx.DiGraph) -> nx.Graph:
@@ -254,19 +230,14 @@ def test_free_edges_are_straight_and_pay_for_turns():
         expected = straight.edges[source, target]["cost"]
         # from place 3 the way leads on to 0 or back, from 2 on to 3 alone, and so on
         assert data["cost"] == pytest.approx(expected + (spin if (source, target) != (0, 3) else 0))
-
-
-def test_a_route_pays_for_each_turn():
-    found = plan_edges(square(), problem())
     path = found.route(0, 2)
-    spin = float(COST.segment_energy(0.0, np.pi / 2))
     assert COST.energy(path) == pytest.approx(10 * 226.0 + spin)
     assert np.allclose(path.end[:2], (8, 6))
 
 
 @pytest.mark.parametrize("kind", [nx.DiGraph, nx.MultiDiGraph, nx.Graph])
 def test_an_obstacle_on_an_edge_is_driven_around(kind):
-    asked = problem((30, 90, 20, 20))
+    asked = problem(np.s_[30:50, 90:110])
     found = plan_edges(square(kind), asked)
     assert found.closed == ()
     state = next(s for s in found.paths if {s.source, s.target} == {0, 1})
@@ -274,13 +245,13 @@ def test_an_obstacle_on_an_edge_is_driven_around(kind):
     assert asked.map.path_free(path, COST.vehicle)
     assert found.energies[state] == pytest.approx(COST.energy(path))
     assert found.energies[state] > 6 * 226.0 * 1.02
-    assert found.energies[state] >= steering.energy(path.start, path.end, COST) * (1 - 1e-9)
+    assert found.energies[state] >= ep.steering.energy(path.start, path.end, COST) * (1 - 1e-9)
     route = found.route(0, 2)
     assert asked.map.path_free(route, COST.vehicle)
 
 
 def test_closed_edges_are_told_and_left_out(tmp_path):
-    walled = problem((0, 100, 160, 4))
+    walled = problem(np.s_[:, 100:104])
     found = plan_edges(square(), walled)
     assert {(edge.source, edge.target) for edge in found.closed} == {(0, 1), (2, 3)}
     assert "certainly" in found.closed[0].reason
@@ -302,6 +273,6 @@ def test_closed_edges_are_told_and_left_out(tmp_path):
 
 
 def test_a_place_in_an_obstacle_closes_its_edges():
-    found = plan_edges(square(), problem((110, 30, 20, 20)))
+    found = plan_edges(square(), problem(np.s_[110:130, 30:50]))
     assert {(edge.source, edge.target) for edge in found.closed} == {(2, 3), (3, 0), (0, 3)}
     assert all("touches an obstacle" in edge.reason for edge in found.closed)

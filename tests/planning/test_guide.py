@@ -8,19 +8,16 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from worlds import box_robot, free_poses, room
 
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, PowerModel, Vehicle, plan
 from energyplan.errors import PlanningError
-from energyplan.path import Pose
-from energyplan.planning import Budget, PlanningProblem, plan
+from energyplan.planning import Budget
 from energyplan.planning.search.tracking import chain_along, poses_along, track_route
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import HEADINGS
 from energyplan.planning.space.cost_to_go import cost_over, cost_to_go, reached, regions_for
 from energyplan.planning.space.places import RIM, places_for
-from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid
-from energyplan.vehicle import Vehicle
 
 ROBOTS = {
     "small": (0.3, 0.25, 0.0),
@@ -35,9 +32,7 @@ def robot(kind: str) -> Vehicle:
     """Return a robot of a kind."""
     length, width, ahead = ROBOTS[kind]
     corners = [[ahead - length / 2, -width / 2], [ahead + length / 2, width / 2]]
-    made = Vehicle.from_geometry(
-        kind, mass=30.0, wheelbase=0.5 * length, track=0.8 * width, length=length, width=width
-    )
+    made = box_robot(length, width, wheelbase=0.5)
     wheels = made.contacts + np.array((0.3 * ahead, 0.0))  # within the footprint
     return replace(made, contacts=wheels, footprint=np.array(corners))
 
@@ -81,17 +76,9 @@ def problems(kind: str, made: str, seed: int, resolution: float, count: int):
     vehicle = robot(made)
     grid = floor(kind, seed, resolution, 0.8 * max(ROBOTS[made][:2]))
     cost = EnergyCost.from_coefficients(150.0, 60.0, vehicle.icr)
-    rng = np.random.default_rng(seed)
-    rows, columns = grid.shape
-    poses: list[np.ndarray] = []
-    for _ in range(200):
-        tried = grid.to_world(rng.uniform((0, 0), (columns, rows), (20, 2)))
-        tried = np.column_stack([tried, rng.uniform(-np.pi, np.pi, 20)])
-        poses.extend(tried[grid.footprint_free(tried, vehicle)])
-        if len(poses) >= 2 * count:
-            break
-    pairs = zip(poses[::2], poses[1::2], strict=False)
-    return [PlanningProblem(grid, cost, a, b, vehicle=vehicle) for a, b in list(pairs)[:count]]
+    poses = free_poses(grid, 2 * count, seed, vehicle, draws=4000)
+    pairs = zip(poses[::2], poses[1::2], strict=True)
+    return [PlanningProblem(grid, cost, *pair, vehicle=vehicle) for pair in pairs]
 
 
 def joined_nodes(places) -> np.ndarray:
@@ -155,14 +142,11 @@ def test_a_plan_of_little_effort_is_found_where_free_configurations_are_joined(
 
 # -- which way the robot faces on it ---------------------------------------------------------------
 
-LONG = Vehicle.from_geometry(
-    "long", mass=120.0, wheelbase=1.2, track=0.42, length=2.0, width=0.5
-)  # fmt: skip
-
 
 def way_of(grid, start, goal):
     """Return the poses along the way to go of a robot for which turning is dear."""
-    cost = EnergyCost(PowerModel.paper(LONG, K=20.0, mu=0.5))
+    long = Vehicle.from_geometry("long", mass=120.0, wheelbase=1.2, track=0.42, length=2, width=0.5)
+    cost = EnergyCost(PowerModel.paper(long, K=20.0, mu=0.5))
     setting = CompiledProblem(PlanningProblem(grid, cost, start, goal)).setting
     to_go = cost_to_go(setting)
     return poses_along(to_go.places, setting, chain_along(to_go, setting))
@@ -171,7 +155,7 @@ def way_of(grid, start, goal):
 @pytest.mark.parametrize("turned", [0.0, 1.1, -2.4])
 def test_a_way_straight_ahead_keeps_the_heading_of_its_ends(turned):
     # the map lies at any angle to the world
-    grid = OccupancyGrid(np.zeros((40, 90), bool), 0.1, (1.0, -2.0, turned))
+    grid = room(40, 90, 0.1, origin=(1.0, -2.0, turned))
     (x, y), (to_x, to_y) = grid.to_world([(20.0, 20.0), (70.0, 20.0)])
     poses = way_of(grid, (x, y, turned), (to_x, to_y, turned))
     off = np.remainder(poses[:, 2] - turned + np.pi, 2 * np.pi) - np.pi
@@ -182,9 +166,7 @@ def test_a_way_straight_ahead_keeps_the_heading_of_its_ends(turned):
 @pytest.mark.parametrize("yaw", [0.0, np.pi])
 def test_through_a_slot_a_robot_faces_as_its_ends_do(yaw):
     # the way is as long forwards and backwards, and the robot cannot turn round within
-    occupied = np.zeros((100, 200), bool)
-    occupied[:36, 70:130] = occupied[51:, 70:130] = True
-    grid = OccupancyGrid(occupied, 0.04)
+    grid = room(100, 200, 0.04, np.s_[:36, 70:130], np.s_[51:, 70:130])
     poses = way_of(grid, (1.3, 1.0, yaw), (6.7, 2.6, yaw))
     inside = poses[(poses[:, 0] > 3.0) & (poses[:, 0] < 5.0)]
     assert len(inside) > 2

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_closure import robot
+from worlds import room
 
-from energyplan.errors import (
-    GoalInCollisionError,
-    NoPathError,
-    OutsideMapError,
-    PlanningError,
-    StartInCollisionError,
-)
-from energyplan.io.maps import read_map
-from energyplan.planning import Plan, PlanningProblem, plan
-from energyplan.terrain import OccupancyGrid
+from energyplan import OccupancyGrid, Plan, PlanningProblem, plan
+from energyplan.errors import NoPathError, PlanningError, StartInCollisionError
 
 
 def answer(grid, start, goal, size=(0.9, 0.6)) -> Plan | PlanningError:
@@ -26,20 +21,16 @@ def answer(grid, start, goal, size=(0.9, 0.6)) -> Plan | PlanningError:
         return error
 
 
-def empty(rows: int, columns: int, cell: float) -> OccupancyGrid:
-    return OccupancyGrid(np.zeros((rows, columns), bool), cell)
-
-
 @pytest.mark.parametrize(
     ("grid", "start", "goal"),
     [
-        (empty(30, 30, 0.05), (0.7, 0.7, 0), (0.8, 0.8, 1.5)),
-        (empty(30, 30, 0.1), (0.7, 0.7, 0), (2.3, 2.3, 1.5)),
-        (empty(30, 30, 1.0), (3.0, 3.0, 0), (25.0, 25.0, 1.5)),
-        (empty(1, 100, 1.0), (2.0, 0.5, 0), (90.0, 0.5, 0)),
-        (empty(24, 1500, 0.05), (1.0, 0.6, 0), (74.0, 0.6, 0)),
-        (empty(1500, 24, 0.05), (0.6, 1.0, 1.57), (0.6, 74.0, 1.57)),
-        (empty(250, 250, 0.012), (0.8, 0.8, 0), (2.1, 2.1, 1.0)),
+        (room(30, 30, 0.05), (0.7, 0.7, 0), (0.8, 0.8, 1.5)),
+        (room(30, 30, 0.1), (0.7, 0.7, 0), (2.3, 2.3, 1.5)),
+        (room(30, 30, 1.0), (3.0, 3.0, 0), (25.0, 25.0, 1.5)),
+        (room(1, 100, 1.0), (2.0, 0.5, 0), (90.0, 0.5, 0)),
+        (room(24, 1500, 0.05), (1.0, 0.6, 0), (74.0, 0.6, 0)),
+        (room(1500, 24, 0.05), (0.6, 1.0, 1.57), (0.6, 74.0, 1.57)),
+        (room(250, 250, 0.012), (0.8, 0.8, 0), (2.1, 2.1, 1.0)),
     ],
     ids=["30 cells", "30 of 10 cm", "30 of 1 m", "one row", "long", "high", "12 mm"],
 )
@@ -68,45 +59,20 @@ def test_single_cells_are_passed_where_there_is_room_between_them():
     assert large.certainty == "proven"
 
 
-def test_what_is_unknown_is_closed_unless_said_otherwise(tmp_path):
-    image = np.full((120, 160), 254, np.uint8)
-    image[:, 80:84] = 205
-    image[50:70, 80:84] = 254
-    yaml = tmp_path / "map.yaml"
-    yaml.write_text(
-        "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
-        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
-    )
-
-    def known() -> OccupancyGrid:
-        (tmp_path / "map.pgm").write_bytes(b"P5\n160 120\n255\n" + image.tobytes())
-        return read_map(yaml)
-
-    ends = (1.0, 1.0, 0), (7.0, 1.0, 0)
-    assert answer(known(), *ends).length > 7.0
-    assert abs(answer(known().with_unknown_free(), *ends).length - 6.0) < 1e-6
-    image[50:70, 80:84] = 205
-    closed = answer(known(), *ends)
+def test_what_is_unknown_is_closed_unless_said_otherwise():
+    ends, above, below = ((1.0, 1.0, 0), (7.0, 1.0, 0)), np.s_[:50, 80:84], np.s_[70:, 80:84]
+    grid = replace(room(120, 160, 0.05), unknown=room(120, 160, 0.05, above, below).occupied)
+    assert answer(grid, *ends).length > 7.0
+    assert answer(grid.with_unknown_free(), *ends).length == pytest.approx(6.0, abs=1e-6)
+    closed = answer(replace(grid, unknown=room(120, 160, 0.05, np.s_[:, 80:84]).occupied), *ends)
     assert isinstance(closed, NoPathError)
     assert closed.certainty == "proven"
     assert "unknown cells" in str(closed)
 
 
 def test_full_maps_and_borders_are_told_of():
-    full = np.ones((100, 100), bool)
-    assert isinstance(
-        answer(OccupancyGrid(full, 0.05), (1, 1, 0), (4, 4, 0)), StartInCollisionError
-    )
-    full[10:40, 10:40] = full[60:90, 60:90] = False
-    holes = answer(OccupancyGrid(full, 0.05), (1.25, 1.25, 0), (3.75, 3.75, 0))
-    assert isinstance(holes, NoPathError)
-    assert holes.certainty == "proven"
-    hall = empty(100, 100, 0.05)
-    beyond = answer(hall, (0.4, 0.3, 0), (4, 4, 0))
-    assert isinstance(beyond, StartInCollisionError)
-    assert "nearest free pose" in str(beyond)
-    assert isinstance(answer(hall, (4, 4, 0), (0.4, 0.3, 0)), GoalInCollisionError)
-    assert isinstance(answer(hall, (-1, 0.3, 0), (4, 4, 0)), OutsideMapError)
+    everything = np.s_[:, :]
+    full = answer(room(100, 100, 0.05, everything), (1, 1, 0), (4, 4, 0))
+    assert isinstance(full, StartInCollisionError)
     # a millimetre from the border, facing away from it
-    away = answer(hall, (0.451, 2.5, 0), (4.0, 1.0, 2.0))
-    assert isinstance(away, Plan)
+    assert isinstance(answer(room(100, 100, 0.05), (0.451, 2.5, 0), (4.0, 1.0, 2.0)), Plan)

@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-import pathlib
-
 import numpy as np
 import pytest
 from by_day import by_day
+from worlds import COST, MAPS, free_poses
 
-from energyplan.comparison import compare
-from energyplan.cost import EnergyCost
+from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, compare, plan, read_map
 from energyplan.errors import PlanningError
-from energyplan.io.maps import read_map
-from energyplan.planning import PlanningProblem, plan
-from energyplan.power import PowerModel
 from energyplan.power.effects import term
-from energyplan.terrain import OccupancyGrid
-
-MAPS = pathlib.Path(__file__).resolve().parents[2] / "maps"
-COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 
 
 def pairs(grid, count, seed=5):
     """Return pairs of random free poses."""
-    rng = np.random.default_rng(seed)
-    rows, columns = grid.shape
-    poses = []
-    while len(poses) < 2 * count:
-        cells = rng.uniform((0, 0), (columns, rows), (50, 2))
-        tried = np.column_stack([grid.to_world(cells), rng.uniform(-np.pi, np.pi, 50)])
-        poses.extend(tried[grid.footprint_free(tried, COST.vehicle)])
-    return list(zip(poses[::2], poses[1::2], strict=False))[:count]
+    poses = free_poses(grid, 2 * count, seed, draws=2000)
+    return list(zip(poses[::2], poses[1::2], strict=True))
 
 
 def both(problem, effort):

@@ -3,28 +3,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from worlds import COST, room
 
-from energyplan.cost import EnergyCost
-from energyplan.errors import UnknownNameError
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning import ompl as adapter
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, Surface, SurfaceMap
+from energyplan.terrain import Surface, SurfaceMap
 
 base = pytest.importorskip("ompl.base")
 
-COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
-
-
-def hall_with_pillar():
-    occupied = np.zeros((80, 100), bool)
-    occupied[25:55, 45:55] = True
-    return OccupancyGrid(occupied, 0.1)
-
-
 GROUND = SurfaceMap([Surface(shapely.box(20, 20, 21, 21), COST.model)])  # beside the map
-PROBLEM = PlanningProblem(hall_with_pillar(), COST, (2, 4, 0), (8, 4, 1.0))
+PILLAR = np.s_[25:55, 45:55]
+PROBLEM = PlanningProblem(room(80, 100, 0.1, PILLAR), COST, (2, 4, 0), (8, 4, 1.0))
 
 
 @pytest.mark.parametrize("name", ["rrtstar", "informed_rrtstar", "bitstar", "fmt"])
@@ -33,13 +23,7 @@ def test_geometric_planners_return_free_paths_priced_by_the_model(name):
     found = plan(PROBLEM, name, effort=40_000 if name == "fmt" else 15_000, **options)
     assert PROBLEM.map.path_free(found.path, PROBLEM.robot)
     assert found.energy == pytest.approx(COST.energy(found.path), rel=1e-12)
-    assert sum(found.breakdown.values()) == pytest.approx(found.energy, rel=1e-9)
-    np.testing.assert_allclose(found.path.vertices[0], PROBLEM.start, atol=1e-9)
-    end = np.array(found.path.end)
-    np.testing.assert_allclose(end[:2], PROBLEM.goal[:2], atol=1e-6)
-    assert np.cos(end[2] - PROBLEM.goal.yaw) == pytest.approx(1.0, abs=1e-9)
-    best = plan(PROBLEM, effort=10_000)
-    assert best.lower_bound <= best.energy <= found.energy * (1 + 1e-9)
+    assert plan(PROBLEM, effort=10_000).energy <= found.energy * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("surfaces", [None, GROUND])
@@ -66,15 +50,6 @@ def test_validator_agrees_with_the_map():
     space = adapter.pose_space(query)
     information = base.SpaceInformation(space)
     validator = adapter.SteeringValidator(information, query)
-    south, north = (4.0, 1.2, 0.0), (6.0, 1.2, 0.0)
-    assert validator.checkMotion(
-        adapter.pose_state(space, *south), adapter.pose_state(space, *north)
-    )
-    assert not validator.checkMotion(
-        adapter.pose_state(space, 2.0, 4.0, 0.0), adapter.pose_state(space, 8.0, 4.0, 0.0)
-    )
-
-
-def test_unknown_parameter_names_those_there_are():
-    with pytest.raises(UnknownNameError, match="GoalBias"):
-        plan(PROBLEM, "rrtstar", effort=5000, no_such=1)
+    for y, free in ((1.2, True), (4.0, False)):
+        ends = (adapter.pose_state(space, x, y, 0.0) for x in (2.0, 8.0))
+        assert validator.checkMotion(*ends) == free

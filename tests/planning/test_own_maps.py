@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from worlds import COST, MAPS
 
-from energyplan.cost import EnergyCost
-from energyplan.io.geojson import read_surfaces
-from energyplan.io.maps import read_map
-from energyplan.planning import PlanningProblem, plan
-from energyplan.power import PowerModel
-
-ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "maps"
+from energyplan import EnergyCost, PlanningProblem, PowerModel, plan, read_map, read_surfaces
 
 # that of the table in docs/maps.md
 EFFORT = 20_000
@@ -30,7 +23,7 @@ CASES = {
 
 
 def test_the_script_makes_these_files(tmp_path):
-    spec = importlib.util.spec_from_file_location("make_maps", FOLDER / "make_maps.py")
+    spec = importlib.util.spec_from_file_location("make_maps", MAPS / "make_maps.py")
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     script.main(tmp_path)
@@ -42,16 +35,16 @@ def test_the_script_makes_these_files(tmp_path):
         if name.endswith(".png"):
             # another release of the image library may compress otherwise
             continue
-        assert (tmp_path / name).read_bytes() == (FOLDER / name).read_bytes(), name
+        assert (tmp_path / name).read_bytes() == (MAPS / name).read_bytes(), name
     for name in (*CASES, "yard"):
-        one, other = read_map(tmp_path / f"{name}.yaml"), read_map(FOLDER / f"{name}.yaml")
+        one, other = read_map(tmp_path / f"{name}.yaml"), read_map(MAPS / f"{name}.yaml")
         assert np.array_equal(one.occupied, other.occupied)
         assert np.array_equal(one.unknown, other.unknown)
 
 
 def told(name: str) -> list[list[str]]:
     """Length, turning and energy of both routes on a map, as docs/maps.md states them."""
-    _, _, rest = (ROOT / "docs/maps.md").read_text().partition(f"\n| {name}")
+    _, _, rest = (MAPS.parent / "docs/maps.md").read_text().partition(f"\n| {name}")
     return [[cell.strip() for cell in row.split("|")[-4:-1]] for row in rest.splitlines()[:2]]
 
 
@@ -59,8 +52,8 @@ def told(name: str) -> list[list[str]]:
 @pytest.mark.parametrize("name", CASES)
 def test_the_shorter_way_costs_more(name):
     load, start, goal, bar, spot = CASES[name]
-    grid = read_map(FOLDER / f"{name}.yaml")
-    ground = read_surfaces(FOLDER / f"{name}_surfaces.geojson")
+    grid = read_map(MAPS / f"{name}.yaml")
+    ground = read_surfaces(MAPS / f"{name}_surfaces.geojson")
     cost = EnergyCost(PowerModel.preset(f"quadriga:{load}:concrete"))
 
     def world(pose):
@@ -71,9 +64,8 @@ def test_the_shorter_way_costs_more(name):
         problem = PlanningProblem(where, cost, world(start), world(goal), surfaces=ground)
         return plan(problem, effort=EFFORT)
 
-    across = shapely.transform(
-        shapely.box(*bar), lambda points: grid.to_world(points / grid.resolution)
-    )
+    corners = shapely.get_coordinates(shapely.box(*bar)) / grid.resolution
+    across = shapely.Polygon(grid.to_world(corners))
     best, other = planned(grid), planned(grid.with_blocked(across))
     places = grid.to_cells(best.poses[:, :2]) * grid.resolution
     assert np.hypot(*(places - spot).T).min() < 1.0
@@ -87,7 +79,7 @@ def test_the_shorter_way_costs_more(name):
 
 
 def test_another_route_is_taken_where_motions_do_not_lead_on_along_one():
-    grid = read_map(FOLDER / "orchard.yaml")
+    grid = read_map(MAPS / "orchard.yaml")
     ends = (9.4423, 14.4485, -0.438), (-0.0498, 22.7499, 2.9284)  # beside trees, and behind them
-    problem = PlanningProblem(grid, EnergyCost(PowerModel.preset("quadriga:empty:concrete")), *ends)
+    problem = PlanningProblem(grid, COST, *ends)
     assert grid.path_free(plan(problem, effort=5_000).path, problem.robot)

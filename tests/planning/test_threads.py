@@ -10,29 +10,23 @@ from threading import Barrier
 import numpy as np
 import pytest
 from by_day import by_day
+from worlds import COST, room
 
-from energyplan.battery import Battery
-from energyplan.cost import EnergyCost
-from energyplan.mission import Mission, Task, evaluate
-from energyplan.planning import PlanningProblem, plan
+from energyplan import Battery, Mission, OccupancyGrid, PlanningProblem, Task, evaluate, plan
 from energyplan.planning import budget as budgets
 from energyplan.planning.budget import Budget, side_by_side
-from energyplan.power import PowerModel
-from energyplan.terrain import OccupancyGrid, grid
+from energyplan.terrain import grid
 from energyplan.terrain.updates import tables_of
-
-COST = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
 
 
 def rooms(door: float) -> OccupancyGrid:
     """Return three rooms in a row with doors of some width, in cells of 5 cm."""
-    occupied = np.zeros((120, 240), bool)
     half = round(door / 0.05 / 2)
+    walls = [np.s_[40:80, 110:130]]
     for column, row in ((78, 30), (158, 90)):
-        occupied[:, column : column + 3] = True
-        occupied[row - half : row + half, column : column + 3] = False
-    occupied[40:80, 110:130] = True
-    return OccupancyGrid(occupied, 0.05)
+        across = slice(column, column + 3)
+        walls += [(slice(row - half), across), (slice(row + half, None), across)]
+    return room(120, 240, 0.05, *walls)
 
 
 @pytest.mark.parametrize("effort", by_day([6_000, 25_000], [6_000]))

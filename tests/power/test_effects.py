@@ -10,37 +10,7 @@ import pytest
 from energyplan import EnergyCost, Motion, PowerModel, Vehicle
 from energyplan.errors import ModelError, UnknownNameError
 from energyplan.power import TRACTION, Sides, Term, effects, tread_forces
-from energyplan.power.effects import (
-    AIR_DRAG,
-    ANGULAR_INERTIA,
-    COPPER_LOSS,
-    DRAGGING_LEFT,
-    GRADE,
-    LINEAR_INERTIA,
-    MOBILISATION,
-    SIDE_GAIN,
-    SLIP_BEYOND,
-    SLIP_CHANGE,
-    SLIP_SPEED,
-    SPECIFIC_FORCE,
-    STRIBECK,
-    TILT_X,
-    TILT_Y,
-    TOWED_DRAG,
-    TOWING_FORCE,
-    TRACTION_BEYOND,
-    TRACTION_CHANGE,
-    TURN_ASYMMETRY,
-    UNSIGNED_POWER,
-    VISCOUS_LOSS,
-    WARM_UP,
-    WHEEL_FIGHT,
-    Effect,
-    catalogue,
-    effect,
-    empirical_term,
-    term,
-)
+from energyplan.power.effects import Effect, catalogue, effect, empirical_term, term
 from energyplan.power.empirical import CARRIERS, signal
 from energyplan.vehicle import GRAVITY
 
@@ -52,8 +22,10 @@ def _motion(v: object = (0.6, -0.4, 0.3), omega: object = (0.2, 0.5, -0.8), **ch
     return Motion.from_twist(v, omega, VEHICLE.icr, **channels)
 
 
-def _power(made: Term, motion: Motion) -> np.ndarray:
+def _power(made: Term | str, motion: Motion, **params: float) -> np.ndarray:
     """Power of the term alone, per unit of its coefficient."""
+    made = term(made) if isinstance(made, str) else made
+    made = replace(made, params=params) if params else made
     return PowerModel(VEHICLE, (made,), np.array([1.0])).power(motion)
 
 
@@ -64,52 +36,42 @@ def test_every_term_equals_its_equation() -> None:
     headed = _motion(yaw=yaw)
     left, right, v, w, S = m.v_left, m.v_right, m.v, m.omega, VEHICLE.slip_moment
     reach = S / float(VEHICLE.loads.sum())
-    pairs = [
-        (GRADE, GRAVITY * np.sin(slope) * v),
-        (LINEAR_INERTIA, accel * v),
-        (ANGULAR_INERTIA, yaw_accel * w),
-        (SPECIFIC_FORCE, (accel + GRAVITY * np.sin(slope)) * v),
-        (VISCOUS_LOSS, left**2 + right**2),
-        (AIR_DRAG, np.abs(v) ** 3),
-        (TOWING_FORCE, v),
-        (DRAGGING_LEFT, np.abs(left)),
-        (TURN_ASYMMETRY, S * w),
-        (SLIP_SPEED, S * reach * w**2),
-        (MOBILISATION, -S * np.abs(w) * np.abs(v) / (np.abs(v) + np.abs(w))),
-        (WARM_UP, np.exp(-T / 60) * (np.abs(left) + np.abs(right))),
-        (replace(SLIP_CHANGE, params={"time": 30.0}), S * np.abs(w) * (T >= 30)),
-        (
-            replace(TRACTION_CHANGE, params={"time": 31.0}),
-            (np.abs(left) + np.abs(right)) * (T > 31),
-        ),
-        (replace(SLIP_BEYOND, params={"direction": 0.0, "offset": 3.0}), S * np.abs(w) * (x > 3)),
-        (
-            replace(TRACTION_BEYOND, params={"direction": np.pi / 2, "offset": 0.5}),
-            (np.abs(left) + np.abs(right)) * (y > 0.5),
-        ),
-        (
-            replace(STRIBECK, params={"slip_speed": 0.2}),
-            S * np.abs(w) * np.exp(-reach * np.abs(w) / 0.2),
-        ),
-        (TOWED_DRAG, np.abs(v)),
-    ]
-    for made, power in pairs:
-        assert _power(made, m) == pytest.approx(power, abs=1e-9), made.name
-    assert _power(TILT_X, headed) == pytest.approx(GRAVITY * np.cos(yaw) * v)
-    assert _power(TILT_Y, headed) == pytest.approx(GRAVITY * np.sin(yaw) * v)
+    slip, both, ahead = S * np.abs(w), np.abs(left) + np.abs(right), np.abs(v)
+    for name, params, power in (
+        ("grade", {}, GRAVITY * np.sin(slope) * v),
+        ("linear_inertia", {}, accel * v),
+        ("angular_inertia", {}, yaw_accel * w),
+        ("specific_force", {}, (accel + GRAVITY * np.sin(slope)) * v),
+        ("viscous_loss", {}, left**2 + right**2),
+        ("air_drag", {}, ahead**3),
+        ("towing_force", {}, v),
+        ("towed_drag", {}, ahead),
+        ("dragging_wheel_left", {}, np.abs(left)),
+        ("turn_asymmetry", {}, S * w),
+        ("slip_speed_friction", {}, S * reach * w**2),
+        ("friction_mobilisation", {}, -slip * ahead / (ahead + np.abs(w))),
+        ("warm_up", {}, np.exp(-T / 60) * both),
+        ("slip_change", {"time": 30.0}, slip * (T >= 30)),
+        ("traction_change", {"time": 31.0}, both * (T > 31)),
+        ("slip_beyond", {"direction": 0.0, "offset": 3.0}, slip * (x > 3)),
+        ("traction_beyond", {"direction": np.pi / 2, "offset": 0.5}, both * (y > 0.5)),
+        ("stribeck_friction", {"slip_speed": 0.2}, slip * np.exp(-reach * np.abs(w) / 0.2)),
+    ):
+        assert _power(name, m, **params) == pytest.approx(power, abs=1e-9), name
+    assert _power("tilt_x", headed) == pytest.approx(GRAVITY * np.cos(yaw) * v)
+    assert _power("tilt_y", headed) == pytest.approx(GRAVITY * np.sin(yaw) * v)
 
 
 def test_sides_fight_on_a_straight_whichever_way_and_not_in_a_turn() -> None:
     motion = _motion([0.5, -0.5, 0.5, -0.5, 0.0], [0.0, 0.0, 0.2, -0.2, 0.3])
     none = np.zeros(motion.shape)
-    heat = WHEEL_FIGHT.function(motion, VEHICLE, Sides(none, none))
+    heat = term("wheel_fight").function(motion, VEHICLE, Sides(none, none))
     assert heat.total == pytest.approx([1.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def test_wheels_cross_a_border_one_after_the_other() -> None:
     """Seen from the ground: each contact is moved there and weighed by its load."""
     direction, offset = 0.4, 1.0
-    made = replace(SLIP_BEYOND, params={"direction": direction, "offset": offset})
     x, y, yaw = np.array([0.6, 1.0, 1.1, 1.3]), np.full(4, 0.1), np.array([0.0, 0.7, -2.0, 3.0])
     share = np.zeros(4)
     for k in range(4):
@@ -119,7 +81,8 @@ def test_wheels_cross_a_border_one_after_the_other() -> None:
         share[k] = VEHICLE.loads[beyond].sum() / VEHICLE.loads.sum()
     assert 0 < share.min() < 1 or 0 < share[1] < 1
     motion = _motion(0.3, np.full(4, -0.6), x=x, y=y, yaw=yaw)
-    assert _power(made, motion) == pytest.approx(0.6 * VEHICLE.slip_moment * share)
+    power = _power("slip_beyond", motion, direction=direction, offset=offset)
+    assert power == pytest.approx(0.6 * VEHICLE.slip_moment * share)
 
 
 def test_a_tilted_plane_is_the_grade_of_its_slope() -> None:
@@ -127,10 +90,9 @@ def test_a_tilted_plane_is_the_grade_of_its_slope() -> None:
     yaw = np.linspace(-3, 3, 50)
     slope = np.arcsin(np.sin(angle) * np.cos(yaw - uphill))
     weight = VEHICLE.mass * np.sin(angle)
-    plane = PowerModel(
-        VEHICLE, (TILT_X, TILT_Y), weight * np.array([np.cos(uphill), np.sin(uphill)])
-    )
-    graded = PowerModel(VEHICLE, (GRADE,), np.array([VEHICLE.mass]))
+    tilts = (term("tilt_x"), term("tilt_y"))
+    plane = PowerModel(VEHICLE, tilts, weight * np.array([np.cos(uphill), np.sin(uphill)]))
+    graded = PowerModel(VEHICLE, (term("grade"),), np.array([VEHICLE.mass]))
     one = plane.power(_motion(0.5, 0.1, yaw=yaw))
     assert one == pytest.approx(graded.power(_motion(0.5, 0.1, slope=slope)))
     assert catalogue()["tilted_plane"].value(plane) == pytest.approx(angle)
@@ -143,19 +105,19 @@ def test_losses_act_on_the_forces_of_all_terms() -> None:
     motion = _motion(0.5, 0.4)  # the inner side generates
     force, sides = paper.forces(motion), paper.sides(motion)
     assert float(sides.left) < 0 < float(sides.right)
-    copper = paper.with_term(COPPER_LOSS, 2e-4).power(motion)
+    copper = paper.with_term(term("copper_loss"), 2e-4).power(motion)
     heat = 2e-4 * (force.left**2 + force.right**2)
     assert float(copper) == pytest.approx(float(sides.total + heat))
-    unsigned = paper.with_term(UNSIGNED_POWER, 1.0).power(motion)
+    unsigned = paper.with_term(term("unsigned_power"), 1.0).power(motion)
     assert float(unsigned) == pytest.approx(float(np.abs(sides.left) + np.abs(sides.right)))
-    gain = paper.with_term(SIDE_GAIN, 0.1).power(motion)
+    gain = paper.with_term(term("side_gain"), 0.1).power(motion)
     assert float(gain) == pytest.approx(float(1.1 * sides.left + 0.9 * sides.right))
 
 
 def test_the_size_of_a_change_of_payload_is_the_mass_that_explains_it() -> None:
     """A robot that is so much heavier draws what the changed one draws."""
     light, motion = PowerModel.paper(VEHICLE, 110.0, 0.43), _motion(0.5, 0.2)
-    changed = light.with_term(SLIP_CHANGE, 0.06).with_term(TRACTION_CHANGE, 0.0)
+    changed = light.with_term(term("slip_change"), 0.06).with_term(term("traction_change"), 0.0)
     added = catalogue()["payload_change"].value(changed)
     heavy = PowerModel.paper(VEHICLE.with_mass(VEHICLE.mass + added), 110.0, 0.43)
     assert float(changed.power(motion)) == pytest.approx(float(heavy.power(motion)), rel=1e-12)
@@ -251,7 +213,8 @@ def test_one_function_makes_an_effect_and_a_plugin_brings_it(
         monkeypatch.setattr(effects, "entry_points", lambda group, made=made: [Point(made)])
         assert catalogue()["rail_friction"].unit == "N"
         assert term("rail_friction") is rail.terms[0]
-    monkeypatch.setattr(effects, "entry_points", lambda group: [Point(Effect.of(GRADE))])
+    grade = Effect.of(term("grade"))
+    monkeypatch.setattr(effects, "entry_points", lambda group: [Point(grade)])
     with pytest.raises(ModelError, match="redefines"):
         catalogue()
     monkeypatch.setattr(effects, "entry_points", lambda group: [Point(3)])

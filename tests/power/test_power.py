@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import check_refusal, lines
 
 from energyplan import Motion, PowerModel, TreadICR, Vehicle
-from energyplan.errors import MissingChannelError, ModelError, UnknownNameError
 from energyplan.power import (
     DRIVE_LOSS,
     HOTEL,
@@ -16,7 +16,6 @@ from energyplan.power import (
     SLIP,
     TRACTION,
     Sides,
-    Term,
     effects,
     tread_forces,
 )
@@ -74,13 +73,6 @@ def test_breakdown_adds_up_and_knows_no_special_terms() -> None:
     assert model.sides(motion).total == pytest.approx(model.power(motion) - 30.0)
 
 
-def test_a_missing_channel_names_the_term() -> None:
-    vehicle = Vehicle.preset("quadriga")
-    model = PowerModel.paper(vehicle, 100.0, 0.5).with_term(effects.GRADE, 83.0)
-    with pytest.raises(MissingChannelError, match="'grade' needs the channel 'slope'"):
-        model.power(Motion(1.0, 1.0, vehicle.icr))
-
-
 def test_battery_side_loses_what_the_efficiencies_say() -> None:
     vehicle = replace(Vehicle.preset("quadriga:full"), drive_efficiency=0.8, regen_efficiency=0.5)
     model = PowerModel.paper(vehicle, K=118.0, mu=0.647)
@@ -106,31 +98,6 @@ def test_coefficients_never_lose_their_covariance_silently() -> None:
     assert PowerModel.preset("quadriga:full:marble").std_error("slip_friction") is None
 
 
-@pytest.mark.parametrize(
-    ("terms", "values", "cov", "message"),
-    [
-        ((SLIP, SLIP), [1.0, 1.0], None, "twice"),
-        ((SLIP, TRACTION), [1.0], None, "one finite value each"),
-        ((SLIP, TRACTION), [1.0, np.nan], None, "one finite value each"),
-        ((SLIP, TRACTION), [1.0, 1.0], np.eye(3), r"of shape \(2, 2\)"),
-        ((SLIP, TRACTION), [1.0, 1.0], [[1.0, 2.0], [0.0, 1.0]], "symmetric"),
-        ((SLIP, TRACTION), [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]], "negative"),
-    ],
-)
-def test_bad_models_are_refused(
-    terms: tuple[Term, ...], values: list[float], cov: object, message: str
-) -> None:
-    with pytest.raises(ModelError, match=message):
-        PowerModel(Vehicle.preset("quadriga"), terms, values, cov)
-
-
-def test_unknown_names() -> None:
-    with pytest.raises(UnknownNameError, match="quadriga:full:marble"):
-        PowerModel.preset("quadriga:full:ice")
-    with pytest.raises(UnknownNameError, match="slip_friction"):
-        PowerModel.preset("quadriga:full:marble").coefficient("slip")
-
-
 def test_losses_are_fractions_of_what_a_side_draws_or_returns() -> None:
     """Also at powers far below one watt, and for each side alone."""
     vehicle = Vehicle.preset("quadriga:full")
@@ -143,3 +110,24 @@ def test_losses_are_fractions_of_what_a_side_draws_or_returns() -> None:
         assert drawn == pytest.approx(np.where(power > 0, power, 0))
         lost = getattr(REGENERATION_LOSS.function(motion, vehicle, forces), side)
         assert lost == pytest.approx(np.where(power < 0, -power, 0))
+
+
+QUADRIGA = Vehicle.preset("quadriga")
+BOTH = (SLIP, TRACTION)
+MOVING = Motion(1.0, 1.0, QUADRIGA.icr)
+REFUSED = r"""
+ModelError: PowerModel(QUADRIGA, (SLIP, SLIP), [1.0, 1.0]) | twice
+ModelError: PowerModel(QUADRIGA, BOTH, [1.0]) | one finite value each
+ModelError: PowerModel(QUADRIGA, BOTH, [1.0, np.nan]) | one finite value each
+ModelError: PowerModel(QUADRIGA, BOTH, [1.0, 1.0], np.eye(3)) | of shape \(2, 2\)
+ModelError: PowerModel(QUADRIGA, BOTH, [1.0, 1.0], [[1.0, 2.0], [0.0, 1.0]]) | symmetric
+ModelError: PowerModel(QUADRIGA, BOTH, [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]]) | negative
+UnknownNameError: PowerModel.preset("quadriga:full:ice") | quadriga:full:marble
+UnknownNameError: PowerModel.preset("quadriga:full:marble").coefficient("slip") | slip_friction
+MissingChannelError: PowerModel(QUADRIGA, (effects.GRADE,), [8.0]).power(MOVING) | 'grade'.*'slope'
+"""
+
+
+@pytest.mark.parametrize("case", lines(REFUSED))
+def test_bad_input_is_refused(case: str) -> None:
+    check_refusal(case, globals())

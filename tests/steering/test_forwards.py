@@ -1,17 +1,12 @@
 """The cheapest motion that never drives backwards, against a linear program over its headings."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from energyplan import steering
-from energyplan.cost import EnergyCost
-from energyplan.errors import InvalidInputError
-from energyplan.power import HOTEL, PowerModel
-from energyplan.vehicle import MotorLimits, TreadICR
+from energyplan import EnergyCost, TreadICR, steering
 
 STEP = 2.0 * math.pi / 36
 
@@ -88,11 +83,3 @@ def test_what_leads_forwards_anyway_takes_no_more() -> None:
     assert steering.energy((0, 0, 0), goals, cost, reverse=False) == pytest.approx(with_it)
     # straight behind: two half turns
     assert float(steering.energy((0, 0, 0), (-1, 0, 0), cost, reverse=False)) > 600.0
-
-
-def test_a_cost_that_is_not_static_is_refused() -> None:
-    full = PowerModel.preset("quadriga:full:marble")
-    limited = replace(full, vehicle=replace(full.vehicle, motor=MotorLimits(speed=1.2)))
-    cost = EnergyCost(limited.with_term(HOTEL, 80.0))
-    with pytest.raises(InvalidInputError, match="static models only"):
-        steering.energy((0, 0, 0), (1, 0, 0), cost, reverse=False)

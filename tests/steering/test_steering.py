@@ -10,11 +10,11 @@ import pytest
 from by_day import by_day
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import check_refusal, lines
 from steering_optimum import Corners, optimum
 
 from energyplan import EnergyCost, Motion, MotorLimits, Path, Pose, PowerModel, TreadICR, steering
 from energyplan.cost.steering import polygon_steering
-from energyplan.errors import InvalidInputError
 from energyplan.power import HOTEL, Sides, Term, tread_forces
 from energyplan.power.effects import VISCOUS_LOSS
 from energyplan.steering.kernels import steer_energy
@@ -54,14 +54,15 @@ def random_pairs(n: int, seed: int, reach: tuple[float, float]) -> tuple[np.ndar
     distance = np.exp(rng.uniform(*np.log(reach), n))
     bearing = rng.uniform(-np.pi, np.pi, n)
     starts = np.column_stack([rng.normal(size=(n, 2)), rng.uniform(-4, 4, n)])
-    goals = np.column_stack(
-        [
-            starts[:, 0] + distance * np.cos(bearing),
-            starts[:, 1] + distance * np.sin(bearing),
-            rng.uniform(-4, 4, n),
-        ]
-    )
-    return starts, goals
+    offsets = distance * np.stack([np.cos(bearing), np.sin(bearing)])
+    return starts, np.column_stack([starts[:, :2] + offsets.T, rng.uniform(-4, 4, n)])
+
+
+def random_motion(rng: np.random.Generator, reach: tuple[float, float]) -> tuple[np.ndarray, float]:
+    """A displacement at a log-uniform distance, and a turn."""
+    distance = math.exp(rng.uniform(*np.log(reach)))
+    bearing, turn = rng.uniform(-np.pi, np.pi, 2)
+    return distance * np.array([math.cos(bearing), math.sin(bearing)]), turn
 
 
 # -- against independent optima ----------------------------------------------------------------
@@ -72,12 +73,10 @@ def test_closed_form_agrees_with_a_linear_program(pairs: int) -> None:
     rng = np.random.default_rng(11)
     for _ in range(pairs):
         c = math.exp(rng.uniform(math.log(0.2), math.log(4.0)))
-        distance = math.exp(rng.uniform(math.log(0.05), math.log(100.0)))
-        bearing, turn = rng.uniform(-np.pi, np.pi, 2)
-        d = distance * np.array([math.cos(bearing), math.sin(bearing)])
+        d, turn = random_motion(rng, (0.05, 100.0))
         corners = ((-1.0, 1.0 + c), (1.0, 1.0 + c))
         program = optimum(d, turn, Corners(corners, corners, 1.0, 1.0))
-        found = float(steering.energy((0, 0, 0), (*d, turn), unit_cost(c)))
+        found = one((0, 0, 0), (*d, turn), unit_cost(c))
         # Every solution of the program can be driven: the exact optimum is never above it.
         assert (1 - 1e-3) * program <= found <= (1 + 1e-9) * program
 
@@ -90,11 +89,9 @@ def test_hotel_load_agrees_with_a_linear_program(pairs: int) -> None:
     corners = tuple((m, b + kappa * (C + abs(m))) for m in (-C, 0.0, C))
     rng = np.random.default_rng(12)
     for _ in range(pairs):
-        distance = math.exp(rng.uniform(math.log(0.05), math.log(20.0)))
-        bearing, turn = rng.uniform(-np.pi, np.pi, 2)
-        d = distance * np.array([math.cos(bearing), math.sin(bearing)])
+        d, turn = random_motion(rng, (0.05, 20.0))
         program = optimum(d, turn, Corners(corners, corners, a + kappa, a + kappa))
-        found = float(steering.energy((0, 0, 0), (*d, turn), cost))
+        found = one((0, 0, 0), (*d, turn), cost)
         assert (1 - 1e-3) * program <= found <= (1 + 1e-7) * program
 
 
@@ -132,9 +129,7 @@ def test_lopsided_costs_agree_with_a_linear_program(hotel: float, pairs: int) ->
     ahead, behind = cost.segment_energy([1.0, -1.0], 0.0)
     rng = np.random.default_rng(14)
     for _ in range(pairs):
-        distance = math.exp(rng.uniform(math.log(0.05), math.log(10.0)))
-        bearing, turn = rng.uniform(-np.pi, np.pi, 2)
-        d = distance * np.array([math.cos(bearing), math.sin(bearing)])
+        d, turn = random_motion(rng, (0.05, 10.0))
         program = optimum(d, turn, Corners(left, right, float(ahead), float(behind)))
         found = one((0, 0, 0), (*d, turn), cost)
         assert (1 - 1e-3) * program <= found <= (1 + 1e-7) * program
@@ -198,7 +193,7 @@ def test_never_below_the_lower_bound(name: str) -> None:
 
 coordinate = st.floats(-8, 8, allow_nan=False)
 angle = st.floats(-3.2, 3.2, allow_nan=False)
-poses = st.tuples(coordinate, coordinate, angle)
+poses = st.builds(Pose, coordinate, coordinate, angle)
 ratios = st.floats(0.0, 6.0)
 
 
@@ -208,45 +203,32 @@ def one(start: tuple[float, ...], goal: tuple[float, ...], cost: EnergyCost) -> 
 
 @given(poses, poses, ratios, poses)
 @settings(max_examples=150, deadline=None)
-def test_left_invariance(
-    start: tuple[float, float, float],
-    goal: tuple[float, float, float],
-    c: float,
-    frame: tuple[float, float, float],
-) -> None:
+def test_left_invariance(start: Pose, goal: Pose, c: float, frame: Pose) -> None:
     cost = unit_cost(c)
-    fx, fy, turn = frame
 
-    def moved(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    def moved(pose: Pose) -> Pose:
+        cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
         x, y, yaw = pose
-        cos, sin = math.cos(turn), math.sin(turn)
-        return fx + cos * x - sin * y, fy + sin * x + cos * y, yaw + turn
+        return Pose(frame.x + cos * x - sin * y, frame.y + sin * x + cos * y, frame.yaw + yaw)
 
     # Energy is continuous but rises like the square root of a sideways step.
-    assert one(moved(start), moved(goal), cost) == pytest.approx(
-        one(start, goal, cost), rel=1e-6, abs=1e-5
-    )
+    expected = pytest.approx(one(start, goal, cost), rel=1e-6, abs=1e-5)
+    assert one(moved(start), moved(goal), cost) == expected
 
 
 @given(poses, ratios)
 @settings(max_examples=150, deadline=None)
-def test_mirror_and_time_reversal(goal: tuple[float, float, float], c: float) -> None:
-    cost = unit_cost(c)
-    x, y, yaw = goal
-    energy = one((0, 0, 0), goal, cost)
-    assert one((0, 0, 0), (x, -y, -yaw), cost) == pytest.approx(energy, rel=1e-6, abs=1e-5)
-    assert one(goal, (0, 0, 0), cost) == pytest.approx(energy, rel=1e-6, abs=1e-5)
-    assert one((0, 0, 0), (-x, y, -yaw), cost) == pytest.approx(energy, rel=1e-6, abs=1e-5)
+def test_mirror_and_time_reversal(goal: Pose, c: float) -> None:
+    cost, origin, (x, y, yaw) = unit_cost(c), Pose(0, 0, 0), goal
+    energy = pytest.approx(one(origin, goal, cost), rel=1e-6, abs=1e-5)
+    assert one(origin, (x, -y, -yaw), cost) == energy
+    assert one(goal, origin, cost) == energy
+    assert one(origin, (-x, y, -yaw), cost) == energy
 
 
 @given(poses, poses, poses, ratios)
 @settings(max_examples=200, deadline=None)
-def test_triangle_inequality(
-    a: tuple[float, float, float],
-    b: tuple[float, float, float],
-    c: tuple[float, float, float],
-    ratio: float,
-) -> None:
+def test_triangle_inequality(a: Pose, b: Pose, c: Pose, ratio: float) -> None:
     cost = unit_cost(ratio)
     assert one(a, c, cost) <= (one(a, b, cost) + one(b, c, cost)) * (1 + 1e-9) + 1e-9
 
@@ -306,27 +288,11 @@ def test_asymmetric_icr_is_a_shift_of_the_reference_point() -> None:
 
     def centre(pose: np.ndarray) -> tuple[float, float, float]:
         x, y, yaw = pose
-        return (
-            x + 0.1 * math.cos(yaw) - 0.1 * math.sin(yaw),
-            y + 0.1 * math.sin(yaw) + 0.1 * math.cos(yaw),
-            yaw,
-        )
+        ahead, aside = 0.1 * math.cos(yaw), 0.1 * math.sin(yaw)
+        return x + ahead - aside, y + aside + ahead, yaw
 
-    for start, goal in zip(*random_pairs(50, seed=8, reach=(0.1, 9.0)), strict=True):
-        assert one(start, goal, shifted) == pytest.approx(
-            one(centre(start), centre(goal), centred), rel=1e-9
-        )
-
-
-def test_bad_poses_are_told() -> None:
-    with pytest.raises(InvalidInputError, match="shape"):
-        steering.energy((0, 0), (1, 1, 0), UNIT)
-    with pytest.raises(InvalidInputError, match="not finite"):
-        steering.energy((0, 0, np.nan), (1, 1, 0), UNIT)
-    with pytest.raises(InvalidInputError, match="broadcast"):
-        steering.energy(np.zeros((2, 3)), np.zeros((4, 3)), UNIT)
-    with pytest.raises(InvalidInputError, match="one pose to one"):
-        steering.path(np.zeros((2, 3)), (1, 1, 0), UNIT)
+    for ends in zip(*random_pairs(50, seed=8, reach=(0.1, 9.0)), strict=True):
+        assert one(*ends, shifted) == pytest.approx(one(*map(centre, ends), centred), rel=1e-9)
 
 
 @pytest.mark.parametrize("turn", [-3.0, 0.02, 1.57, np.pi])
@@ -342,3 +308,17 @@ def test_a_turn_on_the_spot_is_one_spin(icr, turn):
     assert np.allclose(found.end[:2], spin.end[:2])
     assert np.cos(found.end.yaw - spin.end.yaw) == pytest.approx(1.0)
     assert cost.energy(found) == pytest.approx(steering.energy(start, spin.end, cost), rel=1e-9)
+
+
+REFUSED = r"""
+InvalidInputError: steering.energy((0, 0), (1, 1, 0), UNIT) | shape
+InvalidInputError: steering.energy((0, 0, np.nan), (1, 1, 0), UNIT) | not finite
+InvalidInputError: steering.energy(np.zeros((2, 3)), np.zeros((4, 3)), UNIT) | broadcast
+InvalidInputError: steering.path(np.zeros((2, 3)), (1, 1, 0), UNIT) | one pose to one
+InvalidInputError: steering.energy((0, 0, 0), (1, 0, 0), COSTS["smooth"], reverse=False) | static
+"""
+
+
+@pytest.mark.parametrize("case", lines(REFUSED))
+def test_bad_input_is_refused(case: str) -> None:
+    check_refusal(case, globals())

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
+from refusals import check_refusal, lines
 from scipy import ndimage
 from shapely import affinity
+from worlds import room
 
-from energyplan import OccupancyGrid, Path, Pose, Site, Vehicle
-from energyplan.errors import MapError
+from energyplan import HeightMap, OccupancyGrid, Path, Pose, PowerModel, TreadICR, Vehicle
+from energyplan.terrain import Surface
 from energyplan.terrain import collision as _collision
 from energyplan.terrain.updates import distance_to_blocked
 
@@ -97,10 +101,8 @@ def test_motions_agree_with_shapely():
         elif not hit:
             # sampled poses are free: only a near miss may count as a collision
             dense = [rectangle(VEHICLE, p) for p in path.poses(0.002, 0.002)]
-            gap = min(
-                min(obstacles.distance(b), 0.0 if not area.covers(b) else area.boundary.distance(b))
-                for b in dense
-            )
+            to_edge = (area.boundary.distance(b) if area.covers(b) else 0.0 for b in dense)
+            gap = min(min(obstacles.distance(b) for b in dense), *to_edge)
             assert gap < tolerance + 0.002, k
             tight += 1
     assert 0.1 < free / n < 0.9
@@ -110,11 +112,8 @@ def test_motions_agree_with_shapely():
 def test_swept_corner_is_found_between_free_poses():
     """A spin whose end poses are free but whose corner sweeps through an obstacle."""
     reach = np.hypot(*VEHICLE.footprint[1])
-    occupied = np.zeros((200, 200), bool)
-    grid = OccupancyGrid(occupied, 0.02, Pose(-2.0, -2.0, 0.0))
-    column, row = np.floor(grid.to_cells([0.0, reach - 0.011])).astype(int)
-    occupied[row, column] = True
-    grid = OccupancyGrid(occupied, 0.02, Pose(-2.0, -2.0, 0.0))
+    post = int((reach - 0.011 + 2.0) / 0.02), 100
+    grid = room(200, 200, 0.02, post, origin=(-2.0, -2.0, 0.0))
     spin = Path(Pose(0, 0, 0), [0.0], [np.pi])
     assert grid.footprint_free([spin.start, spin.end], VEHICLE).all()
     assert grid.first_collision(spin, VEHICLE) == 0
@@ -143,7 +142,7 @@ def test_unknown_cells_are_obstacles_unless_asked():
 
 
 def test_not_a_number_is_never_free():
-    grid = OccupancyGrid(np.zeros((40, 40), bool), 0.1)
+    grid = room(40, 40, 0.1)
     poses = np.full((4, 3), 2.0)
     poses[[0, 1, 2], [0, 1, 2]] = np.nan
     assert grid.footprint_free(poses, VEHICLE).tolist() == [False, False, False, True]
@@ -168,33 +167,10 @@ def test_polygons_block_every_cell_they_touch():
     assert not grid.occupied[0].any()
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"occupied": np.zeros((0, 3), bool)}, "shape"),
-        ({"occupied": np.zeros((3, 3))}, "bool"),
-        ({"resolution": 0.0}, "resolution"),
-        ({"resolution": np.nan}, "resolution"),
-        ({"origin": (0, 0)}, "origin"),
-        ({"unknown": np.zeros((2, 3), bool)}, "same"),
-    ],
-)
-def test_malformed_maps_are_refused(kwargs, message):
-    good = {"occupied": np.zeros((3, 3), bool), "resolution": 0.1}
-    with pytest.raises(MapError, match=message):
-        OccupancyGrid(**{**good, **kwargs})
-
-
-@pytest.mark.parametrize("clearance", [-0.1, np.nan, np.inf, 21.0])
-def test_a_clearance_that_no_robot_keeps_is_refused(clearance):
-    with pytest.raises(MapError, match=r"clearance is .*; give 0 to 20 m"):
-        Site(OccupancyGrid(np.zeros((3, 3), bool), 0.1), clearance=clearance)
-
-
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("far", [1e308, -1e308, np.inf, np.nan])
 def test_what_lies_beyond_all_numbers_lies_on_no_map(far):
-    grid = OccupancyGrid(np.zeros((9, 9), bool), resolution=0.1, origin=Pose(1.0, 2.0, 0.4))
+    grid = room(9, 9, 0.1, origin=(1.0, 2.0, 0.4))
     assert not grid.inside((far, far))
     assert not grid.inside((far, -far))
     assert not grid.inside((1.1, far))
@@ -202,31 +178,63 @@ def test_what_lies_beyond_all_numbers_lies_on_no_map(far):
 
 
 def test_a_mask_of_the_same_frame_keeps_out_of_its_occupied_cells():
-    occupied, kept = np.zeros((6, 9), bool), np.zeros((6, 9), bool)
-    occupied[1, 2] = kept[4, 5] = True
-    unknown = np.zeros((6, 9), bool)
-    unknown[0, 0] = True
-    grid = OccupancyGrid(occupied, 0.1, (1, 2, 0.3))
-    mask = OccupancyGrid(kept, 0.1, (1, 2, 0.3), unknown=unknown)
-    assert np.array_equal(grid.with_mask(mask).occupied, occupied | kept)
+    grid, kept, both = (
+        room(6, 9, 0.1, *cells, origin=(1, 2, 0.3))
+        for cells in ([(1, 2)], [(4, 5)], [(1, 2), (4, 5)])
+    )
+    mask = replace(kept, unknown=room(6, 9, 0.1, (0, 0)).occupied)
+    assert np.array_equal(grid.with_mask(mask).occupied, both.occupied)
 
 
 @pytest.mark.parametrize("resolution", [0.03, 0.1, 0.37])
 def test_a_mask_of_another_frame_blocks_what_it_touches_and_little_more(resolution):
     rng = np.random.default_rng(4)
-    grid = OccupancyGrid(np.zeros((60, 80), bool), 0.1, (1.0, -2.0, 0.4))
+    grid = room(60, 80, 0.1, origin=(1.0, -2.0, 0.4))
     kept = rng.random((round(3 / resolution), round(4 / resolution))) < 0.02 + 0.2 * resolution
     mask = OccupancyGrid(kept, resolution, (2.0, 1.0, -0.9))
     blocked = grid.with_mask(mask).occupied
     row, column = np.nonzero(kept)
-    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-    squares = [
-        shapely.Polygon(mask.to_world(np.add(corners, (c, r))))
-        for r, c in zip(row, column, strict=True)
-    ]
+    cells = shapely.box(column, row, column + 1, row + 1)
+    squares = [shapely.transform(cell, mask.to_world) for cell in cells]
     touched = grid.with_blocked(squares).occupied
     assert 20 < touched.sum() < 3000
     assert not np.any(touched & ~blocked)
     slack = np.sqrt(2) * max(resolution, 0.1) * 1.01
     near = grid.with_blocked([s.buffer(slack) for s in squares]).occupied
     assert not np.any(blocked & ~near)
+
+
+FREE = np.zeros((3, 3), bool)
+TEN = room(10, 10, 0.1)
+BOX = shapely.box(0, 0, 1, 1)
+MARBLE = PowerModel.preset("quadriga:empty:marble")
+AHEAD = PowerModel.paper(MARBLE.vehicle.with_icr(TreadICR(0.5, 0.5, 0.1)), 90.0, 0.4)
+BOW = shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)])
+RAMP = HeightMap([[0, 1, 2], [0, 1, 2]], 1.0)
+REFUSED = r"""
+MapError: OccupancyGrid(np.zeros((0, 3), bool), 0.1) | shape
+MapError: OccupancyGrid(np.zeros((3, 3)), 0.1) | bool
+MapError: OccupancyGrid(FREE, 0.0) | resolution
+MapError: OccupancyGrid(FREE, np.nan) | resolution
+MapError: OccupancyGrid(FREE, 0.1, (0, 0)) | origin
+MapError: OccupancyGrid(FREE, 0.1, unknown=np.zeros((2, 3), bool)) | same
+MapError: Site(TEN, clearance=-0.1) | clearance is .*; give 0 to 20 m
+MapError: Site(TEN, clearance=np.nan) | clearance is .*; give 0 to 20 m
+MapError: Site(TEN, clearance=np.inf) | clearance is .*; give 0 to 20 m
+MapError: Site(TEN, clearance=21.0) | clearance is .*; give 0 to 20 m
+MapError: TEN.updated(FREE, 8, 0) | does not lie on the map of 10 x 10
+MapError: TEN.updated(FREE, 0, -1) | cut it to the map
+MapError: TEN.updated(np.zeros((3, 3)), 0, 0) | give rows and columns of bool
+MapError: TEN.updated(np.zeros((0, 3), bool), 0, 0) | give rows and columns of bool
+MapError: Surface(shapely.LineString([(0, 0), (1, 1)]), MARBLE) | polygon
+MapError: Surface(BOW, MARBLE) | Self-intersection
+MapError: Surface(shapely.box(0, 0, 1e300, 1), MARBLE) | beyond
+MapError: SurfaceMap([], [shapely.Point(0, 0)]) | keep-out area 0
+MapError: SurfaceMap([Surface(BOX, AHEAD)]).costs(EnergyCost(MARBLE)) | longitudinal
+MapError: RAMP.rise(Path(Pose(0.1, 0.5, 0), [2.5], [0.0])) | off the height map
+"""
+
+
+@pytest.mark.parametrize("case", lines(REFUSED))
+def test_bad_input_is_refused(case):
+    check_refusal(case, {"Surface": Surface, **globals()})

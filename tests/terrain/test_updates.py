@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from worlds import room
 
 from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, SurfaceMap, plan
-from energyplan.errors import MapError
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.places import places_for
 from energyplan.terrain import Terrain
@@ -31,9 +32,7 @@ def boxes(rng: np.random.Generator, shape: tuple[int, int], share: float) -> np.
 
 def anew(grid: OccupancyGrid) -> OccupancyGrid:
     """Return the same map, of which nothing is known yet."""
-    return OccupancyGrid(
-        grid.occupied, grid.resolution, grid.origin, grid.unknown, grid.unknown_is_free
-    )
+    return replace(grid)
 
 
 def patch_at(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[np.ndarray, int, int]:
@@ -104,7 +103,7 @@ def _unchecked(problem: PlanningProblem) -> CompiledProblem:
 def test_only_what_is_near_is_made_anew(monkeypatch):
     from energyplan.planning.space import configurations as made
 
-    grid = OccupancyGrid(np.zeros((800, 800), bool), 0.05)
+    grid = room(800, 800, 0.05)
     problem = PlanningProblem(grid, COST, (3, 3, 0), (17, 17, 0))
     places_for(CompiledProblem(problem).setting)
     sizes = []
@@ -118,7 +117,7 @@ def test_only_what_is_near_is_made_anew(monkeypatch):
 
 
 def test_keep_out_areas_stay_kept_out_of():
-    grid = OccupancyGrid(np.zeros((80, 80), bool), 0.1, Pose(0.3, 0.1, 0.2))
+    grid = room(80, 80, 0.1, origin=(0.3, 0.1, 0.2))
     ground = SurfaceMap((), keep_out=(shapely.box(1.0, 3.0, 3.3, 4.1),))
     before = Terrain.of(grid, ground)
     assert before.obstacles.space.clearance.any()
@@ -132,9 +131,7 @@ def test_keep_out_areas_stay_kept_out_of():
 
 
 def test_a_plan_on_a_map_that_changed_is_that_of_a_new_map():
-    occupied = np.zeros((120, 160), bool)
-    occupied[:70, 80] = True
-    grid = OccupancyGrid(occupied, 0.05)
+    grid = room(120, 160, 0.05, np.s_[:70, 80])
     problem = PlanningProblem(grid, COST, (1.5, 2.0, 0), (6.5, 2.0, 0))
     plan(problem, effort=2_000)
     door = grid.updated(np.zeros((60, 1), bool), 5, 80)
@@ -145,7 +142,7 @@ def test_a_plan_on_a_map_that_changed_is_that_of_a_new_map():
 
 
 def test_what_was_is_not_kept_when_maps_follow_each_other():
-    grid = OccupancyGrid(np.zeros((50, 50), bool), 0.1)
+    grid = room(50, 50, 0.1)
     tables_of(grid.space).get("sum", lambda: grid.blocked.sum())
     for k in range(5):
         grid = grid.updated(np.ones((1, 1), bool), k, k)
@@ -155,18 +152,3 @@ def test_what_was_is_not_kept_when_maps_follow_each_other():
     assert known.former["sum"].window == Window(0, 5, 0, 5)
     assert known.get("sum", lambda: -1, lambda old, window: old + 5) == 5
     assert known.get("sum", lambda: -1) == 5
-
-
-@pytest.mark.parametrize(
-    ("patch", "row", "column", "told"),
-    [
-        (np.zeros((3, 3), bool), 8, 0, "does not lie on the map of 10 x 10"),
-        (np.zeros((3, 3), bool), 0, -1, "cut it to the map"),
-        (np.zeros((3, 3)), 0, 0, "give rows and columns of bool"),
-        (np.zeros((0, 3), bool), 0, 0, "give rows and columns of bool"),
-    ],
-)
-def test_a_patch_that_does_not_fit_is_refused(patch, row, column, told):
-    grid = OccupancyGrid(np.zeros((10, 10), bool), 0.1)
-    with pytest.raises(MapError, match=told):
-        grid.updated(patch, row, column)
