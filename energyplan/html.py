@@ -8,10 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
+_ROUNDING = 1e-9  # part of a whole below which a part of it is rounding
+
 
 def number(value: float, digits: int = 4, *, whole: float = 0.0) -> str:
     """Return a number as a reader wants it: `digits` significant ones, no exponent if possible."""
-    value = 0.0 if abs(value) <= 1e-9 * abs(whole) else value  # a part is rounding
+    value = 0.0 if abs(value) <= _ROUNDING * abs(whole) else value
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e" in text and abs(value) >= 1 and abs(value) < 1e9 else text
 
@@ -25,7 +27,7 @@ def column(values: Sequence[float], digits: int = 2) -> list[str]:
 
 def share(part: float) -> str:
     """Return a part of a limit in percent, rounded down so that what is printed keeps the limit."""
-    percent = 100 * part * (1 + ROUNDING)
+    percent = 100 * part * (1 + _ROUNDING)
     places = max(0, 2 - math.floor(math.log10(percent))) if percent > 0 else 0
     return f"{math.floor(percent * 10**places) / 10**places:g} %"
 
