@@ -19,8 +19,8 @@ from energyplan.fit.solvers import jackknife, least_squares
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import find_lost_sign
 from energyplan.path import FloatArray
-from energyplan.power import SLIP, TRACTION, PowerModel, Term
-from energyplan.power.effects import Effect, most_of
+from energyplan.power import HOTEL, REGENERATION_LOSS, SLIP, TRACTION, PowerModel, Term
+from energyplan.power.effects import COPPER_LOSS, Effect, most_of
 from energyplan.vehicle import Vehicle
 
 # -- fits of a sum of terms to drives, with cross-validation and jackknife -------------------------
@@ -404,6 +404,9 @@ _ENOUGH = 20  # samples that a sign needs
 _LOST = 0.5  # misfit of the moment between the sides, over it, from which it is not used
 _SLIDES = 0.3  # misfit in slight turns up to which contacts slide there; simulated ones: 0.2
 _LEFT = 0.01  # share of the samples that must slide
+_SLIGHT = 1e-5  # of the speed, by which sides differ in a turn that is not seen
+_SETTLING = 5  # fits in which slight turns settle, at most
+_CLEARLY = 5.0  # logarithm of the odds from which on they are there
 
 
 def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
@@ -419,7 +422,7 @@ def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
     """Return the drives with contacts that may hold, or their totals if the sides show nothing."""
     vehicle, terms, total = problem.vehicle, [*PAPER, *usual], problem.of_totals
     if problem is total:
-        return problem
+        return with_slight_turns(problem, terms)
     breakaway = _HOLDING / (vehicle.slip_moment / float(vehicle.loads.sum()))
     drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
     held = problem.on(drives)
@@ -432,6 +435,58 @@ def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
         return total
     slight = _misfit(problem, terms, values, breakaway)
     return held if _SLIDES < slight < np.inf else problem  # which slides however little it turns
+
+
+def with_slight_turns(problem: Problem, terms: Sequence[Term]) -> Problem:
+    """Return drives with the turns that speeds hardly show, where losses show that contacts slide.
+
+    The smallest turn takes the whole friction of turning, which makes losses, and speeds of some
+    noise show it as straight driving.
+    """
+    slight = [(one.motion.omega == 0.0) & (one.motion.v != 0.0) for one in problem.drives]
+    if not any(some.any() for some in slight):
+        return problem
+    turning = problem.on([_turned(*pair) for pair in zip(problem.drives, slight, strict=True)])
+    labels = [np.cumsum(np.diff(some, prepend=False)) for some in slight]
+    straight, best, most = -np.inf, problem, -np.inf
+    for loss in (COPPER_LOSS, REGENERATION_LOSS):
+        some = [*terms, HOTEL, loss]
+        now, turns = problem, [np.zeros_like(one) for one in slight]
+        for _ in range(_SETTLING):
+            design = now.design(some)
+            found = fit(design, now.reference(design))
+            here = float(now.likelihood(found.errors, design.evidence))
+            if now is problem:
+                straight = max(straight, here)
+            elif here > most:
+                best, most = now, here
+            former, turns = turns, []
+            for pair in zip(problem.drives, turning.drives, slight, labels, strict=True):
+                turns.append(_turns(*pair, problem.vehicle, some, found.values))
+            if all(map(np.array_equal, former, turns)):
+                break
+            now = problem.on([_turned(*pair) for pair in zip(problem.drives, turns, strict=True)])
+    return best if most > straight + _CLEARLY else problem
+
+
+def _turned(drive: Drive, turns: NDArray[np.bool_]) -> Drive:
+    """Return a drive that turns a little at some samples at which it drives straight."""
+    motion = drive.motion
+    push = np.where(turns, _SLIGHT * motion.v, 0.0)
+    motion = replace(motion, v_left=motion.v_left - push, v_right=motion.v_right + push)
+    return replace(drive, motion=motion, fields={})
+
+
+def _turns(
+    straight: Drive, turning: Drive, slight: NDArray[np.bool_], label: NDArray[np.intp],
+    vehicle: Vehicle, terms: Sequence[Term], values: FloatArray,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Return the straight stretches whose power is nearer to that of a slight turn."""
+    misses = []
+    for drive in (straight, turning):
+        power = linearise_drive(drive, vehicle, terms, values, ()).power[:, 0]
+        misses.append(np.bincount(label, np.abs(drive.power - power)))
+    return np.asarray(slight & (misses[1] < misses[0])[label])
 
 
 def _misfit(problem: Problem, terms: Sequence[Term], values: FloatArray, most: float) -> float:
