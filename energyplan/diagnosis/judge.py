@@ -48,6 +48,7 @@ from energyplan.fit.regressors import (
     losses_of,
     slip_limit,
 )
+from energyplan.fit.run import LEVEL
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import WHEEL_FIGHT, Effect, empirical_term
@@ -552,7 +553,6 @@ def judged(
 _HOLDS = 1.5  # error on other drives, over that on the training drives, that is no surprise
 _GROSS = 4.0  # residual over noise from which most of it must be explained
 _EXPLAINED = 0.5  # error with what was found, over that without, that counts as most
-_LEVEL = 0.9  # of the intervals of energies
 
 
 def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
@@ -563,14 +563,14 @@ def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
 
 def holds(quality: Adequacy, error: float) -> bool:
     """Return whether what was found on the training drives holds on others."""
-    return error <= _HOLDS * max(quality.residual, quality.noise)
+    return error <= _HOLDS * max(quality.residual, quality.usual)
 
 
 def explains(quality: Adequacy, before: float, after: float) -> bool:
     """Return whether what was found explains the error, where more is left than noise."""
     if quality.adequate:
         return True
-    gross = quality.residual > _GROSS * quality.noise
+    gross = quality.residual > _GROSS * quality.usual
     return after <= (_EXPLAINED if gross else 1.0) * before
 
 
@@ -588,7 +588,7 @@ def energies(
         columns = linearise_drive(drive, problem.vehicle, model.terms, values).columns
         gradient = weights @ columns[:, 0]
         said, seconds = float(weights @ one.power), float(weights.sum())
-        told = fitted.run.energy(model, said, gradient, seconds, _LEVEL)
+        told = fitted.run.energy(model, said, gradient, seconds, LEVEL)
         found.append(
             EnergyPrediction(drive.name, told.mean, told[1:], float(weights @ drive.power))
         )

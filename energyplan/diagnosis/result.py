@@ -11,8 +11,9 @@ from typing import Literal
 from energyplan import html
 from energyplan.diagnosis.residual import Dependence
 from energyplan.fit.doubts import Adequacy
+from energyplan.fit.run import LEVEL, RunEffect
 from energyplan.path import FloatArray
-from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
+from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import Effect
 from energyplan.records import ReadOnly
 
@@ -372,12 +373,12 @@ def advice_of_predictions(
 
 
 def few_drives(count: int) -> Iterator[str]:
-    """Describe what the intervals of energies assume where too few drives were compared."""
+    """Describe what the intervals of energies allow for where too few drives were compared."""
     if count <= _NO_DIFFERENCE_KNOWN:
         yield (
-            "fewer than three training drives do not show how much runs differ as a whole: "
-            f"intervals of energies assume {100 * USUAL_RUN_SPREAD:.0f} %, as of robots elsewhere; "
-            "record more"
+            "fewer than three training drives do not show how much runs differ as a whole: the "
+            f"{100 * LEVEL:.0f} % intervals of energies allow {100 * RunEffect().reach(LEVEL):.0f} "
+            "% for that, as robots elsewhere differ; record more"
         )
 
 

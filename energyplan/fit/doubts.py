@@ -358,18 +358,24 @@ _SIGMA = 4.0  # standard deviations that noise does not exceed
 class Adequacy:
     """Residual on the drives of a fit, compared with the noise that no model can explain."""
 
-    noise: float  # of a sample [W]
+    noise: float  # of a sample [W]; no more than the residual, which it is a part of
     residual: float  # root mean square residual of the model [W]
     slow_noise: float  # noise of means over `time` [W]
     slow_residual: float  # root mean square of the residual's means over `time` [W]
     coloured: bool  # whether the residual lasts longer than noise would, by more than chance
     time: float  # [s]
     missing: tuple[float, ...] = (0.0, 0.0, 0.0)  # [W^2]
+    negligible: float = 0.0  # residual that is as good as nothing, be it noise or not [W]
+
+    @property
+    def usual(self) -> float:
+        """Residual that is nothing to look into [W]."""
+        return max(self.noise, self.negligible)
 
     @property
     def adequate(self) -> bool:
         """Whether the model leaves no more than noise: less than twice its size, and no colour."""
-        return self.residual <= 2.0 * self.noise and not self.coloured
+        return self.residual <= 2.0 * self.usual and not self.coloured
 
     @property
     def in_words(self) -> str:
@@ -508,8 +514,9 @@ def adequacy(drives: Sequence[Drive], residuals: Sequence[FloatArray]) -> Adequa
         slow.append((shown / limit, own, shown, windows[0].length))
     beyond, slow_noise, slow_residual, time = max(slow, key=lambda one: one[0])
     missing = tuple(max(shown**2 - own**2, 0.0) for _, own, shown, _ in slow)
-    variance = max(floor, *(one.variance for one in known))
+    left = float(np.mean(every**2))
+    variance = min(max(one.variance for one in known), left)
     return Adequacy(
-        float(np.sqrt(variance)), float(np.sqrt(np.mean(every**2))), slow_noise, slow_residual,
-        beyond > 1.0, time, missing,
+        float(np.sqrt(variance)), float(np.sqrt(left)), slow_noise, slow_residual,
+        beyond > 1.0, time, missing, float(np.sqrt(floor)),
     )  # fmt: skip

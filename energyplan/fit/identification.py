@@ -370,11 +370,8 @@ def _refuse_driving(log: DriveLog) -> None:
 
 def doubts_off_the_ground(log: DriveLog) -> tuple[str, ...]:
     """Return the warnings of a log that hold for a robot whose wheels are in the air."""
-    power, runs = log.power, log.runs
     kept = {name: v for name, v in log.channels.items() if name not in _TRAVEL}
-    stale = {*map(str, find_checks(log.channels, power, runs))} - {
-        *map(str, find_checks(kept, power, runs))
-    }
+    stale = {*map(str, log.checks)} - {*map(str, find_checks(kept, log.power, log.runs))}
     return tuple(warning for warning in log.warnings if warning not in stale)
 
 

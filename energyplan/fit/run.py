@@ -19,6 +19,9 @@ from energyplan.fit.regressors import DesignMatrix
 from energyplan.path import FloatArray
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 
+LEVEL = 0.9
+"""Probability that the interval of an energy holds it, where nothing else is given."""
+
 _COMPARED = 3  # runs from which on they show how much they differ
 _ASSUMED = 2.0  # degrees of freedom of a deviation that is assumed: robots and surfaces differ
 _WITHIN = 30.0  # of what is known from within runs

@@ -323,7 +323,9 @@ class SensorNoise:
             bounds=([low - 20.0, low - 20.0, 1e-3], [high + 1.0, high + 5.0, _LONGEST]),
         )  # fmt: skip
         white, lasting = np.exp(found.x[:2]).tolist()
-        return cls(float(len(residual)), white, lasting, float(np.exp(-period / found.x[2])))
+        part = min(float(np.mean(residual**2)) / (white + lasting), 1.0)  # which it is of that
+        rho = float(np.exp(-period / found.x[2]))
+        return cls(float(len(residual)), part * white, part * lasting, rho)
 
     @classmethod
     def of_repeats(cls, count: float, variance: float, repeats: float) -> SensorNoise:
