@@ -48,6 +48,7 @@ class UpperPrices:
 def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> UpperPrices:
     """Return prices that bound the energy of paths with a probability."""
     from energyplan.fit.doubts import unfounded  # slow to import, and rarely needed
+    from energyplan.fit.run import RunEffect
 
     if not 0.5 <= confidence < 1.0:
         raise InvalidInputError(f"the confidence is {confidence}; give a part from 0.5 to below 1")
@@ -67,9 +68,8 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
         if reason := unfounded(cost.model, confidence, spread):
             raise InvalidInputError(reason)
         mean = cost.segment_energy(along, dtheta, slope)
-        residual = cost.model.residual
-        error = 0.0 if residual is None else abs(residual.energy_error)
-        square = (error * mean) ** 2
+        run = RunEffect.known(cost.model.residual)
+        square = (run.error**2 + run.deviation**2) * mean**2
         for step in _directions(cost, spread).T:
             more, less = (
                 replace(
@@ -82,10 +82,9 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
             )
             square = square + (0.5 * (more - less) / STEP) ** 2
         extra.append(quantile * np.sqrt(square))
-        if residual is not None and residual.rmse > 0:
-            watts = 2.0 * residual.rmse**2 * residual.correlation_time
-            level = cost.segment_energy(ds, dtheta)
-            noise = max(noise, float(np.max(watts * cost.segment_duration(ds, dtheta) / level)))
+        if run.density > 0:
+            level, seconds = cost.segment_energy(ds, dtheta), cost.segment_duration(ds, dtheta)
+            noise = max(noise, float(np.max(run.density * seconds / level)))
     return UpperPrices(np.concatenate(extra).reshape(-1, len(ds)), noise, quantile)
 
 
@@ -253,9 +252,9 @@ def energy_map(
         place is that to the place and on to this pose, at the heading with the least sum.
     confidence : float, optional
         Probability, for each place, that getting there takes no more than the energy given, such
-        as 0.95. It follows from the model's covariance and its error on hold-out drives. The
-        energy given is never below this quantile, and a little above it, because motions are
-        priced one by one.
+        as 0.95. It follows from the model's covariance, its error on hold-out drives, and from how
+        much runs differ as a whole (by 5 % where the model does not know). The energy given is
+        never below this quantile, and a little above it, because motions are priced one by one.
     coefficient_spread : float
         Relative standard deviation of each coefficient from day to day, on top of that.
     effort : int

@@ -362,7 +362,7 @@ class _Case:
             predictions_after=self._on_given_samples(after),
             explanations=others,
             adequacy=quality,
-            predictions=energies(best.problem, told, ahead),
+            predictions=energies(told, ahead),
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),

@@ -44,11 +44,9 @@ from energyplan.fit.regressors import (
     equations_of,
     held_forces,
     is_lossy,
-    linearise_drive,
     losses_of,
     slip_limit,
 )
-from energyplan.fit.run import LEVEL
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual
 from energyplan.power.effects import WHEEL_FIGHT, Effect, empirical_term
@@ -63,7 +61,7 @@ _RESAMPLES = 400
 class Prediction:
     """Predicted power of a drive."""
 
-    drive: Drive  # the drive, its power freed of delay
+    drive: Drive  # the drive, in the states that it was in
     power: FloatArray  # (n,): predicted power [W]
     change: float | None = None  # when it changed state [s]
 
@@ -93,7 +91,7 @@ def predict(
     changed = settled.motion.channels["changed"]
     at = np.flatnonzero(np.diff(changed))
     time = float(drive.t[at[0] + 1]) if len(at) else None
-    return Prediction(drive, predicted(model, settled), time)
+    return Prediction(settled, predicted(model, settled), time)
 
 
 def score(predictions: Sequence[Prediction]) -> Residual:
@@ -574,22 +572,11 @@ def explains(quality: Adequacy, before: float, after: float) -> bool:
     return after <= (_EXPLAINED if gross else 1.0) * before
 
 
-def energies(
-    problem: Problem, fitted: Fitted, predictions: Sequence[Prediction]
-) -> tuple[EnergyPrediction, ...]:
+def energies(fitted: Fitted, predictions: Sequence[Prediction]) -> tuple[EnergyPrediction, ...]:
     """Predict the energy of drives that took no part, with intervals."""
-    model, values = fitted.model, np.array(fitted.model.coefficients)
-    changes = any(term.name in ("slip_change", "traction_change") for term in model.terms)
     found = []
     for one in predictions:
-        drive, weights = replace(one.drive, between=None), one.drive.weights
-        if changes and "changed" not in drive.motion.channels:
-            drive = drive.with_channels(changed=np.ones(len(drive.t)))
-        columns = linearise_drive(drive, problem.vehicle, model.terms, values).columns
-        gradient = weights @ columns[:, 0]
-        said, seconds = float(weights @ one.power), float(weights.sum())
-        told = fitted.run.energy(model, said, gradient, seconds, LEVEL)
-        found.append(
-            EnergyPrediction(drive.name, told.mean, told[1:], float(weights @ drive.power))
-        )
+        told = fitted.run.energy(fitted.model, one.drive)
+        measured = float(one.drive.weights @ one.drive.power)
+        found.append(EnergyPrediction(one.drive.name, told.mean, told[1:], measured))
     return tuple(found)

@@ -579,10 +579,7 @@ def joint_fit(problem: Problem, terms: Sequence[Term], further: Further | None =
     covariance = covariance + _offset(problem, design, errors)
     covariance, rest = covariance[:count, :count], covariance[count:, count:]
     run = run_effect(problem, terms, values)
-    if run.compared:
-        # What all runs share is known no better than the mean of runs that differ.
-        level = run.deviation**2 / len(problem.drives)
-        covariance = covariance + level * np.outer(values, values)
+    covariance = covariance + run.shared(values, len(problem.drives))
     if assumed:
         covariance = usual(values, covariance)[1]
     model = PowerModel(problem.vehicle, tuple(terms), values, 0.5 * (covariance + covariance.T))

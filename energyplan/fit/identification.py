@@ -30,9 +30,10 @@ from energyplan.fit.doubts import (
     usual_effects,
 )
 from energyplan.fit.drive import BLOCK, Drive, check_long_enough, cut, enough_of
-from energyplan.fit.estimate import Problem, joint_fit, problem_of
+from energyplan.fit.estimate import Problem, joint_fit, problem_of, run_effect
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
 from energyplan.fit.regressors import is_lossy
+from energyplan.fit.run import LEVEL, Energy, RunEffect
 from energyplan.fit.solvers import (
     HUBER_TUNING,
     Bounds,
@@ -482,6 +483,9 @@ class Identification(ByValue, html.Readable):
         What the logs do not determine, or hardly.
     set_aside : mapping of str to mapping of str to int
         How many samples were left out or mended, by drive and reason.
+    run : RunEffect
+        By how much the energy of a run differs from what the model says of it: compared from three
+        drives on, else as of robots elsewhere.
 
     Examples
     --------
@@ -500,6 +504,7 @@ class Identification(ByValue, html.Readable):
     foretold: Foretold | None
     warnings: tuple[str, ...]
     set_aside: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    run: RunEffect = field(default_factory=RunEffect)
 
     def __post_init__(self) -> None:
         if self.model.covariance is None or self.model.residual is None:
@@ -556,6 +561,33 @@ class Identification(ByValue, html.Readable):
         return ICREstimate(self.icr, self.icr_covariance, 0.0, "").std_error
 
     @checked()
+    def energy(self, log: DriveLog, level: float = LEVEL) -> Energy:
+        """Predict the energy of a drive that took no part, with an interval.
+
+        Parameters
+        ----------
+        log : DriveLog
+            The drive: its motion counts, not what it measured.
+        level : float
+            Probability in (0, 1) that such intervals hold what is measured.
+
+        Returns
+        -------
+        Energy
+            The energy and the ends of its interval [J]: coefficients are not known exactly, runs
+            differ as a whole, and within a run the model errs.
+
+        Raises
+        ------
+        InvalidInputError
+            If the level is no probability.
+        MissingChannelError
+            If a term needs a channel that the log lacks.
+        """
+        _check_level(level)
+        return self.run.energy(self.model, Drive.of(log, self.model.vehicle), level)
+
+    @checked()
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a term's coefficient.
 
@@ -578,12 +610,16 @@ class Identification(ByValue, html.Readable):
         InvalidInputError
             If the level is no probability.
         """
-        if not 0 < level < 1:
-            raise InvalidInputError(f"level is {level}; give a probability such as 0.95")
+        _check_level(level)
         freedom = max(self.effective_samples - len(self.model.terms), 1.0)
         value = self.model.coefficient(name)
         reach = float(student.ppf(0.5 + level / 2, freedom)) * self.std_error[name]
         return value - reach, value + reach
+
+
+def _check_level(level: float) -> None:
+    if not 0 < level < 1:
+        raise InvalidInputError(f"level is {level}; give a probability such as 0.95")
 
 
 def name_of(vehicle: Vehicle, logs: Sequence[DriveLog]) -> str:
@@ -703,25 +739,27 @@ def identify(
     warnings += doubts
 
     powers = problem.powers(model)
-    residual = statistics(ready, powers)
+    residual, few = statistics(ready, powers), enough_of(ready)
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
-    covariance = model.covariance
+    covariance, values = model.covariance, np.array(model.coefficients)
+    run = run_effect(Problem(few, vehicle), model.terms, values)
+    if run.compared:
+        residual = replace(residual, run_spread=run.deviation)
     if covariance is None:
-        covariance = problem.covariance(model, method, independent)
+        covariance = problem.covariance(model, method, independent) + run.shared(values, len(few))
     if estimate is not None:
         covariance = covariance + problem.inherited(model, estimate)
     model = replace(model, covariance=covariance, residual=residual)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
-    few = enough_of(ready)
     wider = Wider.of(model, few)
     quality = adequacy(few, wider.residuals)
     told = foretold(model, few)
     warnings += _missing(quality, wider.moves, told)
     aside = set_aside_by_drive(drives)
     return Identification(
-        model, method, icr_covariance, independent, quality, told, tuple(warnings), aside
+        model, method, icr_covariance, independent, quality, told, tuple(warnings), aside, run
     )
 
 

@@ -693,6 +693,7 @@ class OnlineIdentifier:
             energy_error=energy_error(float(missing), float(measured)),
             correlation_time=float(0.5 * self._scalars[REPEATS] * self._period),
             duration=float(time),
+            run_spread=self._model.residual.run_spread if self._model.residual else None,
         )
         return PowerModel(
             model.vehicle, model.terms, values, covariance, residual, self._model.name

@@ -15,9 +15,10 @@ from scipy.optimize import brentq
 from scipy.special import fdtrc
 from scipy.stats import t as student
 
-from energyplan.fit.regressors import DesignMatrix
+from energyplan.fit.drive import Drive
+from energyplan.fit.regressors import DesignMatrix, linearise_drive
 from energyplan.path import FloatArray
-from energyplan.power import USUAL_RUN_SPREAD, PowerModel
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
 
 LEVEL = 0.9
 """Probability that the interval of an energy holds it, where nothing else is given."""
@@ -47,6 +48,16 @@ class RunEffect:
     compared: bool = False  # whether runs were compared for it
     density: float = 0.0  # of the residual within runs, by time [W^2 s]
     p_value: float = 1.0  # that runs do not differ
+    error: float = 0.0  # relative error of the energy of drives that were held out
+
+    @classmethod
+    def known(cls, residual: Residual | None, usual: float = USUAL_RUN_SPREAD) -> RunEffect:
+        """Return what a model's residual says of a run to come; `usual` where it does not."""
+        if residual is None:
+            return cls(deviation=usual)
+        density = 2.0 * residual.rmse**2 * residual.correlation_time
+        spread = usual if residual.run_spread is None else residual.run_spread
+        return cls(deviation=spread, density=density, error=abs(residual.energy_error))
 
     @classmethod
     def between(cls, design: DesignMatrix, values: FloatArray, length: float) -> RunEffect:
@@ -79,14 +90,15 @@ class RunEffect:
         return cls(0.0, float(np.sqrt(between)), count - 1.0, True, density, float(chance))
 
     @classmethod
-    def of(cls, ratios: Sequence[float]) -> RunEffect:
+    def of(cls, ratios: Sequence[float], residual: Residual | None = None) -> RunEffect:
         """Learn from measured over predicted energies; the prior is that of a right model."""
         count = len(ratios)
         mean = float(np.mean(ratios)) - 1.0 if count else 0.0
         freedom = float(_PRIOR + max(count - 1, 0))
         scatter = float(np.sum(np.square(np.array(ratios) - 1.0 - mean)))
         variance = (_PRIOR * _EXACT**2 + scatter) / freedom * (1.0 + 1.0 / max(count, 1))
-        return cls(mean, float(np.sqrt(variance)), freedom)
+        known = cls.known(residual)
+        return replace(known, mean=mean, deviation=float(np.sqrt(variance)), freedom=freedom)
 
     def at_least(self, deviation: float) -> RunEffect:
         """Return the effect with the error of runs that were left out, where that is larger."""
@@ -96,13 +108,22 @@ class RunEffect:
         """Half width of the interval of the relative effect."""
         return float(student.ppf(0.5 + level / 2, self.freedom)) * self.deviation
 
+    def shared(self, values: FloatArray, runs: int) -> FloatArray:
+        """Covariance of coefficients of runs that differ: known no better than their mean."""
+        part = self.deviation**2 / runs if self.compared else 0.0
+        return np.asarray(part * np.outer(values, values))
+
     def energy(
-        self, model: PowerModel, said: float, gradient: FloatArray, seconds: float, level: float
+        self, model: PowerModel, drive: Drive, level: float = LEVEL, said: float | None = None
     ) -> Energy:
-        """Predict the energy of a run to come: its energy by a model, with the gradient of that."""
-        energy = (1.0 + self.mean) * said
-        variance = self.density * seconds
+        """Predict the energy of a run to come; `said` is what a finer model says of it [J]."""
+        alone, weights = replace(drive, between=None), drive.weights
+        about = linearise_drive(alone, model.vehicle, model.terms, model.coefficients)
+        energy = float(weights @ about.power[:, 0]) if said is None else said
+        energy *= 1.0 + self.mean
+        variance = self.density * float(weights.sum()) + (self.error * energy) ** 2
         if model.covariance is not None:
+            gradient = weights @ about.columns[:, 0]
             variance += float(gradient @ model.covariance @ gradient)
         within = student.ppf(0.5 + level / 2, self.freedom if self.compared else _WITHIN)
         half = float(np.hypot(within * np.sqrt(variance), self.reach(level) * energy))

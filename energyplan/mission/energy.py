@@ -19,6 +19,7 @@ import numpy as np
 from energyplan.battery import Battery, BatteryModel
 from energyplan.errors import MissionError
 from energyplan.fit.doubts import unfounded
+from energyplan.fit.run import RunEffect
 from energyplan.limits.drive import Ground, Traversal
 from energyplan.mission.types import Mission, Spreads, Task
 from energyplan.motion import Motion
@@ -64,13 +65,6 @@ class Estimate:
     def upper(self, quantile: float) -> float:
         """Return the mean plus so many standard deviations [J]."""
         return self.mean + quantile * self.std
-
-
-class _Holdout(NamedTuple):
-    """What a model missed on drives that it was not fitted to."""
-
-    error: float  # relative error of the energy
-    strength: float  # variance of the energy per second of driving [J^2/s]
 
 
 class _Source(NamedTuple):
@@ -281,31 +275,27 @@ class Models(ByValue):
         drive = self.drive(trajectory, payload)
         for part in drive.quadrature():
             energy, squares = self._one(part.region, part.motion, part.weight, payload)
-            run = self._run_spread(part.region) * energy.mean
+            run = self._run(part.region, payload).deviation * energy.mean
             total = total + energy + self._unknown(_RUN, run)
             np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
         duration = np.diff(trajectory.t)
         power = np.asarray(drive.interval_energies() / duration)
         return Consumption(power, np.asarray(joules / duration), total)
 
-    def _run_spread(self, region: int) -> float:
-        """Return how far a model's power differs from run to run, as a fraction."""
+    def _run(self, region: int, payload: float) -> RunEffect:
+        """Return how a run differs from its model; models between payloads are weighed."""
         source = self._sources[self._source_of[region]]
-        found = [m.residual.run_spread for m in source.models if m.residual is not None]
-        known = [spread for spread in found if spread is not None]
-        return max(known) if known else self.spreads.run
-
-    def _holdout(self, region: int, payload: float) -> _Holdout:
-        """Return what a model missed on the hold-out; models between payloads are weighed."""
-        source = self._sources[self._source_of[region]]
-        residuals = [m.residual for m in source.models if m.residual is not None]
-        if not residuals:
-            return _Holdout(0.0, 0.0)
-        weights = self._weights(source, payload)[[m.residual is not None for m in source.models]]
+        known = np.array([model.residual is not None for model in source.models])
+        usual = self.spreads.run
+        if not known.any():
+            return RunEffect(deviation=usual)
+        runs = [RunEffect.known(m.residual, usual) for m in source.models if m.residual is not None]
+        weights = self._weights(source, payload)[known]
         weights = weights / weights.sum() if weights.sum() > 0 else weights + 1 / len(weights)
-        return _Holdout(
-            float(weights @ [abs(r.energy_error) for r in residuals]),
-            float(weights @ [2 * r.rmse**2 * r.correlation_time for r in residuals]),
+        return RunEffect(
+            deviation=max(run.deviation for run in runs),
+            density=float(weights @ [run.density for run in runs]),
+            error=float(weights @ [run.error for run in runs]),
         )
 
     def idle(self, region: int, duration: float, payload: float) -> Estimate:
@@ -397,9 +387,9 @@ class Models(ByValue):
         def energy(watts: FloatArray) -> float:
             return float((weight * watts).sum())
 
-        watts, missed = power(), self._holdout(region, payload)
-        squares = (missed.error * watts) ** 2
-        squares += (self._run_spread(region) * watts) ** 2
+        watts, run = power(), self._run(region, payload)
+        squares = (run.error * watts) ** 2
+        squares += (run.deviation * watts) ** 2
         sensitivity = np.zeros(self.size)
         for j, step in enumerate(self.directions(region, payload).T, source.places.start):
             if step.any():
@@ -408,8 +398,8 @@ class Models(ByValue):
                 sensitivity[j] = max(map(energy, rises), key=abs)
                 squares += np.maximum(*np.square(rises))
         mean = energy(watts)
-        sensitivity[source.places.stop] = missed.error * mean
-        return Estimate(mean, sensitivity, missed.strength * float(weight.sum())), squares
+        sensitivity[source.places.stop] = run.error * mean
+        return Estimate(mean, sensitivity, run.density * float(weight.sum())), squares
 
 
 def _straight(model: PowerModel, speed: float) -> Motion:

@@ -20,7 +20,7 @@ from energyplan.errors import (
     NotIdentifiableError,
 )
 from energyplan.fit import identify
-from energyplan.fit.doubts import linearise
+from energyplan.fit.drive import Drive
 from energyplan.fit.run import Energy, RunEffect
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
@@ -81,18 +81,11 @@ def with_interval(
     energy: float, run: RunEffect, model: PowerModel, motion: Motion, weights: FloatArray
 ) -> Energy | None:
     """Return an energy with what drives took beyond a model, and its interval if there is one."""
-    misfit, density = model.residual, 0.0
-    if misfit is not None:
-        density = misfit.rmse**2 * 2.0 * max(misfit.correlation_time, 0.05)
-        density += misfit.bias**2 * float(weights.sum())
     if model.covariance is None:
         return None
-    try:
-        gradient = weights @ linearise(model, motion).columns[:, 0]
-    except MissingChannelError:
-        return None
-    run = replace(run, density=density)
-    return run.energy(model, energy, gradient, float(weights.sum()), LEVEL)
+    with suppress(MissingChannelError):
+        return run.energy(model, Drive.at(motion, True, weights), LEVEL, energy)
+    return None
 
 
 SHORTEST = 16.0
@@ -333,7 +326,7 @@ def close_loop(
             energy = replayed_energy(model, log)
             known = [one.energy / replayed_energy(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
-        beyond = RunEffect.of(known if model is not problem.cost.model else ())
+        beyond = RunEffect.of(known if model is not problem.cost.model else (), model.residual)
         told = with_interval(energy, beyond, model, motion, weights)
         energy *= 1.0 + beyond.mean
         within = None if told is None else told[1:]
