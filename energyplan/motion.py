@@ -27,6 +27,8 @@ CHANNELS = {
     "accel_x": "accelerometer's forward reading, gravity included [m/s^2]",
     "temperature": "temperature [degC]",
     "payload": "payload [kg]",
+    "cmd_left": "left tread speed that the controller wants [m/s]",
+    "cmd_right": "right tread speed that the controller wants [m/s]",
 }
 """Channels that a motion may carry besides its tread speeds."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -34,7 +34,7 @@ from energyplan.fit.doubts import (
     shown_of_contacts,
     statistics,
 )
-from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late, cut
+from energyplan.fit.drive import BLOCK, DELAYS, Drive, Late, channels_of, cut
 from energyplan.fit.estimate import (
     Fitted,
     Problem,
@@ -371,6 +371,39 @@ def size_error(effect: Effect, model: PowerModel) -> float:
 
 _WORTH = 0.01  # share of the energy from which it is reported
 _FEWEST_RUNS = 3  # that show how much it differs; of fewer, it differs by as much as it is
+_MOSTLY = 0.5  # share of it from which commands are its reason
+_NEARLY_ALL = 0.9  # share of that, which corrections up to a size make
+
+
+class Steering(NamedTuple):
+    """How much of the heat arises while the command turns the way in which the sides push."""
+
+    share: float  # of the heat
+    correction: float  # yaw rate of the commands up to which nearly all of that arises [rad/s]
+
+    @classmethod
+    def of(cls, heat: FloatArray, moment: FloatArray, turn: FloatArray) -> Steering:
+        """Compare heat [J] and moments of samples [N m] with the yaw rate of commands [rad/s]."""
+        sign = np.sign(moment * turn)
+        order = np.argsort(np.abs(turn))
+        caused = np.cumsum(np.where(sign > 0.0, heat, 0.0)[order])
+        last = int(np.searchsorted(caused, _NEARLY_ALL * caused[-1]))
+        return cls(float(heat @ sign) / float(heat.sum()), float(np.abs(turn[order[last]])))
+
+    @property
+    def in_words(self) -> str:
+        """Describe what to do."""
+        if self.share < _MOSTLY:
+            return (
+                f"only {100 * max(self.share, 0.0):.0f} % of it while cmd_left and cmd_right turn "
+                "the same way: no correction of the heading is behind it; compare the wheel radii "
+                "and the speed controllers of both sides"
+            )
+        return (
+            f"{100 * self.share:.0f} % of it while cmd_left and cmd_right correct the heading the "
+            f"same way, nearly always by {self.correction:.2g} rad/s or less: a dead band that "
+            "leaves such corrections out, or a slower servo, saves it"
+        )
 
 
 @dataclass(frozen=True)
@@ -381,15 +414,19 @@ class StraightHeat:
     std_error: float  # by which a run to come differs from it [W]
     share: float  # share of the drives' energy that it takes
     model: PowerModel  # the model with the term
+    steering: Steering | None  # what commands show of its reason, where they were logged
 
     @property
     def in_words(self) -> str:
         """How much it is, and what saves it."""
+        unknown = (
+            "as they do while the controller corrects the heading: a dead band of the heading of "
+            "some 0.01 rad, or a slower servo, saves it; log cmd_left and cmd_right, which tell"
+        )
         return (
             f"{100 * self.share:.2g} % of the energy, {self.rate:.2g} +- {self.std_error:.2g} W on "
-            "straights, is heat of the two sides that push against each other while the controller "
-            "corrects the heading: a dead band of the heading of some 0.01 rad, or a slower servo, "
-            "saves it"
+            "straights, is heat of the two sides that push against each other, "
+            f"{unknown if self.steering is None else self.steering.in_words}"
         )
 
     def effect(self, entry: Effect) -> FoundEffect:
@@ -398,14 +435,22 @@ class StraightHeat:
         return FoundEffect(
             entry.name, entry.symbol, self.rate, entry.unit, self.std_error,
             Evidence(0.0, 0.0, chance), 1.0 - chance, (),
-            {"share of the energy": self.share}, entry.meaning, entry.planner,
+            {"share of the energy": self.share, **self._commanded}, entry.meaning, entry.planner,
         )  # fmt: skip
+
+    @property
+    def _commanded(self) -> dict[str, float]:
+        if self.steering is None:
+            return {}
+        return {"share while steering": self.steering.share,
+                "correction [rad/s]": self.steering.correction}  # fmt: skip
 
 
 def straight_heat(problem: Problem, model: PowerModel) -> StraightHeat | None:
     """Find the heat that the measured moments between the sides make on straights."""
     vehicle, terms, values = problem.vehicle, model.terms, model.coefficients
-    joules, seconds = [], []
+    joules, seconds, samples = [], [], list[FloatArray]()
+    commanded = {"cmd_left", "cmd_right"} <= channels_of(problem.drives)
     for drive in problem.drives:
         if drive.between is None or not is_lossy(drive, terms):
             return None
@@ -419,6 +464,11 @@ def straight_heat(problem: Problem, model: PowerModel) -> StraightHeat | None:
         weights = (drive.weights * (drive.held.v_left != 0.0))[drive.holds]
         joules.append(float(weights @ heat))
         seconds.append(float(weights.sum()))
+        if commanded:
+            turn = drive.motion.channels["cmd_right"] - drive.motion.channels["cmd_left"]
+            samples.append(
+                np.array([weights * heat, moment, turn[drive.holds] / vehicle.icr.slip_track])
+            )
     energy = sum(float(drive.weights @ drive.power) for drive in problem.drives)
     driven, time = np.array(seconds) > 0.0, np.array(seconds)
     if not sum(joules) > _WORTH * abs(energy):
@@ -434,7 +484,8 @@ def straight_heat(problem: Problem, model: PowerModel) -> StraightHeat | None:
         covariance = np.array(extended.covariance)
         covariance[-1, -1] = variance
         extended = extended.with_coefficients(extended.coefficients, covariance)
-    return StraightHeat(rate, float(np.sqrt(variance)), sum(joules) / energy, extended)
+    steering = Steering.of(*np.concatenate(samples, axis=1)) if commanded else None
+    return StraightHeat(rate, float(np.sqrt(variance)), sum(joules) / energy, extended, steering)
 
 
 # -- which effects of the best explanation are named, and what the model with them leaves ---------

@@ -30,7 +30,7 @@ from energyplan.power.empirical import (
 )
 
 _KNOTS = 6
-_NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "yaw_rate"}
+_NOT_SIGNALS = {"changed", "p_left", "p_right", "power", "yaw_rate", "cmd_left", "cmd_right"}
 _POWER_PARTS = ("current", "voltage")  # of a battery, a motor, a side: parts of power, no reasons
 _CONSEQUENCE = 0.9  # correlation with the measured power from which a channel is a part of it
 _PERIODS = (2.0, 60.0)  # of a periodic load [s]

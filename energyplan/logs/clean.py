@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # which imports this module
 
 LIMITS = {
     "t": (-1e11, 1e11, "s"), "v_left": (-20.0, 20.0, "m/s"), "v_right": (-20.0, 20.0, "m/s"),
+    "cmd_left": (-20.0, 20.0, "m/s"), "cmd_right": (-20.0, 20.0, "m/s"),
     "p_left": (-5e4, 5e4, "W"), "p_right": (-5e4, 5e4, "W"), "power": (-1e5, 1e5, "W"),
     "voltage": (0.0, 1500.0, "V"), "current": (-2000.0, 2000.0, "A"), "x": (-1e8, 1e8, "m"),
     "y": (-1e8, 1e8, "m"), "yaw": (-1e6, 1e6, "rad"), "yaw_rate": (-20.0, 20.0, "rad/s"),

@@ -46,6 +46,8 @@ UNITS: dict[str, dict[str, float]] = {
     "y": _LENGTH,
     "v_left": _SPEED,
     "v_right": _SPEED,
+    "cmd_left": _SPEED,
+    "cmd_right": _SPEED,
     "p_left": _POWER,
     "p_right": _POWER,
     "power": _POWER,
@@ -89,7 +91,7 @@ _ALIASES = {
     "kelvin": "K", "kilogram": "kg", "lbs": "lb", "pounds": "lb",
 }  # fmt: skip
 """Other ways to write a unit, in small letters."""
-_WHEEL_CHANNELS = ("v_left", "v_right")
+_WHEEL_CHANNELS = ("v_left", "v_right", "cmd_left", "cmd_right")
 _OF_WHEELS = {**RATES, **COUNTS}
 
 

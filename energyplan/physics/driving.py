@@ -92,6 +92,8 @@ class Sensors:
             "yaw": noisy(mean(run.yaw), self.yaw_noise),
             "yaw_rate": noisy(mean(run.omega), self.yaw_noise),
             "accel_x": mean(run.accel_x),
+            "cmd_left": mean(run.cmd_left),
+            "cmd_right": mean(run.cmd_right),
         }
         if np.any(run.slope != 0.0):
             channels["slope"] = mean(run.slope)

@@ -72,6 +72,8 @@ class Run:
     hotel: float  # constant draw in addition [W]
     accel_x: FloatArray  # (n,): forward reading of an accelerometer, gravity included [m/s^2]
     slope: FloatArray  # (n,): slope of the ground along the heading [rad]
+    cmd_left: FloatArray  # (n,): left tread speed that the controller wants by the end [m/s]
+    cmd_right: FloatArray  # (n,): right tread speed that it wants [m/s]
     energy: dict[str, float]  # [J]
     closure: float  # what the motors did beyond all mechanical terms [J]
 
@@ -129,7 +131,7 @@ def _absorbed(force: FloatArray, speed: FloatArray) -> FloatArray:
 
 _COLUMNS = (
     "x", "y", "yaw", "v", "omega", "v_left", "v_right", "force_left", "force_right", "shaft_left",
-    "shaft_right", "battery_left", "battery_right", "accel_x", "slope",
+    "shaft_right", "battery_left", "battery_right", "accel_x", "slope", "cmd_left", "cmd_right",
 )  # fmt: skip
 
 
@@ -327,7 +329,7 @@ class Book:
         means = np.array([tread, motor, shaft, shaft + losses.sum(axis=0)]).mean(axis=1)
         self._rows.append(np.array([
             *here, yaw, ahead, omega, *means.ravel(),
-            accel @ [c, s], np.arctan(outer.gradient @ [c, s]),
+            accel @ [c, s], np.arctan(outer.gradient @ [c, s]), *self._target,
         ]))  # fmt: skip
         self._sums.append(np.array([
             STEP * shaft.sum(), sum(slid), pressed + risen, STEP * dry, STEP * damped, lifted,
