@@ -425,6 +425,12 @@ def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
     return [effect for effect in every if effect.usual and not effect.channels]
 
 
+def differ(one: float, other: float, error: float, others: float) -> bool:
+    """Return whether two estimates of a coefficient differ by more than errors, and matter."""
+    apart = abs(other - one)
+    return bool(apart > _MOVED * abs(one) and apart > _STEADY * np.hypot(error, others))
+
+
 @dataclass(frozen=True)
 class Wider:
     """What a model leaves together with the effects that nearly every drive shows."""
@@ -454,8 +460,7 @@ class Wider:
             for term, value, by, variance in zip(
                 model.terms, model.coefficients, step[:own], np.diag(covariance)[:own], strict=True
             )
-            if abs(by) > _MOVED * abs(value)
-            and abs(by) > _STEADY * np.hypot(np.sqrt(variance), model.std_error(term.name) or 0.0)
+            if differ(value, value + by, np.sqrt(variance), model.std_error(term.name) or 0.0)
         ]
         return cls(residuals, moves)
 

@@ -409,13 +409,16 @@ _SETTLING = 5  # fits in which slight turns settle, at most
 _CLEARLY = 5.0  # logarithm of the odds from which on they are there
 
 
-def problem_of(logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect]) -> Problem:
+def problem_of(
+    logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect],
+    drives: Sequence[Drive] | None = None,
+) -> Problem:  # fmt: skip
     """Return drives as they are fitted: each side an equation, where it slides and has its sign."""
+    problem = Problem(prepared(logs, vehicle) if drives is None else drives, vehicle)
     if any(find_lost_sign(log.channels) for log in logs):
-        return Problem(prepared(logs, vehicle), vehicle).of_totals
+        return problem.of_totals
     usual = (effect for effect in usual_effects(effects) if not effect.grid)
-    terms = [term for effect in usual for term in effect.terms]
-    return with_sides(Problem(prepared(logs, vehicle), vehicle), terms)
+    return with_sides(problem, [term for effect in usual for term in effect.terms])
 
 
 def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:

@@ -20,6 +20,7 @@ from energyplan.fit.doubts import (
     Wider,
     adequacy,
     check_identifiable,
+    differ,
     ends_in_words,
     linearise,
     open_in_words,
@@ -725,11 +726,14 @@ def identify(
     if linear:
         first = PowerModel(vehicle, tuple(linear), np.zeros(len(linear)))
         doubts = check_identifiable(first, _stacked(first, clean, ready), turning)
-    problem = PowerRegression(ready, model)
+    problem, few = PowerRegression(ready, model), enough_of(ready)
+    known = [one for one in usual_effects() if all(term in terms for term in one.terms)]
+    sides = problem_of(drives, vehicle, known, few)
     if method == "windows":
         check_long_enough(drives)
-        known = [one for one in usual_effects() if all(term in terms for term in one.terms)]
-        joint = joint_fit(problem_of(drives, vehicle, known), terms)
+        joint = joint_fit(sides, terms)
+        alone = joint_fit(sides.of_totals, terms)
+        joint = alone if _sides_apart(sides, alone.model) else joint
         model = replace(joint.model, name=name)
         warnings += open_in_words(model, joint.assumed)
     else:
@@ -739,7 +743,7 @@ def identify(
     warnings += doubts
 
     powers = problem.powers(model)
-    residual, few = statistics(ready, powers), enough_of(ready)
+    residual = statistics(ready, powers)
     independent = residual.duration / max(2 * residual.correlation_time, 1e-300)
     covariance, values = model.covariance, np.array(model.coefficients)
     run = run_effect(Problem(few, vehicle), model.terms, values)
@@ -750,6 +754,7 @@ def identify(
     if estimate is not None:
         covariance = covariance + problem.inherited(model, estimate)
     model = replace(model, covariance=covariance, residual=residual)
+    warnings += _sides_apart(sides, model)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
@@ -784,6 +789,29 @@ def _missing(left: Adequacy, moves: Sequence[str], left_out: Foretold | None) ->
     return [
         f"the model lacks something: {told}. Coefficients may be off by more than their standard "
         f"errors{size}; 'energyplan diagnose' with the same logs tells what is missing"
+    ]
+
+
+def _sides_apart(sides: Problem, model: PowerModel) -> list[str]:
+    """Warn where the difference of both sides' powers shows another friction than their sum."""
+    lossy = any(is_lossy(drive, model.terms) for drive in sides.drives)
+    seconds = sum(float(drive.t[-1]) for drive in sides.drives)
+    if lossy or not model.has(SLIP.name) or sides.drives[0].equations == 1 or seconds < 2 * BLOCK:
+        return []
+    shown = joint_fit(sides, model.terms).model
+    found = [
+        (float(one.coefficient(SLIP.name)), one.std_error(SLIP.name) or 0.0)
+        for one in (shown, model)
+    ]
+    (mu, error), (total, total_error) = found
+    if not differ(mu, total, error, total_error):
+        return []
+    return [
+        "the sum of both sides' powers shows mu = "
+        f"{html.quantity(total, total_error, '')}, which this model has, their difference "
+        f"{html.quantity(mu, error, '')}: turns take {'more' if total > mu else 'less'} than "
+        "friction, as where motors heat or return less than they took, or a sensor of a side is "
+        "wrong. Other turns may cost otherwise; 'energyplan diagnose' looks for the loss"
     ]
 
 
