@@ -123,6 +123,10 @@ def turned(logs: Sequence[DriveLog], icr: TreadICR) -> bool:
     if channel is None:
         return True
     data, _ = _stack([log for log in logs if log.has(channel)], channel, pose=False)
+    return _turns(data, icr)
+
+
+def _turns(data: _Increments, icr: TreadICR) -> bool:
     way = np.sign(data.around)
     wheels = float(way @ data.difference) / icr.slip_track
     return not (wheels > _LEAST_TURNING and float(way @ data.yaw) < _LEAST_GRIP * wheels)
@@ -150,7 +154,7 @@ def fit_icr(
     pose = posed if asymmetric is None else asymmetric
     data, pieces = _stack(drives, channel, pose)
     turning = float(np.abs(np.sign(data.around) @ data.yaw)) if len(data.dt) else 0.0
-    if turning < _LEAST_TURNING or not turned(drives, prior):
+    if turning < _LEAST_TURNING or not _turns(data, prior):
         raise NotIdentifiableError(
             f"the tread ICRs cannot be identified: by {channel} the robot turned through "
             f"{turning:.2f} rad only; add a spin of several turns, wheels on the ground"

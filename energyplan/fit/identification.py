@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -98,8 +99,8 @@ class PowerRegression:
         )
         return target, design
 
-    def solve(self, method: Method, bounds: Bounds) -> PowerModel:
-        """Return the model with the coefficients that minimise the method's sum."""
+    def solve(self, method: Method, bounds: Bounds, near: FloatArray | None = None) -> PowerModel:
+        """Return the model with the coefficients that minimise the method's sum; `near` others."""
         if method not in ("lad", "simplex", "huber"):
             raise UnknownNameError("method", str(method), ("lad", "simplex", "huber"))
         if method == "simplex":
@@ -108,7 +109,8 @@ class PowerRegression:
                 lambda c: _absolute(self.residual(self._start.with_coefficients(c))), rough, bounds
             )
         elif method == "lad":
-            found = self._iterate(lad, lambda _: _absolute, bounds)
+            fit = partial(lad, near=near) if self._linear else lad
+            found = self._iterate(fit, lambda _: _absolute, bounds)
         else:
             found = self._iterate(huber, _huber_loss, bounds)
         return self._start.with_coefficients(self._snapped(found, bounds))
@@ -272,7 +274,7 @@ def without_each(parts: Sequence[Drive], model: PowerModel) -> list[FloatArray]:
     found = list[FloatArray]()
     for k, part in enumerate(parts):
         rest = PowerRegression([*parts[:k], *parts[k + 1 :]], model)
-        others = rest.solve("lad", rest.bounds)
+        others = rest.solve("lad", rest.bounds, model.coefficients)
         found += PowerRegression([part], others).powers(others)
     return found
 

@@ -114,8 +114,11 @@ def _lad_program(
     return bounds.clip(-np.asarray(found.eqlin.marginals)), np.asarray(found.x[:n])
 
 
-def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
-    """Minimise the sum of absolute residuals exactly, for any number of rows (Eq. 7)."""
+def lad(X: FloatArray, y: FloatArray, bounds: Bounds, near: FloatArray | None = None) -> FloatArray:
+    """Minimise the sum of absolute residuals exactly, for any number of rows (Eq. 7).
+
+    Where the coefficients are nearly known, `near` saves work.
+    """
     # Source: Portnoy and Koenker (1997), "The Gaussian hare and the Laplacian tortoise",
     # Statistical Science 12(4); docs/theory, section 6.
     acting = np.any(X != 0.0, axis=1)  # the residual of any other row is what it is
@@ -130,8 +133,9 @@ def lad(X: FloatArray, y: FloatArray, bounds: Bounds) -> FloatArray:
         c, _ = _lad_program(Xs, ys, inner, np.zeros(X.shape[1]))
         return bounds.clip(c * target / scale)
     # Rows evenly picked lead near the solution, however skew the residual; squares would not.
-    c = lad(Xs[::_SAMPLED], ys[::_SAMPLED], inner)
-    size = max(_BAND, round(_REACH * np.sqrt(Xs.size)))
+    c = lad(Xs[::_SAMPLED], ys[::_SAMPLED], inner) if near is None else near * scale / target
+    reach = _REACH if near is None else _REACH / np.sqrt(_SAMPLED)
+    size = max(_BAND, round(reach * np.sqrt(Xs.size)))
     band, sign = _band(ys - Xs @ c, size)
     while True:
         fixed = Xs[~band].T @ sign[~band]
