@@ -26,11 +26,11 @@ from forks import FORKS
 from scipy.stats import binomtest
 
 import energyplan as ep
+from energyplan.diagnosis.design import Hypothesis, Option, design, joined, manoeuvres
 from energyplan.errors import EnergyPlanError
 from energyplan.io.files import bundled
 from energyplan.limits.speed import profile
 from energyplan.physics import EFFECTS, Effect, Robot, Sensors, draw_effects, drive, switch_on
-from energyplan.physics.design import Hypothesis, Option, design, joined, manoeuvres
 from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, Round, close_loop
 from energyplan.power.effects import catalogue
 from energyplan.vehicle import predict_icr

@@ -207,13 +207,13 @@ def design(
     It is the one that best separates the explanations that are left. Begins at --start, or where
     there is most room.
     """
+    from energyplan.diagnosis.design import design as run
+    from energyplan.diagnosis.design import explanations_of
     from energyplan.io.config import read_model
     from energyplan.io.sites import read_site
     from energyplan.io.tables import write_trajectory
     from energyplan.output import documents, text
     from energyplan.path import parse_pose
-    from energyplan.physics.design import design as run
-    from energyplan.physics.design import explanations_of
 
     law = read_model(model)
     explanations = explanations_of(_document(diagnosis)) if diagnosis else ()

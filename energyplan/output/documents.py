@@ -15,6 +15,7 @@ from energyplan.logs.mapping import UNITS
 if TYPE_CHECKING:
     from energyplan.comparison import Comparison
     from energyplan.diagnosis import Diagnosis
+    from energyplan.diagnosis.design import Design
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate, Identification
     from energyplan.fit.tasks import TaskFit
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from energyplan.mission import MissionReport, Segment
     from energyplan.path import FloatArray
     from energyplan.physics import Driven, Loop
-    from energyplan.physics.design import Design
     from energyplan.planning import Plan
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap

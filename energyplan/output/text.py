@@ -12,6 +12,7 @@ from energyplan.html import clock, number, unit
 from energyplan.output.documents import terms
 
 if TYPE_CHECKING:
+    from energyplan.diagnosis.design import Design
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate
     from energyplan.fit.identification import InternalFriction
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from energyplan.live import Event
     from energyplan.mission import MissionReport
     from energyplan.path import FloatArray
-    from energyplan.physics.design import Design
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from energyplan import html
 from energyplan.diagnosis import diagnose, result
+from energyplan.diagnosis.design import Hypothesis, design
 from energyplan.errors import (
     DriveLogError,
     InfeasibleMotionError,
@@ -26,7 +27,6 @@ from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
-from energyplan.physics.design import Hypothesis, design
 from energyplan.physics.driving import Driven, Sensors, drive, energy_predicted
 from energyplan.physics.engine import require_mujoco
 from energyplan.physics.robot import EngineGround, Robot

@@ -7,8 +7,8 @@ import pytest
 
 import energyplan as ep
 from energyplan import Motion
+from energyplan.diagnosis.design import Hypothesis, design, explanations_of
 from energyplan.errors import InvalidInputError
-from energyplan.physics.design import Hypothesis, design, explanations_of
 from energyplan.power import Sides
 from energyplan.power.effects import term
 
