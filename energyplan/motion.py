@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.path import FloatArray, Trajectory
+from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.records import ByValue, checked, instance, numbers
 from energyplan.vehicle import TreadICR
 
@@ -191,3 +191,29 @@ class Motion(ByValue):
             "slope": 0.0,
         }
         return cls.from_twist(trajectory.v, trajectory.omega, icr, **{**known, **channels})
+
+
+_NODES = 0.5 + 0.5 * np.array([-(0.6**0.5), 0.0, 0.6**0.5])  # Gauss-Legendre, order six
+_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+def travelled(
+    start: Pose,
+    step: FloatArray,
+    v: tuple[FloatArray, FloatArray],
+    omega: tuple[FloatArray, FloatArray],
+    ahead: FloatArray | float,
+) -> FloatArray:
+    """Poses from speeds that are linear in each step, given at both ends, shape (n + 1, 3).
+
+    The origin lies `ahead` behind the point that never moves sideways [m].
+    """
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * step * (omega[0] + omega[1]))])
+    yaw, u = start.yaw + turned, _NODES[:, None]
+    theta = yaw[:-1] + step * (u * omega[0] + 0.5 * u**2 * (omega[1] - omega[0]))
+    along = v[0] + u * (v[1] - v[0])
+    aside = ahead * (omega[0] + u * (omega[1] - omega[0]))
+    dx = step * (_WEIGHTS @ (along * np.cos(theta) + aside * np.sin(theta)))
+    dy = step * (_WEIGHTS @ (along * np.sin(theta) - aside * np.cos(theta)))
+    x, y = (np.concatenate([[at], at + np.cumsum(d)]) for at, d in ((start.x, dx), (start.y, dy)))
+    return np.column_stack([x, y, yaw])

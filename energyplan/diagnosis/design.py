@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from energyplan.errors import InvalidInputError, MissingChannelError
-from energyplan.motion import Motion
+from energyplan.motion import Motion, travelled
 from energyplan.path import FloatArray, Path, Pose, Trajectory
 from energyplan.power import PowerModel, Sides, Term
 from energyplan.power.effects import catalogue
@@ -90,17 +90,9 @@ class Option:
         grid = np.unique(np.concatenate([t, np.arange(0.0, t[-1], STEP)]))
         grid = grid[np.append(True, np.diff(grid) > 1e-6)]
         motion = Motion(np.interp(grid, t, left), np.interp(grid, t, right), vehicle.icr)
-        fine = np.linspace(0.0, 1.0, 9)[1:-1]
-        v, w, h = motion.v, motion.omega, np.diff(grid)
-        yaw = start.yaw + np.concatenate([[0.0], np.cumsum(0.5 * h * (w[1:] + w[:-1]))])
-        u = np.concatenate([[0.0], fine, [1.0]])[:, None]
-        angle = yaw[:-1] + h * (u * w[:-1] + 0.5 * u**2 * np.diff(w))
-        ahead = v[:-1] + u * np.diff(v)
-        lag = vehicle.icr.longitudinal * (w[:-1] + u * np.diff(w))
-        dx = h * np.trapezoid(ahead * np.cos(angle) + lag * np.sin(angle), u, axis=0)
-        dy = h * np.trapezoid(ahead * np.sin(angle) - lag * np.cos(angle), u, axis=0)
-        x = start.x + np.concatenate([[0.0], np.cumsum(dx)])
-        y = start.y + np.concatenate([[0.0], np.cumsum(dy)])
+        v, w = motion.v, motion.omega
+        ends = (v[:-1], v[1:]), (w[:-1], w[1:])
+        x, y, yaw = travelled(start, np.diff(grid), *ends, vehicle.icr.longitudinal).T
         return cls(manoeuvre, Trajectory(grid, x, y, yaw, v, w))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from energyplan.errors import InvalidInputError, UnknownNameError
 from energyplan.logs import DriveLog
-from energyplan.motion import Motion
+from energyplan.motion import Motion, travelled
 from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.power import PowerModel
 from energyplan.records import checked
@@ -239,8 +239,6 @@ VALIDATION: tuple[tuple[str, float], ...] = (
 _SPEED = 0.75  # [m/s]
 _ACCELERATION = 0.3  # [m/s^2]
 _STEP = 0.05  # longest step of the pose integration [s]
-_NODES = 0.5 + 0.5 * np.array([-(0.6**0.5), 0.0, 0.6**0.5])  # Gauss-Legendre, order six
-_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 @checked()
@@ -597,13 +595,7 @@ class _World:
         start, end = slice(None, -1), slice(1, None)
         w0, w1 = ((right[k] - left[k]) / track for k in (start, end))
         v0, v1 = ((1 - share) * left[k] + share * right[k] for k in (start, end))
-        yaw = self._start.yaw + np.concatenate([[0.0], np.cumsum(0.5 * h * (w0 + w1))])
-        u = _NODES[:, None]
-        theta = yaw[:-1] + h * (u * w0 + 0.5 * u**2 * (w1 - w0))
-        v, w = v0 + u * (v1 - v0), w0 + u * (w1 - w0)
-        # The body's origin lies `ahead` behind the point that never moves sideways.
-        dx = h * (_WEIGHTS @ (v * np.cos(theta) + ahead * w * np.sin(theta)))
-        dy = h * (_WEIGHTS @ (v * np.sin(theta) - ahead * w * np.cos(theta)))
+        poses = travelled(self._start, h, (v0, v1), (w0, w1), ahead)
         node = np.searchsorted(grid, t)
         piece = np.minimum(node, len(h) - 1)
         late = node > piece
@@ -611,9 +603,7 @@ class _World:
             "t": t,
             "v_left": left[node],
             "v_right": right[node],
-            "x": self._start.x + np.concatenate([[0.0], np.cumsum(dx)])[node],
-            "y": self._start.y + np.concatenate([[0.0], np.cumsum(dy)])[node],
-            "yaw": yaw[node],
+            **dict(zip(("x", "y", "yaw"), poses[node].T, strict=True)),
             "yaw_rate": np.where(late, w1[piece], w0[piece]),
         }
         # From the corners, not from the grid, whose shortest steps are mere rounding.
