@@ -11,6 +11,7 @@ from refusals import check_refusal, lines
 from scipy.optimize import fsolve
 
 import energyplan as ep
+from energyplan.diagnosis.design import Hypothesis, design
 from energyplan.errors import PhysicsError
 from energyplan.physics import (
     EFFECTS,
@@ -24,7 +25,6 @@ from energyplan.physics import (
     draw_effects,
     switch_on,
 )
-from energyplan.physics.design import Hypothesis, design
 from energyplan.physics.engine import Controller
 from energyplan.power.effects import term
 from energyplan.vehicle import GRAVITY, predict_icr
