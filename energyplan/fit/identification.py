@@ -730,7 +730,9 @@ def identify(
         doubts = check_identifiable(first, _stacked(first, clean, ready), turning)
     problem, few = PowerRegression(ready, model), enough_of(ready)
     known = [one for one in usual_effects() if all(term in terms for term in one.terms)]
-    sides = problem_of(drives, vehicle, known, few)
+    sides = Problem(few, vehicle)
+    if method == "windows" or sides.drives[0].equations == 2:
+        sides = problem_of(drives, vehicle, known, few)
     if method == "windows":
         check_long_enough(drives)
         joint = joint_fit(sides, terms)
