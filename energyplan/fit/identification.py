@@ -736,8 +736,9 @@ def identify(
     if method == "windows":
         check_long_enough(drives)
         joint = joint_fit(sides, terms)
-        alone = joint_fit(sides.of_totals, terms)
-        joint = alone if _sides_apart(sides, alone.model) else joint
+        if sides is not sides.of_totals:
+            alone = joint_fit(sides.of_totals, terms)
+            joint = alone if _sides_apart(sides, alone.model) else joint
         model = replace(joint.model, name=name)
         warnings += open_in_words(model, joint.assumed)
     else:
