@@ -30,7 +30,7 @@ from energyplan.errors import (
     needs_extra,
 )
 from energyplan.io.documents import Document, Loc, load
-from energyplan.io.files import is_file
+from energyplan.io.files import is_file, is_folder
 from energyplan.logs.align import Series, align, derivative, find_runs, usable
 from energyplan.logs.consistency import correlation
 from energyplan.logs.guess import side_of, words
@@ -536,9 +536,9 @@ _ENCODINGS = {"json": "JSON", "protobuf": "Protobuf", "flatbuffer": "FlatBuffers
 
 def _encoding(file: Path) -> str:
     """Return the encoding of an MCAP file's messages where ROS 2 does not write it."""
-    if file.is_dir():
+    if is_folder(file):
         file = next(iter(sorted(file.glob("*.mcap"))), file)
-    if file.suffix.lower() != ".mcap" or not file.is_file():
+    if file.suffix.lower() != ".mcap" or not is_file(file):
         return ""
     with file.open("rb") as stream:
         head = stream.read(1 << 20)

@@ -216,9 +216,17 @@ def _strings(content: Any) -> Iterator[str]:
 
 
 def is_file(path: str | Path) -> bool:
-    r"""Return whether a file of that name exists; False for a name that no file can have."""
+    """Return whether a file of that name exists; False for a name that no file can have."""
     try:
         return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: str | Path) -> bool:
+    """Return whether a folder of that name exists; False for a name that no folder can have."""
+    try:
+        return Path(path).is_dir()
     except (OSError, ValueError):
         return False
 

@@ -21,7 +21,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from energyplan.errors import MapError
 from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
-from energyplan.io.files import atomic_write, is_file
+from energyplan.io.files import atomic_write, is_file, is_folder
 from energyplan.io.geojson import read_obstacles
 from energyplan.path import Pose, as_pose
 from energyplan.records import checked
@@ -179,7 +179,7 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
         drawn = read_obstacles(file)
         fit(file, *drawn.shape)
         return drawn
-    if file.is_dir():
+    if is_folder(file):
         raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")
     if file.suffix not in {".yaml", ".yml"}:
         raise MapError(
@@ -384,7 +384,7 @@ def _read_movingai(file: Path) -> OccupancyGrid:
 def write_map(grid: OccupancyGrid, path: str | Path) -> None:
     """Write a map as map_server YAML with a PNG of the same name in its folder."""
     file = Path(path)
-    if file.is_dir():
+    if is_folder(file):
         raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")
     if file.suffix not in {".yaml", ".yml"}:
         raise MapError(f"{file}: name the map something.yaml; its image stands beside it")

@@ -453,7 +453,10 @@ def test_a_malformed_file_is_refused_with_its_place(
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("read", [read_mission, read_vehicle, read_model, read_log])
+READERS = [read_mission, read_vehicle, read_model, read_log, read_map, read_site, read_heights]
+
+
+@pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize(
     ("name", "words"),
     [

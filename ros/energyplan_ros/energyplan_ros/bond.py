@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import Any
 from uuid import uuid4
 
@@ -23,6 +24,7 @@ class Bond:
     def __init__(self, node: Any) -> None:
         self.node, self.instance = node, str(uuid4())
         self.alive = False
+        self.lock = Lock()  # so that no heartbeat follows the goodbye
         if Status is None:
             node.get_logger().warning(
                 "the package bond is not installed: set bond_timeout of lifecycle_manager to 0.0"
@@ -41,14 +43,16 @@ class Bond:
 
     def stop(self) -> None:
         """Say that the node ends in order."""
-        if self.alive:
-            self.alive = False
-            self.send(active=False)
+        with self.lock:
+            if self.alive:
+                self.alive = False
+                self.send(active=False)
 
     def beat(self) -> None:
         """Send a heartbeat."""
-        if self.alive:
-            self.send(active=True)
+        with self.lock:
+            if self.alive:
+                self.send(active=True)
 
     def on_status(self, message: Any) -> None:
         """Answer the manager's goodbye with one's own."""
