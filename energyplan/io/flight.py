@@ -58,7 +58,7 @@ class _Messages:
 
 def is_flight(path: str | Path) -> bool:
     """Return whether a path is a flight controller's log, by its suffix."""
-    return Path(path).suffix.lower() in _FORMATS
+    return Path(path).suffix.lower() in FLIGHT_SUFFIXES
 
 
 def read_flight(path: str | Path, wanted: Callable[[str], bool] | None = None) -> Recording:
@@ -179,6 +179,7 @@ _FORMATS = {
     ".bin": _Format(b"\xa3\x95", _of_ardupilot),
     ".tlog": _Format(b"", _of_telemetry),
 }
+FLIGHT_SUFFIXES = (*_FORMATS,)
 
 
 def _computed(topic: _Stream) -> dict[str, FloatArray]:

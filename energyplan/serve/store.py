@@ -21,7 +21,9 @@ from energyplan.errors import (
     InvalidInputError,
     TimeLimitError,
 )
+from energyplan.io.bags import BAG_SUFFIXES
 from energyplan.io.files import atomic_write, files_behind
+from energyplan.io.flight import FLIGHT_SUFFIXES
 from energyplan.io.maps import at_most
 from energyplan.io.mission import read_battery
 from energyplan.io.sites import SiteFile, load_site
@@ -36,7 +38,7 @@ KINDS = {
     "vehicles": (".yaml", ".yml"),
     "batteries": (".yaml", ".yml"),
     "missions": (".yaml", ".yml"),
-    "logs": (".csv", ".csv.gz", ".parquet", ".mcap", ".bag", ".db3"),
+    "logs": (".csv", ".csv.gz", ".parquet", *BAG_SUFFIXES, *FLIGHT_SUFFIXES),
     "surfaces": (".geojson", ".json"),
     "heights": (".asc", ".tif", ".tiff"),
 }
