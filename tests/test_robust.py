@@ -158,11 +158,11 @@ def test_ctrl_c_ends_a_command_with_one_line_and_leaves_its_file(tmp_path: Path)
         # a background job inherits that the signal is ignored
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
-        def read_log(*_, **__):
+        def read_recording(*_, **__):
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(60)
 
-        logs.read_log = read_log
+        logs.read_recording = read_recording
         sys.argv = "energyplan identify a.csv --vehicle quadriga --out".split() + [{str(out)!r}]
         cli.main()
         """
