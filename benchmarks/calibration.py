@@ -237,7 +237,10 @@ def case(seed: int, robots: str, fewest: int, most: int, drives: int) -> Outcome
     return Outcome(
         seed, true, tuple(stated.items()), covered, told.after.rmse / oracle,
         told.after.rmse / told.before.rmse, told.verdict, quality.adequate,
-        max(quality.residual / quality.noise, quality.slow_residual / quality.slow_noise),
+        max(
+            quality.residual / quality.usual,
+            quality.slow_residual / max(quality.slow_noise, quality.negligible),
+        ),
         tuple(claimed), made.kind, time.process_time() - start,
     )  # fmt: skip
 
