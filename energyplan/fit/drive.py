@@ -511,13 +511,10 @@ class Drive:
         )  # fmt: skip
 
     @classmethod
-    def at(cls, motion: Motion, battery: bool = False, weights: FloatArray | None = None) -> Drive:
-        """Return instants of a motion, shape (n,), of no log, which may have weights [s]."""
+    def at(cls, motion: Motion, battery: bool = False) -> Drive:
+        """Return instants of a motion, shape (n,), that belong to no log."""
         count = motion.shape[0]
-        found = cls("instants", np.arange(float(count)), motion, np.zeros(count), battery)
-        if weights is not None:
-            found.__dict__["weights"] = weights
-        return found
+        return cls("instants", np.arange(float(count)), motion, np.zeros(count), battery)
 
     def with_channels(self, **channels: FloatArray) -> Drive:
         """Return the drive with channels added to its motion."""

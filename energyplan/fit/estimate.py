@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -443,33 +443,36 @@ def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
 def with_slight_turns(problem: Problem, terms: Sequence[Term]) -> Problem:
     """Return drives with the turns that speeds hardly show, where losses show that contacts slide.
 
-    The smallest turn takes the whole friction of turning, which makes losses, and speeds of some
-    noise show it as straight driving.
+    The smallest turn takes the whole friction of turning, and noisy speeds show it as straight.
     """
     slight = [(one.motion.omega == 0.0) & (one.motion.v != 0.0) for one in problem.drives]
     if not any(some.any() for some in slight):
         return problem
-    turning = problem.on([_turned(*pair) for pair in zip(problem.drives, slight, strict=True)])
-    labels = [np.cumsum(np.diff(some, prepend=False)) for some in slight]
-    straight, best, most = -np.inf, problem, -np.inf
-    for loss in (COPPER_LOSS, REGENERATION_LOSS):
-        some = [*terms, HOTEL, loss]
-        now, turns = problem, [np.zeros_like(one) for one in slight]
-        for _ in range(_SETTLING):
-            design = now.design(some)
-            found = fit(design, now.reference(design))
-            here = float(now.likelihood(found.errors, design.evidence))
-            if now is problem:
-                straight = max(straight, here)
-            elif here > most:
-                best, most = now, here
-            former, turns = turns, []
-            for pair in zip(problem.drives, turning.drives, slight, labels, strict=True):
-                turns.append(_turns(*pair, problem.vehicle, some, found.values))
-            if all(map(np.array_equal, former, turns)):
-                break
-            now = problem.on([_turned(*pair) for pair in zip(problem.drives, turns, strict=True)])
+    losses = (COPPER_LOSS, REGENERATION_LOSS)
+    tried = [one for loss in losses for one in _settling(problem, slight, [*terms, HOTEL, loss])]
+    straight = max(likelihood for likelihood, some in tried if some is problem)
+    most, best = max(tried, key=lambda one: one[0])
     return best if most > straight + _CLEARLY else problem
+
+
+def _settling(
+    problem: Problem, slight: Sequence[NDArray[np.bool_]], terms: Sequence[Term]
+) -> Iterator[tuple[float, Problem]]:
+    """Yield drives with the turns that fit best, at first none; with the likelihood's logarithm."""
+    turning = [_turned(*pair) for pair in zip(problem.drives, slight, strict=True)]
+    now, turns = problem, [np.zeros_like(some) for some in slight]
+    for _ in range(_SETTLING):
+        design = now.design(terms)
+        found = fit(design, now.reference(design))
+        yield float(now.likelihood(found.errors, design.evidence)), now
+        former = turns
+        turns = [
+            _turns(*one, problem.vehicle, terms, found.values)
+            for one in zip(problem.drives, turning, slight, strict=True)
+        ]
+        if all(map(np.array_equal, former, turns)):
+            return
+        now = problem.on([_turned(*pair) for pair in zip(problem.drives, turns, strict=True)])
 
 
 def _turned(drive: Drive, turns: NDArray[np.bool_]) -> Drive:
@@ -481,11 +484,11 @@ def _turned(drive: Drive, turns: NDArray[np.bool_]) -> Drive:
 
 
 def _turns(
-    straight: Drive, turning: Drive, slight: NDArray[np.bool_], label: NDArray[np.intp],
-    vehicle: Vehicle, terms: Sequence[Term], values: FloatArray,
+    straight: Drive, turning: Drive, slight: NDArray[np.bool_], vehicle: Vehicle,
+    terms: Sequence[Term], values: FloatArray,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Return the straight stretches whose power is nearer to that of a slight turn."""
-    misses = []
+    label, misses = np.cumsum(np.diff(slight, prepend=False)), []
     for drive in (straight, turning):
         power = linearise_drive(drive, vehicle, terms, values, ()).power[:, 0]
         misses.append(np.bincount(label, np.abs(drive.power - power)))

@@ -32,7 +32,7 @@ from energyplan.fit.doubts import (
     usual_effects,
 )
 from energyplan.fit.drive import BLOCK, Drive, check_long_enough, cut, enough_of
-from energyplan.fit.estimate import Problem, joint_fit, problem_of, run_effect
+from energyplan.fit.estimate import Fitted, Problem, joint_fit, problem_of, run_effect
 from energyplan.fit.icr import ICREstimate, fit_icr, turned, yaw_channel
 from energyplan.fit.regressors import is_lossy
 from energyplan.fit.run import LEVEL, Energy, RunEffect
@@ -733,12 +733,13 @@ def identify(
     sides = Problem(few, vehicle)
     if method == "windows" or sides.drives[0].equations == 2:
         sides = problem_of(drives, vehicle, known, few)
+    of_sides = None
     if method == "windows":
         check_long_enough(drives)
-        joint = joint_fit(sides, terms)
+        joint = of_sides = joint_fit(sides, terms)
         if sides is not sides.of_totals:
             alone = joint_fit(sides.of_totals, terms)
-            joint = alone if _sides_apart(sides, alone.model) else joint
+            joint = alone if _sides_apart(sides, alone.model, of_sides) else joint
         model = replace(joint.model, name=name)
         warnings += open_in_words(model, joint.assumed)
     else:
@@ -759,7 +760,7 @@ def identify(
     if estimate is not None:
         covariance = covariance + problem.inherited(model, estimate)
     model = replace(model, covariance=covariance, residual=residual)
-    warnings += _sides_apart(sides, model)
+    warnings += _sides_apart(sides, model, of_sides)
     icr_covariance = None if estimate is None else estimate.covariance
     warnings += _doubts(model, independent)
     warnings += _draw_at_rest(ready, powers)
@@ -797,18 +798,15 @@ def _missing(left: Adequacy, moves: Sequence[str], left_out: Foretold | None) ->
     ]
 
 
-def _sides_apart(sides: Problem, model: PowerModel) -> list[str]:
+def _sides_apart(sides: Problem, model: PowerModel, fitted: Fitted | None) -> list[str]:
     """Warn where the difference of both sides' powers shows another friction than their sum."""
     lossy = any(is_lossy(drive, model.terms) for drive in sides.drives)
     seconds = sum(float(drive.t[-1]) for drive in sides.drives)
     if lossy or not model.has(SLIP.name) or sides.drives[0].equations == 1 or seconds < 2 * BLOCK:
         return []
-    shown = joint_fit(sides, model.terms).model
-    found = [
-        (float(one.coefficient(SLIP.name)), one.std_error(SLIP.name) or 0.0)
-        for one in (shown, model)
-    ]
-    (mu, error), (total, total_error) = found
+    shown = (fitted or joint_fit(sides, model.terms)).model
+    mu, total = (float(one.coefficient(SLIP.name)) for one in (shown, model))
+    error, total_error = (one.std_error(SLIP.name) or 0.0 for one in (shown, model))
     if not differ(mu, total, error, total_error):
         return []
     return [

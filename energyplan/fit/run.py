@@ -114,10 +114,11 @@ class RunEffect:
         return np.asarray(part * np.outer(values, values))
 
     def energy(
-        self, model: PowerModel, drive: Drive, level: float = LEVEL, said: float | None = None
-    ) -> Energy:
-        """Predict the energy of a run to come; `said` is what a finer model says of it [J]."""
-        alone, weights = replace(drive, between=None), drive.weights
+        self, model: PowerModel, drive: Drive, level: float = LEVEL, said: float | None = None,
+        weights: FloatArray | None = None,
+    ) -> Energy:  # fmt: skip
+        """Predict the energy of a run to come; `said` [J] and `weights` [s] replace the drive's."""
+        alone, weights = replace(drive, between=None), drive.weights if weights is None else weights
         about = linearise_drive(alone, model.vehicle, model.terms, model.coefficients)
         energy = float(weights @ about.power[:, 0]) if said is None else said
         energy *= 1.0 + self.mean

@@ -84,7 +84,7 @@ def with_interval(
     if model.covariance is None:
         return None
     with suppress(MissingChannelError):
-        return run.energy(model, Drive.at(motion, True, weights), LEVEL, energy)
+        return run.energy(model, Drive.at(motion, True), LEVEL, energy, weights)
     return None
 
 
