@@ -8,7 +8,7 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate recheck lowest pictures loop bench gates pages dist lock release clean
+.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate recheck lowest pictures loop bench guards gates pages dist lock release clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -87,7 +87,11 @@ pictures: demo
 	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/animate.py
 
-# Figures that must not get worse; ONLY="willow*" for some of them.
+# Figures that must not get worse, on small samples that every change runs.
+guards: $(READY)
+	@$(BIN)/python benchmarks/gates.py --guards
+
+# All figures that must not get worse; ONLY="willow*" for some of them.
 ONLY ?= *
 gates: $(READY)
 	@$(BIN)/python benchmarks/gates.py --only "$(ONLY)"

@@ -8,7 +8,8 @@
 to 4 t; any), `--fewest` and `--most` the number of effects, `--drives` how many drives of a robot
 are diagnosed together (1; one more judges). `--records FILE` keeps what was found of each seed, a
 line a drive: a later run with that file goes on where the former one ended. `--write` puts the
-figures into a page, docs/diagnosis.md.
+figures into a page, docs/diagnosis.md. `--right FILE` names the seeds that are right and not in
+FILE, and those that are in it and wrong; with `--rewrite` FILE is written anew.
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -332,6 +334,16 @@ def line_of(one: Outcome) -> str:
     )
 
 
+def turned(found: list[Outcome], file: Path) -> list[str]:
+    """Return a line for each seed whose answer is right, or wrong, other than in a list."""
+    right = {int(seed) for seed in file.read_text().split()}
+    return [
+        f"turned {'right' if one.first else 'wrong'}: {line_of(one).strip()}"
+        for one in found
+        if one.first is not (one.seed in right)
+    ]
+
+
 def main() -> None:
     """Run, print, and write where asked."""
     parser = argparse.ArgumentParser(
@@ -346,6 +358,8 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=1)
     parser.add_argument("--records", type=Path)
     parser.add_argument("--write", type=Path, metavar="PAGE")
+    parser.add_argument("--right", type=Path, metavar="FILE")
+    parser.add_argument("--rewrite", action="store_true")
     asked = parser.parse_args()
     found = []
     for one in outcomes(
@@ -363,6 +377,9 @@ def main() -> None:
     if asked.part == "empty":
         false = sum(bool(one.others) for one in found)
         print(f"{false} of {len(found)} drives that hide nothing were given an effect")
+        for one in found:
+            if one.others:
+                print(f"seed {one.seed} was given {' and '.join(one.others)}")
         more = sum(one.verdict == "unexplained" for one in found)
         print(f"{more} were called unexplained")
         return
@@ -370,6 +387,14 @@ def main() -> None:
     print(text)
     if asked.write:
         write(asked.write, "calibration", text)
+    if asked.right:
+        if asked.rewrite:
+            seeds = (f"{one.seed}\n" for one in found if one.first)
+            asked.right.write_text("".join(seeds))
+        lines = turned(found, asked.right)
+        print("\n".join([*lines, f"{len(lines)} of {len(found)} seeds turned"]))
+        if lines:
+            print(f"turned on purpose: python {' '.join(sys.argv)} --rewrite")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -220,46 +219,3 @@ def test_the_package_states_the_licence_of_all_that_it_contains() -> None:
     texts = [file.read_text() for file in stated]
     assert all(any(words in text for text in texts) for words in kinds.values())
     assert project["license"].split(" AND ") == ["Apache-2.0", *kinds]
-
-
-HOUSE = Path(__file__).with_name("house.toml")
-"""How large the package may be. The numbers only fall: who makes it smaller lowers them."""
-
-
-def docstring_lines(tree: ast.Module) -> int:
-    """Count the lines of strings that stand alone: docstrings, of attributes as well."""
-    strings = (
-        node for node in ast.walk(tree)
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )  # fmt: skip
-    return sum(1 + (node.end_lineno or node.lineno) - node.lineno for node in strings)
-
-
-def constants(tree: ast.Module) -> int:
-    """Count the names in capitals that a module sets to something with a number in it."""
-    count = 0
-    for node in tree.body:
-        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            named = any(isinstance(t, ast.Name) and t.id.lstrip("_").isupper() for t in targets)
-            values = (n.value for n in ast.walk(node) if isinstance(n, ast.Constant))
-            count += named and any(type(value) in (int, float) for value in values)
-    return count
-
-
-def test_the_house_does_not_grow() -> None:
-    size: Counter[str] = Counter(public_names=len(energyplan.__all__))
-    for path in (ROOT / "energyplan").rglob("*.py"):
-        lines, tree = path.read_text().splitlines(), parsed(path)
-        empty = sum(not line.strip() or line.strip().startswith("#") for line in lines)
-        docs = docstring_lines(tree)
-        size += Counter(
-            modules=1, lines=len(lines), docstrings=docs, constants=constants(tree),
-            code=max(len(lines) - empty - docs, 0),
-        )  # fmt: skip
-    tests = (ROOT / "tests").rglob("*.py")
-    size["tests"] = sum(len(path.read_text().splitlines()) for path in tests)
-    allowed = tomllib.loads(HOUSE.read_text())
-    assert size.keys() == allowed.keys()
-    assert {what: size[what] for what in size if size[what] > allowed[what]} == {}

@@ -101,7 +101,9 @@ def of(*points: Setpoint, rate: float = 20.0, mu: float = 0.9, K: float = 4.0) -
 def test_a_side_that_returns_power_in_a_gentle_arc_has_its_sign(side: str) -> None:
     made = of(Setpoint(0.50, 0.52, hold=20.0) if side == "p_left" else Setpoint(0.52, 0.5, hold=20))
     assert np.mean(made[side]) < -20.0
-    ep.DriveLog.from_columns(made, "arc")
+    log = ep.DriveLog.from_columns(made, "arc")
+    assert log.warnings == ()
+    np.testing.assert_array_equal(log.channels[side], made[side])
 
 
 LINE, TURN = Setpoint(0.6, 0.6, hold=6.0, ramp=0.5), Setpoint(-0.3, 0.3, hold=3.0, ramp=0.5)
@@ -127,7 +129,9 @@ def test_a_stop_that_returns_power_does_not_show_a_sign() -> None:
     made = of(arc, stop)
     t = made["t"]
     made["p_right"] = np.where(t > t[-1] - 0.5, -80.0, made["p_right"])
-    ep.DriveLog.from_columns(made, "stop")
+    log = ep.DriveLog.from_columns(made, "stop")
+    assert log.warnings == ()
+    np.testing.assert_array_equal(log.channels["p_right"], made["p_right"])
 
 
 def test_wide_arcs_of_both_ways_are_no_lost_signs() -> None:
