@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
@@ -11,8 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "benchmarks"))
-
-from gates import GATES, GUARDS, Gate, Printed, judged, summary, verdicts
+gates = importlib.import_module("gates")
+GATES, GUARDS, Gate = gates.GATES, gates.GUARDS, gates.Gate
 
 
 def test_rows_without_their_data_are_counted_apart_and_alone_they_fail(tmp_path: Path) -> None:
@@ -30,10 +31,10 @@ def test_rows_without_their_data_are_counted_apart_and_alone_they_fail(tmp_path:
 
 def test_what_held_fell_and_was_skipped_is_told_apart() -> None:
     skipped = "skipped: no data"
-    assert summary(["holds"]) == ("1 held, 0 fell, 0 skipped", True)
-    assert summary(["holds", skipped]) == (f"1 held, 0 fell, 1 skipped; {skipped}", True)
-    assert summary(["holds", "FALLS", "FALLS, exit code 1: no"])[1] is False
-    assert summary([skipped, skipped]) == (f"0 held, 0 fell, 2 skipped; {skipped}", False)
+    assert gates.summary(["holds"]) == ("1 held, 0 fell, 0 skipped", True)
+    assert gates.summary(["holds", skipped]) == (f"1 held, 0 fell, 1 skipped; {skipped}", True)
+    assert gates.summary(["holds", "FALLS", "FALLS, exit code 1: no"])[1] is False
+    assert gates.summary([skipped, skipped]) == (f"0 held, 0 fell, 2 skipped; {skipped}", False)
 
 
 @pytest.mark.parametrize(("right", "verdict"), [(3, "holds"), (2, "FALLS")])
@@ -43,7 +44,7 @@ def test_a_row_that_falls_names_what_was_at_fault(
     script = tmp_path / "script.py"
     script.write_text(f"print('turned wrong: 7')\nprint('{right} of 3 right')\n")
     gate = Gate("seeds", str(script), r"^(\d+) of 3", 3, names="^turned")
-    assert list(verdicts([gate], 1, tmp_path)) == [verdict]
+    assert list(gates.verdicts([gate], 1, tmp_path)) == [verdict]
     first, *more = capsys.readouterr().out.splitlines()
     assert first.split() == ["seeds", str(right), "at", "least", "3", verdict]
     assert more == ([] if right == 3 else ["    turned wrong: 7"])
@@ -51,11 +52,16 @@ def test_a_row_that_falls_names_what_was_at_fault(
 
 def test_a_script_that_fails_or_prints_no_figure_falls(tmp_path: Path) -> None:
     gate = Gate("seeds", "script.py", r"^(\d+) right", 3)
-    assert judged(gate, Printed(["7 wrong"])) == ("", "FALLS, no such figure was printed")
-    assert judged(gate, Printed(["9 right"], failed="exit code 2"))[1].startswith("FALLS")
+    assert gates.judged(gate, gates.Printed(["7 wrong"])) == (
+        "",
+        "FALLS, no such figure was printed",
+    )
+    assert gates.judged(gate, gates.Printed(["9 right"], failed="exit code 2"))[1].startswith(
+        "FALLS"
+    )
     script = tmp_path / "script.py"
     script.write_text("raise SystemExit('nothing to do')\n")
-    (told,) = verdicts([gate._replace(command=str(script))], 1, tmp_path)
+    (told,) = gates.verdicts([gate._replace(command=str(script))], 1, tmp_path)
     assert told == "FALLS, exit code 1: nothing to do"
 
 
