@@ -184,6 +184,10 @@ GUARDS = (
          names="^seed .* was given"),
     Gate("plans: problems that lack no property", "properties.py 60 --first 520000",
          r"^(\d+) of 60 problems", 60, names="^problem "),
+    Gate("plans: pairs of maps and floors found", PAIRS.replace(" 50000", ""),
+         r"effort 5000: (\d+) of \d+ found", 48, of=sum, names="effort 5000"),
+    *(gate._replace(command=WILLOW.replace(" 50000", ""), names="effort 5000")
+      for gate in GATES if gate.name.startswith("willow") and gate.name.endswith("at 5000")),
     Gate("orders of tasks: proven", ORDERS, r"^(\d+) of 36 proven", 36, names="not below"),
     Gate("missions: remedies that hold", "remedies.py 40", r"remedies: (\d+) of 40 hold", 40,
          names="does not hold$"),
@@ -193,7 +197,7 @@ GUARDS = (
          most=1e-5),
 )
 # fmt: on
-"""Gates that every change runs; none of their seeds is one of a page's tables."""
+"""Gates that every change runs; no table of a page has the seeds of their drives and problems."""
 
 
 def run(command: str, data: Path) -> Printed:
