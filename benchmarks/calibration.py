@@ -394,7 +394,8 @@ def main() -> None:
         lines = turned(found, asked.right)
         print("\n".join([*lines, f"{len(lines)} of {len(found)} seeds turned"]))
         if lines:
-            print(f"turned on purpose: python {' '.join(sys.argv)} --rewrite")
+            options = " ".join(sys.argv[1:])
+            print(f"turned on purpose: python benchmarks/calibration.py {options} --rewrite")
 
 
 if __name__ == "__main__":
