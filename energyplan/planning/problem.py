@@ -33,6 +33,7 @@ from energyplan.vehicle import Vehicle
 
 OBJECTIVES = ("energy", "length", "time")  # quantities that a plan can minimise
 TURNING = ("any", "forward")  # ways to turn that have a name; others are a radius
+WIDEST = 1e4  # least radius of arcs that may be wanted at most [m]
 TIGHTER = 1e-6  # part of the least radius by which an arc may be tighter
 ARRIVED = 1e-6  # how far from start and goal a path may begin and end [m], [rad]: rounding
 
@@ -103,7 +104,8 @@ class PlanningProblem:
         [J/m]); nothing where left out.
     turning : {"any", "forward"} or float
         How the robot may turn: in any way; so that its treads never run against each other; or on
-        arcs of this radius at least [m], of the point midway between its tread ICRs.
+        arcs of this radius at least (10 km at most) [m], of the point midway between its tread
+        ICRs.
 
     Raises
     ------
@@ -140,11 +142,11 @@ class PlanningProblem:
             place.fill(self)
         check_fields(self, InvalidInputError)
         if self.turning not in TURNING and not (
-            isinstance(self.turning, (int, float)) and 0.0 < self.turning < np.inf
+            isinstance(self.turning, (int, float)) and 0.0 < self.turning <= WIDEST
         ):
             raise InvalidInputError(
                 f"turning is {self.turning!r}; give {' or '.join(TURNING)}, or the least radius of "
-                "arcs as a number above 0 m"
+                f"arcs as a number above 0 m, {WIDEST:g} m at most"
             )
         if not 0.0 <= self.costmap_weight < np.inf:
             raise InvalidInputError(
