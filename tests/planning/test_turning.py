@@ -145,7 +145,12 @@ def test_in_a_box_a_robot_turns_to_and_fro_on_its_arcs():
 def test_a_wide_radius_keeps_its_bound_and_its_path_on_empty_ground(radius, aside, objective):
     cost = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
     hall = PlanningProblem(
-        room(400, 400, 0.1), cost, (2, 2, 0), (35, 2 + aside, 0), turning=radius, objective=objective
+        room(400, 400, 0.1),
+        cost,
+        (2, 2, 0),
+        (35, 2 + aside, 0),
+        turning=radius,
+        objective=objective,
     )
     found = plan(hall, effort=3000)
     assert tightest(hall, found.path) >= radius * (1 - 1e-6)
