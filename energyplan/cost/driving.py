@@ -80,7 +80,7 @@ class SteadyDriving:
             differ = [
                 term
                 for term, *values in zip(self._anywhere.terms, *powers, strict=True)
-                if not np.array_equal(*map(_both_sides, values), equal_nan=True)
+                if not np.array_equal(_both_sides(values[0]), _both_sides(values[1]), True)
             ]
             # a loss differs with the forces, so the force is named
             for term in sorted(differ, key=lambda term: term.kind == "loss"):
