@@ -214,11 +214,8 @@ def test_no_bound_is_handed_on_from_where_the_former_plan_could_not_be(door):
     here = former.path.poses()[5]
     clear = replan(problem, former, start=here, effort=2000)
     assert clear.lower_bound > 1.05 * compiled(clear.problem).least_in_free_space
-    near = next(
-        pose + [0.0, -0.1, 0.0]
-        for pose in former.path.poses(0.02, 0.02)
-        if not problem.map.footprint_free(pose + [0.0, -0.1, 0.0], problem.robot)
-    )
+    beside = former.path.poses(0.02, 0.02) - np.array([0.0, 0.1, 0.0])
+    near = beside[np.argmin(problem.map.footprint_free(beside, problem.robot))]
     assert problem.map.footprint_free(near, problem.cost.vehicle)
     found = replan(problem, former, start=near, effort=2000)
     assert found.lower_bound == compiled(found.problem.without_clearance).least_in_free_space
