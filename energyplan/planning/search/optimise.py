@@ -389,7 +389,9 @@ class Refiner:
         return self.segments
 
     def _shortcut(self, apart: int, stop: float, budget: Budget) -> None:
-        left = shortcut(self.chain, self.setting, self.count, apart, stop, budget.left)
+        # few poses take little work, and a path whose first part alone is shortened gains less
+        most = budget.left if self.count > REFINING.apart else np.inf
+        left = shortcut(self.chain, self.setting, self.count, apart, stop, most)
         self.count = int(left.poses)
         budget.spend(UNITS.steer * left.steered + UNITS.join * left.tested)
 
