@@ -14,7 +14,16 @@ from energyplan.path import Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import SHARES, Budget, do_together, plan_budget
-from energyplan.planning.plans import STEADY, Candidate, Spent, priced_plan, spending
+from energyplan.planning.driven import limit_notes
+from energyplan.planning.plans import (
+    ABOVE,
+    STEADY,
+    Candidate,
+    Spent,
+    above,
+    priced_plan,
+    spending,
+)
 from energyplan.planning.space.compiled import compiled
 from energyplan.records import checked
 
@@ -73,7 +82,7 @@ class Comparison(html.Readable):
             *([(STEADY, *(plan.energy for plan in plans))] if self.driven else []),
             ("lower bound of energy at steady speeds [J]", best.lower_bound, "-"),
             *([("of it for the height [J]", best.potential, "-")] if best.potential else []),
-            ("at most above the least possible [%]", html.number(100 * best.gap, whole=100), "-"),
+            (ABOVE, above(best), "-"),
         ]
         title = f"saving: {self.sentence}"
         parts = [
@@ -84,7 +93,7 @@ class Comparison(html.Readable):
             )
             for name, saved in self.by_term.items()
         ]
-        notes = [note for plan in plans for note in plan.notes]
+        notes = list(dict.fromkeys(note for plan in plans for note in plan.notes))
         return [
             html.Summary(title, ("", "least energy", "shortest"), rows, notes),
             html.Summary(
@@ -159,7 +168,7 @@ def compare(
         query = compiled(best.problem.without_clearance)
         priced = priced_plan(
             query, Candidate(shortest.path), best.lower_bound, best.planner, Budget(),
-            problem=best.problem, notes=best.notes,
+            problem=best.problem, notes=_notes_but_limits(best),
         )  # fmt: skip
         kept = ("planning_time", "first_time", "effort", "effort_limit")
         best = replace(priced, **{name: getattr(best, name) for name in kept})
@@ -184,4 +193,12 @@ def _shortest(best: Plan, path: Path, problem: PlanningProblem, budget: Budget) 
     work = bounding.work(query.value(path) - potential, SHARES.aside * budget.left)
     do_together(budget, work)
     bound = potential + bounding.value
-    return priced_plan(query, Candidate(path), bound, best.planner, budget, notes=best.notes)
+    return priced_plan(
+        query, Candidate(path), bound, best.planner, budget, notes=_notes_but_limits(best)
+    )
+
+
+def _notes_but_limits(plan: Plan) -> tuple[str, ...]:
+    """Return the notes of a plan that hold for other paths too."""
+    own = limit_notes(plan.problem, plan.path) if plan.problem else ()
+    return tuple(note for note in plan.notes if note not in own)

@@ -182,8 +182,8 @@ def plan(
     former: Annotated[
         Path | None,
         Option(
-            help="A path being driven, as plan --out writes it: what is left of it is kept if it "
-            "is still free."
+            help="A path being driven, as plan --out writes it: the new plan costs no more than "
+            "what is left of it, if that is still free."
         ),
     ] = None,
     objective: Annotated[
@@ -229,9 +229,8 @@ def plan(
             result = run(problem, planner=routing.planner, **spent)
     else:
         path = read_path(former, problem.cost.icr.longitudinal)
-        before = replace(problem, start=path.start, goal=path.end)
         with planning(json, strict):
-            result = replan(before, path, start=here, map=problem.map, **spent)
+            result = replan(replace(problem, goal=path.end), path, start=here, **spent)
     drive_to(routing.trajectory, result)
     routing.write(problem, {"plan": result})
     answer(documents.plan(result), result, json=json)

@@ -38,8 +38,8 @@ class EnergyCost(SteadyDriving):
     Parameters
     ----------
     model : PowerModel
-        The power model with its vehicle. It must not need a channel that steady motion on level
-        ground does not have, unless `channels` gives it.
+        The power model with its vehicle. No term may read a channel that a cost cannot know, such
+        as the heading or the place, unless `channels` gives it a constant value.
         What it contains of the ground of some place, such as a slope that a diagnosis found, is
         left out, for a cost knows no map: problems and missions put it on theirs.
     battery : bool
@@ -61,6 +61,8 @@ class EnergyCost(SteadyDriving):
     ------
     InvalidInputError
         If `speed` is not positive, or `time_value` is negative or not finite.
+    MissingChannelError
+        If a term reads a channel that a cost cannot know.
     ModelError
         If some motion costs no energy or returns it, or if the cost has no minimum because the
         vehicle has no speed limit.

@@ -24,6 +24,7 @@ _DIFFERENCE = 1e-13  # part by which a price may be off by rounding, where diffe
 _BASINS = 8  # local minima of the scan that are followed
 _ZOOMS, _CUTS = 7, 9  # rounds in which a minimum is enclosed, and places tried in each
 _WINDING = 0.1  # turn of a typical path, for each half slip track of its length [rad]
+_ARCS = 0.5  # the most that a typical path turns, for each least radius of its length [rad]
 
 
 _Value = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -129,22 +130,35 @@ class Infimum:
             low, high = edges[rows, k], edges[rows, k + 2]
         return best
 
-    def rates(self, half_track: float, track: float = 0.0) -> LowerBound:
-        """Return rates: no price is below ``metre max(|ds|, track |dtheta|) + radian |dtheta|``."""
+    def rates(self, half_track: float, track: float = 0.0, radius: float = 0.0) -> LowerBound:
+        """Return rates: no price is below ``metre max(|ds|, track |dtheta|) + radian |dtheta|``.
+
+        Of such rates they are the best for a typical path, whose arcs have this `radius` at least.
+        """
 
         def travel(x: FloatArray, y: FloatArray) -> FloatArray:
             return np.maximum(np.abs(x), track / half_track * np.abs(y))
 
-        metre = self._balanced(travel, half_track)
+        # A path that turned all the way on the tightest arcs would favour no metre over a radian:
+        # any split of such an arc's price gives the same bound, even one that leaves metres free
+        widest = max(track, radius)
+        winding = min(_WINDING / half_track, _ARCS / widest if widest > 0 else np.inf)
+        metre = self._balanced(travel, half_track, winding)
         radian = self.least(beyond(metre, travel, half_track))
         if radian < 0:
             metre, radian = min(metre, self.least(per_metre(travel))), 0.0
         return LowerBound(self.lowered(metre), self.lowered(radian))
 
     def _balanced(
-        self, travel: Callable[[FloatArray, FloatArray], FloatArray], half_track: float
+        self,
+        travel: Callable[[FloatArray, FloatArray], FloatArray],
+        half_track: float,
+        winding: float,
     ) -> float:
-        """Return the price of a metre which, with that of a radian, is best for a typical path."""
+        """Return the price of a metre which, with that of a radian, is best for a typical path.
+
+        Such a path turns by `winding` for each metre that it travels [rad/m].
+        """
         x, y = octant_directions(self._scan)
         way, turn = travel(x, y), np.abs(y) / half_track
         lowest = self._scanned.reshape(-1, *x.shape).min(axis=0)
@@ -153,7 +167,7 @@ class Infimum:
 
         def value(metre: float) -> float:
             radian = float(((price * (1.0 + _DIFFERENCE) - metre * way) / turn).min())
-            return metre + _WINDING / half_track * radian if radian >= 0 else -np.inf
+            return metre + winding * radian if radian >= 0 else -np.inf
 
         # the price of a radian is concave in that of a metre, and so is their sum
         low, high = 0.0, float(self.special[..., :2].min())

@@ -12,16 +12,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from energyplan.cost import direction_table, speeds
 from energyplan.cost.direction_table import SPECIAL, DirectionTable
-from energyplan.errors import InvalidInputError, ModelError
-from energyplan.motion import Motion
+from energyplan.errors import InvalidInputError, MissingChannelError, ModelError
+from energyplan.motion import CHANNELS, Motion
 from energyplan.path import ROUNDING, FloatArray, Path
 from energyplan.power import PowerModel, Sides
+from energyplan.power.effects import without_ground
 from energyplan.records import check_fields, numbers
 from energyplan.vehicle import TreadICR, Vehicle
 
 _STILL = ("x", "y", "yaw", "slope", "accel", "yaw_accel", "accel_x")
-STEADY = {"t": 1e9, **dict.fromkeys(_STILL, 0.0)}
+STEADY = {"t": 1e9, "since_start": 1e9, **dict.fromkeys(_STILL, 0.0)}
 """Channels of steady motion on level ground, long after the start."""
+
+_FAR = np.geomspace(1e-3, 1e3, 13)
+_PLACES = {
+    "x": np.concatenate([-_FAR, _FAR]),
+    "y": np.concatenate([-_FAR, _FAR]),
+    "yaw": np.linspace(-3.0, 3.1, 26),
+}
+"""Channels that every drive has and no cost can know, and values at which they are tried."""
 
 
 def _pivot_and_rest(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -29,6 +38,10 @@ def _pivot_and_rest(x: FloatArray, y: FloatArray) -> FloatArray:
     both = np.minimum(np.abs(x), np.abs(y))
     pivot = np.stack([np.copysign(both, x), np.copysign(both, y)])
     return np.stack([pivot, np.stack([x, y]) - pivot])
+
+
+def _both_sides(power: Sides | FloatArray) -> FloatArray:
+    return np.stack([power.left, power.right]) if isinstance(power, Sides) else np.asarray(power)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +61,45 @@ class SteadyDriving:
             raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
         if isinstance(self.speed, float | int) and not self.speed > 0:
             raise InvalidInputError(f"speed is {self.speed}; give metres per second > 0")
+        self._check_channels()
+
+    def _check_channels(self) -> None:
+        """Refuse a term that reads what a cost cannot know."""
+        known = {*STEADY, *self.channels, "yaw_rate"}.difference(_PLACES) | set(self.channels)
+        for term in self._anywhere.terms:
+            for name in term.channels:
+                if name not in known:
+                    raise MissingChannelError(self._unknown(term.name, name))
+        for name, places in _PLACES.items():
+            if name in self.channels:
+                continue
+            x, y = (np.repeat(part, len(places)) for part in 0.5 * SPECIAL.T)
+            here = self._motion(x, y, np.ones(len(x)))
+            there = here.with_channels(**{name: np.tile(places, len(SPECIAL))})
+            powers = (self._anywhere.regressors(motion) for motion in (here, there))
+            differ = [
+                term
+                for term, *values in zip(self._anywhere.terms, *powers, strict=True)
+                if not np.array_equal(_both_sides(values[0]), _both_sides(values[1]), True)
+            ]
+            # a loss differs with the forces, so the force is named
+            for term in sorted(differ, key=lambda term: term.kind == "loss"):
+                raise MissingChannelError(self._unknown(term.name, name))
+
+    def _unknown(self, term: str, channel: str) -> str:
+        """Say that a term reads a channel that a cost does not know, and what to do."""
+        place = channel in _PLACES
+        return (
+            f"the term {term!r} of the model {self.model.name!r} reads the channel {channel!r} "
+            f"({CHANNELS.get(channel, 'a channel of its own')}), which a cost of motions does not "
+            "know: "
+            + "it holds for any place and heading; "
+            * place
+            + "leave the term out of the model, or give the channel a constant value with "
+            f"EnergyCost(model, channels={{{channel!r}: VALUE}})"
+            + ", or put what differs between places on the map as surfaces or heights"
+            * place
+        )
 
     # -- geometry -----------------------------------------------------------------------------
 
@@ -113,8 +165,13 @@ class SteadyDriving:
         return speeds.tread_speed(self.speed, self.vehicle)
 
     @cached_property
+    def _anywhere(self) -> PowerModel:
+        """The model without the ground of some place."""
+        return without_ground(self.model)
+
+    @cached_property
     def _drawn(self) -> PowerModel:
-        return self.model.battery_side() if self.battery else self.model
+        return self._anywhere.battery_side() if self.battery else self._anywhere
 
     def _motion(
         self, x: FloatArray, y: FloatArray, rate: ArrayLike, slope: ArrayLike = 0.0
@@ -138,7 +195,7 @@ class SteadyDriving:
         return bool(np.allclose(slow, fast, rtol=ROUNDING, atol=0.0))
 
     def _forces(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> Sides:
-        return self.model.forces(self._motion(x, y, rate))
+        return self._anywhere.forces(self._motion(x, y, rate))
 
     def _admissible_rate(self, x: FloatArray, y: FloatArray, fastest: float = np.inf) -> FloatArray:
         return speeds.admissible_rate(x, y, self.vehicle, self._forces, fastest)

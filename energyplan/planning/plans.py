@@ -38,7 +38,7 @@ from energyplan.errors import (
 )
 from energyplan.path import ROUNDING, FloatArray, Path
 from energyplan.planning.budget import SHARES, Budget, plan_budget
-from energyplan.planning.driven import DrivenPath, drive_plan
+from energyplan.planning.driven import DrivenPath, drive_plan, limit_notes
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.records import check_fields, checked
@@ -173,6 +173,12 @@ class Planner:
 
 
 STEADY = "energy at steady speeds [J]"
+ABOVE = "at most above the least possible [%]"
+
+
+def above(plan: Plan) -> str:
+    """Return in percent how far a plan can be above the least possible."""
+    return "not known" if np.isnan(plan.gap) else html.number(100 * plan.gap, whole=100)
 
 
 class Spent(NamedTuple):
@@ -212,7 +218,8 @@ class Plan(html.Readable):
     gap : float
         Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
         On slopes, both less the `potential`. As computed: rounding may leave it a hair below zero;
-        infinite where the bound is zero and the cost is not.
+        infinite where the bound is zero and the cost is not. Not a number where speed limits slow
+        the path down, which the search does not price: the notes say so.
     cost : float
         The objective's value: `energy` itself where energy is the objective, and what a costmap
         adds.
@@ -241,7 +248,7 @@ class Plan(html.Readable):
         What the costmap adds to the cost, in the unit of the objective; no part of the energy.
     notes : tuple of str
         What was done about a start that touches an obstacle, or an end that lacks the clearance;
-        and that the clock stopped the planning, if it did.
+        that speed limits slow the path down, and that the clock stopped the planning, if they did.
     problem : PlanningProblem, optional
         What it answers, which `driven` needs; a plan read from a pickle has been driven instead.
     shortest : Path, optional
@@ -339,7 +346,7 @@ class Plan(html.Readable):
             ("turning [deg]", float(np.degrees(self.turning))),
             *([(STEADY, self.energy)] if spent.driven else []),
             *self._costs(),
-            ("at most above the least possible [%]", html.number(100 * self.gap, whole=100)),
+            (ABOVE, above(self)),
         ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
         if self.effort_limit is not None:
@@ -591,11 +598,13 @@ def priced_plan(
             "please report the map and the model to whoever made the planner"
         )
     excess, least, elapsed = cost - potential, bound - potential, budget.elapsed
+    gap = excess / least - 1.0 if least > 0 else (np.inf if excess > 0 else 0.0)
+    unpriced = limit_notes(problem or of, path)
     plan = Plan(
         path=path,
         energy=price.energy,
         lower_bound=bound,
-        gap=excess / least - 1.0 if least > 0 else (np.inf if excess > 0 else 0.0),
+        gap=np.nan if unpriced else gap,
         cost=cost,
         length=path.length,
         turning=path.turning,
@@ -610,7 +619,7 @@ def priced_plan(
         effort_limit=budget.effort,
         stopped=bool(budget.notes),
         soft_cost=soft,
-        notes=(*notes, *budget.notes),
+        notes=(*notes, *unpriced, *budget.notes),
         shortest=found.shortest,
     )
     if found.driven is not None:

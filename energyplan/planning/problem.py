@@ -33,6 +33,7 @@ from energyplan.vehicle import Vehicle
 
 OBJECTIVES = ("energy", "length", "time")  # quantities that a plan can minimise
 TURNING = ("any", "forward")  # ways to turn that have a name; others are a radius
+WIDEST = 1e4  # least radius of arcs that may be wanted at most [m]
 TIGHTER = 1e-6  # part of the least radius by which an arc may be tighter
 ARRIVED = 1e-6  # how far from start and goal a path may begin and end [m], [rad]: rounding
 
@@ -44,6 +45,8 @@ MOVED = 0.05
 
 _RINGS = 0.005  # between the rings of poses that it is moved to [m]
 _HALVINGS = 12  # of the clearance, until what there is of it at an end is known well enough
+_LEAVING = 3.0  # diagonals of the robot within which an end that lacks clearance is left
+_ASIDE = 16  # directions in which there may be room beside a pose
 _TURN = 0.05  # between two poses of a path that are tested for the clearance [rad]
 
 
@@ -103,7 +106,8 @@ class PlanningProblem:
         [J/m]); nothing where left out.
     turning : {"any", "forward"} or float
         How the robot may turn: in any way; so that its treads never run against each other; or on
-        arcs of this radius at least [m], of the point midway between its tread ICRs.
+        arcs of this radius at least (10 km at most) [m], of the point midway between its tread
+        ICRs.
 
     Raises
     ------
@@ -140,11 +144,11 @@ class PlanningProblem:
             place.fill(self)
         check_fields(self, InvalidInputError)
         if self.turning not in TURNING and not (
-            isinstance(self.turning, (int, float)) and 0.0 < self.turning < np.inf
+            isinstance(self.turning, (int, float)) and 0.0 < self.turning <= WIDEST
         ):
             raise InvalidInputError(
                 f"turning is {self.turning!r}; give {' or '.join(TURNING)}, or the least radius of "
-                "arcs as a number above 0 m"
+                f"arcs as a number above 0 m, {WIDEST:g} m at most"
             )
         if not 0.0 <= self.costmap_weight < np.inf:
             raise InvalidInputError(
@@ -264,12 +268,39 @@ class PlanningProblem:
         if (segment := self.reversing(path)) is not None:
             return f"a path whose segment {segment} drives backwards, which the vehicle may not"
         if (segment := self.first_collision(path, share)) is None:
-            return None
+            return self._grazing(path)
         at = path.vertices[min(segment, len(path.vertices) - 1)]
         return (
             f"a path that is not free of collisions: its segment {segment}, from ({at[0]:.3f}, "
             f"{at[1]:.3f}, {np.degrees(at[2]):.1f} deg), touches an obstacle or leaves the map, "
             f"which covers {self.terrain.obstacles.describe_extent()}"
+        )
+
+    def _grazing(self, path: Path) -> str | None:
+        """Say where a path, away from its ends, is nearer to obstacles than it has to be."""
+        if self.ends_clear:
+            return None
+        grid = self.terrain.obstacles
+        fine = path.subdivide(grid.resolution, _TURN)
+        lacking = ~grid.footprint_free(fine.vertices, self.robot)
+        # beyond some lengths of the robot, and two arcs that lead aside
+        away = _LEAVING * float(np.hypot(*np.ptp(self.robot.footprint, axis=0)))
+        away += 2.0 * float(np.sqrt(self.least_radius * self.clearance))
+        ends = np.array([fine.vertices[0], fine.vertices[-1]])[:, None, :2]
+        off = np.hypot(*np.moveaxis(fine.vertices[:, :2] - ends, -1, 0)).min(axis=0)
+        far = np.flatnonzero(lacking & (off > away))
+        ring = np.linspace(0.0, 2.0 * np.pi, _ASIDE, endpoint=False)
+        beside = np.repeat(fine.vertices[far][:, None], _ASIDE, axis=1)
+        beside[..., 0] += self.clearance * np.cos(ring)
+        beside[..., 1] += self.clearance * np.sin(ring)
+        room = grid.footprint_free(beside.reshape(-1, 3), self.robot).reshape(-1, _ASIDE)
+        if not room.any():
+            return None
+        x, y, yaw = fine.vertices[far[int(np.argmax(room.any(axis=1)))]]
+        return (
+            f"a path that does not keep the clearance of {self.clearance:g} m at ({x:.3f}, "
+            f"{y:.3f}, {np.degrees(yaw):.1f} deg), more than {away:.1f} m from its ends, where "
+            "there is room for it beside"
         )
 
     @property

@@ -1,8 +1,10 @@
 """Plans for a robot that is under way, on a map that may have changed.
 
-Planning starts from the rest of the former plan. If it is free, and no cell has become free since,
-no route can have become cheaper. Then the rest is the answer, within milliseconds. Otherwise the
-planner plans anew, with the rest as a first path where it is free.
+Planning starts from the rest of the former plan. If it is free, and no cell has become free since
+that plan, no route can have become cheaper. Then the rest is the answer, within milliseconds.
+Otherwise the planner plans anew, with the rest as a first path where it is free. So it does where
+nothing but a path is known, which does not say on which map it was best, or what for: and where the
+former plan was made at other costs, for another body, or within other constraints.
 
 No new lower bound is computed among the obstacles, because it would need new outlines. If obstacles
 were only added, the former plan's bound less the cost driven so far is still a bound. The least
@@ -11,7 +13,7 @@ cost in free space always is one.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import inf
 
 import numpy as np
@@ -80,8 +82,11 @@ def _joined(here: Pose, fine: Path, vertex: int, problem: PlanningProblem) -> Pa
     return Path(here, kept.ds, kept.dtheta, rest.longitudinal)
 
 
-def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
-    """Return what is left of a plan's lower bound where the robot is, on the former map."""
+def _bound_left(former: Plan, here: Pose) -> float:
+    """Return what is left of a plan's lower bound where the robot is, on the map of that plan."""
+    problem = former.problem
+    if problem is None:
+        return -np.inf
     fine = _places(former.path, problem)
     k = _places_ahead(fine, here, problem)[0]
     at = Pose(*(float(v) for v in fine.vertices[k]))
@@ -90,9 +95,12 @@ def _bound_left(former: Plan, problem: PlanningProblem, here: Pose) -> float:
         came = part + steering.path(at, here, problem.cost, reverse=problem.robot.reverse)
     except EnergyPlanError:
         return -np.inf
-    driven = replace(problem, goal=here).without_clearance
-    free = driven.fault(came) is None
-    return former.lower_bound - compiled(driven).value(came) if free else -np.inf
+    # what leads on from here continues a path that the bound holds for, if this one is such a path
+    driven = replace(problem, start=former.path.start, goal=here)
+    clear = bool(driven.terrain.obstacles.footprint_free(here, driven.robot))
+    if not clear or driven.fault(came) is not None:
+        return -np.inf
+    return former.lower_bound - compiled(driven.without_clearance).value(came)
 
 
 @checked()
@@ -107,16 +115,17 @@ def replan(
 ) -> Plan:
     """Plan on from where the robot is, with the rest of the former plan as a start.
 
-    If the rest is free, and no cell became free, the rest is returned at once. Otherwise the
-    planner uses its budget. The plan never costs more than the rest of the former one, if that is
-    free.
+    If the rest of a former plan is free, and no cell became free, it is returned at once. Otherwise
+    the planner uses its budget: also where a path alone is given, or where the plan was made at
+    another cost or within other constraints than those of `problem`. The new plan never costs more
+    than the rest of the former one, if that is free.
 
     Parameters
     ----------
     problem : PlanningProblem
-        The problem that the former plan answers; its start is the one at which the plan begins.
+        What is to be planned: cost, constraints, objective, and the former plan's goal.
     former : Plan or Path
-        That plan, or its path alone.
+        The former plan, which knows the problem and the map that it was made for; or a path alone.
     start : array_like, shape (3,)
         Where the robot is now: x, y [m], yaw [rad] of the body frame.
     map : OccupancyGrid, optional
@@ -158,8 +167,6 @@ def replan(
             f"the former plan is a path that {elsewhere}; give the problem that it answers, or "
             "plan again"
         )
-    # where the start touched an obstacle, the plan begins near it
-    problem = replace(problem, start=before.start)
     plan_budget(time_limit, effort)  # says at once what is wrong with them
     now = replace(problem, start=as_pose(start, "start"), map=problem.map if map is None else map)
     ends = checked_ends(now)
@@ -169,10 +176,10 @@ def replan(
     query = compiled(ends.bare)
     bound = query.least_in_free_space
     rest, planner = remainder(before, now.start, now), "lattice"
-    added = _only_added(problem, now)
-    if added and isinstance(former, Plan):
-        planner, bound = former.planner, max(bound, _bound_left(former, problem, now.start))
-    if rest is not None and added:
+    holds = isinstance(former, Plan) and _still_holds(former, now)
+    if isinstance(former, Plan) and holds:
+        planner, bound = former.planner, max(bound, _bound_left(former, now.start))
+    if rest is not None and holds:
         found = Candidate(rest)
     else:
         known = [] if rest is None else [rest]
@@ -186,6 +193,12 @@ def replan(
     return priced_plan(query, found, bound, planner, budget, problem=now, notes=ends.notes)
 
 
+def _still_holds(former: Plan, now: PlanningProblem) -> bool:
+    """Return whether no path can cost less by now than when a plan was made."""
+    before = former.problem
+    return before is not None and _only_added(before, now) and _same_question(before, now)
+
+
 def _only_added(before: PlanningProblem, now: PlanningProblem) -> bool:
     """Return whether every cell that is free now was free before."""
     if now.map is before.map:
@@ -193,3 +206,17 @@ def _only_added(before: PlanningProblem, now: PlanningProblem) -> bool:
     old, new = before.terrain.obstacles, now.terrain.obstacles
     same = old.shape == new.shape and old.resolution == new.resolution and old.origin == new.origin
     return same and not bool(np.any(old.blocked & ~new.blocked))
+
+
+def _same_question(before: PlanningProblem, now: PlanningProblem) -> bool:
+    """Return whether two problems allow the same paths at the same cost, but for map and ends."""
+    one, other = (
+        (
+            *(getattr(problem.cost, part.name) for part in fields(problem.cost)),
+            *(problem.robot, problem.clearance, problem.least_radius, problem.weights),
+            *(problem.surfaces, problem.heights),
+            *((problem.costmap, problem.costmap_weight) if problem.softened else ()),
+        )
+        for problem in (before, now)
+    )
+    return one == other

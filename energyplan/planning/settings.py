@@ -67,6 +67,8 @@ class Refining(NamedTuple):
     piece: float = 0.2  # length of the shortest motions [m]
     pivot: float = 0.3  # turn of the smallest motions [rad]
     apart: int = 150  # largest index difference of poses that a shortcut joins
+    near: int = 5  # the same at first where a path has more poses than `apart`
+    fewer: float = 0.7  # share of the poses that is left above which that difference is doubled
     hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
     insert: float = 0.02  # probability that a pose is inserted
     remove: float = 0.06  # probability that a pose is removed

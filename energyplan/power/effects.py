@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, TypeVar
@@ -677,6 +677,29 @@ def most_of(term: Term, vehicle: Vehicle) -> float:
     known = (entry for entry in catalogue().values() if entry.size is None)
     limits = [one.limits(vehicle) for one in known if [t.name for t in one.terms] == [term.name]]
     return min([term.bounds[1], *(high for _, high in limits)])
+
+
+GROUND_TERMS = frozenset(one.name for one in (TILT_X, TILT_Y, SLIP_BEYOND, TRACTION_BEYOND))
+"""Terms of a place: the ground that a drive was on, which no other place has."""
+
+
+def knows_ground(model: PowerModel) -> bool:
+    """Return whether a model has terms of a place: a tilted plane, or another surface."""
+    return any(term.name in GROUND_TERMS for term in model.terms)
+
+
+def without_ground(model: PowerModel) -> PowerModel:
+    """Return a model without its terms of a place."""
+    if not knows_ground(model):
+        return model
+    keep = np.array([term.name not in GROUND_TERMS for term in model.terms])
+    covariance = model.covariance
+    return replace(
+        model,
+        terms=tuple(term for term, stays in zip(model.terms, keep, strict=True) if stays),
+        coefficients=model.coefficients[keep],
+        covariance=None if covariance is None else covariance[np.ix_(keep, keep)],
+    )
 
 
 def reads_slope(model: PowerModel) -> bool:

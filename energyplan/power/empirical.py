@@ -60,7 +60,7 @@ def described(name: str) -> Described:
 
 
 def _is_known(motion: Motion, name: str) -> bool:
-    if name in _NEEDS:
+    if name in _NEEDS and name not in motion.channels:
         return _NEEDS[name] <= set(motion.channels) and len(motion.shape) == 1
     return name in motion.channels or name in DERIVED
 
@@ -86,7 +86,7 @@ def signal(motion: Motion, name: str) -> FloatArray:
     if name == "curvature":
         speed = np.where(np.abs(motion.v) > 1e-3, motion.v, 1e-3)
         return np.clip(motion.omega / speed, -20.0, 20.0)
-    if name in _NEEDS:
+    if name in _NEEDS and name not in motion.channels:
         if not _is_known(motion, name):
             return np.zeros(motion.shape)
         if name == "since_start":

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from energyplan.terrain.found import LaidGround, knows_ground, laid_out, on_laid_ground
+from energyplan.power.effects import knows_ground
+from energyplan.terrain.found import LaidGround, laid_out, on_laid_ground
 from energyplan.terrain.grid import CostMap, OccupancyGrid, footprint
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import SpeedLimit, Surface, SurfaceMap, with_limits, with_weights

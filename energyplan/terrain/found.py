@@ -19,8 +19,10 @@ from energyplan.power.effects import (
     TILT_X,
     TILT_Y,
     TRACTION_BEYOND,
+    knows_ground,
     reads_slope,
     with_weight,
+    without_ground,
 )
 from energyplan.terrain.heights import HeightMap
 from energyplan.terrain.surfaces import Surface, SurfaceMap, with_weights
@@ -36,11 +38,6 @@ class LaidGround(NamedTuple):
     heights: HeightMap | None  # heights of the ground
 
 
-def knows_ground(model: PowerModel) -> bool:
-    """Return whether a model has terms of a place: a tilted plane, or another surface."""
-    return any(term.name in (*_TILTS, *_BEYOND) for term in model.terms)
-
-
 def laid_out(
     model: PowerModel,
     points: ArrayLike,
@@ -52,7 +49,7 @@ def laid_out(
         return LaidGround(model, surfaces, heights)
     corners = np.asarray(points, float)
     values = dict(zip((t.name for t in model.terms), model.coefficients.tolist(), strict=True))
-    plain = _without(model, {*_TILTS, *_BEYOND})
+    plain = without_ground(model)
     if heights is None and set(values) & set(_TILTS):
         sine = np.array([values.get(name, 0.0) for name in _TILTS]) / model.vehicle.mass
         heights = _plane(corners, sine / np.sqrt(max(1.0 - float(sine @ sine), 0.01)))
@@ -78,19 +75,8 @@ def laid_out(
 
 def on_laid_ground(model: PowerModel, ground: LaidGround) -> PowerModel:
     """Return another model of the robot, such as one with a payload, for the same ground."""
-    plain = _without(model, {*_TILTS, *_BEYOND})
+    plain = without_ground(model)
     return plain if ground.heights is None else with_weight(plain)
-
-
-def _without(model: PowerModel, names: set[str]) -> PowerModel:
-    keep = np.array([term.name not in names for term in model.terms])
-    covariance = model.covariance
-    return replace(
-        model,
-        terms=tuple(term for term, stays in zip(model.terms, keep, strict=True) if stays),
-        coefficients=model.coefficients[keep],
-        covariance=None if covariance is None else covariance[np.ix_(keep, keep)],
-    )
 
 
 def _plane(corners: FloatArray, gradient: FloatArray) -> HeightMap:

@@ -173,6 +173,23 @@ def test_a_path_that_is_shut_has_no_way_round(run: Run, tmp_path: Path) -> None:
     assert run("plan", "--former", former, *asked, "--strict").code == 3
 
 
+def test_a_path_that_is_driven_gives_way_to_a_better_one_that_has_opened(
+    run: Run, tmp_path: Path
+) -> None:
+    hall, shut, former = (tmp_path / name for name in ("open.yaml", "shut.yaml", "former.csv"))
+    cells = np.zeros((100, 200), bool)
+    write_map(ep.OccupancyGrid(cells, 0.1), hall)
+    cells[:85, 100:104] = True
+    write_map(ep.OccupancyGrid(cells, 0.1), shut)
+    asked = ("plan", "--model", CONCRETE, "--effort", 10000, "--json")
+    to = ("--start", "2,2,0", "--goal", "18,2,0")
+    run(*asked, "--map", shut, *to, "--out", former)
+    here = (*asked, "--map", hall, "--start", "4,2,0")
+    again, fresh = run(*here, "--former", former), run(*here, "--goal", "18,2,0")
+    assert again.json["energy"] == pytest.approx(fresh.json["energy"], rel=1e-3)
+    assert again.json["energy"] < 0.7 * run(*here, "--former", former, "--map", shut).json["energy"]
+
+
 @pytest.mark.parametrize(
     "command",
     [("export", "lattice", "--resolution", 0.1, "--out"), ("export", "table", "--out")],

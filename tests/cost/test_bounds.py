@@ -69,6 +69,24 @@ def test_no_motion_costs_less_than_the_rates(seed):
     assert np.all(whole.energy(along, dtheta) <= energy * (1 + 1e-12))
 
 
+@pytest.mark.parametrize("seed", BY_DAY)
+def test_no_least_radius_leaves_metres_free(seed):
+    cost = random_model(seed)
+    ds, dtheta = random_motions(2000, cost.half_track, seed)
+    turn = np.abs(dtheta)
+    for wide in (3.0, 9.0, 11.0, 50.0, 1000.0):
+        radius = wide * cost.half_track
+        travel = np.maximum(np.abs(ds - cost.icr.centre[1] * dtheta), radius * turn)
+        kept = np.where(ds < cost.icr.centre[1] * dtheta, -travel, travel)
+        energy = cost.segment_energy(kept + cost.icr.centre[1] * dtheta, dtheta, slope=0.0)
+        prices = least_prices(Prices(cost), radius=radius)
+        for track in (0.0, radius):
+            least = prices.minorant(track)
+            length = np.maximum(np.abs(ds - cost.icr.centre[1] * dtheta), track * turn)
+            assert np.all(least.metre * length + least.radian * turn <= energy * (1 + 1e-12))
+            assert least.metre > 0.5 * least_prices(Prices(cost)).minorant(0.0).metre
+
+
 def test_the_rates_of_wide_arcs_that_cost_little():
     """``a + beta r k^2 / (1 + r k)`` per metre: the bound must be its tangent, not its chord."""
     radius, a = 10.0, 226.0

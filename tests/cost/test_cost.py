@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from refusals import check_refusal, lines
 
 from energyplan import (
@@ -15,14 +16,16 @@ from energyplan import (
     Path,
     Pose,
     PowerModel,
+    SurfaceMap,
     TreadICR,
     Vehicle,
     steering,
 )
 from energyplan.cost.speeds import parse_speed
 from energyplan.errors import MissingChannelError
-from energyplan.power import HOTEL, TRACTION, Term
-from energyplan.power.effects import GRADE, VISCOUS_LOSS
+from energyplan.power import HOTEL, TRACTION, Sides, Term
+from energyplan.power.effects import GRADE, VISCOUS_LOSS, catalogue, empirical_term, term
+from energyplan.terrain import Surface
 
 MODEL = PowerModel.preset("quadriga:full:marble")
 C = MODEL.vehicle.icr.half_track
@@ -208,6 +211,58 @@ def test_constant_channels_reach_the_terms() -> None:
         EnergyCost(model)
     cost = EnergyCost(model, channels={"temperature": 20.0})
     assert float(cost.per_metre(0.0)) == pytest.approx(2 * (K - 10.0))
+
+
+def _crop_rows(motion, vehicle):
+    across = np.abs(np.sin(motion.channels["yaw"]))
+    return Sides(across * np.sign(motion.v_left), across * np.sign(motion.v_right))
+
+
+@pytest.mark.parametrize(
+    ("of", "channel"),
+    [(Term("crop_rows", "c", "N", "force", _crop_rows), "yaw"),
+     (Term("crop_rows", "c", "N", "force", _crop_rows, channels=("yaw",)), "yaw"),
+     (Term("mud", "c", "W", "power", lambda motion, vehicle: motion.channels["x"] ** 2), "x"),
+     (Term("mud", "c", "W", "power", lambda motion, vehicle: 1.0 * (motion.channel("y") > 9)), "y"),
+     (Term("cold", "c", "W", "power", lambda motion, vehicle: motion.channel("temperature"),
+           channels=("temperature",)), "temperature"),
+     (empirical_term("empirical_ground_x", [0, 5], [0, 9]), "x"),
+     (empirical_term("empirical_traction_displacement", [0, 5], [0, 9]), "x")],
+)  # fmt: skip
+def test_a_term_that_reads_what_no_cost_knows_is_refused_by_name(of: Term, channel: str) -> None:
+    model = PowerModel.preset("quadriga:empty:marble").with_term(of, 10.0)
+    wanted = rf"'{of.name}' of the model .* reads the channel '{channel}' .*channels=.*'{channel}'"
+    with pytest.raises(MissingChannelError, match=wanted):
+        EnergyCost(model)
+    with pytest.raises(MissingChannelError, match=wanted):
+        SurfaceMap((Surface(shapely.box(0, 0, 1, 1), model),)).costs(
+            EnergyCost(PowerModel.preset("quadriga:empty:marble"))
+        )
+    known = EnergyCost(model, channels=dict.fromkeys((channel, "x", "y", "yaw"), 0.5))
+    assert float(known.segment_energy(1.0, 0.0)) > 0.0
+
+
+@pytest.mark.parametrize("name", sorted(catalogue()))
+def test_costs_take_every_effect_of_the_catalogue(name: str) -> None:
+    model = PowerModel.preset("quadriga:empty:marble")
+    for one in catalogue()[name].terms:
+        model = model if model.has(one.name) else model.with_term(one, 0.1)
+    assert float(EnergyCost(model).segment_energy(1.0, 0.0)) > 0.0
+
+
+def test_a_cost_leaves_the_ground_of_a_place_out_wherever_its_line_lies() -> None:
+    model = PowerModel.preset("quadriga:empty:marble")
+    beyond = replace(term("traction_beyond"), params={"direction": 0.0, "offset": -5.0})
+    found = EnergyCost(model.with_term(beyond, 50.0)).segment_energy(2.0, 1.0)
+    assert float(found) == float(EnergyCost(model).segment_energy(2.0, 1.0))
+
+
+def test_steady_motion_is_long_past_its_start() -> None:
+    backlash = empirical_term("empirical_traction_since_start", [0.0, 0.5, 1.0], [90.0, 30.0, 0.0])
+    model = PowerModel.preset("quadriga:empty:marble")
+    ways = np.array([[1.0, 0.2], [-1.0, 0.1], [0.5, -0.4], [-0.3, 0.9]]).T
+    found = EnergyCost(model.with_term(backlash, 1.0)).segment_energy(*ways, 0.0)
+    assert found == pytest.approx(EnergyCost(model).segment_energy(*ways, 0.0), rel=1e-12)
 
 
 def test_steering_misses_the_minimum_by_no_more_than_it_says() -> None:

@@ -15,6 +15,7 @@ from energyplan.errors import MapError
 from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import read_speed_mask
 from energyplan.io.sites import read_site
+from energyplan.output import documents
 from energyplan.terrain import SpeedLimit
 
 STRAIGHT = ep.Path(ep.Pose(0.0, 0.0, 0.0), [8.0], [0.0])
@@ -224,3 +225,38 @@ def test_a_site_has_the_limits_of_its_mask_beside_those_of_its_surfaces(tmp_path
 def test_a_mask_that_does_not_say_what_it_means_is_refused(tmp_path, keys, message):
     with pytest.raises(MapError, match=message):
         read_speed_mask(mask(tmp_path, np.zeros((2, 2), np.uint8), **keys))
+
+
+@pytest.fixture
+def slow_hall():
+    """A hall with a slow zone between start and goal."""
+    zone = ep.SurfaceMap((), speed_limits=[SpeedLimit(shapely.box(8, 2, 12, 8), 0.1)])
+    hall = ep.OccupancyGrid(np.zeros((100, 200), bool), resolution=0.1)
+    cost = ep.EnergyCost(ep.PowerModel.preset("quadriga:full:concrete"), speed=0.5)
+    return ep.PlanningProblem(hall, cost, (2, 5, 0), (18, 5, 0), surfaces=zone)
+
+
+@pytest.mark.parametrize("objective", ["energy", "time", {"energy": 1.0, "time": 50.0}])
+def test_a_plan_that_limits_slow_down_says_so_and_claims_no_gap(slow_hall, objective):
+    problem = replace(slow_hall, objective=objective)
+    found = ep.plan(problem, effort=3000)
+    notes = [note for note in found.notes if "speed limits slow down 4 m" in note]
+    assert len(notes) == 1 and np.isnan(found.gap)
+    assert "not known" in str(found) and notes[0] in str(found)
+    assert documents.plan(found)["gap"] is None
+    assert notes[0] in documents.plan(found)["notes"]
+
+
+def test_limits_that_slow_nothing_down_leave_the_gap(slow_hall):
+    beside = replace(slow_hall, start=(2, 1, 0), goal=(18, 1, 0))
+    above = replace(slow_hall, cost=replace(slow_hall.cost, speed=0.1))
+    shortest = replace(slow_hall, objective="length")
+    for problem in (beside, above, shortest):
+        found = ep.plan(problem, effort=3000)
+        assert found.notes == () and found.gap < 0.01
+
+
+def test_a_comparison_names_the_limits_of_each_of_its_paths(slow_hall):
+    found = ep.compare(slow_hall, effort=3000)
+    assert len([note for note in found.energy_optimal.notes if "speed limits" in note]) == 1
+    assert "not known" in str(found)

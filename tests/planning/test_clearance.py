@@ -143,3 +143,21 @@ def test_a_robot_on_its_route_is_never_refused_for_the_clearance():
             assert bool(again.notes) == (there_is < 0.15)
             lacking += bool(again.notes)
     assert lacking > 3
+
+
+def test_an_end_beside_a_wall_is_no_excuse_to_follow_the_wall():
+    wall = room(120, 200, 0.1, np.s_[:10])
+    side = 1.0 - COST.vehicle.footprint[0, 1] + 0.05
+    problem = ep.PlanningProblem(wall, COST, (2, side, 0), (17, 6, 0), clearance=0.2)
+    along = ep.Path(problem.start, [10, 1.5, 3], [0, 0.5, 0])
+    problem = replace(problem, goal=along.end)
+    assert wall.path_free(along, COST.vehicle)
+    assert "does not keep the clearance of 0.2 m" in problem.fault(along)
+    # what leaves the wall soon is an answer, and so is what has no room beside it
+    away = ep.Path(problem.start, [0.8, 1.5, 10], [0, 0.5, 0])
+    assert replace(problem, goal=away.end).fault(away) is None
+    narrow = wall.updated(np.ones((20, 120), bool), row=26, column=0)
+    slot = replace(problem, map=narrow, clearance=0.6)
+    out = ep.Path(slot.start, [13.0], [0.0])
+    assert replace(slot, goal=out.end).fault(out) is None
+    assert problem.fault(ep.plan(problem, effort=3000, initial=[along]).path) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from worlds import box_robot, room
 
-from energyplan import EnergyCost, PlanningProblem, Pose, plan
+from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, Pose, plan
 from energyplan.planning.search.narrow.bidirectional import bidirectional_search, follow
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.configurations import grown
@@ -31,10 +31,26 @@ def gap(width: float, thick: float, resolution: float) -> PlanningProblem:
 def test_a_robot_wider_than_long_goes_through_a_gap_sideways(width, thick, resolution):
     problem = gap(width, thick, resolution)
     found = plan(problem, effort=5_000)
+    assert found.effort <= 1.1 * 5_000
     poses = found.path.subdivide(max_ds=0.02, max_dtheta=0.02).vertices
     inside = poses[np.abs(poses[:, 0] - 4.0 - 0.5 * thick) < 0.2]
     # along the wall, or the opposite way, within what the gap leaves
     assert np.all(np.abs(np.sin(inside[:, 2])) > 0.8)
+
+
+def test_a_path_of_very_many_poses_is_shortened_within_the_effort():
+    """Two gaps behind one another, with hardly the robot's width between their walls."""
+    grid = np.zeros((300, 400), bool)
+    grid[:, 190:200] = grid[:, 229:234] = True
+    grid[100:148, 190:200] = grid[176:224, 229:234] = False
+    robot = box_robot(0.9, 0.5)
+    cost = EnergyCost.from_coefficients(200.0, 60.0, robot.icr)
+    ends = (1.5, 2.5, 0.0), (6.5, 4.0, 0.0)
+    problem = PlanningProblem(OccupancyGrid(grid, 0.02), cost, *ends, vehicle=robot)
+    found, more = (plan(problem, effort=effort) for effort in (5_000, 20_000))
+    assert found.effort <= 1.1 * 5_000
+    assert more.effort <= 1.1 * 20_000
+    assert more.energy < found.energy
 
 
 def test_motions_follow_poses_through_a_gap():

@@ -119,6 +119,7 @@ InvalidInputError: problem(turning="sideways") | turning
 InvalidInputError: problem(turning=0.0) | turning
 InvalidInputError: problem(turning=-1.0) | turning
 InvalidInputError: problem(turning=np.nan) | turning
+InvalidInputError: problem(turning=1e308) | turning is 1e\+308; give .* 10000 m at most
 InvalidInputError: problem(costmap_weight=-1.0) | weight of the costmap
 InvalidInputError: problem(costmap_weight=np.inf) | weight of the costmap
 InvalidInputError: problem(costmap_weight=np.nan) | weight of the costmap

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pickle import dumps, loads
 
 import numpy as np
 import pytest
-from worlds import COST, cluttered, free_poses, room
+from worlds import COST, box_robot, cluttered, free_poses, room
 
-from energyplan import EnergyCost, Path, PlanningProblem, Pose, plan, steering
+from energyplan import EnergyCost, Path, PlanningProblem, Pose, PowerModel, plan, steering
 from energyplan.errors import InvalidInputError, NoPathError, StartInCollisionError
 from energyplan.planning.replanning import remainder, replan
+from energyplan.planning.space.compiled import compiled
+from energyplan.terrain import CostMap
 
 ROUNDED = 1 + 1e-12
 """What sums over a few dozen motions may be off by."""
@@ -153,3 +156,66 @@ def test_a_start_that_was_moved_or_that_is_blocked_by_now_is_left_behind(door):
     here = former.path.poses()[60]
     again = replan(replace(problem, map=box), former.path, start=here, effort=1)
     assert again.energy == pytest.approx(COST.energy(remainder(former.path, here, problem)))
+
+
+@pytest.fixture(scope="module")
+def hall():
+    """A hall, the same with a wall across most of it, and a plan around that wall."""
+    free = room(100, 200, 0.1)
+    shut = free.updated(np.ones((85, 4), bool), row=0, column=100)
+    cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
+    problem = PlanningProblem(free, cost, (4, 2, 0), (18, 2, 0))
+    return problem, plan(replace(problem, map=shut, start=(2, 2, 0)), effort=10_000)
+
+
+def test_what_opened_is_used_where_nothing_but_a_path_is_known(hall):
+    problem, around = hall
+    best = plan(problem, effort=10_000)
+    rest = remainder(around.path, problem.start, problem)
+    assert problem.cost.energy(rest) > 1.3 * best.energy
+    for former in (around.path, loads(dumps(around)), around):
+        found = replan(problem, former, start=problem.start, effort=10_000)
+        assert found.energy == pytest.approx(best.energy, rel=1e-3)
+        assert found.energy < 3170
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"cost": EnergyCost(PowerModel.preset("quadriga:empty:marble"))},
+     {"cost": EnergyCost(PowerModel.preset("quadriga:full:concrete"), speed=0.2)},
+     {"objective": "length"}, {"objective": "time"}, {"clearance": 0.2}, {"turning": 1.0},
+     {"costmap": CostMap(np.full((100, 200), 0.5), 0.1), "costmap_weight": 50.0},
+     {"vehicle": box_robot(0.6, 0.4)}],
+    ids=lambda change: "+".join(change),
+)  # fmt: skip
+def test_a_plan_for_another_question_is_a_first_path_alone(hall, change):
+    problem, _ = hall
+    former = plan(problem, effort=2000)
+    now = replace(problem, **change)
+    here = former.path.poses()[20]
+    found = replan(now, former, start=here, effort=2000)
+    best = plan(replace(now, start=here), effort=4000)
+    assert found.effort > 0
+    assert found.lower_bound <= best.cost * ROUNDED
+    rest = remainder(former.path, here, now)
+    if rest is not None:
+        assert found.cost <= compiled(replace(now, start=here)).value(rest) * (1 + 1e-9)
+    # the same question in other objects is the same one
+    again = replan(replace(problem, cost=replace(problem.cost)), former, start=here, effort=1)
+    assert again.effort == 0
+
+
+def test_no_bound_is_handed_on_from_where_the_former_plan_could_not_be(door):
+    """Beside its path a robot may be nearer to a wall than the former plan was allowed to be."""
+    problem, _ = door
+    shut = problem.map.updated(np.ones((40, 4), bool), 20, 100)
+    problem = replace(problem, map=shut, clearance=0.2)
+    former = plan(problem, effort=4000)
+    here = former.path.poses()[5]
+    clear = replan(problem, former, start=here, effort=2000)
+    assert clear.lower_bound > 1.05 * compiled(clear.problem).least_in_free_space
+    beside = former.path.poses(0.02, 0.02) - np.array([0.0, 0.1, 0.0])
+    near = beside[np.argmin(problem.map.footprint_free(beside, problem.robot))]
+    assert problem.map.footprint_free(near, problem.cost.vehicle)
+    found = replan(problem, former, start=near, effort=2000)
+    assert found.lower_bound == compiled(found.problem.without_clearance).least_in_free_space

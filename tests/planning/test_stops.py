@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+import shapely
 from by_day import by_day
 from worlds import MODEL as PAPER
 from worlds import room
@@ -13,7 +14,9 @@ from energyplan.planning.driven import drive_path, drive_plan, stops_count
 from energyplan.planning.search import planner, stops
 from energyplan.planning.search.stops import stops_of
 from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.power.effects import term
+from energyplan.terrain import Surface, SurfaceMap
 
 
 def rolling(hotel=0.0):
@@ -113,3 +116,21 @@ def test_least_energy_is_that_of_the_best_way_through_corners():
     quick = drive_path(path, EnergyCost(model, speed=vehicle.motor.speed))
     stopped = drive_path(path, EnergyCost(model), tolerance=0.0)
     assert least.energy <= min(quick.energy, stopped.energy) * (1 + 1e-6)
+
+
+def test_of_two_mirrored_ways_the_one_on_cheaper_ground_is_driven():
+    model = rolling()
+    rough = replace(model, coefficients=3.0 * model.coefficients)
+    above = SurfaceMap([Surface(shapely.box(0, 5, 24, 14), rough)])
+    asked = replace(
+        problem(model, 1.2), map=room(100, 240, 0.1), surfaces=above,
+        start=(2.0, 5.0, 0.0), goal=(12.0, 5.0, 0.0),
+    )  # fmt: skip
+    left = Path(asked.start, [0.0, 5.0, 0.0, 5.0, 0.0], [0.6, 0.0, -1.2, 0.0, 0.6])
+    goal = Pose(*left.vertices[-1].tolist())
+    query = CompiledProblem(replace(asked, goal=goal))
+    right = Path(left.start, left.ds, -left.dtheta)
+    dear, cheap = (stops_of(query, path, Budget()) for path in (left, right))
+    assert cheap.energy < 0.9 * dear.energy
+    to_go = cost_to_go(query.setting)
+    assert stops.least_driven(query, dear, [], to_go, Budget(effort=1), [right]).path == right

@@ -7,7 +7,16 @@ import pytest
 from ompl import base
 from worlds import COST, box_robot, room
 
-from energyplan import Candidate, EnergyCost, Path, Planner, PlanningProblem, TreadICR, plan
+from energyplan import (
+    Candidate,
+    EnergyCost,
+    Path,
+    Planner,
+    PlanningProblem,
+    PowerModel,
+    TreadICR,
+    plan,
+)
 from energyplan.errors import InvalidPathError, UnsupportedPlannerError
 from energyplan.planning.budget import Budget
 from energyplan.planning.search.optimise import Refiner
@@ -128,3 +137,30 @@ def test_in_a_box_a_robot_turns_to_and_fro_on_its_arcs():
     found = plan(replace(problem, turning=5.0), effort=3000)
     assert tightest(problem, found.path) >= 5.0 * (1 - 1e-6)
     assert found.energy > 2.0 * free.energy
+
+
+@pytest.mark.parametrize("radius", [4.6, 4.8, 10.0, 100.0])
+@pytest.mark.parametrize(("aside", "objective"), [(4, "energy"), (1, "energy"), (0, "energy"),
+                                                  (1, "length"), (1, "time")])  # fmt: skip
+def test_a_wide_radius_keeps_its_bound_and_its_path_on_empty_ground(radius, aside, objective):
+    cost = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
+    hall = PlanningProblem(
+        room(400, 400, 0.1),
+        cost,
+        (2, 2, 0),
+        (35, 2 + aside, 0),
+        turning=radius,
+        objective=objective,
+    )
+    found = plan(hall, effort=3000)
+    assert tightest(hall, found.path) >= radius * (1 - 1e-6)
+    assert 0 <= found.gap + 1e-9 < 2e-3
+    assert found.effort < 3000
+
+
+def test_on_a_large_empty_map_a_wide_radius_costs_hardly_more_than_none():
+    cost = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
+    field = PlanningProblem(room(2000, 2000, 0.1), cost, (20, 20, 0), (150, 60, 0))
+    free, found = plan(field), plan(replace(field, turning=5.0))
+    assert free.energy <= found.energy < 1.001 * free.energy
+    assert found.gap < 1e-3

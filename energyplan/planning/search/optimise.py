@@ -47,13 +47,14 @@ class Shortened(NamedTuple):
 
 @njit
 def shortcut(
-    chain: Chain, setting: KernelProblem, count: int, reach: int, stop: float
+    chain: Chain, setting: KernelProblem, count: int, reach: int, stop: float, most: float
 ) -> Shortened:
     """Shortcutting: the chain keeps the poses of its cheapest sequence of joins.
 
     Dynamic programming over all pairs of poses within `reach` of each other in the chain; `cost` of
     the motions given must be filled in. Every motion costs `stop` more, except one given that goes
-    on as the one given before it; `cost` stays what it is without.
+    on as the one given before it; `cost` stays what it is without. Beyond `most` units of work the
+    motions given are kept.
     """
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
@@ -75,6 +76,8 @@ def shortcut(
         blocked = 0
         for i in range(j - 1, max(0, j - reach) - 1, -1):
             if blocked == REFINING.hopeless:
+                break
+            if UNITS.steer * steered + UNITS.join * tested >= most:
                 break
             limit = best[j] - best[i] - 1e-9 - stop
             if limit <= 0:
@@ -371,6 +374,13 @@ class Refiner:
 
     def shortcut(self, budget: Budget) -> None:
         """Leave out the poses without which the path is cheaper."""
+        # of many poses most are left out by short shortcuts, which take little work
+        reach = REFINING.near
+        while self.count > REFINING.apart > reach and not budget.over:
+            before = self.count
+            self._shortcut(reach, 0.0, budget)
+            if self.count > REFINING.fewer * before:
+                reach *= 2
         self._shortcut(REFINING.apart, 0.0, budget)
 
     def with_fewer_stops(self, price: float, budget: Budget) -> Segments:
@@ -379,7 +389,9 @@ class Refiner:
         return self.segments
 
     def _shortcut(self, apart: int, stop: float, budget: Budget) -> None:
-        left = shortcut(self.chain, self.setting, self.count, apart, stop)
+        # few poses take little work, and a path whose first part alone is shortened gains less
+        most = budget.left if self.count > REFINING.apart else np.inf
+        left = shortcut(self.chain, self.setting, self.count, apart, stop, most)
         self.count = int(left.poses)
         budget.spend(UNITS.steer * left.steered + UNITS.join * left.tested)
 

@@ -127,6 +127,7 @@ def _searched(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[S
     return found
 
 
-def _key(path: Path) -> tuple[int, float]:
+def _key(path: Path) -> tuple[bytes, bytes]:
     """Return a key that identifies a path."""
-    return len(path), round(path.length, 6)
+    ds, dtheta = (np.round(part, 6) + 0.0 for part in (path.ds, path.dtheta))  # no zero below 0
+    return ds.tobytes(), dtheta.tobytes()

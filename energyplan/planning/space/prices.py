@@ -326,7 +326,7 @@ class LeastPrices:
         """Return the greatest minorant with this `track` [m] below all prices."""
         known = self._kept.minorants
         if track not in known:
-            found = self._infimum.rates(self.objective.cost.half_track, track)
+            found = self._infimum.rates(self.objective.cost.half_track, track, self.radius)
             known[track] = Minorant(found.per_metre, found.per_radian, track)
         return known[track]
 
