@@ -205,7 +205,7 @@ def test_a_report_of_several_robots_is_read_as_one() -> None:
     assert report.duration == max(one.duration for one in report.robots)
     assert len(report.legs) == sum(len(one.legs) for one in report.robots)
     assert [one.name for one in report.tasks] == ["a", "b", "c"]
-    with pytest.raises(MissionError, match="each of several robots has its own end"):
+    with pytest.raises(MissionError, match=r"use report.robot\(NAME\).end, where NAME is one of"):
         _ = report.soc_end
     page = mission_page(report).html()
     assert page.count("<figure>") == 4
