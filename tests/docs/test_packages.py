@@ -68,7 +68,8 @@ def test_the_archives_hold_what_runs_and_what_tests_it() -> None:
     assert {path.partition("/")[0] for path in wheel} == {"energyplan"}
     bundled = {Path(path).name for path in wheel if path.startswith("energyplan/bundle/")}
     maps = {file.name for file in (ROOT / "maps").iterdir() if file.is_file()} - {"make_maps.py"}
-    assert bundled == {*maps, "mission_warehouse.yaml", "fleet_warehouse.yaml"}
+    missions = {file.name for file in (ROOT / "examples").glob("*.yaml")}
+    assert bundled == maps | missions
     assert {"energyplan/py.typed", "energyplan/__init__.pyi"} <= wheel
 
 
