@@ -172,6 +172,9 @@ def test_pages_install_extras_that_exist_and_one_page_lists_all() -> None:
     for page in [*pages, ROOT / "Containerfile", ROOT / ".ci" / "run"]:
         named = re.findall(r"(?:\bpip.*|install )(?:energyplan|\.)\[([\w,]+)\]", page.read_text())
         assert {one for names in named for one in names.split(",")} <= extras, page
+        # by its name it is installed from a folder of wheels alone
+        named = re.findall(r"pip\s+install[^`\n]*energyplan\[[^`\n]*", page.read_text())
+        assert [line for line in named if "--find-links" not in line] == [], page
     start = (ROOT / "docs" / "getting_started.md").read_text()
     table = start.partition("| extra |")[2].partition("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == extras
