@@ -112,8 +112,8 @@ _SYMBOLS = {
     "v": ("V", 1.0), "ah": ("Ah", 1.0), "mah": ("Ah", 1e-3), "wh": ("Wh", 1.0),
     "kwh": ("Wh", 1e3), "ohm": ("ohm", 1.0), "mohm": ("ohm", 1e-3), "degc": ("degC", 1.0),
 }  # fmt: skip
-_COUNTS = re.compile(r"\b(\d+)\s*s(?:\s*(\d+)\s*p)?\b")
-_SEVERAL = re.compile(r"\b(\d+)\s*[x\u00d7*]\s*(?=\d+(?:\.\d+)?\s*(m?ah|k?wh|v)(?![a-z]))")
+_COUNTS = re.compile(r"\b(\d{1,6})\s*s(?:\s*(\d{1,6})\s*p)?\b")
+_SEVERAL = re.compile(r"\b(\d{1,6})\s*[x\u00d7*]\s*(?=\d+(?:\.\d+)?\s*(m?ah|k?wh|v)(?![a-z]))")
 """So many of one battery, as in ``2x20Ah``."""
 _SHARE = re.compile(r"\b(usable|health)\s*:?\s*(\d+(?:\.\d+)?)\s*%")
 _CELSIUS = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*[ck]\b")

@@ -228,7 +228,10 @@ class MissionReport(html.Readable):
     @property
     def obstacles(self) -> tuple[str, ...]:
         """Why each task that is left out cannot be done, in a sentence each."""
-        return tuple(f"{one.name} is out of reach: {one.detail}" for one in self.left_out)
+        return tuple(
+            f"{one.name} is out of reach: {one.detail or one.reason.replace('_', ' ')}"
+            for one in self.left_out
+        )
 
     @property
     def timetable(self) -> tuple[Activity, ...]:

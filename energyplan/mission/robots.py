@@ -137,8 +137,9 @@ class Sharing:
         }
         reasons = [REASONS.get(one.reason, "blocked_by_earlier") for one in tried.values()]
         alone = "blocked_by_earlier" in reasons or not reasons
+        whys = {"none": "alone it could be done, but not with its other tasks"}
         detail = "; ".join(
-            f"{name}: {one.detail or 'alone it could be done, but not with its other tasks'}"
+            f"{name}: {one.detail or whys.get(one.reason, one.reason)}"
             for name, one in tried.items()
         )
         return TaskReport(

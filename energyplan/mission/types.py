@@ -775,6 +775,8 @@ class Mission(ReadOnly, html.Readable):
         """Places of tasks that leave more than any robot can have on board by then, and why."""
         found = []
         for k, task in enumerate(self.tasks):
+            if task.payload >= -GRAM:
+                continue
             loads = []
             for part in self.parts if self.robots else (self,):
                 names = [one.name for one in part.tasks]

@@ -347,6 +347,9 @@ BatteryError: Battery.of("36 V 10 Ah li-ion 7S3P") | 36 V and 10 Ah cannot be th
 BatteryError: Battery.of("36 V 10 Ah 500 Wh li-ion 10S3P") | 500 Wh cannot be those of 10S3P
 BatteryError: Battery.of("24 V 20 Ah lead-acid 12S1P") | cannot be those of 12S1P, .*126 to 173 V
 BatteryError: Battery.of("2x20Ah 24 V lead-acid 2S2P") | both a number of batteries and counts
+BatteryError: Battery.of("9" * 400 + "S1P 3 Ah li-ion") | is no chemistry
+BatteryError: Battery.of("7S" + "9" * 400 + "P 3 Ah li-ion") | is no chemistry
+BatteryError: Battery.of("9" * 5000 + "x20Ah 24 V li-ion") | is no chemistry
 BatteryError: Battery.of("0S2P 3 Ah li-ion") | 0s2p is no pack
 BatteryError: Battery.of("480 Wh li-ion") | (?=.*voltage).*capacity
 BatteryError: Battery.of("12.8 V 20 Ah LiFePO4 -5 C") | '-5 c' may be .* temperature as -5 degC
