@@ -8,7 +8,7 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test compiled nightly shuffled lint docs fuzz mutate recheck lowest pictures loop bench guards gates pages dist lock release clean
+.PHONY: demo test compiled nightly shuffled installed lint docs fuzz mutate recheck lowest pictures loop bench guards gates pages dist lock release clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -43,6 +43,20 @@ lowest: $(READY)
 		--all-extras --group test -r pyproject.toml 'httpx>=0.27,<0.28'
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --no-deps .
 	build/lowest/bin/python -m pytest -n 2 --dist worksteal tests
+
+# Nightly: every command and block of every page, every example and notebook, in a plain install.
+# They run beside copies of the pages, where there is no folder of the library to be imported.
+INSTALLED := build/installed
+installed:
+	$(PYTHON) -m venv --clear $(INSTALLED)
+	$(INSTALLED)/bin/python -m pip install --quiet --disable-pip-version-check \
+		--require-hashes -r requirements-test.lock
+	$(INSTALLED)/bin/python -m pip install --quiet --disable-pip-version-check \
+		--no-build-isolation --no-deps .
+	mkdir $(INSTALLED)/tree
+	cp -r README.md pyproject.toml benchmarks docs examples maps tests $(INSTALLED)/tree
+	cd $(INSTALLED)/tree && ../bin/python -m pytest -n 2 --dist worksteal -m "" \
+		-k "run or runs or prints or demo" tests/docs/test_docs.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

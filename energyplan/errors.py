@@ -169,8 +169,39 @@ def needs_extra(extra: str, what: str) -> Iterator[None]:
         if package == "energyplan":  # no package is missing: the import failed in another way
             raise
         raise MissingDependencyError(
-            f"{what} needs {package}; install it with pip install 'energyplan[{extra}]'"
+            f"{what} needs {package}; install it with {installation(extra)}"
         ) from error
+
+
+def installation(extra: str) -> str:
+    """Return the command that installs an extra from where this installation came from."""
+    import importlib.metadata as metadata
+    import json
+    import shlex
+    from pathlib import Path
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    try:
+        record = metadata.distribution("energyplan").read_text("direct_url.json")
+        origin = json.loads(record or "{}")
+    except (metadata.PackageNotFoundError, ValueError):
+        origin = {}
+    editable = "-e " if origin.get("dir_info", {}).get("editable") else ""
+    checkout, address = Path(__file__).resolve().parents[1], str(origin.get("url", ""))
+    if (checkout / "pyproject.toml").is_file():
+        return f"pip install {editable}{shlex.quote(f'{checkout}[{extra}]')}"
+    if not address:  # it came from an index, or from a folder of wheels, by its name
+        return f"pip install 'energyplan[{extra}]'"
+    if not address.startswith("file:"):
+        version = origin.get("vcs_info", {})
+        commit = f"@{version['commit_id']}" if "commit_id" in version else ""
+        kind = f"{version['vcs']}+" if "vcs" in version else ""
+        return f"pip install {shlex.quote(f'energyplan[{extra}] @ {kind}{address}{commit}')}"
+    place = Path(url2pathname(urlsplit(address).path))
+    if place.exists():
+        return f"pip install {shlex.quote(f'{place}[{extra}]')}"
+    return f"pip install '.[{extra}]' in a checkout of energyplan ({place}, before, is no more)"
 
 
 class BatteryError(InvalidInputError):

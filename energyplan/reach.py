@@ -13,10 +13,10 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from energyplan.battery import Battery
+from energyplan.battery import SAGS, Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.path import FloatArray, Pose, as_pose
+from energyplan.path import ROUNDING, FloatArray, Pose, as_pose
 from energyplan.planning.budget import Budget
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.search import lattice as kernels
@@ -27,6 +27,7 @@ from energyplan.planning.space.cost_to_go import no_cost_to_go
 from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
 from energyplan.records import checked, numbers
 
+STEADY = 10.0  # time constants after which the RC pair of a battery is steady
 STEP = 0.01  # part of a standard deviation by which coefficients are changed to see what that does
 
 
@@ -88,9 +89,36 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
     return UpperPrices(np.concatenate(extra).reshape(-1, len(ds)), noise, quantile)
 
 
-def energy_of_charge(cost: EnergyCost, battery: Battery, soc: float = 1.0) -> float:
-    """Return what a charge delivers at the power of the most expensive motion [J]."""
-    return float(battery.usable_energy(most_power(cost), soc))
+def energy_of_charge(
+    cost: EnergyCost, battery: Battery, soc: float = 1.0, reserve: float = 0.0
+) -> float:
+    """Return what a battery delivers at the power of the most expensive motion [J].
+
+    That is from one state of charge down to another, the reserve, as in a mission. A battery that
+    delivers nothing is refused with the reason.
+    """
+    cutoff = battery.cutoff_soc
+    if soc <= reserve + ROUNDING:
+        raise InvalidInputError(
+            f"the reserve {reserve:g} is not below the state of charge {soc:g}; charge first, or "
+            "lower the reserve"
+        )
+    if soc <= cutoff + ROUNDING:
+        raise InvalidInputError(
+            f"the state of charge {soc:g} is not above {cutoff:g}, at which the battery is cut "
+            "off; charge first"
+        )
+    power = most_power(cost)
+    whole, kept = battery.usable_energy(power, [soc, max(reserve, cutoff)])
+    if whole > kept:
+        return float(whole - kept)
+    t = np.linspace(0.0, STEADY * battery.pair_time, 100)
+    reason = battery.simulate(t, np.full(len(t), power), soc=soc).reason
+    why = SAGS.get(reason, SAGS["voltage"])
+    raise InvalidInputError(
+        f"battery {battery.name}: at a charge of {100 * soc:g} % it cannot feed the motion of most "
+        f"power, {power:.0f} W: {why}; give a battery with more strings in parallel, or more charge"
+    )
 
 
 def most_power(cost: EnergyCost) -> float:

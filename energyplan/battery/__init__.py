@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from energyplan import html
 from energyplan.battery._kernel import Circuit, discharge
-from energyplan.battery._tables import CHEMISTRIES, chemistry_of
+from energyplan.battery._tables import CHEMISTRIES, Chemistry, chemistry_of
 from energyplan.battery._tables import PRESETS as PRESETS
 from energyplan.errors import BatteryError, UnknownNameError
 from energyplan.path import FloatArray
@@ -111,17 +112,50 @@ _SYMBOLS = {
     "v": ("V", 1.0), "ah": ("Ah", 1.0), "mah": ("Ah", 1e-3), "wh": ("Wh", 1.0),
     "kwh": ("Wh", 1e3), "ohm": ("ohm", 1.0), "mohm": ("ohm", 1e-3), "degc": ("degC", 1.0),
 }  # fmt: skip
-_COUNTS = re.compile(r"\b(\d+)\s*s(?:\s*(\d+)\s*p)?\b")
-_SEVERAL = re.compile(r"\b(\d+)\s*[x\u00d7*]\s*(?=\d+(?:\.\d+)?\s*(m?ah|k?wh|v)(?![a-z]))")
+_COUNTS = re.compile(r"\b(\d{1,6})\s*s(?:\s*(\d{1,6})\s*p)?\b")
+_SEVERAL = re.compile(r"\b(\d{1,6})\s*[x\u00d7*]\s*(?=\d+(?:\.\d+)?\s*(m?ah|k?wh|v)(?![a-z]))")
 """So many of one battery, as in ``2x20Ah``."""
 _SHARE = re.compile(r"\b(usable|health)\s*:?\s*(\d+(?:\.\d+)?)\s*%")
 _CELSIUS = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*[ck]\b")
 _AMOUNT = re.compile(r"([-+]?\d+(?:\.\d+)?)\s*(mohm|ohm|mah|ah|kwh|wh|degc|v)(?![a-z])")
 
 
+SAGS = {
+    "voltage": "the voltage sags below cut-off",
+    "current": "the battery would have to deliver more current than it may",
+}
+"""Brown-outs under a power that is too large, as sentences."""
+_AGREE = 0.15
+"""How much an energy may differ from charge times voltage, whose values on labels are rounded."""
+
+
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise BatteryError(message)
+
+
+def _counted(
+    words: str, given: Mapping[str, float], kind: Chemistry, series: int, parallel: int
+) -> tuple[float, bool]:
+    """Return a pack's capacity [Ah], and whether the one given beside its counts is the pack's."""
+    volts, hours, energy = (given.get(unit) for unit in ("V", "Ah", "Wh"))
+    nominal = series * kind.voltage
+    # units in series of the voltage given, and how often the pack has the capacity and the energy
+    readings = [(series, 1, 1), (series, parallel, 1), (1, parallel, series * parallel)]
+    for in_series, strings, units in readings if volts or energy else readings[2:]:
+        if volts and not kind.cutoff_voltage <= volts / in_series <= kind.max_voltage:
+            continue
+        capacity = (energy or 0.0) * units / nominal if hours is None else hours * strings
+        if energy and abs(energy * units / (capacity * nominal) - 1.0) >= _AGREE:
+            continue
+        return capacity, in_series == series and strings == 1
+    least, most = series * kind.cutoff_voltage, series * kind.max_voltage
+    stated = " and ".join(f"{given[unit]:g} {unit}" for unit in ("V", "Ah", "Wh") if unit in given)
+    raise BatteryError(
+        f"battery {words!r}: {stated} cannot be those of {series}S{parallel}P, which has "
+        f"{least:.3g} to {most:.3g} V, {nominal:.3g} V as a rule; give what the whole pack has, or "
+        "counts and the capacity of one cell"
+    )
 
 
 @record(BatteryError, eq=False)
@@ -536,9 +570,10 @@ class Battery(ByValue, html.Readable):
         """Return the battery that a preset or some words name.
 
         The words give voltage, capacity (or energy) and chemistry of the whole pack, or, with
-        counts as in ``7S4P``, the capacity of one cell. In any order there may also be a
-        resistance (``30 mohm``, of the pack or of one cell alike), ``usable 80 %``, ``health 90 %``
-        and a temperature (``5 degC``).
+        counts as in ``7S4P`` and no voltage or energy, the capacity of one cell. With counts, the
+        voltage or energy of the pack must agree with them. In any order there may also be a
+        resistance (``30 mohm``, of what the capacity is of), ``usable 80 %``, ``health 90 %`` and a
+        temperature (``5 degC``).
 
         Parameters
         ----------
@@ -553,13 +588,15 @@ class Battery(ByValue, html.Readable):
         Raises
         ------
         BatteryError
-            If something is missing or not understood; all of it is said at once.
+            If something is missing, not understood or contradicts the counts.
 
         Examples
         --------
         >>> pack = Battery.of("25.6 V 100 Ah LiFePO4, usable 80 %")
         >>> round(pack.full_energy / 3600), round(pack.cutoff_soc, 2)
         (2614, 0.2)
+        >>> Battery.of("36 V 10 Ah li-ion 10S3P").capacity / 3600
+        10.0
         """
         if words.strip() in PRESETS:
             return cls.preset(words.strip())
@@ -575,6 +612,11 @@ class Battery(ByValue, html.Readable):
             )
         counts = _COUNTS.search(rest)
         rest = _COUNTS.sub(" ", rest)
+        _require(
+            not (several and counts),
+            f"battery {words!r}: it has both a number of batteries and counts of cells; give the "
+            f"whole, as in {EXAMPLE!r}",
+        )
         if warm := _CELSIUS.search(rest):
             raise BatteryError(
                 f"battery {words!r}: {warm[0]!r} may be a temperature or a rate; write a "
@@ -591,7 +633,7 @@ class Battery(ByValue, html.Readable):
         if {"Ah", "Wh"} <= given.keys():
             volts = given["Wh"] / given["Ah"]
             _require(
-                counts is not None or abs(given.setdefault("V", volts) / volts - 1.0) < 0.15,
+                counts is not None or abs(given.setdefault("V", volts) / volts - 1.0) < _AGREE,
                 f"battery {words!r}: {given['Ah']:g} Ah and {given['Wh']:g} Wh make {volts:.3g} V; "
                 "give two of the three",
             )
@@ -602,7 +644,7 @@ class Battery(ByValue, html.Readable):
             f"{EXAMPLE!r} or '7S4P 3 Ah li-ion', or a preset: {', '.join(PRESETS)}",
         )
         lacks = [] if counts or "V" in given else ["its voltage (24 V) or counts (7S4P)"]
-        if not ("Ah" in given or {"Wh", "V"} <= given.keys()):
+        if not ("Ah" in given or ("Wh" in given and (counts or "V" in given))):
             lacks.append("its capacity (20 Ah)")
         names = ", ".join(c.aliases[0] for c in CHEMISTRIES.values())
         kind = chemistry_of(left)
@@ -614,12 +656,17 @@ class Battery(ByValue, html.Readable):
             raise BatteryError(f"battery {words!r}: {'; '.join(wrong)}; write it as {EXAMPLE!r}")
         for unit in given.keys() - {"degC"}:
             _require(given[unit] > 0, f"battery {words!r}: {given[unit]:g} {unit} is not positive")
-        capacity = given["Ah"] if "Ah" in given else given["Wh"] / given["V"]
         notes: tuple[str, ...] = ()
-        if several:
-            notes = (f"battery {words}: {several[1]} side by side, {capacity:g} Ah in all",)
+        whole = True  # whether the capacity and the resistance are the pack's, not one cell's
         if counts is not None:
             cells = int(counts[1]), int(counts[2] or 1)
+            _require(min(cells) >= 1, f"battery {words!r}: {counts[0]} is no pack; give 1 or more")
+            capacity, whole = _counted(words, given, kind, *cells)
+            if whole and cells[1] > 1 and "Wh" not in given:
+                notes = (
+                    f"battery {words}: {capacity:g} Ah is the capacity of the whole pack, as its "
+                    "voltage is; for that of one cell leave the voltage out",
+                )
         else:
             cells = max(round(given["V"] / kind.voltage), 1), 1
             off = cells[0] * kind.voltage / given["V"] - 1.0
@@ -629,13 +676,17 @@ class Battery(ByValue, html.Readable):
                 f"one unit of {kind.name}; give the counts, as in {cells[0]}S1P",
             )
             if abs(off) > 0.03:
-                notes += (f"battery {words}: taken to have {cells[0]} units in series",)
+                notes = (f"battery {words}: taken to have {cells[0]} units in series",)
+            capacity = given["Ah"] if "Ah" in given else given["Wh"] / (cells[0] * kind.voltage)
+        if several:
+            side = f"battery {words}: {several[1]} side by side, {capacity:.4g} Ah in all"
+            notes = (side, *notes)
         resistance = given.get("ohm")
-        if resistance is not None and counts is None:
-            resistance = resistance / cells[0]
+        if resistance is not None and whole:
+            resistance *= cells[1] / cells[0]
         pack = cls.from_units(
             words.strip(), kind.name, series=cells[0], parallel=cells[1],
-            unit_capacity=3600.0 * capacity, unit_resistance=resistance,
+            unit_capacity=3600.0 * capacity / cells[1], unit_resistance=resistance,
             cutoff_soc=1.0 - given.get("usable", 1.0),
         )  # fmt: skip
         return replace(

@@ -362,7 +362,10 @@ def reach(
     soc: Annotated[
         str | None, Option(help="State of charge at the start, as 80%. Default: full.")
     ] = None,
-    reserve: Annotated[str, Option(help="What of it to keep, as 20%.")] = "0",
+    reserve: Annotated[
+        str,
+        Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
+    ] = "0",
     at_battery: opt.AtBattery = False,
     confidence: Annotated[
         float | None,
@@ -398,6 +401,7 @@ def reach(
     if spread and confidence is None:
         raise InvalidInputError("--spread needs --confidence; give both")
     kept = _fraction("--reserve", reserve)
+    usable: float | None = None
     pose = parse_pose(start)
     # what a battery delivers is measured at the battery
     drive = DriveOptions(model, at_battery=at_battery or battery is not None)
@@ -408,8 +412,11 @@ def reach(
         charge, pack = 1.0 if soc is None else _fraction("--soc", soc), read_battery(battery)
         for note in pack.notes:
             warn(note)
-        energy = energy_of_charge(problem.cost, pack, charge)
-    usable = None if energy is None else (1.0 - kept) * energy
+        usable = energy_of_charge(problem.cost, pack, charge, kept)
+    elif energy is not None:
+        if kept == 1.0:
+            raise InvalidInputError(f"--reserve {reserve} leaves nothing of the energy; keep less")
+        usable = (1.0 - kept) * energy
     with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,

@@ -81,6 +81,14 @@ _MODELS = dict[str, dict[float, str]]
 
 def build(document: Document, folder: Path, anywhere: bool = True) -> Mission:
     """Build a mission from a document, which names files in its folder, or `anywhere`."""
+    mission = _build(document, folder, anywhere)
+    for place, fault in mission.unladen:
+        raise document.fail(place, f"{fault}; take it on board before, or leave less")
+    return mission
+
+
+def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
+    """Build a mission, whatever its tasks leave."""
 
     def at(loc: Loc, read: Callable[..., T], *given: Any) -> T:
         try:
@@ -271,7 +279,7 @@ def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
                 lines[place[2:]] = line
             elif place[:1] == ("tasks",) and place[1:2] and place[1] in able:
                 lines["tasks", able.index(int(place[1])), *place[2:]] = line
-        mission = build(Document(document.source, data, lines, MissionError), folder, anywhere)
+        mission = _build(Document(document.source, data, lines, MissionError), folder, anywhere)
         changes = {key: getattr(mission, key) for key in own}
         robots.append(Robot(entry.name, entry.skills, changes))
     whole: dict[str, Any] = {"name": str(common.get("name", Path(document.source).stem)),

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from energyplan.battery import SAGS
 from energyplan.mission._order_kernel import GRAM
 from energyplan.mission.energy import Consumption, Estimate
 from energyplan.mission.routes import Leg, Legs
@@ -479,9 +480,3 @@ class Simulation:
         )
         faults = map(self.mission.charging_fault, self.mission.chargers)
         return "; ".join((detail, *dict.fromkeys(filter(None, faults))))
-
-
-SAGS = {
-    "voltage": "the voltage sags below cut-off",
-    "current": "the battery would have to deliver more current than it may",
-}

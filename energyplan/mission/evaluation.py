@@ -12,13 +12,15 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.battery import Battery
+from energyplan import html
+from energyplan.battery import SAGS, Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
-from energyplan.mission.drive import SAGS, Attempt, Simulation, Status
+from energyplan.mission.drive import Attempt, Simulation, Status
 from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport, stops
 from energyplan.mission.routes import Legs, Progress, Routes, Scene
@@ -119,6 +121,7 @@ class Evaluation:
         self.sim = Simulation(self.legs, occupied)
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
+        self.before: dict[Remedy, tuple[str, ...]] = {}  # tasks that are done first with a remedy
         self.done: list[int] = []
         self.found = Order()
         self.end = self.sim.start
@@ -239,7 +242,7 @@ class Evaluation:
         blocked = alone.reason == "none"
         # What a task leaves another one may have to bring; alone it cannot be judged.
         failed = tried if blocked or alone.reason == "payload" else alone
-        reason: Reason = "blocked_by_earlier" if blocked else _REASONS[failed.reason]
+        reason: Reason = "blocked_by_earlier" if blocked else REASONS[failed.reason]
         lacking = failed.reason == "battery"
         used = failed.after.total.since((before if blocked else self.sim.start).total)
         remedies, remedy = self._remedy(k, reason, failed)
@@ -256,7 +259,7 @@ class Evaluation:
         """Return what makes a task reachable, and the sentence that says so."""
         if reason == "no_path":
             return (), f"clear the route or move the task: {tried.detail}"
-        remedies, advice = self._drop(k) if reason == "blocked_by_earlier" else [], ""
+        remedies, advice = self._drop(k) if reason in ("blocked_by_earlier", "payload") else [], ""
         if tried.reason == "late":
             remedies += self._sooner(k, tried)
         elif tried.reason == "time":
@@ -276,8 +279,17 @@ class Evaluation:
                 *self._indoors(tasks), *self._slower(tasks, tried.safe), *self._charge_first(tasks),
                 *self._larger_battery(tasks, tried.safe), *self._smaller_reserve(tasks),
             ]  # fmt: skip
-        hints = [*map(str, remedies), *([advice] if advice else [])]
+        hints = [*self._with_what(remedies), *([advice] if advice else [])]
         return tuple(remedies), ", or ".join(hints) or tried.detail
+
+    def _with_what(self, remedies: Sequence[Remedy]) -> list[str]:
+        """Return remedies as sentences, with the tasks that are done before the one in question."""
+        sentences = []
+        for before, same in groupby(remedies, lambda remedy: self.before.get(remedy, ())):
+            *rest, last = map(str, same)
+            with_what = f" (with {html.listed([repr(name) for name in before])} done before it)"
+            sentences += [*rest, last + (with_what if before else "")]
+        return sentences
 
     def _sooner(self, k: int, tried: Attempt) -> list[Remedy]:
         """Return what brings the robot there in time: speed, or a wider window."""
@@ -302,7 +314,7 @@ class Evaluation:
             remedy = Remedy("drop", task=tasks[dropped].name)
             if tasks[dropped].required and not tasks[k].required:
                 continue
-            if self._follow(self.sim, [*rest, k]) and self._holds(k, remedy):
+            if self._follow(self.sim, [*rest, k]) and self._holds(k, remedy, rest):
                 return [remedy]
         return []
 
@@ -406,15 +418,20 @@ class Evaluation:
         except BatteryError:  # beyond any battery
             return False
         sim = Simulation(self.legs.under(changed))
-        return self._follow(sim, tasks) and self._holds(tasks[-1], remedy)
+        return self._follow(sim, tasks) and self._holds(tasks[-1], remedy, tasks[:-1])
 
-    def _holds(self, k: int, remedy: Remedy) -> bool:
+    def _holds(self, k: int, remedy: Remedy, earlier: Sequence[int]) -> bool:
         """Return whether a remedy lets the mission do a task; others may take what it gains."""
         if not self._confirms:
+            self.before[remedy] = tuple(self.mission.tasks[d].name for d in earlier)
             return True
         again = self._anew(remedy)
+        names = [again.mission.tasks[d].name for d in again.done]
         name = self.mission.tasks[k].name
-        return any(again.mission.tasks[d].name == name for d in again.done)
+        if name not in names:
+            return False
+        self.before[remedy] = tuple(names[: names.index(name)])
+        return True
 
     @property
     def _confirms(self) -> bool:
@@ -430,9 +447,9 @@ class Evaluation:
         return again
 
 
-_REASONS: dict[str, Reason] = {
+REASONS: dict[str, Reason] = {
     "no_path": "no_path", "motor": "motor", "battery": "battery", "late": "late",
-    "time": "time_limit", "payload": "blocked_by_earlier",
+    "time": "time_limit", "payload": "payload",
 }  # fmt: skip
 
 

@@ -18,7 +18,9 @@ from energyplan.path import FloatArray, Path, Pose
 
 StopKind = Literal["start", "task", "charge", "end"]
 Verdict = Literal["reachable", "unreachable"]
-Reason = Literal["none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit"]
+Reason = Literal[
+    "none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit", "payload"
+]
 
 _INSTANT = 0.5  # shortest wait that the timetable lists [s]
 
@@ -133,20 +135,30 @@ class MissionReport(html.Readable):
     @cached_property
     def route(self) -> tuple[Stop, ...]:
         """The stops with their times, from the start to the end."""
+        self._alone("route")
         return stops(self.trip)
 
     @property
     def order(self) -> tuple[str, ...]:
         """Names of the stops in the order of their visits, chargers included."""
+        self._alone("order")
         names = [stop.name for stop in self.route]
         chargers = {charger.name for charger in self.mission.chargers}
         last = [name for name in names[-1:] if name in chargers - {names[-2]}]
         return (*names[1:-1], *last)
 
+    def _alone(self, what: str) -> None:
+        """Refuse what a report of several robots has for each of them only."""
+        if self.robots:
+            names = ", ".join(repr(one.mission.name) for one in self.robots)
+            raise MissionError(
+                f"the report of several robots has no {what} of its own; use "
+                f"report.robot(NAME).{what}, where NAME is one of {names}"
+            )
+
     @property
     def _last(self) -> Stop:
-        if self.robots:
-            raise MissionError("each of several robots has its own end; see `robots` of the report")
+        self._alone("end")
         return self.route[-1]
 
     @property
@@ -214,8 +226,17 @@ class MissionReport(html.Readable):
         return tuple(task for task in self.tasks if task.verdict == "unreachable")
 
     @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Why each task that is left out cannot be done, in a sentence each."""
+        return tuple(
+            f"{one.name} is out of reach: {one.detail or one.reason.replace('_', ' ')}"
+            for one in self.left_out
+        )
+
+    @property
     def timetable(self) -> tuple[Activity, ...]:
         """What the robot does from when to when, in the order of time."""
+        self._alone("timetable")
         found = []
         for kind, group in groupby(self.trip, lambda part: part.kind):
             parts = list(group)
@@ -232,6 +253,7 @@ class MissionReport(html.Readable):
     @cached_property
     def timeline(self) -> Timeline:
         """The mission over time."""
+        self._alone("timeline")
         x, y, yaw = np.concatenate([part.poses for part in self.trip]).T
         t, power, soc, low = (
             np.concatenate([getattr(part, name) for part in self.trip])
@@ -342,7 +364,8 @@ class MissionReport(html.Readable):
 
     def _summaries(self) -> list[html.Summary]:
         title = f"{self.mission.name}: {self.sentence}"
-        return [html.Summary(title, (), (), self.warnings), *self.tables]
+        notes = () if self.robots else self.obstacles
+        return [html.Summary(title, (), (), (*notes, *self.warnings)), *self.tables]
 
     def task(self, name: str) -> TaskReport:
         """Return the report of the named task."""
@@ -368,6 +391,7 @@ class MissionReport(html.Readable):
 
     def at(self, time: float) -> RobotState:
         """Return where the robot is at a time [s]; a stay under way by then is completed."""
+        self._alone("at")
         here, now = self.trip[0], time
         pose, soc = here.pose, float(here.soc[0])
         for part in self.trip:
@@ -384,6 +408,7 @@ class MissionReport(html.Readable):
 
     def done_by(self, time: float) -> tuple[str, ...]:
         """Return the tasks that are done by a time [s]."""
+        self._alone("done_by")
         return tuple(s.name for s in self.route if s.kind == "task" and s.departure <= time)
 
     def after_failure(self, name: str, time: float) -> Mission:

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from energyplan.mission.drive import Segment, Simulation
-from energyplan.mission.evaluation import Evaluation
+from energyplan.mission.evaluation import REASONS, Evaluation
 from energyplan.mission.order import EXACT, Matrix, Order, attempt, prizes, shared
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
@@ -130,15 +130,22 @@ class Sharing:
 
     def _left_out(self, number: int, task: Task) -> TaskReport:
         """Say why no robot could do a task, were it the only task."""
-        reasons = {
-            part.name: attempt(sim, sim.start, own.index(number)).reason
+        tried = {
+            part.name: attempt(sim, sim.start, own.index(number))
             for part, sim, own in zip(self.mission.parts, self.sims, self.own, strict=True)
             if number in own
         }
-        detail = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
+        reasons = [REASONS.get(one.reason, "blocked_by_earlier") for one in tried.values()]
+        alone = "blocked_by_earlier" in reasons or not reasons
+        whys = {"none": "alone it could be done, but not with its other tasks"}
+        detail = "; ".join(
+            f"{name}: {one.detail or whys.get(one.reason, one.reason)}"
+            for name, one in tried.items()
+        )
         return TaskReport(
-            task.name, "unreachable", "blocked_by_earlier", False, np.nan, np.nan, np.nan,
-            detail=detail or "no robot has the skills", reasons=tuple(reasons.values()),
+            task.name, "unreachable", "blocked_by_earlier" if alone else reasons[0],
+            alone and bool(reasons), np.nan, np.nan, np.nan,
+            detail=detail or "no robot has the skills", reasons=tuple(reasons),
         )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError
+from energyplan.mission._order_kernel import GRAM
 from energyplan.path import Pose, as_pose, parse_pose
 from energyplan.planning.problem import free_beside, where_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
@@ -564,11 +565,8 @@ class Mission(ReadOnly, html.Readable):
             return self
         where = (info.context or {}).get("where", in_words)
         found = [*doubts_of(self), *doubts_of(self.vehicle, ("model", "vehicle"))]
-        most = self.payload + sum(max(task.payload, 0.0) for task in self.tasks)
+        found += self.unladen
         for k, task in enumerate(self.tasks):
-            if -task.payload > most:
-                note = f"it leaves {-task.payload:g} kg, and at most {most:g} kg are ever on board"
-                found.append((("tasks", k, "payload"), note))
             for name in ("dwell", "power"):
                 mean, spread = getattr(task, name), getattr(task, f"{name}_spread")
                 if spread is not None and spread > mean:
@@ -772,6 +770,26 @@ class Mission(ReadOnly, html.Readable):
                 raise MissionError(f"robot {robot.name!r}: {problem}", place) from None
         return tuple(found)
 
+    @property
+    def unladen(self) -> tuple[tuple[tuple[str, int, str], str], ...]:
+        """Places of tasks that leave more than any robot can have on board by then, and why."""
+        found = []
+        for k, task in enumerate(self.tasks):
+            if task.payload >= -GRAM:
+                continue
+            loads = []
+            for part in self.parts if self.robots else (self,):
+                names = [one.name for one in part.tasks]
+                if task.name in names:
+                    last = names.index(task.name) if part.order == "given" else None
+                    taken = (max(one.payload, 0.0) for one in part.tasks[:last])
+                    loads.append(part.payload + sum(taken))
+            most = max(loads, default=0.0)
+            if -task.payload > most + GRAM:
+                note = f"it leaves {-task.payload:g} kg, and at most {most:g} kg can be on board"
+                found.append((("tasks", k, "payload"), note))
+        return tuple(found)
+
     @checked(MissionError)
     def resume_robots(self, states: Mapping[str, RobotState], done: Iterable[str] = ()) -> Mission:
         """Return what is left of a mission of several robots for those that are still there.
@@ -791,9 +809,9 @@ class Mission(ReadOnly, html.Readable):
             if robot.name not in states or not {task.name for task in part.tasks} - finished:
                 continue
             state = states[robot.name]
-            own = sum(task.payload for task in part.tasks if task.name in state.done)
+            own = part._carried({*state.done})
             now = {"start": state.pose, "soc": state.soc, "time": state.time, "home": part.home,
-                   "payload": part.payload + own}  # fmt: skip
+                   "payload": own}  # fmt: skip
             rest.append(replace(robot, changes={**robot.changes, **now}))
         require(rest, "no robot is left that can do a task that is left")
         left = tuple(task for task in self.tasks if task.name not in finished)
@@ -830,16 +848,25 @@ class Mission(ReadOnly, html.Readable):
         unknown = names - {task.name for task in self.tasks}
         require(not unknown, f"no task is called {', '.join(sorted(unknown))}")
         left = tuple(task for task in self.tasks if task.name not in names)
-        carried = self.payload + sum(t.payload for t in self.tasks if t.name in names)
         mission = replace(
             self,
             start=pose,  # type: ignore[arg-type]
             soc=soc,
             tasks=left,
-            payload=carried if payload is None else payload,
+            payload=self._carried(names) if payload is None else payload,
             time=self.time if time is None else time,
         )
         return mission if model is None else _corrected(mission, model)
+
+    def _carried(self, done: set[str]) -> float:
+        """Return the payload after some tasks [kg]; they leave no more than was on board."""
+        carried = self.payload + sum(task.payload for task in self.tasks if task.name in done)
+        require(
+            carried >= -GRAM,
+            f"the tasks that are done leave {-carried:g} kg more than was ever on board; give as "
+            "done only what was, and the payload",
+        )
+        return max(carried, 0.0)
 
     @checked(MissionError)
     def with_remedy(self, remedy: Remedy) -> Mission:

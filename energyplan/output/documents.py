@@ -54,7 +54,7 @@ SHOWN = {
     "Round": "energy_predicted energy_interval energy_measured error overhead effects length note",
     "Segment": "start goal departure energy",
     "TaskReport": "name verdict reason reachable_alone energy energy_upper soc_after shortfall "
-    "remedy remedies arrival departure soc_lower start start_upper",
+    "detail remedy remedies arrival departure soc_lower start start_upper",
     "TreadICR": "left right longitudinal",
 }
 """What is shown of a type, where that is not all of its fields."""
@@ -213,7 +213,12 @@ def _of_robots(report: MissionReport, trajectories: bool) -> Document:
             for one in report.robots
         ],
         "left_out": [
-            {"name": task.name, "required": required[task.name], "reasons": list(task.reasons)}
+            {
+                "name": task.name,
+                "required": required[task.name],
+                "reasons": list(task.reasons),
+                "detail": task.detail,
+            }
             for task in report.left_out
         ],
     }

@@ -147,7 +147,9 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> list[str]:
 def mission(report: MissionReport) -> list[str]:
     """Return what ``energyplan mission`` prints."""
     tables = [line for one in report.tables for line in one.text().splitlines()]
-    return [report.sentence, *(f"warning: {warning}" for warning in report.warnings), *tables]
+    why = () if report.robots else report.obstacles  # of several robots a table has them
+    warnings = (f"warning: {warning}" for warning in report.warnings)
+    return [report.sentence, *why, *warnings, *tables]
 
 
 def failure(report: MissionReport, name: str, time: float) -> str:

@@ -118,7 +118,7 @@ _robot = _record(
     "Robot", shape(MissionReport), name=str, waiting=float, tasks=_list(_task), **_trip
 )
 _together = {key: _plain(_hint(MissionReport, key)) for key in TOGETHER.split()}
-_left_out = _record("LeftOut", name=str, required=bool, reasons=list[str])
+_left_out = _record("LeftOut", name=str, required=bool, reasons=list[str], detail=str)
 
 PLAN = _Plan | _NoPath
 COMPARISON = _record(

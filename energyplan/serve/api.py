@@ -316,12 +316,12 @@ def _routes(service: _Service) -> APIRouter:
         if (given.energy is None) == (given.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
         problem, notes = question(given, given.pack is not None, given.start)
-        there_is = given.energy
-        if given.pack is not None:
+        if given.energy is not None:
+            usable = (1.0 - given.reserve) * given.energy
+        else:
             pack = store.named(given.pack, read_battery)
-            there_is, notes = energy_of_charge(problem.cost, pack, given.soc), notes + pack.notes
-        assert there_is is not None
-        usable = (1.0 - given.reserve) * there_is
+            usable = energy_of_charge(problem.cost, pack, given.soc, given.reserve)
+            notes += pack.notes
         job.say("searching")
         found = energy_map(
             problem, energy=usable, back=given.back, confidence=given.confidence,

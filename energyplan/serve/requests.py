@@ -74,7 +74,9 @@ class RangeRequest(_OnSite):
     energy: float | None = Field(None, gt=0)
     pack: Name | dict[str, Any] | None = Field(None, description="battery, as a mission's file has")
     soc: float = Field(1.0, gt=0, le=1)
-    reserve: float = Field(0.0, ge=0, lt=1)
+    reserve: float = Field(
+        0.0, ge=0, lt=1, description="state of charge to keep; of an energy, the part to keep"
+    )
     confidence: float | None = Field(None, gt=0, lt=1)
     coefficient_spread: float = Field(0.0, ge=0, lt=1)
 

@@ -270,6 +270,45 @@ def test_a_battery_in_words(words: str, volts: float, amp_hours: float, ohms: fl
     assert any("typical" in note for note in battery.notes) == ("mohm" not in words)
 
 
+@pytest.mark.parametrize(
+    ("label", "plain"),
+    [
+        ("36 V 10 Ah li-ion 10S3P", "36 V 10 Ah li-ion"),
+        ("36 V 10 Ah 360 Wh li-ion 10S3P", "36 V 10 Ah li-ion"),
+        ("10 Ah 365 Wh li-ion 10S3P", "36 V 10 Ah li-ion"),
+        ("24 V 20 Ah lead-acid 2S2P", "24 V 20 Ah lead-acid"),
+        ("12 V 20 Ah lead-acid 1S2P", "12 V 20 Ah lead-acid"),
+        ("24 V 480 Wh li-ion 7S4P", "24 V 480 Wh li-ion"),
+        ("480 Wh li-ion 7S4P", "24 V 480 Wh li-ion"),
+        ("3.6 V 3 Ah li-ion 7S4P", "7S4P 3 Ah li-ion"),
+        ("3.6 V 3 Ah 10.8 Wh li-ion 7S4P", "7S4P 3 Ah li-ion"),
+        ("36 V 3.3 Ah 360 Wh li-ion 10S3P", "10S3P 3.3 Ah li-ion"),
+        ("36 V 10 Ah li-ion 10S3P 80 mohm", "36 V 10 Ah li-ion 80 mohm"),
+    ],
+)
+def test_values_of_the_pack_beside_its_counts_are_taken_once(label: str, plain: str) -> None:
+    one, other = Battery.of(label), Battery.of(plain)
+    assert one.capacity == pytest.approx(other.capacity)
+    assert one.full_energy == pytest.approx(other.full_energy)
+    assert one.resistance == pytest.approx(other.resistance)
+    assert one.max_discharge_current == pytest.approx(other.max_discharge_current)
+
+
+def test_an_energy_in_words_is_what_the_full_pack_holds() -> None:
+    """Within what the mean voltage of a discharge differs from the nominal one."""
+    for words in ("24 V 480 Wh li-ion 7S4P", "24 V 480 Wh li-ion", "25.6 V 480 Wh LiFePO4 8S2P"):
+        assert Battery.of(words).full_energy / 3600 == pytest.approx(480, rel=0.03)
+    assert Battery.of("36 V 10 Ah li-ion 10S3P").full_energy / 3600 == pytest.approx(360, rel=0.04)
+
+
+def test_a_capacity_that_may_be_of_one_cell_is_noted() -> None:
+    assert (
+        "10 Ah is the capacity of the whole pack" in Battery.of("36 V 10 Ah li-ion 10S3P").notes[0]
+    )
+    sure = "36 V 10 Ah li-ion 10S1P", "36 V 10 Ah 360 Wh li-ion 10S3P", "10S3P 10 Ah li-ion"
+    assert [note for words in sure for note in Battery.of(words).notes if "whole" in note] == []
+
+
 def test_words_say_what_is_usable_how_healthy_and_how_cold() -> None:
     battery = Battery.of("24 V 20 Ah lead-acid usable 80 %, health 90 % at -5 degC")
     assert battery.cutoff_soc == pytest.approx(0.2)
@@ -304,6 +343,14 @@ BatteryError: Battery.of("24 V li-ion") | its capacity
 BatteryError: Battery.of("24 V 20 Ah unobtainium") | 'unobtainium' is no chemistry.*li-ion
 BatteryError: Battery.of("30 V 20 Ah lead-acid") | 30 V is no multiple of the 12 V
 BatteryError: Battery.of("24 V 0 Ah li-ion") | 0 Ah is not positive
+BatteryError: Battery.of("36 V 10 Ah li-ion 7S3P") | 36 V and 10 Ah cannot be those of 7S3P, .*19.6
+BatteryError: Battery.of("36 V 10 Ah 500 Wh li-ion 10S3P") | 500 Wh cannot be those of 10S3P
+BatteryError: Battery.of("24 V 20 Ah lead-acid 12S1P") | cannot be those of 12S1P, .*126 to 173 V
+BatteryError: Battery.of("2x20Ah 24 V lead-acid 2S2P") | both a number of batteries and counts
+BatteryError: Battery.of("9" * 400 + "S1P 3 Ah li-ion") | is no chemistry
+BatteryError: Battery.of("7S" + "9" * 400 + "P 3 Ah li-ion") | is no chemistry
+BatteryError: Battery.of("9" * 5000 + "x20Ah 24 V li-ion") | is no chemistry
+BatteryError: Battery.of("0S2P 3 Ah li-ion") | 0s2p is no pack
 BatteryError: Battery.of("480 Wh li-ion") | (?=.*voltage).*capacity
 BatteryError: Battery.of("12.8 V 20 Ah LiFePO4 -5 C") | '-5 c' may be .* temperature as -5 degC
 BatteryError: Battery.of("12.8 V 20 Ah LiFePO4 300 degC") | temperature is 300.0.*not kelvin

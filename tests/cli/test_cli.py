@@ -136,11 +136,42 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
 
 
 def test_range_takes_what_a_battery_holds_above_the_reserve(run: Run) -> None:
-    told = run("range", *OFFICE, "--battery", "quadriga", "--soc", 0.0015, "--reserve", 0.5,
+    """A reserve is a state of charge, as that of a mission."""
+    told = run("range", *OFFICE, "--battery", "quadriga", "--soc", 0.5012, "--reserve", 0.5,
                "--json").json["contours"]  # fmt: skip
-    power = ep.EnergyCost(PowerModel.preset(CONCRETE), battery=True)
-    usable = 0.5 * ep.Battery.preset("quadriga").usable_energy(most_power(power), 0.0015)
-    assert (told[-1]["energy"] if told else 0.0) == pytest.approx(float(usable))
+    power = most_power(ep.EnergyCost(PowerModel.preset(CONCRETE), battery=True))
+    above, below = ep.Battery.preset("quadriga").usable_energy(power, [0.5012, 0.5])
+    assert told[-1]["energy"] == pytest.approx(float(above - below))
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ("--battery quadriga --soc 20% --reserve 20%",
+         "the reserve 0.2 is not below the state of charge 0.2; charge first"),
+        ("--battery quadriga --soc 0", "the reserve 0 is not below the state of charge 0"),
+        ("--energy 500 --reserve 100%", "--reserve 100% leaves nothing of the energy"),
+    ],
+)  # fmt: skip
+def test_range_says_what_leaves_nothing(run: Run, options: str, why: str) -> None:
+    told = run("range", *OFFICE, *options.split())
+    assert told.code == 2
+    assert why in told.err
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("24 V 20 Ah lead-acid, usable 80 %", "is not above 0.2, at which the battery is cut off"),
+        ("24 V 4 Ah lead-acid 10 mohm", "deliver more current than it may"),
+        ("24 V 20 Ah lead-acid 900 mohm", "the voltage sags below cut-off"),
+    ],
+)  # fmt: skip
+def test_range_says_why_a_battery_delivers_nothing(run: Run, words: str, why: str) -> None:
+    told = run("range", *OFFICE, "--battery", words, "--soc", "20%")
+    assert told.code == 2
+    assert why in told.err
+    assert "the energy is" not in told.err
 
 
 def test_plan_counts_a_costmap_beside_the_energy(run: Run, tmp_path: Path) -> None:
@@ -208,3 +239,39 @@ def test_what_knows_no_map_says_that_it_leaves_a_slope_out(
     code, _, err = run(*command, tmp_path / out, "--model", plain)
     assert code == 0, err
     assert "left out" not in err
+
+
+@pytest.mark.parametrize("label", ["36 V 10 Ah li-ion 10S3P", "36 V 10 Ah 365 Wh li-ion 10S3P"])
+def test_a_mission_holds_what_its_pack_is_labelled_with(
+    run: Run, tmp_path: Path, label: str
+) -> None:
+    """Three hours at 200 W are not to be had from 360 Wh, however many strings it has."""
+    told = {}
+    for name, words in (("label", label), ("plain", "36 V 10 Ah li-ion")):
+        file = tmp_path / f"{name}.yaml"
+        file.write_text(
+            f"model: {CONCRETE}\nmap: office.yaml\nbattery: {words}\nstart: [1.2, 2.0, 90deg]\n"
+            "coefficient_spread: 0.05\nplanning_effort: 500\ntasks:\n"
+            "- {name: work, pose: [3.9, 2.0, 90deg], dwell: 3 h, power: 200 W}\n"
+        )
+        told[name] = run("mission", file, "--json").json
+    assert not told["label"]["feasible"]
+    (one,), (other,) = (told[name]["tasks"] for name in told)
+    assert one["shortfall"] == pytest.approx(other["shortfall"], rel=1e-6)
+    assert one["detail"] == other["detail"]
+    assert "Wh more than there is above the reserve" in one["detail"]
+    assert one["detail"] in run("mission", tmp_path / "label.yaml").out
+
+
+def test_a_mission_with_a_label_that_contradicts_itself_is_refused(
+    run: Run, tmp_path: Path
+) -> None:
+    file = tmp_path / "round.yaml"
+    file.write_text(
+        f"model: {CONCRETE}\nmap: office.yaml\nbattery: 36 V 10 Ah li-ion 7S3P\n"
+        "start: [1.2, 2.0, 90deg]\ntasks:\n- {name: look, pose: [3.9, 2.0, 90deg]}\n"
+    )
+    told = run("mission", file)
+    assert told.code == 2
+    assert "round.yaml, line 3, battery: " in told.err
+    assert "36 V and 10 Ah cannot be those of 7S3P" in told.err

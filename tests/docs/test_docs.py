@@ -329,6 +329,7 @@ def test_an_example_runs_as_the_overview_says(
     folder = tmp_path
     if name in RECORDED:
         folder = request.getfixturevalue("shared_data") / RECORDED[name]
+    shutil.copytree(ROOT / "maps", tmp_path / "maps")  # as where one runs them, in a checkout
     words = [str(folder) if word == "FOLDER" else word for word in lines[0]]
     monkeypatch.setattr(sys, "argv", words)
     with contextlib.chdir(tmp_path), contextlib.redirect_stdout(io.StringIO()) as out:

@@ -68,7 +68,8 @@ def test_the_archives_hold_what_runs_and_what_tests_it() -> None:
     assert {path.partition("/")[0] for path in wheel} == {"energyplan"}
     bundled = {Path(path).name for path in wheel if path.startswith("energyplan/bundle/")}
     maps = {file.name for file in (ROOT / "maps").iterdir() if file.is_file()} - {"make_maps.py"}
-    assert bundled == {*maps, "mission_warehouse.yaml", "fleet_warehouse.yaml"}
+    missions = {file.name for file in (ROOT / "examples").glob("*.yaml")}
+    assert bundled == maps | missions
     assert {"energyplan/py.typed", "energyplan/__init__.pyi"} <= wheel
 
 
@@ -171,6 +172,9 @@ def test_pages_install_extras_that_exist_and_one_page_lists_all() -> None:
     for page in [*pages, ROOT / "Containerfile", ROOT / ".ci" / "run"]:
         named = re.findall(r"(?:\bpip.*|install )(?:energyplan|\.)\[([\w,]+)\]", page.read_text())
         assert {one for names in named for one in names.split(",")} <= extras, page
+        # by its name it is installed from a folder of wheels alone
+        named = re.findall(r"pip\s+install[^`\n]*energyplan\[[^`\n]*", page.read_text())
+        assert [line for line in named if "--find-links" not in line] == [], page
     start = (ROOT / "docs" / "getting_started.md").read_text()
     table = start.partition("| extra |")[2].partition("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == extras

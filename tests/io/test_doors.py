@@ -147,13 +147,12 @@ def plan(asked: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 def reach(asked: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     problem, notes = problem_of(asked, battery="battery" in asked)
-    energy = asked.get("energy")
+    reserve = asked.get("reserve", 0.0)
+    usable = (1.0 - reserve) * asked.get("energy", 0.0)
     if "battery" in asked:
         battery = read_battery(asked["battery"])
-        energy = energy_of_charge(problem.cost, battery, asked.get("soc", 1.0))
+        usable = energy_of_charge(problem.cost, battery, asked.get("soc", 1.0), reserve)
         notes += battery.notes
-    assert energy is not None
-    usable = (1.0 - asked.get("reserve", 0.0)) * energy
     found = ep.energy_map(problem, energy=usable)
     document = documents.energy_map(found, found.areas(usable))
     return with_presets(document, models_of(problem)), notes
@@ -180,8 +179,8 @@ def assert_alike(one: Said, other: Said) -> None:
         ("plan", {"model": "wrong.yaml"}, "wrong.yaml, line 1"),
         ("plan", {"start": [-5, 1, 0]}, "outside the map"),
         ("range", {"energy": 400.0}, ""),
-        ("range", {"battery": "24 V 20 Ah lead-acid", "soc": 0.21, "reserve": 0.99}, "resistance"),
-        ("range", {"battery": "quadriga", "soc": 0.3, "reserve": 0.99, "map": "slope.yaml"},
+        ("range", {"battery": "24 V 20 Ah lead-acid", "soc": 0.21, "reserve": 0.209}, "resistance"),
+        ("range", {"battery": "quadriga", "soc": 0.3, "reserve": 0.299, "map": "slope.yaml"},
          WEIGHT),
         ("range", {"battery": "24 V of hope"}, "24 V of hope"),
     ],

@@ -124,7 +124,7 @@ def test_what_is_unusual_is_accepted_and_said_with_its_line(tmp_path):
     for old, new in {
         "power: 0.1 kW": "power: 100 kW", "200 W, until: 90 %": "100 kW, until: 90 %",
         "health: 80 %": "health: 30 %", "temperature: 10": "capacity: 2000 Ah",
-        "spread: 0.05": "spread: 60 %", "prize: 3": "payload: -500",
+        "spread: 0.05": "spread: 60 %", "prize: 3": "payload: 5000",
         "soc: 90 %": "soc: 90 %\nspeed: 20", "reserve: 20 %": "reserve: 80 %",
     }.items():  # fmt: skip
         assert old in text
@@ -134,13 +134,56 @@ def test_what_is_unusual_is_accepted_and_said_with_its_line(tmp_path):
         "line 27, reserve: 0.8", "line 8, coefficient_spread: 0.6", "line 7, speed: 20",
         "line 5, battery.capacity: 7.2e+06", "line 5, battery.health: 0.3",
         "line 17, tasks.0.power: 100000", "line 24, chargers.0.power: 100000",
-        "line 18, tasks.0.payload: it leaves 500",
+        "line 18, tasks.0.payload: 5000",
         "line 16, tasks.0.dwell: a standard deviation of 500",
     ]  # fmt: skip
     told = [note for note in mission.notes if note.startswith("round.yaml, line ")]
     assert [one for one in expected if not any(f"yaml, {one} " in note for note in told)] == []
     assert len(told) == len(expected)
     assert read_mission(written(tmp_path, GOOD)).notes == ()
+
+
+FETCH = "- {name: fetch, pose: [2.0, 5.0, 90deg], payload: 20}"
+LEAVE = "- {name: leave, pose: [2.0, 8.0, 90deg], payload: -20}"
+"""Tasks that take a payload on board and leave it."""
+
+
+HERE = "start: [1.5, 1.5, 90deg]"
+ROBOTS = (
+    "robots: [{name: a, start: [1.5, 1.5, 90deg]}, "
+    "{name: b, start: [3.5, 1.5, 90deg], payload: 5 kg}]"
+)
+
+
+def carrying(*tasks: str, more: tuple[str, ...] = (HERE,)) -> str:
+    head = "model: quadriga:empty:concrete", "map: warehouse.yaml", "battery: quadriga"
+    return "\n".join((*head, *more, "tasks:", *tasks))
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "most"),
+    [
+        (carrying(LEAVE, FETCH), 6, "at most 0 kg"),
+        (carrying(LEAVE, more=(HERE, "order: free", "payload: 5 kg")), 8, "at most 5 kg"),
+        (carrying(FETCH, LEAVE.replace("-20", "-500")), 7, "at most 20 kg"),
+        (carrying(LEAVE, more=(ROBOTS,)), 6, "at most 5 kg"),
+    ],
+    ids=["given", "free", "more than was taken", "robots"],
+)
+def test_a_task_that_leaves_what_cannot_be_on_board_is_refused(tmp_path, text, line, most):
+    said = rf"line {line}, tasks\.\d\.payload: it leaves .*{most}"
+    with pytest.raises(MissionError, match=said):
+        read_mission(written(tmp_path, text))
+
+
+def test_a_task_that_leaves_what_a_robot_may_have_on_board_is_read(tmp_path):
+    for text in (
+        carrying(FETCH, LEAVE),
+        carrying(LEAVE, FETCH, more=(HERE, "order: free")),
+        carrying(LEAVE, FETCH, more=(HERE, "payload: 20 kg")),
+        carrying(LEAVE, more=(ROBOTS.replace("5 kg", "20 kg"),)),
+    ):
+        read_mission(written(tmp_path, text))
 
 
 def test_a_person_names_files_in_sibling_folders_and_by_their_whole_path(tmp_path):

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from corridors import METRE, at, charger, corridor
 
+from energyplan.battery import Battery
 from energyplan.io.files import bundled
 from energyplan.io.mission import read_mission
-from energyplan.mission import MissionReport, Routes, evaluate
+from energyplan.mission import Charger, MissionReport, Routes, Spreads, evaluate
 from energyplan.output import documents, text
 from energyplan.output.pages import mission_page
+from energyplan.path import Pose
 from energyplan.power import PowerModel, Residual
 
 
@@ -187,3 +189,93 @@ def test_in_the_yard_the_route_decides_and_a_remedy_saves_the_task_out_of_reach(
     assert length[1] < 0.9 * length[0]
     held = mission.battery.usable_energy(50.0, [mission.soc, mission.reserve])
     assert saved.energy_upper < held[0] - held[1] < shortest.energy
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("24 V 4 Ah lead-acid 10 mohm, 25 degC", "deliver more current than it may"),
+        ("24 V 20 Ah lead-acid 700 mohm", "the voltage sags below cut-off"),
+    ],
+)
+def test_why_a_task_is_left_out_is_in_every_answer(words: str, why: str) -> None:
+    """The battery has enough charge; what it lacks is power, which the reason alone would hide."""
+    tool = at("drill", 11.0, dwell=60.0, power=600.0)
+    report = evaluate(corridor(1.0, (tool,), 5.0, battery=Battery.of(words)))
+    (task,) = report.tasks
+    assert task.reason == "battery"
+    assert (task.shortfall, why in task.detail) == (0.0, True)
+    assert any(task.detail in line for line in text.mission(report))
+    assert documents.mission(report)["tasks"][0]["detail"] == task.detail
+    assert task.detail in mission_page(report).html()
+    assert task.detail in report._repr_html_()
+
+
+def test_a_remedy_names_the_tasks_that_are_done_before() -> None:
+    """24 m there and back after two tasks on the way: the larger battery is for all three."""
+    tasks = {"a": 11.0, "b": 17.0, "c": 29.0}
+    (*_, last) = evaluate(corridor(5000.0, tasks, 5.0)).tasks
+    assert "(with 'a', 'b' done before it)" in last.remedy
+    (only,) = evaluate(corridor(5000.0, {"c": 29.0}, 5.0)).tasks
+    assert "before it" not in only.remedy
+    assert only.remedies
+
+
+def test_at_the_instant_of_a_departure_what_begins_then_is_under_way() -> None:
+    """A stay that begins at the instant in question is completed; a drive stands at its start."""
+    report = evaluate(corridor(1e5, (at("a", 11.0, dwell=60.0), at("b", 17.0)), 5.0))
+    stay = next(one for one in report.route if one.name == "a")
+    assert stay.departure == pytest.approx(stay.arrival + 60.0)
+    begun, just_before = report.at(stay.arrival), report.at(np.nextafter(stay.arrival, 0.0))
+    assert (begun.done, begun.time) == (("a",), stay.departure)
+    assert (just_before.done, just_before.time < stay.arrival) == ((), True)
+    left = report.at(stay.departure)
+    assert (left.done, left.time, left.pose[:2]) == (("a",), stay.departure, (11.0, 1.5))
+    assert left.soc == pytest.approx(stay.soc)
+
+
+def test_the_order_has_a_charger_at_the_end_once() -> None:
+    dock = charger(25.0, "dock")
+    task = {"a": 20.0}
+    ends = evaluate(corridor(1e5, task, 15.0, chargers=(dock,), return_to="charger"))
+    assert (ends.order, ends.end) == (("a", "dock"), "dock")
+    home = evaluate(corridor(1e5, task, 15.0, chargers=(dock,), return_to="start"))
+    assert (home.order, home.end) == (("a",), "start")
+    # it charges where it ends
+    stays = evaluate(
+        corridor(25 * METRE, {"a": 27.0}, 15.0, chargers=(dock,), return_to="charger", soc=0.5)
+    )
+    assert (stays.order, stays.end) == (("dock", "a", "dock"), "dock")
+    k = next(k for k, part in enumerate(stays.trip) if part.kind == "charge")
+    last = replace(stays.trip[-1], start="dock", goal="dock", pose=stays.trip[k].pose)
+    assert replace(stays, trip=(*stays.trip[: k + 1], last)).order == ("dock",)
+
+
+@pytest.mark.parametrize("order", ["given", "free"])
+@pytest.mark.parametrize("power", [600.0, 6000.0])
+def test_a_battery_takes_no_more_current_than_it_may(power: float, order: str) -> None:
+    """Lead-acid takes 0.3 times its capacity an hour: 6 A, of which 90 % is stored."""
+    dock = Charger("dock", Pose(15.0, 1.5, 0.0), power=power, until=0.6)
+    pack = Battery.of("24 V 20 Ah lead-acid 28 mohm")
+    report = evaluate(
+        corridor(
+            1.0, (at("a", 20.0, dwell=3600.0, power=150.0),), 15.0, battery=pack, soc=0.25,
+            reserve=0.2, chargers=(dock,), order=order,
+        )
+    )  # fmt: skip
+    assert report.feasible
+    (charge,) = report.charges
+    hours = (charge.arrival - charge.departure) / 3600
+    assert hours == pytest.approx((0.6 - 0.25) * 20 / (0.9 * 6.0), rel=0.01)
+    assert report.order == ("dock", "a")
+
+
+def test_chargers_supply_what_an_ideal_battery_takes() -> None:
+    """Nothing is lost in a battery without resistance: the energy is that of the charge."""
+    dock = charger(15.0, "dock")
+    report = evaluate(
+        corridor(40 * METRE, {"a": 30.0}, 15.0, chargers=(dock,), soc=0.2, spreads=Spreads.none())
+    )
+    taken = sum(part.soc[-1] - part.soc[0] for part in report.charges) * 40 * METRE
+    assert sum(one.energy for one in report.chargers) == pytest.approx(taken, rel=0.01)
+    assert taken > 0

@@ -10,7 +10,8 @@ import pytest
 from corridors import METRE, at, charger, corridor
 from worlds import tiny
 
-from energyplan.mission import Charger, Task, evaluate
+from energyplan.errors import MissionError
+from energyplan.mission import Charger, Robot, RobotState, Task, evaluate
 from energyplan.path import Pose
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import with_weight
@@ -140,6 +141,27 @@ def test_a_payload_that_is_taken_and_left(order: str) -> None:
     else:
         assert turned.task("leave").verdict == "unreachable"
         assert "takes the payload on board" in turned.task("leave").remedy
+        assert (turned.task("leave").reason, turned.task("leave").reachable_alone) == (
+            "payload", False,
+        )  # fmt: skip
+        assert "it leaves 10 kg, and 0 kg are on board" in turned.task("leave").detail
+
+
+@ORDERS
+def test_what_was_given_up_cannot_be_left(order: str) -> None:
+    """The robot goes on without the payload; what it drives never weighs less than itself."""
+    take, leave = at("take", 20.0, payload=10.0), at("leave", 30.0, payload=-500.0)
+    asked = corridor(1e5, (take, leave, at("look", 10.0)), 15.0, order=order)
+    told = evaluate(asked.resume(asked.start, 1.0, ["take"], payload=0.0))
+    assert {one.name: one.reason for one in told.tasks} == {"leave": "payload", "look": "none"}
+    alone = evaluate(corridor(1e5, {"look": 10.0}, 15.0, order=order))
+    assert told.energy == pytest.approx(alone.energy)
+    with pytest.raises(MissionError, match="leave 500 kg more than was ever on board"):
+        asked.resume(asked.start, 1.0, ["leave"])
+    both = replace(asked, robots=(Robot("one"),))
+    state = RobotState(asked.start, 1.0, ("leave",))
+    with pytest.raises(MissionError, match="leave 500 kg more than was ever on board"):
+        both.resume_robots({"one": state})
 
 
 @ORDERS

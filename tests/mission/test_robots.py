@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from energyplan.mission import (
     Task,
     evaluate,
 )
+from energyplan.output import documents, text
 from energyplan.output.pages import mission_page
 from energyplan.path import Pose
 from energyplan.ros import mission_answer
@@ -143,6 +145,12 @@ def test_what_no_robot_can_do_is_told_with_its_reasons() -> None:
     [left] = report.left_out
     assert left.name == "c"
     assert left.reasons == ("battery", "battery")
+    assert (left.reason, left.reachable_alone) == ("battery", False)
+    for name in ("west", "middle"):
+        assert re.search(rf"{name}: with the way back to start it may take \d+ Wh, ", left.detail)
+    assert left.detail in "\n".join(text.mission(report))
+    (out,) = documents.mission(report)["left_out"]
+    assert (out["name"], out["detail"]) == ("c", left.detail)
     assert not report.feasible
 
 
@@ -205,11 +213,27 @@ def test_a_report_of_several_robots_is_read_as_one() -> None:
     assert report.duration == max(one.duration for one in report.robots)
     assert len(report.legs) == sum(len(one.legs) for one in report.robots)
     assert [one.name for one in report.tasks] == ["a", "b", "c"]
-    with pytest.raises(MissionError, match="each of several robots has its own end"):
+    with pytest.raises(MissionError, match=r"use report.robot\(NAME\).end, where NAME is one of"):
         _ = report.soc_end
     page = mission_page(report).html()
     assert page.count("<figure>") == 4
     assert ">west</h2>" in page
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda report: report.at(10.0), lambda report: report.timeline,
+        lambda report: report.route, lambda report: report.order,
+        lambda report: report.timetable, lambda report: report.done_by(10.0),
+    ],
+    ids=["at", "timeline", "route", "order", "timetable", "done_by"],
+)  # fmt: skip
+def test_what_each_of_several_robots_has_is_read_of_one(read: Any) -> None:
+    report = evaluate(shared(robot("west", 4.0), robot("east", 28.0)))
+    with pytest.raises(MissionError, match=r"report\.robot\(NAME\)\.\w+, where .*'west', 'east'"):
+        read(report)
+    read(report.robot("west"))
 
 
 def test_a_task_for_whose_skills_no_robot_is_left_is_not_done() -> None:

@@ -195,6 +195,6 @@ def test_without_the_extra_the_error_names_it(
     for command in (["drive", file], loop):
         done = run(*command, *model)
         assert done.code == 2
-        assert "energyplan[physics]" in done.err
+        assert "[physics]" in done.err
     # A design needs no engine.
     assert run("design", *model, "--duration", "20").code == 0

@@ -74,10 +74,11 @@ order: free
 return_to: start
 planning_effort: 1000
 start: [1.2, 2.0, 90deg]
+time: 1 h
 places: {door: [3.9, 2.0, 90deg]}
 chargers: [{name: dock, pose: [1.2, 2.0, 90deg], power: 100 W}]
 tasks:
-  - {name: pump, pose: door, dwell: {mean: 20 min, std: 1 min}, power: 60 W, window: [0, 2 h]}
+  - {name: pump, pose: door, dwell: {mean: 20 min, std: 1 min}, power: 60 W, window: [0, 3 h]}
   - {name: meter, pose: [3.9, 5.0, 90deg], dwell: 5 min, power: 30 W}
   - {name: hall, pose: [6, 2, 0], dwell: 4 h, power: 200 W, required: false}
 """
@@ -234,17 +235,20 @@ def test_the_mission_that_was_prepared_is_opened_changed_and_answered(
         [one.input_value() for one in row.locator("input[type=number]").all()]
         for row in page.locator("#tasks tr:has(td)").all()
     ]
-    assert rows == [["20", "60", "", "120"], ["5", "30", "", ""], ["240", "200", "", ""]]
+    assert rows == [["20", "60", "", "180"], ["5", "30", "", ""], ["240", "200", "", ""]]
     page.click("text=Will it last?")
     page.wait_for_selector("#verdicts table", timeout=120_000)
     as_it_is = yaml.safe_load(ROUND)
     assert sent.pop() == {"mission": "north/round.yaml", "document": as_it_is}
     before = page.inner_text("#verdicts")
-    assert "hall: out of reach; the battery does not last. Remedy: " in before
+    assert "hall: out of reach; the battery does not last. With the way back to " in before
+    assert "Wh more than there is above the reserve. Remedy: " in before
     assert re.search(r"\d J|no_path|out of reach: ", before) is None
     names = page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
     hours = opened.hours()
     assert hours == sorted(hours) and names[-1] == "end, at start" and {"pump", "meter"} < {*names}
+    assert hours[0] >= 1.0  # on the clock of the mission, which begins at one
+    assert page.locator("#verdicts tr:last-child td:nth-child(4)").inner_text() == "–"  # no energy
     page.locator("[title='2'].leaflet-marker-icon").focus()
     page.keyboard.press("Shift+ArrowUp")
     assert page.locator("#verdicts.stale").count() == 1
@@ -288,6 +292,9 @@ def test_a_mission_of_several_robots_is_opened_changed_and_answered(
         names = page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
         assert {name.partition(":")[0] for name in names} == {"alpha", "beta", "gamma"}
         assert {"alpha: end, at start", "gamma: scan the far shelf"} < {*names}
+        assert re.search(
+            r"alpha takes [\d.]+ Wh, beta .* Wh\. The whole", page.inner_text("#verdicts")
+        )
         hours = opened.hours()
         assert hours == sorted(hours)
         tints = {one.get_attribute("stroke") for one in page.locator("path[fill=none]").all()}

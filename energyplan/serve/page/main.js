@@ -331,6 +331,7 @@ const clock = (t) => {
 const REASONS = {
   no_path: "no drivable path leads there", motor: "a turn on the way is beyond the motors' limits",
   late: "its time window is over by then", time_limit: "no route was found in the time for planning",
+  payload: "it leaves more than is on board",
   battery: "the battery does not last", blocked_by_earlier: "alone it could be done, but not with the other tasks",
 };
 
@@ -355,13 +356,14 @@ function verdicts(told) {
       .map((task) => row(one, [task.name, "good"], task.arrival, task.departure, energy(task.energy), task.soc_after)),
     ...one.timetable.filter(({ kind }) => kind === "charge")
       .map((stay) => row(one, [`charging at ${stay.place}`, ""], stay.start, stay.end, "–", stay.soc_end)),
-    row(one, [one.tasks.length ? `end, at ${one.end}` : "nothing to do", ""], one.duration, one.duration, energy(one.energy), one.soc_end),
+    row(one, [one.tasks.length ? `end, at ${one.end}` : "nothing to do", ""], one.route.at(-1).arrival, one.route.at(-1).arrival, "–", one.soc_end),
   ]).sort(([[a]], [[b]]) => a - b).map(([, cells]) => cells);
   const why = (task) => [...new Set(told.left_out?.find(({ name }) => name === task.name)?.reasons ?? [task.reason])]
     .map((reason) => REASONS[reason] ?? reason).join("; ") || "no robot has the skills";
   const left = told.tasks.filter((task) => task.verdict !== "reachable").map((task) => element("p",
-    `${task.name}: out of reach; ${why(task)}.${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
-  const most = `The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`;
+    `${task.name}: out of reach; ${why(task)}.${task.detail ? ` ${task.detail[0].toUpperCase()}${task.detail.slice(1)}.` : ""}${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
+  const shares = several ? `${each.map((one) => `${one.name} takes ${energy(one.energy)}`).join(", ")}. ` : "";
+  const most = `${shares}The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`;
   $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows), element("p", most, "hint"),
     ...told.warnings.map((text) => element("p", text, "hint")));
   const ink = getComputedStyle(document.body).color;
