@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-WHY = "the nodes need ROS 2 and are built by colcon: `.ci/ros` does both in a container"
+WHY = "the nodes need ROS 2: `.ci/nodes` runs these tests with wheels, `.ci/ros` in a container"
 rclpy = pytest.importorskip("rclpy", reason=WHY, exc_type=ImportError)
 pytest.importorskip("energyplan_ros", reason=WHY, exc_type=ImportError)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

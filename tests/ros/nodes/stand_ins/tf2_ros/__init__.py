@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 
-class TransformException(Exception):
+class TransformException(Exception):  # noqa: N818  as ROS names it
     """No transform is known."""
 
 
