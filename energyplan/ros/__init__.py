@@ -9,9 +9,11 @@ from energyplan.ros.messages import (
     costs_from_message,
     footprint_from_message,
     grid_from_message,
+    note_of_keepout,
     path_to_message,
     pose_from_message,
     pose_from_transform,
+    speed_limit_from_message,
     updated_grid,
     write_recording,
 )  # fmt: skip
@@ -37,6 +39,7 @@ __all__ = [
     "Answer", "DriveFeed", "ThroughPosesError", "ToPoseError", "aborted", "answer",
     "blocked_poses", "costs_from_message", "diagnostics_message", "error_code", "fill_result",
     "footprint_from_message", "grid_from_message", "mission_answer", "model_values",
-    "path_to_message", "plan_values", "pose_from_message", "pose_from_transform",
-    "request_to_problems", "updated_grid", "warm_up", "write_recording",
+    "note_of_keepout", "path_to_message", "plan_values", "pose_from_message",
+    "pose_from_transform", "request_to_problems", "speed_limit_from_message", "updated_grid",
+    "warm_up", "write_recording",
 ]  # fmt: skip

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from energyplan.errors import FrameError, InvalidInputError, MessageError, needs_extra
 from energyplan.io.files import atomic_write
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.records import NO_NUMBER
-from energyplan.terrain import CostMap, OccupancyGrid
+from energyplan.terrain import CostMap, OccupancyGrid, SpeedLimit
 from energyplan.vehicle import Vehicle
 
 Factory = Callable[[str], Callable[..., Any]]
@@ -23,6 +24,9 @@ Factory = Callable[[str], Callable[..., Any]]
 
 OCCUPIED_OF_MAP = 65
 """Occupancy from which on a cell of nav_msgs/OccupancyGrid is occupied: map_server's 0.65 [%]."""
+
+KEEPOUT = 100
+"""Value from which on a cell of a keep-out mask is closed."""
 
 LETHAL, NO_INFORMATION = 254, 255
 """Costs of nav2_msgs/Costmap: an obstacle in the cell; nothing known of it."""
@@ -113,10 +117,31 @@ def updated_grid(
     grid: OccupancyGrid, message: Any, *, occupied_from: int | None = None, frame: str | None = None
 ) -> OccupancyGrid:
     """Return a map with the patch of a map_msgs/OccupancyGridUpdate; `frame` is the map's."""
-    check_frame(message, frame, "patch of the map")
+    if field(message, "header.frame_id"):  # where none is named, the map's
+        check_frame(message, frame, "patch of the map")
     cells = _cells(message, occupied_from)
     column, row = _numbers(message, "x", "y")
     return grid.updated(cells.occupied, int(row), int(column), cells.unknown)
+
+
+def note_of_keepout(message: Any) -> str:
+    """Say of how many cells of a keep-out mask the value closes nothing; empty for none."""
+    cells = _cells(message, KEEPOUT)
+    grey, unknown = int(((cells.values > 0) & (cells.values < KEEPOUT)).sum()), cells.unknown.sum()
+    several = [f"{grey} cells from 1 to {KEEPOUT - 1}"] * bool(grey)
+    several += [f"{unknown} unknown cells"] * bool(unknown)
+    if not several:
+        return ""
+    return f"{' and '.join(several)} are open; give {KEEPOUT} where the robot must not go"
+
+
+def speed_limit_from_message(message: Any, area: BaseGeometry) -> SpeedLimit | None:
+    """Return the limit of a nav2_msgs/SpeedLimit in an area; None where it lifts the limit."""
+    (speed,) = _numbers(message, "speed_limit")
+    if speed == 0.0:
+        return None
+    share = bool(field(message, "percentage"))
+    return SpeedLimit(area, float(speed) / (100 if share else 1), share)
 
 
 def costs_from_message(message: Any) -> CostMap:

@@ -10,7 +10,7 @@ import json
 import time
 from cmath import rect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import partial
 from itertools import pairwise
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from energyplan import errors
 from energyplan.cost import EnergyCost
@@ -32,6 +33,7 @@ from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.planning.budget import EFFORT
+from energyplan.planning.driven import drive_plan
 from energyplan.planning.ends import checked_ends
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.planner import compile_planning
@@ -42,8 +44,9 @@ from energyplan.ros.messages import (
     path_to_message,
     pose_from_message,
     pose_from_transform,
+    speed_limit_from_message,
 )  # fmt: skip
-from energyplan.terrain import OccupancyGrid
+from energyplan.terrain import OccupancyGrid, with_limits
 from energyplan.vehicle import Vehicle
 
 
@@ -295,6 +298,10 @@ STALE = 1.0
 """Age at which the last value of a channel is no longer taken for the present one [s]."""
 
 
+ENOUGH = 100
+"""Samples from which on the sign of the power can be told."""
+
+
 class DriveFeed:
     """Feeds an `OnlineIdentifier` from the messages of several topics.
 
@@ -317,10 +324,24 @@ class DriveFeed:
             )
         self.identifier = identifier
         self.samples = 0  # fed so far
+        self._below = 0  # of them with a power below zero
         self._topics = topics
         self._sums: dict[str, tuple[float, int]] = {}
         self._last: dict[str, tuple[float, float]] = {}
         self._t, self._power_since = float("-inf"), float("inf")
+
+    @property
+    def wrong_sign(self) -> str:
+        """Say that the power is below zero in most samples; empty where it is not."""
+        if self.samples < ENOUGH or self._below <= self.samples / 2:
+            return ""
+        names = self._ways[0]
+        topics = (one.topic for name in names for one in self._topics.channels[name])
+        return (
+            f"the power is below zero in {self._below} of {self.samples} samples, as if driving "
+            f"charged the battery; give the other sign to the scale of {names[-1]} in the topic "
+            f"map ({' or '.join(dict.fromkeys(topics))})"
+        )
 
     @property
     def topics(self) -> Sequence[str]:
@@ -374,11 +395,15 @@ class DriveFeed:
         changed = self.identifier.update(t, left, right, power, **more)
         self._t = t
         self.samples += 1
+        self._below += power < 0
         return changed
 
 
-def plan_values(answer: Answer) -> dict[str, str]:
-    """Return the values of a plan for diagnostics: energy, bound [J] and the time it took [s]."""
+def plan_values(answer: Answer, limit: Any = None) -> dict[str, str]:
+    """Return the values of a plan for diagnostics: energy, bound [J] and the time it took [s].
+
+    With a nav2_msgs/SpeedLimit also what driving the paths takes under it.
+    """
     if not answer.plans:
         return {"error": answer.message}
     return {
@@ -386,7 +411,33 @@ def plan_values(answer: Answer) -> dict[str, str]:
         "lower bound [J]": f"{answer.lower_bound:.6g}",
         "length [m]": f"{sum(plan.length for plan in answer.plans):.6g}",
         "planning time [s]": f"{answer.planning_time:.3g}",
+        **(_limited(answer.plans, limit) if limit is not None else {}),
         **{f"note {k}": note for k, note in enumerate(answer.notes, start=1)},
+    }
+
+
+def _limited(plans: Sequence[Plan], message: Any) -> dict[str, str]:
+    """Return what driving plans takes under a speed limit that holds everywhere."""
+    vertices = np.concatenate([plan.path.poses() for plan in plans])
+    area = shapely.box(*vertices[:, :2].min(axis=0) - 1.0, *vertices[:, :2].max(axis=0) + 1.0)
+    unit = "% of the top speed" if field(message, "percentage") else "m/s"
+    name = f"speed limit {field(message, 'speed_limit'):g} {unit}"
+    try:
+        limit = speed_limit_from_message(message, area)
+        if limit is None:
+            return {}
+        driven = []
+        for plan in plans:
+            problem = plan.problem
+            assert problem is not None  # a plan that was just made has one
+            slow = replace(problem, surfaces=with_limits(problem.surfaces, [limit]))
+            driven.append(drive_plan(slow, plan.path))
+    except errors.EnergyPlanError as error:
+        return {name: f"left out: {error}"}
+    return {
+        name: "counts in what follows; the route was chosen without it",
+        "driven energy [J]": f"{sum(one.energy for one in driven):.6g}",
+        "driving time [s]": f"{sum(one.duration for one in driven):.6g}",
     }
 
 

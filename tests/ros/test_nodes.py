@@ -9,13 +9,15 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-WHY = "the nodes need ROS 2 and are built by colcon: `.ci/ros` does both in a container"
+WHY = "the nodes need ROS 2: `.ci/nodes` runs these tests with wheels, `.ci/ros` in a container"
 rclpy = pytest.importorskip("rclpy", reason=WHY, exc_type=ImportError)
 pytest.importorskip("energyplan_ros", reason=WHY, exc_type=ImportError)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -30,16 +32,19 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from lifecycle_msgs.srv import ChangeState, GetState
 from map_msgs.msg import OccupancyGridUpdate
 from nav2_msgs.action import ComputePathToPose
+from nav2_msgs.msg import SpeedLimit
 from nav2_msgs.srv import ClearEntireCostmap, IsPathValid
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.action import ActionClient, ActionServer
 from rclpy.duration import Duration
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, JointState
+
+import energyplan as ep
+from energyplan.power import HOTEL
 
 CONFIGURE, ACTIVATE, DEACTIVATE = 1, 3, 4
 HALL = np.zeros((60, 80))
@@ -62,7 +67,7 @@ class Running:
     def __init__(self, make: Callable[[], Any]) -> None:
         self.node, self.client = make(), rclpy.create_node("client")
         self.goals = ActionClient(self.client, ComputePathToPose, "compute_path_to_pose")
-        self.executor = MultiThreadedExecutor(num_threads=running.THREADS)
+        self.executor = running.Executor()
         self.ending = threading.Event()
         self.thread = threading.Thread(target=self.spin, daemon=True)
 
@@ -280,6 +285,77 @@ def test_is_path_valid_looks_from_the_robot_on(active: Running) -> None:
     assert not asked(PathMessage()).is_valid
 
 
+def test_is_path_valid_says_whether_it_could_answer_where_the_service_asks(
+    active: Running,
+) -> None:
+    path = PathMessage(poses=[stamped(0.1 * k, 3.0) for k in range(20, 60)])
+
+    def asked(path: PathMessage) -> Any:
+        response = SimpleNamespace(is_valid=None, success=None)
+        return active.node.on_is_path_valid(SimpleNamespace(path=path), response)
+
+    found = asked(path)
+    assert (found.is_valid, found.success) == (False, False)  # the robot's position is not known
+    active.robot_at(2, 3)
+    found = asked(path)
+    assert (found.is_valid, found.success) == (True, True)
+    found = asked(PathMessage())
+    assert (found.is_valid, found.success) == (False, True)
+
+
+def test_a_failed_goal_leaves_the_former_plan(active: Running) -> None:
+    active.robot_at(2, 3)
+    assert active.plan(stamped(6, 3)).error_code == 0
+    former = active.node.answered
+    active.robot_at(2, 3, 80.0)
+    assert active.plan(stamped(6, 3)).error_code == 202
+    assert active.node.answered is former
+    active.robot_at(2, 3)
+    assert active.plan(stamped(6, 3)).error_code == 0
+    assert active.node.answered.plans[0].effort == 0
+
+
+def test_open_cells_of_a_mask_are_said_once(active: Running, capfd: Any) -> None:
+    cells = WALLED.copy()
+    cells[:30, 40], cells[30:, 41] = 99, -1
+    for _ in range(2):
+        active.node.on_mask(grid_message(cells))
+    said = capfd.readouterr().err
+    assert said.count("30 cells from 1 to 99 and 30 unknown cells are open; give 100") == 1
+
+
+def test_plans_are_timed_by_a_speed_limit(
+    start: Start, monkeypatch: pytest.MonkeyPatch, capfd: Any, tmp_path: Path
+) -> None:
+    """The longer computers draw power, the more energy driving takes."""
+    model = ep.PowerModel.preset("quadriga:empty:concrete").with_term(HOTEL, 20.0)
+    ep.write_model(model, tmp_path / "model.yaml")
+    active = start("-p", f"model:={tmp_path / 'model.yaml'}", "-p", "effort:=1000")
+    active.activate()
+    hear(active.node, "/map", grid_message(HALL))
+    told: list[DiagnosticArray] = []
+    monkeypatch.setattr(active.node.diagnostics, "publish", told.append)
+
+    def planned(**limit: Any) -> dict[str, str]:
+        hear(active.node, "/speed_limit", SpeedLimit(**limit))
+        assert active.plan().error_code == 0
+        return {pair.key: pair.value for pair in told[-1].status[0].values}
+
+    slow = planned(speed_limit=0.1)
+    assert "the route was chosen without it" in slow["speed limit 0.1 m/s"]
+    assert float(slow["driving time [s]"]) > 39.0  # for 4 m
+    share = planned(speed_limit=20.0, percentage=True)
+    assert 5.0 < float(share["driving time [s]"]) < float(slow["driving time [s]"])
+    more, longer = (
+        float(slow[key]) - float(share[key]) for key in ("driven energy [J]", "driving time [s]")
+    )
+    assert more == pytest.approx(20.0 * longer, rel=0.05)
+    assert "driving time [s]" not in planned(speed_limit=0.0)
+    hear(active.node, "/speed_limit", SpeedLimit(speed_limit=-1.0))
+    assert "speed limit: " in capfd.readouterr().err
+    assert active.node.limit.speed_limit == 0.0
+
+
 def test_what_a_cleared_costmap_leaves_is_planned_anew(active: Running) -> None:
     active.plan()
     assert active.node.answered is not None
@@ -294,23 +370,90 @@ def test_a_mission_is_evaluated_from_a_folder(start: Start, tmp_path: Path) -> N
     assert "error" in answer and "model" in answer
 
 
-def test_goals_that_wait_or_are_planned_end_by_cancel_and_by_deactivating(active: Running) -> None:
-    active.node.settings["time_limit"] = 60.0
-    wall = HALL.copy()
-    wall[5:, 40:42] = 100
-    hear(active.node, "/map", grid_message(wall))
+def test_a_newer_goal_ends_the_older_and_all_end_by_cancel_and_by_deactivating(
+    active: Running,
+) -> None:
     active.node.planning.acquire()  # as a plan that is under way does
-    first, second, third = (active.send(stamped(6, 3), stamped(2, 3)) for _ in range(3))
+    first = active.send(stamped(6, 3), stamped(2, 3))
+    second = active.send(stamped(5, 3), stamped(2, 3))
+    found = ended(first)
+    assert found.status == GoalStatus.STATUS_ABORTED
+    assert "a newer goal has come" in found.result.error_msg
     cancelled = second.cancel_goal_async()
     until(cancelled.done)
     assert ended(second).status == GoalStatus.STATUS_CANCELED
+    third = active.send(stamped(6, 3), stamped(2, 3))
     busy = active.node.stop()
     active.node.planning.release()
-    for one in (first, third):
-        found = ended(one)
-        assert found.status == GoalStatus.STATUS_ABORTED
-        assert "deactivated" in found.result.error_msg
+    found = ended(third)
+    assert found.status == GoalStatus.STATUS_ABORTED
+    assert "deactivated" in found.result.error_msg
     until(lambda: not busy())
+
+
+def test_a_newer_goal_is_planned_while_the_older_is(
+    active: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, answer = threading.Event(), planner.ros.answer
+
+    def endless(request: Any, *args: Any, unwanted: Any, **options: Any) -> Any:
+        if request.goal.pose.position.x != 6.0:
+            return answer(request, *args, unwanted=unwanted, **options)
+        begun.set()
+        until(unwanted)
+        raise planner.CancelledError("the plan is not wanted any more")
+
+    monkeypatch.setattr(planner.ros, "answer", endless)
+    older = active.send(stamped(6, 3), stamped(2, 3))
+    assert begun.wait(60.0)
+    assert active.plan(stamped(5, 3), stamped(2, 3)).error_code == 0
+    assert ended(older).status == GoalStatus.STATUS_ABORTED
+
+
+def test_a_task_is_handed_to_the_threads_once(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All threads are busy, so tasks wait; meanwhile the executor hears what else comes."""
+    start(spun=False)
+    handed: list[Any] = []
+    submit = ThreadPoolExecutor.submit
+
+    def counted(pool: Any, *args: Any) -> Any:
+        handed.append(args)
+        return submit(pool, *args)
+
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", counted)
+    executor, free, done = running.Executor(), threading.Event(), list[int]()
+
+    def work(number: int) -> None:
+        free.wait(60.0)
+        done.append(number)
+
+    count = running.THREADS + 2
+    tasks = [executor.create_task(work, number) for number in range(count)]
+    for _ in range(5 * count):
+        executor.spin_once(timeout_sec=0.0)
+    assert len(handed) == count
+    free.set()
+    until(lambda: all(task.done() for task in tasks))
+    assert sorted(done) == list(range(count))
+    executor.shutdown()
+
+
+def test_a_task_that_waits_for_another_goes_on_after_it(start: Start) -> None:
+    start(spun=False)
+    executor = running.Executor()
+
+    async def both() -> int:
+        return await executor.create_task(lambda: 1) + 1
+
+    task = executor.create_task(both)
+    for _ in range(200):
+        executor.spin_once(timeout_sec=0.05)
+        if task.done():
+            break
+    assert task.result() == 2
+    executor.shutdown()
 
 
 @pytest.mark.parametrize("steps", [(4,), (3,), (2,), (99,), (1, 1), (1, 3, 3), (1, 3, 1), (5, 1)])
@@ -450,13 +593,33 @@ def test_a_parameter_that_cannot_be_is_said_in_a_line(
     assert said in line
 
 
-@pytest.mark.parametrize("make", [planner.PlannerNode, identifier.IdentifierNode])
-def test_parameters_stay_as_they_are(make: Callable[[], Any], start: Start) -> None:
-    node = start(make=make, spun=False).node
-    same = [Parameter(name, value=value) for name, value in node.settings.items()]
-    for result in node.set_parameters(same):
+def test_parameters_change_at_run_time_or_say_that_they_need_a_restart(start: Start) -> None:
+    node = start(spun=False).node
+    values = {"time_limit": 5.0, "effort": 7000, "clearance": 0.2, "transform_tolerance": 2.0}
+
+    def changed(name: str, value: Any) -> Any:
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        return result
+
+    for name, value in values.items():
+        assert changed(name, value).successful
+        assert node.settings[name] == value
+    for name, value in (("time_limit", -1.0), ("clearance", 2), ("effort", -1)):
+        assert not changed(name, value).successful
+        assert node.settings[name] == values[name]
+    for name in set(node.settings) - set(values):
+        was = node.settings[name]
+        result = changed(name, was)
         assert not result.successful
-        assert "read-only" in result.reason
+        assert f"{name} is read when the node starts" in result.reason
+
+
+def test_the_identifier_says_that_its_parameters_need_a_restart(start: Start) -> None:
+    node = start(make=identifier.IdentifierNode, spun=False).node
+    for name, value in node.settings.items():
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful
+        assert "start it again" in result.reason
 
 
 # -- the identifier ------------------------------------------------------------------------------
@@ -507,6 +670,28 @@ def test_the_identifier_learns_from_joint_states_and_a_battery_by_its_own_map(
     assert "v_left" in found.message
     assert "voltage" in found.message
     assert "power (" not in found.message  # the battery is what it learns from
+
+
+def test_the_identifier_names_a_current_of_the_wrong_sign(
+    start: Start, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    node, clock, told = learning(start).node, [100.0], list[DiagnosticArray]()
+    monkeypatch.setattr(node, "now", lambda: clock[0])
+    monkeypatch.setattr(node.diagnostics, "publish", told.append)
+    topics = [("/joint_states", JOINTS), ("/battery_state", BATTERY)]
+    monkeypatch.setattr(node, "get_topic_names_and_types", lambda: topics)
+    node.listen()
+    wheels = ["front_left", "front_right", "rear_left", "rear_right"]
+    for _ in range(160):
+        clock[0] += 0.05
+        hear(node, "/joint_states", JointState(name=wheels, velocity=[10.0, 8.0, 10.0, 8.0]))
+        hear(node, "/battery_state", BatteryState(voltage=25.0, current=4.0))
+    node.tell()
+    found = told[-1].status[0]
+    assert found.level == b"\x02"
+    assert "give the other sign to the scale of current" in found.message
+    assert "battery_state" in found.message
+    assert "the power is below zero" in capfd.readouterr().err
 
 
 def test_the_identifier_hears_and_tells_while_the_simulated_clock_stands_still(

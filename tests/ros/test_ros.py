@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 import energyplan as ep
 from energyplan import ros
@@ -574,3 +575,52 @@ def test_costs_of_a_costmap_become_soft_costs(jazzy: Wire) -> None:
     soft = ros.costs_from_message(jazzy.map([[0, 50, -1], [100, 25, 0]], (1.0, 2.0, 0.5)))
     np.testing.assert_allclose(soft.costs, [[0, 0.5, 0], [1, 0.25, 0]])
     np.testing.assert_allclose(soft.origin, (1.0, 2.0, 0.5), atol=1e-12)
+
+
+def test_an_update_without_a_frame_is_in_the_maps(jazzy: Wire) -> None:
+    patch = SimpleNamespace(
+        header=jazzy.header(""), x=10, y=20, width=1, height=1, data=np.array([100], np.int8)
+    )
+    assert ros.updated_grid(GRID, patch, frame="map").occupied[20, 10]
+    patch.header = jazzy.header("odom")
+    with pytest.raises(FrameError, match="'odom', expected 'map'"):
+        ros.updated_grid(GRID, patch, frame="map")
+
+
+def test_open_cells_of_a_keepout_mask_are_counted(jazzy: Wire) -> None:
+    note = ros.note_of_keepout(jazzy.map([[0, 1, 99], [100, -1, 50]]))
+    assert note.startswith("3 cells from 1 to 99 and 1 unknown cells are open")
+    assert ros.note_of_keepout(jazzy.map([[0, 100]])) == ""
+
+
+def test_a_speed_limit_is_of_speed_or_share_and_zero_lifts_it() -> None:
+    area = shapely.box(0, 0, 1, 1)
+
+    def limit(speed: float, percentage: bool) -> Any:
+        message = SimpleNamespace(speed_limit=speed, percentage=percentage)
+        return ros.speed_limit_from_message(message, area)
+
+    assert limit(0.0, False) is None
+    assert limit(0.0, True) is None
+    assert limit(0.3, False).of(COST.vehicle) == 0.3
+    assert limit(50.0, True).of(COST.vehicle) == pytest.approx(0.5 * COST.vehicle.motor.speed)
+    for speed, percentage in ((-1.0, False), (120.0, True), (np.nan, False)):
+        with pytest.raises((MapError, MessageError)):
+            limit(speed, percentage)
+
+
+def test_a_power_below_zero_is_named_after_a_hundred_samples() -> None:
+    feed = ros.DriveFeed(OnlineIdentifier(COST.model), TOPICS)
+    wheels = SimpleNamespace(name=["left", "right"], velocity=[1.0, 1.0])
+    for k in range(99):
+        feed.take("joint_states", wheels, 0.1 * k)
+        feed.take("battery_state", SimpleNamespace(voltage=25.0, current=2.0), 0.1 * k + 0.01)
+    assert feed.wrong_sign == ""
+    feed.take("joint_states", wheels, 9.9)
+    feed.take("battery_state", SimpleNamespace(voltage=25.0, current=2.0), 9.91)
+    assert "below zero in 100 of 100 samples" in feed.wrong_sign
+    assert "scale of current" in feed.wrong_sign
+    for k in range(101, 202):
+        feed.take("joint_states", wheels, 0.1 * k)
+        feed.take("battery_state", SimpleNamespace(voltage=25.0, current=-2.0), 0.1 * k + 0.01)
+    assert feed.wrong_sign == ""

@@ -14,8 +14,8 @@ try:
 except ImportError:  # without the package there is no bond: lifecycle_manager's bond_timeout is 0
     Status = None
 
-TOPIC, PERIOD, TIMEOUT = "bond", 0.5, 4.0
-"""Topic and timeout [s] as nav2_util::LifecycleNode has them; eight heartbeats in a timeout."""
+TOPIC, PERIOD, TIMEOUT = "bond", 0.1, 4.0
+"""Topic, period and timeout [s], as nav2_util::LifecycleNode has them."""
 
 
 class Bond:

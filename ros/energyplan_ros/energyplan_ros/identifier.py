@@ -86,10 +86,19 @@ class IdentifierNode(Node):
         if missing:
             message = f"nothing to learn from in {self.get_namespace()}: no {missing}"
             self.get_logger().warning(message, throttle_duration_sec=60.0)
+        wrong = self.feed.wrong_sign
+        if wrong:
+            message = f"{message}; {wrong}"
+            self.get_logger().warning(wrong, throttle_duration_sec=60.0)
         stamp = self.get_clock().now().to_msg()
         self.diagnostics.publish(
             ros.diagnostics_message(
-                "energyplan: model", message, values, stamp, get_message, error=bool(missing)
+                "energyplan: model",
+                message,
+                values,
+                stamp,
+                get_message,
+                error=bool(missing or wrong),
             )
         )
         if self.settings["out"] and self.feed.samples:

@@ -12,11 +12,13 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import shapely
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped
 from lifecycle_msgs.srv import ChangeState
 from map_msgs.msg import OccupancyGridUpdate
 from nav2_msgs.action import ComputePathThroughPoses, ComputePathToPose
+from nav2_msgs.msg import SpeedLimit
 from nav2_msgs.srv import ClearEntireCostmap, IsPathValid
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -33,7 +35,7 @@ import energyplan as ep
 from energyplan import ros
 from energyplan.compilation import telling
 from energyplan.errors import CancelledError, EnergyPlanError, FrameError
-from energyplan.ros.messages import check_frame
+from energyplan.ros.messages import KEEPOUT, check_frame
 from energyplan.ros.nav2 import planner_of
 from energyplan_ros.bond import Bond
 from energyplan_ros.running import declared, run
@@ -43,6 +45,7 @@ PARAMETERS = {
     "map_topic": "map",  # its updates come on the same name with _updates
     "keepout_topic": "",  # a mask of Nav2's keep-out filter; none if empty
     "footprint_topic": "",  # a PolygonStamped in the base frame; the model's vehicle if empty
+    "speed_limit_topic": "speed_limit",  # a SpeedLimit, as controller_server hears; none if empty
     "mission_folder": "",  # where missions find their files; no mission service if empty
     "occupied_from": 0,  # 0: as the map's kind has it
     "unknown_is_free": False,
@@ -68,6 +71,9 @@ RANGES = {
     "time_limit": (0.01, 3600.0),
     "clearance": (0.0, 100.0),
 }
+CHANGING = ("transform_tolerance", "effort", "time_limit", "clearance")
+"""Parameters that can be changed at run time; they count from the next goal on."""
+
 RESULT_TIMEOUT = 10
 """How long results are kept for whoever asks late [s]; Nav2's servers have the same."""
 
@@ -83,18 +89,21 @@ class PlannerNode(LifecycleNodeMixin, Node):
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         (change,) = (one for one in self.services if one.srv_type is ChangeState)
         change.callback = partial(self.on_change_state, change.callback)
-        self.settings = declared(self, PARAMETERS, RANGES)
+        self.settings = declared(self, PARAMETERS, RANGES, CHANGING)
         planner_of(self.settings["planner"])
         self.active = self.ending = False
         self.cost: ep.EnergyCost | None = None
         self.outline: PolygonStamped | None = None
         self.planning = threading.Lock()  # one plan at a time
         self.goals: set[int] = set()  # under way or waiting
+        self.newest: dict[Any, Any] = {}  # the goal of each action that was accepted last
+        self.limit: SpeedLimit | None = None
         self.warming: threading.Thread | None = None
         self.frame = "map"
         self.grid: ep.OccupancyGrid | None = None
         self.mask: ep.OccupancyGrid | None = None
         self.zones: OccupancyGrid | None = None  # the message that the mask came by
+        self.said: set[str] = set()  # of masks, which may come again and again
         self.open: ep.OccupancyGrid | None = None  # the map with the mask
         self.missing = f"no map has come on {self.settings['map_topic']}; publish one"
         self.answered: ros.Answer | None = None  # Nav2 asks for the same goal again and again
@@ -108,6 +117,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
             (OccupancyGridUpdate, f"{map_topic}_updates", self.on_update, 10),
             (OccupancyGrid, self.settings["keepout_topic"], self.on_mask, latched),
             (PolygonStamped, self.settings["footprint_topic"], self.on_footprint, latched),
+            (SpeedLimit, self.settings["speed_limit_topic"], self.on_speed_limit, 10),
         ):
             if name:
                 self.create_subscription(kind, name, callback, qos)
@@ -119,6 +129,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
             ActionServer(
                 self, kind, self.settings[name], partial(self.on_goal, kind),
                 goal_callback=self.on_request,
+                handle_accepted_callback=partial(self.on_accepted, kind),
                 cancel_callback=lambda handle: CancelResponse.ACCEPT, callback_group=beside,
                 result_timeout=RESULT_TIMEOUT,
             )
@@ -264,17 +275,21 @@ class PlannerNode(LifecycleNodeMixin, Node):
         self.mask_map()
 
     def on_mask(self, message: OccupancyGrid) -> None:
-        """Keep the mask of the keep-out filter, whose lethal value is 100."""
+        """Keep the mask of the keep-out filter, which 100 alone closes."""
         try:
-            self.mask = ros.grid_from_message(message, occupied_from=100)
+            self.mask = ros.grid_from_message(message, occupied_from=KEEPOUT)
         except EnergyPlanError as error:
             self.get_logger().error(f"keep-out mask: {error}")
             return
         self.zones = message
         self.mask_map()
-        note = None if self.open is None else self.grid.note_of_mask(self.mask)
-        if note:
-            self.get_logger().warning(note)
+        notes = [ros.note_of_keepout(message)]
+        if self.open is not None:
+            notes.append(self.grid.note_of_mask(self.mask))
+        for note in notes:
+            if note and note not in self.said:
+                self.said.add(note)
+                self.get_logger().warning(f"keep-out mask: {note}")
 
     def mask_map(self) -> None:
         """Make the map that is planned on; where the mask cannot be laid on it there is none."""
@@ -288,6 +303,17 @@ class PlannerNode(LifecycleNodeMixin, Node):
         except EnergyPlanError as error:
             self.missing = str(error)
             self.get_logger().error(self.missing, throttle_duration_sec=10.0)
+
+    def on_speed_limit(self, message: SpeedLimit) -> None:
+        """Keep the speed limit, by which plans are timed; none where it is zero."""
+        try:
+            limit = ros.speed_limit_from_message(message, shapely.box(0.0, 0.0, 1.0, 1.0))
+            if limit is not None and self.cost is not None:
+                limit.of(self.cost.vehicle)
+        except EnergyPlanError as error:
+            self.get_logger().error(f"speed limit: {error}")
+            return
+        self.limit = message
 
     def on_footprint(self, message: PolygonStamped) -> None:
         """Keep the footprint."""
@@ -344,7 +370,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
 
     def on_is_path_valid(self, request: Any, response: Any) -> Any:
         """Tell whether a path is free from where the robot is."""
-        response.is_valid, blocked = False, []
+        response.is_valid, blocked, answered = False, [], False
         frame, grid, cost = self.frame, self.open, self.cost
         if grid is not None and cost is not None:
             try:
@@ -353,10 +379,13 @@ class PlannerNode(LifecycleNodeMixin, Node):
                     partial(self.lookup, frame), self.settings["base_frame"],
                 )  # fmt: skip
                 response.is_valid = len(request.path.poses) > 0 and not blocked
+                answered = True
             except EnergyPlanError as error:
                 self.get_logger().warning(f"is_path_valid: {error}")
         if hasattr(response, "invalid_pose_indices"):
             response.invalid_pose_indices = blocked
+        if hasattr(response, "success"):
+            response.success = answered
         return response
 
     # -- goals ----------------------------------------------------------------------------------
@@ -367,8 +396,13 @@ class PlannerNode(LifecycleNodeMixin, Node):
             self.get_logger().warning("a goal was rejected: the node is not active")
         return GoalResponse.ACCEPT if self.active else GoalResponse.REJECT
 
+    def on_accepted(self, kind: Any, handle: Any) -> None:
+        """Start a goal, which ends those before it of the same action, as Nav2's servers do."""
+        self.newest[kind] = handle
+        handle.execute()
+
     def on_goal(self, kind: Any, handle: Any) -> Any:
-        """Answer a goal; goals that come meanwhile wait for their turn."""
+        """Answer a goal; one of the other action waits for its turn."""
         self.goals.add(id(handle))
         try:
             return self.answer(kind, handle)
@@ -379,7 +413,8 @@ class PlannerNode(LifecycleNodeMixin, Node):
         """Plan, publish and end a goal."""
 
         def unwanted() -> bool:
-            return bool(handle.is_cancel_requested) or not self.active
+            newer = self.newest[kind] is not handle
+            return bool(handle.is_cancel_requested) or newer or not self.active
 
         settings = self.settings
         while not self.planning.acquire(timeout=0.05):
@@ -404,16 +439,18 @@ class PlannerNode(LifecycleNodeMixin, Node):
                 former=self.answered,
                 missing=self.missing,
             )
-            self.answered = found if found.plans else None
+            if found.plans:  # what fails now leaves the former plan to go on from
+                self.answered = found
         except CancelledError:
             return self.ended(kind, handle)
         finally:
             self.planning.release()
         stamp = self.get_clock().now().to_msg()
         result = ros.fill_result(kind.Result(), found, frame, stamp, get_message)
+        values = ros.plan_values(found, self.limit)
         self.diagnostics.publish(
             ros.diagnostics_message(
-                "energyplan: plan", found.message or "planned", ros.plan_values(found), stamp,
+                "energyplan: plan", found.message or "planned", values, stamp,
                 get_message, error=not found.plans,
             )
         )  # fmt: skip
@@ -428,12 +465,13 @@ class PlannerNode(LifecycleNodeMixin, Node):
         return result
 
     def ended(self, kind: Any, handle: Any) -> Any:
-        """End a goal that was cancelled, or that the node's own end aborts."""
+        """End a goal that was cancelled, or that a newer one or the node's own end aborts."""
         if handle.is_cancel_requested:
             handle.canceled()
             return kind.Result()
         handle.abort()
-        told = ros.aborted(handle.request, "the planner was deactivated while it planned")
+        why = "a newer goal has come" if self.active else "the planner was deactivated"
+        told = ros.aborted(handle.request, f"{why} while it planned")
         stamp = self.get_clock().now().to_msg()
         return ros.fill_result(kind.Result(), told, self.frame, stamp, get_message)
 

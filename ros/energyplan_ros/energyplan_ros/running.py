@@ -7,12 +7,22 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import rclpy
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import NameValidationException, ParameterException
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    NameValidationException,
+    ParameterException,
+)
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
@@ -29,12 +39,50 @@ FAREWELL = 0.5
 """How long requests are still answered then [s]: a manager that lost the bond asks at once."""
 
 
+class _Pool(ThreadPoolExecutor):
+    """Runs an executor's tasks; a task that waits for a thread counts as being executed."""
+
+    def __init__(self, threads: int, wake: Callable[[], None]) -> None:
+        super().__init__(threads)
+        self.wake = wake
+
+    def submit(self, task: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run a task of rclpy, whose own `executing` is only true once a thread has taken it."""
+        task.executing = lambda: True
+        return super().submit(self.run, task)
+
+    def run(self, task: Any) -> None:
+        """Run the task until it ends or has to wait."""
+        try:
+            task()
+        finally:
+            del task.executing
+        if not task.done():
+            self.wake()
+
+
+class Executor(MultiThreadedExecutor):
+    """A MultiThreadedExecutor that hands each task to its threads once.
+
+    That of rclpy hands a task that waits for a thread over again and again, and meanwhile hears
+    no topic (ros2/rclpy#1452).
+    """
+
+    def __init__(self) -> None:
+        super().__init__(num_threads=THREADS)
+        self._executor.shutdown()  # it has no threads yet
+        self._executor = _Pool(THREADS, self.wake)
+
+
 def declared(
-    node: Any, parameters: Mapping[str, Any], ranges: Mapping[str, tuple[Any, Any]]
+    node: Any,
+    parameters: Mapping[str, Any],
+    ranges: Mapping[str, tuple[Any, Any]],
+    changing: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Declare parameters, which stay as they are while the node runs, and return their values."""
+    """Declare parameters, and return their values, of which those in `changing` follow changes."""
     for name, value in parameters.items():
-        descriptor = ParameterDescriptor(read_only=True)
+        descriptor = ParameterDescriptor()
         if name in ranges:
             least, most = ranges[name]
             if isinstance(value, int):
@@ -43,7 +91,24 @@ def declared(
                 between = FloatingPointRange(from_value=least, to_value=most)
                 descriptor.floating_point_range = [between]
         node.declare_parameter(name, value, descriptor)
-    return {name: node.get_parameter(name).value for name in parameters}
+    settings = {name: node.get_parameter(name).value for name in parameters}
+
+    def check(wanted: list[Any]) -> SetParametersResult:
+        for one in wanted:
+            if one.name in settings and one.name not in changing:
+                return SetParametersResult(
+                    successful=False,
+                    reason=f"{one.name} is read when the node starts; start it again with the new "
+                    f"value (at run time: {', '.join(changing) or 'none'})",
+                )
+        return SetParametersResult(successful=True)
+
+    def follow(changed: list[Any]) -> None:
+        settings.update({one.name: one.value for one in changed if one.name in changing})
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(follow)
+    return settings
 
 
 def run(make: Callable[[], Any]) -> int:
@@ -56,10 +121,13 @@ def run(make: Callable[[], Any]) -> int:
     try:
         node = make()
     except (EnergyPlanError, ParameterException, NameValidationException) as error:
-        get_logger("energyplan").fatal(" ".join(str(error).split()))
+        remedy = ""
+        if isinstance(error, InvalidParameterTypeException):
+            remedy = "; write a whole number that may have decimals as 1.0"
+        get_logger("energyplan").fatal(" ".join(str(error).split()) + remedy)
         rclpy.try_shutdown()
         return 2
-    executor = MultiThreadedExecutor(num_threads=THREADS)
+    executor = Executor()
     executor.add_node(node)
 
     def spin() -> None:
