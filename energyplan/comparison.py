@@ -70,10 +70,10 @@ class Comparison(html.Readable):
             ("length [m]", *(plan.length for plan in plans)),
             *([("of it in reverse [m]", *back)] if max(back) > 0.01 else []),
             ("turning [deg]", *(float(np.degrees(plan.turning)) for plan in plans)),
-            *([(STEADY, *(plan.energy for plan in plans))] if self.driven else []),
-            ("lower bound of energy at steady speeds [J]", best.lower_bound, "-"),
+            *([(STEADY, *(plan.energy_steady for plan in plans))] if self.driven else []),
+            (best.bound_label, "-" if best.lower_bound is None else best.lower_bound, "-"),
             *([("of it for the height [J]", best.potential, "-")] if best.potential else []),
-            ("at most above the least possible [%]", html.number(100 * best.gap, whole=100), "-"),
+            ("at most above the least possible [%]", best.gap_percent, "-"),
         ]
         title = f"saving: {self.sentence}"
         parts = [
@@ -84,7 +84,7 @@ class Comparison(html.Readable):
             )
             for name, saved in self.by_term.items()
         ]
-        notes = [note for plan in plans for note in plan.notes]
+        notes = [note for plan in plans for note in plan.all_notes]
         return [
             html.Summary(title, ("", "least energy", "shortest"), rows, notes),
             html.Summary(
@@ -145,7 +145,7 @@ def compare(
     >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
     >>> task = PlanningProblem(hall, cost, start=(2, 5, 0), goal=(5, 5, np.pi / 2))
     >>> told = compare(task, effort=50_000)
-    >>> bool(told.energy_optimal.energy < told.shortest.energy), round(told.saving, 2)
+    >>> bool(told.energy_optimal.energy_driven < told.shortest.energy_driven), round(told.saving, 2)
     (True, 0.07)
     """
     best = plan(replace(problem, objective="energy"), planner, time_limit, effort=effort, **options)
@@ -158,7 +158,7 @@ def compare(
     if least.energy > most.energy and best.problem is not None:
         query = compiled(best.problem.without_clearance)
         priced = priced_plan(
-            query, Candidate(shortest.path), best.lower_bound, best.planner, Budget(),
+            query, Candidate(shortest.path), best.lower_bound_steady, best.planner, Budget(),
             problem=best.problem, notes=best.notes,
         )  # fmt: skip
         kept = ("planning_time", "first_time", "effort", "effort_limit")

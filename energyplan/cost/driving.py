@@ -137,6 +137,35 @@ class SteadyDriving:
         slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
         return bool(np.allclose(slow, fast, rtol=ROUNDING, atol=0.0))
 
+    @property
+    def same_at_any_speed(self) -> bool:
+        """Whether speed makes no difference to the energy."""
+        return self._static
+
+    def kinetic_masses(self) -> FloatArray | None:
+        """Return mass [kg] and moment of inertia [kg m^2] whose kinetic energy the model counts.
+
+        None where power is not linear in the accelerations, as with losses on the way, or where it
+        changes with the time since the start.
+        """
+        v, omega = np.array([[0.5, 0.0], [0.0, 0.5], [0.7, 0.4], [-0.3, 0.8], [-0.6, -0.2]]).T
+
+        def power(accel: float = 0.0, yaw_accel: float = 0.0, t: float = STEADY["t"]) -> FloatArray:
+            now = {**STEADY, **self.channels, "t": t, "accel": accel, "yaw_accel": yaw_accel}
+            known = {name: np.full(v.shape, value) for name, value in now.items()}
+            return self._drawn.power(Motion.from_twist(v, omega, self.icr, **known))
+
+        steady = power()
+        if any(not np.array_equal(power(t=t), steady) for t in (0.0, *np.geomspace(1e-2, 1e6, 33))):
+            return None
+        masses = np.array([(power(1.0) - steady)[0] / v[0], (power(0.0, 1.0) - steady)[1] / omega[1]])
+        for accel, yaw_accel in ((1.0, 0.0), (0.0, 1.0), (-2.0, 3.0), (50.0, -40.0)):
+            added = masses[0] * accel * v + masses[1] * yaw_accel * omega
+            small = 1e-9 * float(np.abs([steady, added]).max())
+            if not np.allclose(power(accel, yaw_accel) - steady, added, rtol=1e-9, atol=small):
+                return None
+        return np.where(np.abs(masses) > 1e-9 * np.abs(steady).max(), masses, 0.0)
+
     def _forces(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> Sides:
         return self.model.forces(self._motion(x, y, rate))
 
