@@ -251,11 +251,13 @@ class EnergyCost(SteadyDriving):
 
         def price(x: FloatArray, y: FloatArray) -> FloatArray:
             joules = self._element_energy(x, y) if energy else 0.0
-            return np.asarray(energy * joules + (time * self._element_duration(x, y) if time else 0))
+            return np.asarray(
+                energy * joules + (time * self._element_duration(x, y) if time else 0)
+            )
 
         def share(x: FloatArray, y: FloatArray, prices: FloatArray) -> FloatArray:
             def value(rate: FloatArray) -> FloatArray:
-                power = self._drawn.power(self._motion(x, y, rate)) if energy else 0.0
+                power = self._least_drawn.power(self._motion(x, y, rate)) if energy else 0.0
                 return np.asarray((energy * power + time) / rate)
 
             with np.errstate(divide="ignore"):

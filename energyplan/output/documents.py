@@ -48,7 +48,8 @@ SHOWN = {
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
     "feasible chargers timetable proven gap warnings remedies time_saved uncertainty",
     "NoPathError": "certainty resolution",
-    "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady planning_time planner potential effort "
+    "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady "
+    "planning_time planner potential effort "
     "effort_limit cost soft_cost breakdown notes",
     "Residual": "rmse mae bias energy_error",
     "Round": "energy_predicted energy_interval energy_measured error overhead effects length note",

@@ -174,8 +174,9 @@ def driven_share(problem: PlanningProblem) -> float | None:
     instant it moves in some direction at some speed up to the largest, so without accelerations it
     takes at least `EnergyCost.driven_share` of the steady price of what it covers. What a change of
     speed adds is the rate of the kinetic energy where power is linear in the accelerations: nothing
-    from standstill to standstill. Losses of accelerating treads do not cancel so, nor does the
-    kinetic energy where its mass or the slope changes; no bound is given there. On slopes power has
+    from standstill to standstill. Losses of accelerating treads do not cancel so: where they
+    depend on the accelerations they are left out, as power without them is less. Nor does the
+    kinetic energy where its mass or the slope changes: no bound is given there. On slopes power has
     to be in proportion to speed, as then every speed takes the same.
 
     A rounded corner leaves the path by the vehicle's tracking tolerance, which a controller makes

@@ -198,8 +198,8 @@ class _Rated(NamedTuple):
 
 
 _NO_GAP = (
-    "no gap: no lower bound is known of the energy as driven, with this model's losses of speeding "
-    "up, changes with time, or speeds on slopes; that at steady speeds is lower_bound_steady"
+    "no gap: no lower bound is known of the energy as driven, as this model changes with time, or "
+    "depends on speed on slopes; that at steady speeds is lower_bound_steady"
 )
 
 
@@ -423,7 +423,9 @@ class Plan(html.Readable):
         unit = {"length": "m", "time": "s"}.get(str(objective), "J")
         if objective != "energy" or self.soft_cost:
             return f"lower bound of the cost [{unit}]"
-        return f"lower bound of energy {'as driven' if self._rated.driven else 'at steady speeds'} [J]"
+        return (
+            f"lower bound of energy {'as driven' if self._rated.driven else 'at steady speeds'} [J]"
+        )
 
     @property
     def gap_percent(self) -> str:
