@@ -36,7 +36,7 @@ def _power_at(
 ) -> FloatArray:  # fmt: skip
     now = {**STEADY, **channels, "t": t, "accel": accel, "yaw_accel": yaw_accel}
     known = {name: np.full(_PROBES.shape[1:], value) for name, value in now.items()}
-    return model.power(Motion.from_twist(*_PROBES, model.vehicle.icr, **known))
+    return model.power(Motion.from_twist(_PROBES[0], _PROBES[1], model.vehicle.icr, **known))
 
 
 def _masses(model: PowerModel, channels: Mapping[str, float]) -> FloatArray | None:
