@@ -52,7 +52,7 @@ def measure(name: str, problem: PlanningProblem, cell: float, count: int) -> Non
         with suppress(PlanningError, ValueError):
             best = plan(asked, effort=EFFORT)
             found = [lattice.routes(start, [goal], how)[0] for how in (told, USUAL)]
-            energies = [min(best.energy, *(cost.energy(path) for path in found))]
+            energies = [min(best.energy_steady, *(cost.energy(path) for path in found))]
             energies += [cost.energy(path) for path in found]
             excess["made for the robot"].append(100 * (energies[1] / energies[0] - 1))
             excess["usual"].append(100 * (energies[2] / energies[0] - 1))

@@ -102,7 +102,7 @@ def by_spending(
             with suppress(PlanningError):
                 found = plan(problem, **spending)
                 runs[-1][k] = Run(found, time.process_time() - begun)
-                best[k] = min(best[k], found.energy)
+                best[k] = min(best[k], found.energy_steady)
     beaten = [100 * (1 - best[k] / known[k]) for k in best if best[k] < known[k] < np.inf]
     if beaten:
         print(f"{name}: {len(beaten)} best known were beaten, by {max(beaten):.1f} % at most")
@@ -111,7 +111,7 @@ def by_spending(
         print(f"{name}, {what} {much:g}: {len(made)} of {len(todo)} found; ", end="")
         first = [1e3 * one.plan.first_time for one in made.values()]
         gap = [100 * one.plan.gap for one in made.values()]
-        excess = [100 * (one.plan.energy / best[k] - 1) for k, one in made.items()]
+        excess = [100 * (one.plan.energy_steady / best[k] - 1) for k, one in made.items()]
         work = [one.work for one in made.values()]
         print(
             f"first {np.median(first):.0f} / {max(first):.0f} ms (median / worst); "
@@ -147,7 +147,7 @@ def measure(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
             continue
         first.append(1e3 * found.first_time)
         gap.append(100 * found.gap)
-        excess.append(found.energy / short.energy - 1)
+        excess.append(found.energy_steady / short.energy_steady - 1)
     rows, columns = grid.shape
     print(
         f"{name:22s} {columns:5d} x {rows:<5d} {len(gap):4d} {failed:3d}  "
@@ -173,13 +173,13 @@ def rivals(name: str, grid: OccupancyGrid, count: int, limit: float) -> None:
 
     for problem in todo:
         try:
-            ours = plan(problem, time_limit=0.1, effort=ENDLESS).energy
+            ours = plan(problem, time_limit=0.1, effort=ENDLESS).energy_steady
         except PlanningError:
             ours = np.inf
         total += 1
         for rival in RIVALS:
             try:
-                theirs = plan(problem, rival, limit, effort=ENDLESS).energy
+                theirs = plan(problem, rival, limit, effort=ENDLESS).energy_steady
             except PlanningError:
                 theirs = np.inf
             won[rival] += ours <= theirs * (1 + 1e-9)
@@ -202,7 +202,7 @@ def row_of(name: str, grid: OccupancyGrid, count: int, effort: int) -> str:
             solved += 1
             gaps.append(100 * found.gap)
             short = plan(replace(problem, objective="length"), effort=effort)
-            dearer += found.energy > short.energy * (1 + 1e-9)
+            dearer += found.energy_steady > short.energy_steady * (1 + 1e-9)
     return (
         f"| {name} | {effort} | {solved} of {len(todo)} | {np.median(gaps):.1f} / "
         f"{np.quantile(gaps, 0.9):.1f} % | {dearer} | {spent / max(solved, 1):.2f} s |"

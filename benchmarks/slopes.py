@@ -61,11 +61,11 @@ def main() -> None:
         short, long = plan(problem, effort=EFFORT), plan(problem, effort=7 * EFFORT)
         level = plan(replace(problem, heights=None), effort=EFFORT)
         paid = path_price(level.path, cost, None, ground).energy
-        reduced = long.energy - long.potential
+        reduced = long.energy_steady - long.potential
         first.append(1e3 * short.first_time)
         level_first.append(1e3 * level.first_time)
-        saved.append(100 * (paid - short.energy) / max(paid, paid - short.potential))
-        excess.append(100 * (short.energy - long.energy) / reduced)
+        saved.append(100 * (paid - short.energy_steady) / max(paid, paid - short.potential))
+        excess.append(100 * (short.energy_steady - long.energy_steady) / reduced)
         gaps.append(100 * short.gap)
     print(f"{pairs} pairs in {SIZE[0]:g} m by {SIZE[1]:g} m")
     print(f"{'':44s} {'median':>8s} {'least':>8s} {'greatest':>8s}")

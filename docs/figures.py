@@ -80,12 +80,14 @@ def turns() -> Figure:
     looks = {"shortest": (plots.RED, "--"), "least energy": (plots.BLUE, "-")}
     for name, plan in both.items():
         color, dash = looks[name]
-        plots.route(place, plan.path, f"{name}, {plan.energy:.0f} J", color, dash, arrows=False)
+        plots.route(
+            place, plan.path, f"{name}, {plan.energy_driven:.0f} J", color, dash, arrows=False
+        )
         at, joules = turning_losses(plan.path, problem)
         place.scatter(at[:, 0], at[:, 1], s=joules, color=color, alpha=0.35, lw=0, zorder=4)
     place.scatter([], [], s=200, color="0.5", alpha=0.5, lw=0, label="200 J lost to turning")
     plots.legend(place, above=True)
-    plots.breakdown(bars, {name: plan.breakdown for name, plan in both.items()})
+    plots.breakdown(bars, {name: plan.driven.breakdown for name, plan in both.items()})
     for ax in (bars,):
         ax.spines[["top", "right"]].set_visible(False)
     return made
@@ -140,7 +142,7 @@ def bound() -> Figure:
     plans = [ep.plan(problem, effort=effort) for effort in spent]
     made = plots.figure(size=(plots.WIDTH, 3.2))
     ax = made.axes[0]
-    upper = [plan.energy / 1e3 for plan in plans]
+    upper = [plan.energy_driven / 1e3 for plan in plans]
     lower = [plan.lower_bound / 1e3 for plan in plans]
     ax.plot(spent, upper, "o-", color=plots.BLUE, label="plan found")
     ax.plot(spent, lower, "s--", color=plots.RED, label="no route takes less")

@@ -14,13 +14,10 @@ from energyplan.path import Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import SHARES, Budget, do_together, plan_budget
-from energyplan.planning.driven import limit_notes
 from energyplan.planning.plans import (
-    ABOVE,
     STEADY,
     Candidate,
     Spent,
-    above,
     priced_plan,
     spending,
 )
@@ -79,10 +76,10 @@ class Comparison(html.Readable):
             ("length [m]", *(plan.length for plan in plans)),
             *([("of it in reverse [m]", *back)] if max(back) > 0.01 else []),
             ("turning [deg]", *(float(np.degrees(plan.turning)) for plan in plans)),
-            *([(STEADY, *(plan.energy for plan in plans))] if self.driven else []),
-            ("lower bound of energy at steady speeds [J]", best.lower_bound, "-"),
+            *([(STEADY, *(plan.energy_steady for plan in plans))] if self.driven else []),
+            (best.bound_label, "-" if best.lower_bound is None else best.lower_bound, "-"),
             *([("of it for the height [J]", best.potential, "-")] if best.potential else []),
-            (ABOVE, above(best), "-"),
+            ("at most above the least possible [%]", best.gap_percent, "-"),
         ]
         title = f"saving: {self.sentence}"
         parts = [
@@ -93,7 +90,7 @@ class Comparison(html.Readable):
             )
             for name, saved in self.by_term.items()
         ]
-        notes = list(dict.fromkeys(note for plan in plans for note in plan.notes))
+        notes = [note for plan in plans for note in plan.all_notes]
         return [
             html.Summary(title, ("", "least energy", "shortest"), rows, notes),
             html.Summary(
@@ -154,7 +151,7 @@ def compare(
     >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
     >>> task = PlanningProblem(hall, cost, start=(2, 5, 0), goal=(5, 5, np.pi / 2))
     >>> told = compare(task, effort=50_000)
-    >>> bool(told.energy_optimal.energy < told.shortest.energy), round(told.saving, 2)
+    >>> bool(told.energy_optimal.energy_driven < told.shortest.energy_driven), round(told.saving, 2)
     (True, 0.07)
     """
     best = plan(replace(problem, objective="energy"), planner, time_limit, effort=effort, **options)
@@ -167,8 +164,8 @@ def compare(
     if least.energy > most.energy and best.problem is not None:
         query = compiled(best.problem.without_clearance)
         priced = priced_plan(
-            query, Candidate(shortest.path), best.lower_bound, best.planner, Budget(),
-            problem=best.problem, notes=_notes_but_limits(best),
+            query, Candidate(shortest.path), best.lower_bound_steady, best.planner, Budget(),
+            problem=best.problem, notes=best.notes,
         )  # fmt: skip
         kept = ("planning_time", "first_time", "effort", "effort_limit")
         best = replace(priced, **{name: getattr(best, name) for name in kept})
@@ -193,12 +190,4 @@ def _shortest(best: Plan, path: Path, problem: PlanningProblem, budget: Budget) 
     work = bounding.work(query.value(path) - potential, SHARES.aside * budget.left)
     do_together(budget, work)
     bound = potential + bounding.value
-    return priced_plan(
-        query, Candidate(path), bound, best.planner, budget, notes=_notes_but_limits(best)
-    )
-
-
-def _notes_but_limits(plan: Plan) -> tuple[str, ...]:
-    """Return the notes of a plan that hold for other paths too."""
-    own = limit_notes(plan.problem, plan.path) if plan.problem else ()
-    return tuple(note for note in plan.notes if note not in own)
+    return priced_plan(query, Candidate(path), bound, best.planner, budget, notes=best.notes)

@@ -91,10 +91,16 @@ def main(folder: Path | None) -> None:
     print(f"  the ground is tilted by {np.degrees(angle.value):.2f} degrees (true: 4.00)")
 
     print("3. The extended model in a plan: ten metres straight at two speeds")
+    energies = {}
     for speed in (0.3, 1.0):
         cost = ep.EnergyCost(diagnosis.model, speed=speed)
-        energy = float(cost.segment_energy(np.array([10.0]), np.array([0.0]))[0])
-        print(f"  at {speed} m/s: {energy:.0f} J; the constant load makes slow driving expensive")
+        energies[speed] = float(cost.segment_energy(np.array([10.0]), np.array([0.0]))[0])
+        print(f"  at {speed} m/s: {energies[speed]:.0f} J")
+    more = energies[0.3] / energies[1.0] - 1.0
+    print(
+        f"  the slower one takes {abs(more):.0%} {'more' if more > 0 else 'less'}: a constant load "
+        "is paid for longer, losses that grow with speed are smaller"
+    )
     if folder is not None:
         draw(diagnosis, unseen, folder)
 

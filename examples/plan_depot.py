@@ -29,9 +29,9 @@ def pose(text: str) -> tuple[float, float, float]:
 def tell(name: str, found: Plan) -> None:
     """Print what a plan costs and how good it is known to be."""
     print(
-        f"{name:14s} {found.energy:8.0f} J  {found.length:6.2f} m  "
-        f"{np.degrees(found.turning):5.0f} deg  {found.duration:6.1f} s  "
-        f"at most {100 * found.gap:.1f} % above the least; first plan after "
+        f"{name:14s} {found.energy_driven:8.0f} J  {found.length:6.2f} m  "
+        f"{np.degrees(found.turning):5.0f} deg  {found.driven.duration:6.1f} s  "
+        f"at most {100 * found.gap:z.1f} % above the least; first plan after "
         f"{1e3 * found.first_time:.0f} ms"
     )
 
@@ -64,7 +64,7 @@ def main() -> None:
 
     drawn = surfaces.polygons if surfaces else ()
     both = {
-        f"{name}: {found.energy:.0f} J": found.path
+        f"{name}: {found.energy_driven:.0f} J": found.path
         for name, found in (
             ("least energy", comparison.energy_optimal),
             ("shortest", comparison.shortest),

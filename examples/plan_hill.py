@@ -19,8 +19,8 @@ from energyplan import EnergyCost, HeightMap, OccupancyGrid, PowerModel, compare
 from energyplan.output import plots
 from energyplan.output.plots import png
 from energyplan.planning import Plan, PlanningProblem, plan
+from energyplan.planning.driven import drive_plan
 from energyplan.power.effects import with_weight
-from energyplan.terrain import path_price
 
 SIZE = (32.0, 20.0)
 START, GOAL = (2.0, 9.0, 0.0), (30.0, 9.0, 0.0)
@@ -74,12 +74,12 @@ def main() -> None:
     result = compare(problem, effort=100_000)
     blind = plan(replace(problem, heights=None), effort=100_000)
     best = result.energy_optimal
-    tell("least energy", best.energy, best, ground)
-    tell("shortest", result.shortest.energy, result.shortest, ground)
-    tell("planned as if level", path_price(blind.path, cost, None, ground).energy, blind, ground)
+    tell("least energy", best.energy_driven, best, ground)
+    tell("shortest", result.shortest.energy_driven, result.shortest, ground)
+    tell("planned as if level", drive_plan(problem, blind.path).energy, blind, ground)
     print(
         f"{100 * result.saving:.1f} % saved; no route takes less than {best.lower_bound:.0f} J. "
-        f"On level ground the way would take {blind.energy:.0f} J."
+        f"On level ground the way would take {blind.energy_driven:.0f} J."
     )
     for name, joules in result.by_term.items():
         print(f"  {name.replace('_', ' '):24s} {round(joules):8d} J saved")

@@ -20,15 +20,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.cost import direction_table, steering
-from energyplan.cost.bounds import LowerBound, lower_bound
+from energyplan.cost import direction_table, speeds, steering
+from energyplan.cost.bounds import SLACK, Infimum, LowerBound, lower_bound
 from energyplan.cost.direction_table import Corners, DirectionTable
 from energyplan.cost.driving import SteadyDriving
 from energyplan.errors import InvalidInputError, ModelError
-from energyplan.path import FloatArray, Path
+from energyplan.path import ROUNDING, FloatArray, Path
 from energyplan.power import SLIP, TRACTION, PowerModel
 from energyplan.records import checked
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, layout, wheel_loads
+
+_STANDSTILL, _SCAN = 1e-7, 97  # slowest speed tried, over the largest, and how many are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +242,39 @@ class EnergyCost(SteadyDriving):
         5).
         """
         return lower_bound(self._element_energy, self.icr, point)
+
+    def driven_share(self, energy: float = 1.0, time: float = 0.0) -> float:
+        """Return the least weighed price of a motion at any speed that a drive has, over its price.
+
+        Drives pass all speeds from a standstill up to the largest; a motion may take less at one of
+        them than at the speed that it is priced at. Weights are those of a joule and of a second.
+        """
+        top = min(self.vehicle.motor.speed, self.tread_speed or np.inf)
+
+        def price(x: FloatArray, y: FloatArray) -> FloatArray:
+            joules = self._element_energy(x, y) if energy else 0.0
+            return np.asarray(
+                energy * joules + (time * self._element_duration(x, y) if time else 0)
+            )
+
+        def share(x: FloatArray, y: FloatArray, prices: FloatArray) -> FloatArray:
+            def value(rate: FloatArray) -> FloatArray:
+                power = self._least_drawn.power(self._motion(x, y, rate)) if energy else 0.0
+                return np.asarray((energy * power + time) / rate)
+
+            with np.errstate(divide="ignore"):
+                turns = self.vehicle.max_yaw_rate * self.half_track / np.abs(y)
+            limit = np.asarray(np.minimum(top / (np.abs(x) + np.abs(y)), turns))
+            rate = speeds.cheapest_rate(_STANDSTILL * limit, limit, value, _SCAN)
+            return np.asarray(value(rate).reshape(prices.shape) / prices)
+
+        def flat(x: FloatArray, y: FloatArray, prices: FloatArray) -> FloatArray:
+            return share(x.ravel(), y.ravel(), prices.ravel())
+
+        infimum = Infimum(price)
+        least = infimum.least(flat)
+        # the speed that is priced is one of them
+        return 1.0 if least >= 1.0 - ROUNDING else least * (1.0 - SLACK)
 
     @cached_property
     def _corners(self) -> Corners:

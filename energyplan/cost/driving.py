@@ -33,6 +33,41 @@ _PLACES = {
 """Channels that every drive has and no cost can know, and values at which they are tried."""
 
 
+_PROBES = np.array([[0.5, 0.0], [0.0, 0.5], [0.7, 0.4], [-0.3, 0.8], [-0.6, -0.2]]).T
+"""Speeds [m/s] and yaw rates [rad/s] at which it is tried what accelerations add."""
+_ACCELERATIONS = ((1.0, 0.0), (0.0, 1.0), (-2.0, 3.0), (50.0, -40.0))  # [m/s^2], [rad/s^2]
+_TIMES = (0.0, *np.geomspace(1e-2, 1e6, 33))  # times since the start that are tried [s]
+
+
+def _power_at(
+    model: PowerModel, channels: Mapping[str, float], accel: float, yaw_accel: float,
+    t: float = STEADY["t"],
+) -> FloatArray:  # fmt: skip
+    now = {**STEADY, **channels, "t": t, "accel": accel, "yaw_accel": yaw_accel}
+    known = {name: np.full(_PROBES.shape[1:], value) for name, value in now.items()}
+    return model.power(Motion.from_twist(_PROBES[0], _PROBES[1], model.vehicle.icr, **known))
+
+
+def _masses(model: PowerModel, channels: Mapping[str, float]) -> FloatArray | None:
+    """Return mass and moment of inertia if all that accelerations add is kinetic energy."""
+    steady = _power_at(model, channels, 0.0, 0.0)
+    if any(not np.array_equal(_power_at(model, channels, 0.0, 0.0, t), steady) for t in _TIMES):
+        return None
+    masses = np.array(
+        [
+            (_power_at(model, channels, *now) - steady)[k] / _PROBES[k, k]
+            for k, now in enumerate(_ACCELERATIONS[:2])
+        ]
+    )
+    for accel, yaw_accel in _ACCELERATIONS:
+        added = masses @ (_PROBES * np.array([[accel], [yaw_accel]]))
+        small = 1e-9 * float(np.abs([steady, added]).max())
+        gained = _power_at(model, channels, accel, yaw_accel) - steady
+        if not np.allclose(gained, added, rtol=1e-9, atol=small):
+            return None
+    return np.where(np.abs(masses) > 1e-9 * np.abs(steady).max(), masses, 0.0)
+
+
 def _pivot_and_rest(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return a pivot, and a line or a spin, that lead where elements lead, shape (2, 2, n)."""
     both = np.minimum(np.abs(x), np.abs(y))
@@ -193,6 +228,38 @@ class SteadyDriving:
         x, y = np.concatenate([SPECIAL, SPECIAL + np.array([0.3, 0.1])]).T
         slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
         return bool(np.allclose(slow, fast, rtol=ROUNDING, atol=0.0))
+
+    @property
+    def same_at_any_speed(self) -> bool:
+        """Whether speed makes no difference to the energy."""
+        return self._static
+
+    @cached_property
+    def _least_drawn(self) -> PowerModel:
+        """The model whose power bounds drives: without losses where these depend on acceleration.
+
+        Losses add to the power, but do not cancel between speeding up and slowing down.
+        """
+        drawn = self._drawn
+        if _masses(drawn, self.channels) is not None:
+            return drawn
+        kept = [k for k, one in enumerate(drawn.terms) if one.kind != "loss"]
+        lossless = PowerModel(
+            drawn.vehicle, tuple(drawn.terms[k] for k in kept), drawn.coefficients[kept]
+        )
+        gained = any(
+            np.any(_power_at(drawn, self.channels, *now) < _power_at(lossless, self.channels, *now))
+            for now in ((0.0, 0.0), *_ACCELERATIONS)
+        )
+        return drawn if gained else lossless
+
+    def kinetic_masses(self) -> FloatArray | None:
+        """Return mass [kg] and moment of inertia [kg m^2] whose kinetic energy the model counts.
+
+        None where power, less losses, is not linear in the accelerations, or where it changes with
+        the time since the start.
+        """
+        return _masses(self._least_drawn, self.channels)
 
     def _forces(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> Sides:
         return self._anywhere.forces(self._motion(x, y, rate))

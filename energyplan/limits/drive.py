@@ -249,6 +249,15 @@ class Traversal:
         before, after = value[pieces.interval, None], value[pieces.interval + 1, None]
         return np.asarray(before + pieces.parts * (after - before))
 
+    def largest_speed(self) -> float:
+        """Return the largest absolute tread speed [m/s]."""
+        most = 0.0
+        for k in range(self.block_count):
+            for part in self.parts(self.pieces(k)):
+                for side in (part.motion.v_left, part.motion.v_right):
+                    most = max(most, float(np.max(np.abs(side), initial=0.0)))
+        return most
+
     # -- energy -------------------------------------------------------------------------------
 
     def power(self, pieces: Pieces, scale: float = 1.0) -> FloatArray:

@@ -48,7 +48,8 @@ SHOWN = {
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
     "feasible chargers timetable proven gap warnings remedies time_saved uncertainty",
     "NoPathError": "certainty resolution",
-    "Plan": "energy length turning lower_bound gap planning_time planner potential effort "
+    "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady "
+    "planning_time planner potential effort "
     "effort_limit cost soft_cost breakdown notes",
     "Residual": "rmse mae bias energy_error",
     "Round": "energy_predicted energy_interval energy_measured error overhead effects length note",
@@ -58,6 +59,8 @@ SHOWN = {
     "TreadICR": "left right longitudinal",
 }
 """What is shown of a type, where that is not all of its fields."""
+DEPRECATED = {"energy": "energy at steady speeds; use energy_driven, or energy_steady for this one"}
+"""Keys of a plan that go with the next release, and what to use instead."""
 TOGETHER = "headline energy energy_upper duration feasible proven gap warnings"
 """What is shown of a mission of several robots as a whole."""
 
@@ -149,12 +152,14 @@ def plan(result: Plan) -> Document:
     """Return what ``energyplan plan --json`` prints."""
     drive = None if result.why_not_driven else result.driven
     driven = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
-              "breakdown_driven": "breakdown"}  # fmt: skip
+              "speed_priced": "speed_priced", "breakdown_driven": "breakdown"}  # fmt: skip
     return {
         **plain(result),
         "reverse_length": plain(result.path.reverse_length),
         "path": plain(result.path.poses()),
         **{key: plain(getattr(drive, name, None)) for key, name in driven.items()},
+        "notes": list(result.all_notes),
+        "deprecated": DEPRECATED,
     }
 
 
@@ -169,7 +174,7 @@ def comparison(result: Comparison) -> Document:
         "energy_optimal": plan(result.energy_optimal),
         "shortest": plan(result.shortest),
         "saving": plain(result.saving),
-        "saving_of": "energy_driven" if result.driven else "energy",
+        "saving_of": "energy_driven" if result.driven else "energy_steady",
     }
 
 

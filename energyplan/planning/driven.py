@@ -22,6 +22,7 @@ from energyplan.limits.speed import corner_rounding, profile
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.planning.problem import PlanningProblem, is_length
+from energyplan.planning.space.prices import Prices
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
@@ -38,7 +39,8 @@ class DrivenPath:
     energy: float  # what driving it takes [J]
     breakdown: Mapping[str, float]  # the same by term of the power models [J]
     energy_since_start: FloatArray  # at each sample of the trajectory [J]
-    speed: float  # tread speed that straight driving was priced at [m/s]
+    speed: float  # largest tread speed of the drive [m/s]
+    speed_priced: float  # tread speed that straight driving was priced at [m/s]
 
     @property
     def duration(self) -> float:
@@ -81,7 +83,8 @@ def drive_path(
             energy=float(energies.sum()),
             breakdown=drive.breakdown(),
             energy_since_start=np.append(0.0, np.cumsum(energies)),
-            speed=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
+            speed=drive.largest_speed(),
+            speed_priced=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
         )
 
     if cost.tread_speed is not None:
@@ -172,8 +175,8 @@ def limit_notes(problem: PlanningProblem, path: Path) -> tuple[str, ...]:
         return ()
     return (
         f"speed limits slow down {slowed:.3g} m of the path, and the search prices every path "
-        "without them: another way may take less, and how far this one can be above the least is "
-        "not known; energy and duration as driven follow the limits",
+        "without them: another way may take less; energy, duration and gap as driven follow the "
+        "limits, the lower bound does not",
     )
 
 
@@ -188,6 +191,36 @@ def stops_count(problem: PlanningProblem) -> bool:
     if found.surfaces is not None:
         models += [surface.model for surface in found.surfaces.surfaces]
     return any(_feels_stops(model, speed) for model in models)
+
+
+def driven_share(problem: PlanningProblem) -> float | None:
+    """Return the part of the bound at steady speeds that bounds drives; None where none is known.
+
+    A drive's price is the integral of its power, and of what time costs, over its time. At every
+    instant it moves in some direction at some speed up to the largest, so without accelerations it
+    takes at least `EnergyCost.driven_share` of the steady price of what it covers. What a change of
+    speed adds is the rate of the kinetic energy where power is linear in the accelerations: nothing
+    from standstill to standstill. Losses of accelerating treads do not cancel so: where they
+    depend on the accelerations they are left out, as power without them is less. Nor does the
+    kinetic energy where its mass or the slope changes: no bound is given there. On slopes power has
+    to be in proportion to speed, as then every speed takes the same.
+
+    A rounded corner leaves the path by the vehicle's tracking tolerance, which a controller makes
+    up for; the drive that is bounded is the one that arrives.
+    """
+    weights = problem.weights
+    energy, time = weights.get("energy", 0.0), weights.get("time", 0.0)
+    costs = Prices(problem.cost, problem.surfaces, problem.objective).costs
+    if energy:
+        masses = [cost.kinetic_masses() for cost in costs]
+        known = [one for one in masses if one is not None]
+        if len(known) < len(masses) or not np.allclose(known, known[0], rtol=1e-9, atol=0.0):
+            return None
+        if problem.heights is not None and (
+            time or np.any(known[0]) or not all(cost.same_at_any_speed for cost in costs)
+        ):
+            return None
+    return min(cost.driven_share(energy, time) for cost in costs)
 
 
 def _feels_stops(model: PowerModel, speed: float) -> bool:

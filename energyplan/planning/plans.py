@@ -38,7 +38,7 @@ from energyplan.errors import (
 )
 from energyplan.path import ROUNDING, FloatArray, Path
 from energyplan.planning.budget import SHARES, Budget, plan_budget
-from energyplan.planning.driven import DrivenPath, drive_plan, limit_notes
+from energyplan.planning.driven import DrivenPath, drive_plan, driven_share, limit_notes
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.records import check_fields, checked
@@ -173,12 +173,6 @@ class Planner:
 
 
 STEADY = "energy at steady speeds [J]"
-ABOVE = "at most above the least possible [%]"
-
-
-def above(plan: Plan) -> str:
-    """Return in percent how far a plan can be above the least possible."""
-    return "not known" if np.isnan(plan.gap) else html.number(100 * plan.gap, whole=100)
 
 
 class Spent(NamedTuple):
@@ -195,10 +189,26 @@ class Spent(NamedTuple):
         return "energy as driven, with its stops [J]" if self.driven else STEADY
 
 
+class _Rated(NamedTuple):
+    """The objective's value of a plan, and what no path has less of."""
+
+    cost: float
+    lower_bound: float | None
+    driven: bool  # whether both are of drives
+
+
+_NO_GAP = (
+    "no gap: no lower bound is known of the energy as driven, as this model changes with time, or "
+    "depends on speed on slopes; that at steady speeds is lower_bound_steady"
+)
+
+
 def spending(*plans: Plan) -> list[Spent]:
     """Return what plans take: as driven where all of them can be, else at steady speeds."""
     if any(plan.why_not_driven for plan in plans):
-        return [Spent(one.energy, one.breakdown, one.duration, driven=False) for one in plans]
+        return [
+            Spent(one.energy_steady, one.breakdown, one.duration, driven=False) for one in plans
+        ]
     drives = [plan.driven for plan in plans]
     return [Spent(one.energy, one.breakdown, one.duration, driven=True) for one in drives]
 
@@ -211,18 +221,15 @@ class Plan(html.Readable):
     ----------
     path : Path
         The path; free of collisions from the start to the goal.
-    energy : float
-        Its energy, priced by the model itself after planning [J]. Downhill it can be negative.
-    lower_bound : float
-        What no path can cost less than, in the unit of the objective (for energy [J]).
-    gap : float
-        Cost over lower bound, minus 1: the plan costs at most this fraction more than the optimum.
-        On slopes, both less the `potential`. As computed: rounding may leave it a hair below zero;
-        infinite where the bound is zero and the cost is not. Not a number where speed limits slow
-        the path down, which the search does not price: the notes say so.
-    cost : float
-        The objective's value: `energy` itself where energy is the objective, and what a costmap
-        adds.
+    energy_steady : float
+        Its energy at steady speeds, priced by the model itself after planning [J]: what the search
+        makes least. Downhill it can be negative. What driving takes is `energy_driven`.
+    lower_bound_steady : float
+        What no path costs less than at steady speeds, in the unit of the objective (for energy
+        [J]); see `lower_bound`.
+    cost_steady : float
+        The objective's value at steady speeds: `energy_steady` where energy is the objective, and
+        what a costmap adds; see `cost`.
     length, turning : float
         Distance travelled [m] and total turning [rad].
     duration : float
@@ -262,15 +269,14 @@ class Plan(html.Readable):
     >>> model = ep.PowerModel.preset("quadriga:empty:marble")
     >>> problem = ep.PlanningProblem(hall, ep.EnergyCost(model), (1, 2, 0), (4, 2, 0))
     >>> plan = ep.plan(problem, effort=1000)
-    >>> round(plan.energy), plan.lower_bound <= plan.energy, round(plan.length, 2)
+    >>> round(plan.energy_driven), plan.lower_bound <= plan.cost, round(plan.length, 2)
     (540, True, 3.0)
     """
 
     path: Path
-    energy: float
-    lower_bound: float
-    gap: float
-    cost: float
+    energy_steady: float
+    lower_bound_steady: float
+    cost_steady: float
     length: float
     turning: float
     duration: float
@@ -291,6 +297,7 @@ class Plan(html.Readable):
         # the problem holds the map; the drive itself is small
         with suppress(EnergyPlanError):
             _ = self.driven
+        _ = self._rated, self._slowed
         return {**vars(self), "problem": None}
 
     @cached_property
@@ -326,9 +333,65 @@ class Plan(html.Readable):
         return self.driven.energy
 
     @property
+    def energy(self) -> float:
+        """Deprecated name of `energy_steady` [J]; for what driving takes, use `energy_driven`."""
+        return self.energy_steady
+
+    @property
     def speed(self) -> float:
-        """Tread speed that straight driving was priced at [m/s]; see `driven`."""
+        """Largest tread speed of the drive [m/s]; see `driven`."""
         return self.driven.speed
+
+    @property
+    def cost(self) -> float:
+        """The objective's value of the drive, with its stops.
+
+        At steady speeds where the path cannot be driven, and for the objective length.
+        """
+        return self._rated.cost
+
+    @property
+    def lower_bound(self) -> float | None:
+        """What no path can cost less than, in the unit of the objective (for energy [J]).
+
+        It bounds `cost`: drives, if it is that of a drive. None where no such bound is known.
+        """
+        return self._rated.lower_bound
+
+    @property
+    def gap(self) -> float | None:
+        """Cost over lower bound, minus 1: the plan costs at most this fraction above the optimum.
+
+        On slopes, both less the `potential`. As computed: rounding may leave it a hair below zero;
+        infinite where the bound is zero and the cost is not; None where no bound is known.
+        """
+        rated = self._rated
+        if rated.lower_bound is None:
+            return None
+        excess, least = rated.cost - self.potential, rated.lower_bound - self.potential
+        return excess / least - 1.0 if least > 0 else (np.inf if excess > 0 else 0.0)
+
+    @property
+    def gap_of(self) -> str:
+        """What `cost`, `lower_bound` and `gap` are of: ``"driven"`` or ``"steady"``."""
+        return "driven" if self._rated.driven else "steady"
+
+    @cached_property
+    def _rated(self) -> _Rated:
+        """The cost as driven, and its lower bound; at steady speeds where that is the same."""
+        steady = _Rated(self.cost_steady, self.lower_bound_steady, driven=False)
+        problem = self.problem
+        if problem is None or self.why_not_driven or problem.weights.get("length"):
+            return steady
+        drive, objective = self.driven, compiled(problem.without_clearance).objective
+        cost = objective.value(drive.energy, self.length, drive.duration) + self.soft_cost
+        scale = max(abs(cost), abs(self.potential), abs(cost - self.potential))
+        if abs(cost - self.cost_steady) <= ROUNDING * scale:  # stops and speeds cost nothing
+            return steady._replace(driven=True)
+        share, least = driven_share(problem), self.lower_bound_steady - self.potential
+        if share is None or not (share > 0 or least == 0):
+            return _Rated(cost, None, driven=True)
+        return _Rated(cost, self.potential + share * least, driven=True)
 
     def _summaries(self) -> list[html.Summary]:
         (spent,) = spending(self)
@@ -340,31 +403,57 @@ class Plan(html.Readable):
                 for name, part in spent.by_term.items()
             ),
             ("duration [s]", spent.duration),
-            *([("speed [m/s]", self.driven.speed)] if spent.driven else []),
+            *([("largest tread speed [m/s]", self.driven.speed)] if spent.driven else []),
             ("length [m]", self.length),
             *([("of it in reverse [m]", back)] if back > 0.01 else []),
             ("turning [deg]", float(np.degrees(self.turning))),
-            *([(STEADY, self.energy)] if spent.driven else []),
+            *([(STEADY, self.energy_steady)] if spent.driven else []),
             *self._costs(),
-            (ABOVE, above(self)),
+            ("at most above the least possible [%]", self.gap_percent),
         ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
         if self.effort_limit is not None:
             title += f" of {self.effort_limit}"
-        return [html.Summary(title, ("", ""), rows, self.notes)]
+        return [html.Summary(title, ("", ""), rows, self.all_notes)]
 
-    def _costs(self) -> list[tuple[str, float]]:
+    @property
+    def bound_label(self) -> str:
+        """What the lower bound is of, with its unit."""
+        objective = self.problem.objective if self.problem else "energy"
+        unit = {"length": "m", "time": "s"}.get(str(objective), "J")
+        if objective != "energy" or self.soft_cost:
+            return f"lower bound of the cost [{unit}]"
+        return (
+            f"lower bound of energy {'as driven' if self._rated.driven else 'at steady speeds'} [J]"
+        )
+
+    @property
+    def gap_percent(self) -> str:
+        """The gap as people read it [%]."""
+        return "-" if self.gap is None else html.number(100 * self.gap, whole=100)
+
+    @property
+    def all_notes(self) -> tuple[str, ...]:
+        """The notes, what speed limits slow down, and why there is no gap where there is none."""
+        return (*self.notes, *self._slowed, *(() if self.gap is not None else (_NO_GAP,)))
+
+    @cached_property
+    def _slowed(self) -> tuple[str, ...]:
+        """What speed limits slow down on this path, which the search does not price."""
+        return limit_notes(self.problem, self.path) if self.problem else ()
+
+    def _costs(self) -> list[tuple[str, object]]:
         """Return rows of the cost, where it is not the energy alone, and of its lower bound."""
         objective = self.problem.objective if self.problem else "energy"
         name = objective if isinstance(objective, str) else "weighted sum"
         unit = {"length": "m", "time": "s"}.get(name, "J")
-        rows = [] if self.cost == self.energy else [
+        alone = name == "energy" and not self.soft_cost
+        rows: list[tuple[str, object]] = [] if alone else [
             (f"cost: {name}{' and a little energy' * (name == 'length')} [{unit}]", self.cost)
         ]  # fmt: skip
         if self.soft_cost:
             rows.append((f"of it the costmap [{unit}]", self.soft_cost))
-        of = "the cost" if rows else "energy at steady speeds"
-        rows.append((f"lower bound of {of} [{unit}]", self.lower_bound))
+        rows.append((self.bound_label, "-" if self.lower_bound is None else self.lower_bound))
         if self.potential:
             rows.append((f"of it for the height [{unit}]", self.potential))
         return rows
@@ -525,7 +614,7 @@ def plan(
     >>> hall = OccupancyGrid(np.zeros((100, 100), bool), resolution=0.1)
     >>> cost = EnergyCost(PowerModel.preset("quadriga:empty:concrete"))
     >>> found = plan(PlanningProblem(hall, cost, start=(1, 5, 0), goal=(9, 5, 0)), effort=50_000)
-    >>> round(found.energy), abs(found.gap) < 1e-6
+    >>> round(found.energy_driven), abs(found.gap) < 1e-6
     (1808, True)
     """
     from energyplan.planning.bound import lower_bound
@@ -597,15 +686,12 @@ def priced_plan(
             f"a path from {tuple(of.start)} to {tuple(of.goal)}, so it is no bound; "
             "please report the map and the model to whoever made the planner"
         )
-    excess, least, elapsed = cost - potential, bound - potential, budget.elapsed
-    gap = excess / least - 1.0 if least > 0 else (np.inf if excess > 0 else 0.0)
-    unpriced = limit_notes(problem or of, path)
+    elapsed = budget.elapsed
     plan = Plan(
         path=path,
-        energy=price.energy,
-        lower_bound=bound,
-        gap=np.nan if unpriced else gap,
-        cost=cost,
+        energy_steady=price.energy,
+        lower_bound_steady=bound,
+        cost_steady=cost,
         length=path.length,
         turning=path.turning,
         duration=price.duration,
@@ -619,7 +705,7 @@ def priced_plan(
         effort_limit=budget.effort,
         stopped=bool(budget.notes),
         soft_cost=soft,
-        notes=(*notes, *unpriced, *budget.notes),
+        notes=(*notes, *budget.notes),
         shortest=found.shortest,
     )
     if found.driven is not None:

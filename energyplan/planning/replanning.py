@@ -100,7 +100,7 @@ def _bound_left(former: Plan, here: Pose) -> float:
     clear = bool(driven.terrain.obstacles.footprint_free(here, driven.robot))
     if not clear or driven.fault(came) is not None:
         return -np.inf
-    return former.lower_bound - compiled(driven.without_clearance).value(came)
+    return former.lower_bound_steady - compiled(driven.without_clearance).value(came)
 
 
 @checked()
@@ -155,10 +155,10 @@ def replan(
     >>> cost = EnergyCost.from_coefficients(per_metre=200.0, per_radian=100.0, icr=0.5)
     >>> problem = PlanningProblem(hall, cost, start=(2, 5, 0), goal=(8, 5, 0))
     >>> former = plan(problem, effort=1000)
-    >>> round(replan(problem, former, start=(4, 5, 0)).energy)
+    >>> round(replan(problem, former, start=(4, 5, 0)).energy_driven)
     800
     >>> closed = hall.updated(np.ones((10, 10), bool), row=45, column=55)
-    >>> replan(problem, former, start=(4, 5, 0), map=closed, effort=1000).energy > 820
+    >>> replan(problem, former, start=(4, 5, 0), map=closed, effort=1000).energy_driven > 820
     True
     """
     before = former if isinstance(former, Path) else former.path

@@ -35,6 +35,7 @@ from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planne
 from energyplan.planning.budget import EFFORT
 from energyplan.planning.driven import drive_plan
 from energyplan.planning.ends import checked_ends
+from energyplan.planning.plans import spending
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.planner import compile_planning
 from energyplan.power import PowerModel
@@ -166,18 +167,27 @@ class Answer:
 
     @property
     def energy(self) -> float:
-        """Energy of all legs [J]."""
-        return float(sum(plan.energy for plan in self.plans))
+        """Energy of all legs [J]: as driven if the motors can drive all, else steady."""
+        return float(sum(one.energy for one in spending(*self.plans)))
+
+    @property
+    def energy_steady(self) -> float:
+        """Energy of all legs at steady speeds [J]."""
+        return float(sum(plan.energy_steady for plan in self.plans))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done about ends that lack the clearance, or a start that touches an obstacle."""
-        return tuple(note for plan in self.plans for note in plan.notes)
+        return tuple(note for plan in self.plans for note in plan.all_notes)
 
     @property
-    def lower_bound(self) -> float:
-        """What no paths through the same poses can cost less than, in the objective's unit."""
-        return float(sum(plan.lower_bound for plan in self.plans))
+    def lower_bound(self) -> float | None:
+        """What no paths through the same poses can cost less than, in the objective's unit.
+
+        A bound of driving them; None where none is known.
+        """
+        bounds = [plan.lower_bound for plan in self.plans]
+        return None if None in bounds else float(sum(one for one in bounds if one is not None))
 
 
 def answer(
@@ -406,9 +416,11 @@ def plan_values(answer: Answer, limit: Any = None) -> dict[str, str]:
     """
     if not answer.plans:
         return {"error": answer.message}
+    bound = answer.lower_bound
     return {
         "energy [J]": f"{answer.energy:.6g}",
-        "lower bound [J]": f"{answer.lower_bound:.6g}",
+        "energy at steady speeds [J]": f"{answer.energy_steady:.6g}",
+        **({} if bound is None else {"lower bound [J]": f"{bound:.6g}"}),
         "length [m]": f"{sum(plan.length for plan in answer.plans):.6g}",
         "planning time [s]": f"{answer.planning_time:.3g}",
         **(_limited(answer.plans, limit) if limit is not None else {}),

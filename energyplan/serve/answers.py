@@ -109,7 +109,8 @@ _ICR = _record("ICR", shape(TreadICR), std_error=dict[str, Number] | None)
 _NoPath = _record("NoPath", path=None, reason=str, certainty=str, resolution=Number, **_BESIDE)
 _Plan = _record(
     "Plan", shape(Plan), reverse_length=float, path=list[list[float]], energy_driven=Number,
-    duration=Number, speed=Number, breakdown_driven=dict[str, float] | None, **_PRESET,
+    duration=Number, speed=Number, speed_priced=Number, deprecated=dict[str, str],
+    breakdown_driven=dict[str, float] | None, **_PRESET,
 )  # fmt: skip
 _Leg = _record("Leg", shape(Segment), duration=float, trajectory=dict[str, list[Number]])
 _trip = {"legs": _list(_Leg), "timeline": dict[str, list[Number]]}

@@ -118,8 +118,8 @@ def test_plan_and_comparison_show_their_energy(problem: ep.PlanningProblem) -> N
     assert both[place + 1 : place + 3] == energies
     # a bound stands below what it bounds
     steady = both.index("energy at steady speeds [J]")
-    assert both[steady + 3] == "lower bound of energy at steady speeds [J]"
-    assert float(both[steady + 4]) <= float(both[steady + 1])
+    assert both[steady + 3] == "lower bound of energy as driven [J]"
+    assert float(both[steady + 4]) <= float(both[place + 1])
     length = ep.plan(dataclasses.replace(problem, objective="length"), effort=5_000)
     cells = shown(length).cells
     cost, bound = (cells.index(name) + 1 for name in (

@@ -75,7 +75,7 @@ def test_surfaces_and_costs_go_together():
     ground = SurfaceMap((Surface(shapely.box(0, 0, 8, 2.0), marble, "marble"),))
     asked = problem(400.0, surfaces=ground)
     found = plan(asked, effort=8000)
-    assert found.cost == pytest.approx(found.energy + found.soft_cost, rel=1e-12)
+    assert found.cost == pytest.approx(found.energy_driven + found.soft_cost, rel=1e-12)
     # the marble lies on the side to go around by
     assert found.path.vertices[:, 1].min() < 1.7
 

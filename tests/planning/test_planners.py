@@ -51,7 +51,9 @@ def test_weights_trace_a_pareto_front():
     assert duration[2] <= 1.003 * duration[1] <= 1.003**2 * duration[0]
     assert duration[2] < 0.995 * duration[0]
     for found, weight in zip(plans, (0.0, 100.0, 1e4), strict=True):
-        assert found.cost == pytest.approx(found.energy + weight * found.duration, rel=1e-9)
+        assert found.cost_steady == pytest.approx(
+            found.energy_steady + weight * found.duration, rel=1e-9
+        )
 
 
 def test_surfaces_bend_the_route_around_costly_ground():

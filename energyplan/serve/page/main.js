@@ -169,8 +169,8 @@ function show(told) {
   say("Drag a marker to plan again.");
   const lead = element("p");
   // Saving, joules and terms are of one energy: that of driving with all stops, where there is one.
-  const of = told.saving_of, parts = of === "energy" ? "breakdown" : "breakdown_driven";
-  const kind = of === "energy" ? "energy at steady speeds" : "energy as driven, with its stops";
+  const of = told.saving_of, parts = of === "energy_steady" ? "breakdown" : "breakdown_driven";
+  const kind = of === "energy_steady" ? "energy at steady speeds" : "energy as driven, with its stops";
   const beyond = best.potential < 0 ? " beyond what the descent is worth" : "";
   lead.append(element("span", energy(best[of]), "big least"), ` least energy. That saves ${percent(told.saving)} of the shortest route's${beyond}.`);
   const terms = [...new Set([...Object.keys(best[parts]), ...Object.keys(shortest[parts])])];
@@ -181,8 +181,8 @@ function show(told) {
       [kind, energy(best[of]), energy(shortest[of])],
       ["length", `${best.length.toFixed(1)} m`, `${shortest.length.toFixed(1)} m`],
       ["turning", `${(best.turning * 180 / Math.PI).toFixed(0)}°`, `${(shortest.turning * 180 / Math.PI).toFixed(0)}°`],
-      ...(of === "energy" ? [] : [["energy at steady speeds", energy(best.energy), energy(shortest.energy)]]),
-      ["no route takes less than, at steady speeds", energy(best.lower_bound), "–"],
+      ...(of === "energy_steady" ? [] : [["energy at steady speeds", energy(best.energy_steady), energy(shortest.energy_steady)]]),
+      [best.gap_of === "driven" ? "no route takes less than" : "no route takes less than, at steady speeds", best.lower_bound === null ? "–" : energy(best.lower_bound), "–"],
     ],
   ));
 }

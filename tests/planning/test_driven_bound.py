@@ -1,0 +1,140 @@
+"""Cost, lower bound and gap of a plan are of driving it; what a program reads is of one energy."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+import energyplan as ep
+from energyplan.output import documents
+from energyplan.planning.driven import drive_plan
+from energyplan.power.effects import term, with_weight
+from energyplan.terrain import SurfaceMap
+from energyplan.terrain.surfaces import SpeedLimit
+from tests.random_models import random_model
+
+MODEL = ep.PowerModel.preset("quadriga:empty:concrete")
+HALL = ep.OccupancyGrid(np.zeros((60, 90), bool), resolution=0.1)
+LINE = (1.5, 3, 0), (7.5, 3, 0)
+
+
+def model_of(drive=1.0, back=1.0, **sizes):
+    made = replace(
+        MODEL, vehicle=replace(MODEL.vehicle, drive_efficiency=drive, regen_efficiency=back)
+    )
+    for name, size in sizes.items():
+        made = made.with_term(term(name), size)
+    return made
+
+
+def planned(model, ends=LINE, *, battery=False, effort=1500, **more):
+    problem = ep.PlanningProblem(HALL, ep.EnergyCost(model, battery=battery), *ends, **more)
+    return ep.plan(problem, effort=effort)
+
+
+def test_a_drive_below_the_steady_bound_has_a_bound_of_its_own():
+    """Viscous losses are smaller while the robot speeds up, so driving takes less than steadily."""
+    plan = planned(model_of(viscous_loss=20.0))
+    assert plan.energy_driven < plan.lower_bound_steady
+    assert plan.lower_bound <= plan.energy_driven == plan.cost
+    # at a standstill the viscous losses vanish: what is left is the traction resistance
+    assert 0.99 * 2 * 113.0 * 6.0 < plan.lower_bound <= 2 * 113.0 * 6.0
+    assert plan.gap == plan.cost / plan.lower_bound - 1
+    assert plan.gap_of == "driven"
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_drive_takes_less_than_the_bound(seed):
+    cost = random_model(seed)
+    if cost is None:
+        pytest.skip("no model")
+    rng = np.random.default_rng(seed)
+    if rng.random() < 0.5:
+        cost = replace(cost, model=cost.model.with_term(term("linear_inertia"), 200.0))
+    ends = (1.5, 1.5, rng.uniform(-3, 3)), (rng.uniform(4, 7), 4.0, rng.uniform(-3, 3))
+    objective = ["energy", "time", {"energy": 1, "time": 50}][seed % 3]
+    try:
+        problem = ep.PlanningProblem(HALL, cost, *ends, objective=objective)
+        plan = ep.plan(problem, effort=800)
+    except ep.errors.EnergyPlanError as error:
+        pytest.skip(str(error))
+    assert plan.gap_of == "driven"
+    if plan.lower_bound is None:
+        assert plan.gap is None
+        return
+    weight = problem.weights
+    paths = [plan.path, ep.steering.path(*ends, cost), *([plan.shortest] if plan.shortest else [])]
+    for path in paths:
+        drive = drive_plan(problem, path)
+        value = weight.get("energy", 0) * drive.energy + weight.get("time", 0) * drive.duration
+        assert plan.lower_bound <= value
+
+
+def test_where_stops_and_speeds_cost_nothing_the_numbers_are_those_at_steady_speeds():
+    plan = planned(MODEL, ((1.5, 1.5, 0), (7, 4, 2)))
+    assert (plan.cost, plan.lower_bound) == (plan.cost_steady, plan.lower_bound_steady)
+    assert plan.energy_steady == plan.energy == pytest.approx(plan.energy_driven, rel=1e-9)
+    assert pickle.loads(pickle.dumps(plan)).gap == plan.gap
+
+
+def test_kinetic_energy_comes_back_unless_treads_lose_it():
+    inertia = planned(model_of(linear_inertia=300.0), ((1.5, 1.5, 0), (7, 4, 2)))
+    assert inertia.lower_bound == pytest.approx(inertia.lower_bound_steady)
+    assert inertia.lower_bound <= inertia.cost * (1 + 1e-9)
+    assert inertia.cost == pytest.approx(inertia.energy_driven, rel=1e-9)
+    lossy = planned(model_of(0.7, 0.5, linear_inertia=300.0), battery=True)
+    # the power of the treads, without the losses of a drive of 70 %
+    assert lossy.lower_bound <= 0.7 * lossy.lower_bound_steady * (1 + 1e-9)
+    assert 0.5 * lossy.lower_bound_steady < lossy.lower_bound
+
+
+def test_where_no_bound_of_drives_is_known_there_is_no_gap_and_a_note():
+    cold = planned(model_of(warm_up=50.0))
+    assert (cold.lower_bound, cold.gap) == (None, None)
+    assert "no gap" in str(cold)
+    document = documents.plan(cold)
+    assert document["gap"] is document["lower_bound"] is None
+    assert any("no gap" in note for note in document["notes"])
+    assert document["lower_bound_steady"] <= document["energy_steady"] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("name", "known"), [("hotel_load", False), ("turn_asymmetry", True)])
+def test_on_slopes_speed_must_not_matter(name, known):
+    rise = ep.HeightMap(np.tile(np.linspace(0, 0.5, 20), (14, 1)), 0.5)
+    plan = planned(with_weight(model_of(**{name: 0.1})), heights=rise)
+    assert (plan.gap is not None) == known
+
+
+def test_the_gap_of_the_least_time_is_that_of_the_drive():
+    """A zone of 0.1 m/s is not in the steady durations; what the drive takes is 20 s more."""
+    zone = SurfaceMap((), speed_limits=(SpeedLimit(shapely.box(4, 0, 6, 6), 0.1),))
+    plan = planned(MODEL, objective="time", surfaces=zone)
+    assert plan.cost == plan.driven.duration > plan.cost_steady + 10
+    assert plan.gap == plan.cost / plan.lower_bound - 1 > 1
+    assert "lower bound of the cost [s]" in str(plan)
+
+
+def test_the_speed_is_the_largest_of_the_drive():
+    zone = SurfaceMap((), speed_limits=(SpeedLimit(shapely.box(-1, -1, 10, 10), 0.3),))
+    plan = planned(MODEL, surfaces=zone)
+    document = documents.plan(plan)
+    assert document["speed"] == plan.speed == pytest.approx(0.3, rel=1e-6)
+    assert document["speed_priced"] == MODEL.vehicle.driving_speed
+    line = next(one for one in str(plan).splitlines() if "largest tread speed" in one)
+    assert line.split()[-1] == "0.3"
+
+
+def test_no_minus_zero_is_printed():
+    plan = planned(MODEL)
+    assert "-0" not in str(plan) and plan.gap_percent == "0"
+
+
+def test_json_says_which_key_goes():
+    document = json.loads(json.dumps(documents.plan(planned(model_of(hotel_load=50.0)))))
+    assert document["energy"] == document["energy_steady"] < document["energy_driven"]
+    assert "energy_driven" in document["deprecated"]["energy"]
+    assert document["gap_of"] == "driven"
+    assert document["cost"] == document["energy_driven"]
