@@ -134,11 +134,17 @@ def test_logs_and_route_graphs_are_answered_by_the_same_function(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--cluster", "tcp://127.0.0.1:9", "--insecure-cluster"), "no cluster answers at 'tcp://127.0.0.1:9'"),
+        (
+            ("--cluster", "tcp://127.0.0.1:9", "--insecure-cluster"),
+            "no cluster answers at 'tcp://127.0.0.1:9'",
+        ),
         (("--results", "r.jsonl"), "need --cluster"),
         (("--cluster", "local", "--report", "r.html"), "--report"),
         (("--cluster", "local", "--results", "r.txt"), "must end with .jsonl"),
-        (("--cluster", "ADDRESS", "--insecure-cluster", "--results", "other.jsonl"), "other.jsonl, line 1 is no answer"),
+        (
+            ("--cluster", "ADDRESS", "--insecure-cluster", "--results", "other.jsonl"),
+            "other.jsonl, line 1 is no answer",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(
