@@ -307,7 +307,7 @@ class _Loader(yaml.SafeLoader):
         """Return the next node; keys of mappings have no index, and are not counted."""
         self._left -= parent is None or index is not None
         if self._left < 0:
-            mark = self.peek_event().start_mark
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
             raise yaml.MarkedYAMLError(problem="too many values", problem_mark=mark)
         return super().compose_node(parent, index)
 
