@@ -111,10 +111,10 @@ def _distrust(folder: Path) -> str:
     if not hasattr(os, "getuid"):  # Windows has no such owners
         return ""
     trusted = (os.getuid(), 0)
-    if itself.st_uid not in trusted:
-        return f"user {itself.st_uid} owns the link, and could have this one run what lies there"
     if about.st_uid not in trusted:
         return f"user {about.st_uid} owns it, and could have this one run what lies there"
+    if itself.st_uid not in trusted:
+        return f"user {itself.st_uid} owns the link, and could have this one run what lies there"
     if about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return "others may write there; delete it with all that it holds"
     files = (one.st_uid for one in inside if not stat.S_ISDIR(one.st_mode))
