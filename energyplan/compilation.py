@@ -103,15 +103,23 @@ def _distrust(folder: Path) -> str:
     """Return why a folder keeps no machine code, which runs when loaded; it is created here."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        about = folder.stat()
+        about, itself = folder.stat(), folder.lstat()  # of what a link names, and of the link
+        with os.scandir(folder) as entries:
+            inside = [one.stat(follow_symlinks=False) for one in entries]
     except OSError as error:
         return str(error.strerror)
     if not hasattr(os, "getuid"):  # Windows has no such owners
         return ""
-    if about.st_uid not in (os.getuid(), 0):
+    trusted = (os.getuid(), 0)
+    if about.st_uid not in trusted:
         return f"user {about.st_uid} owns it, and could have this one run what lies there"
+    if itself.st_uid not in trusted:
+        return f"user {itself.st_uid} owns the link, and could have this one run what lies there"
     if about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return "others may write there; delete it, or take their right away"
+        return "others may write there; delete it with all that it holds"
+    files = (one.st_uid for one in inside if not stat.S_ISDIR(one.st_mode))
+    if (owner := next((one for one in files if one not in trusted), None)) is not None:
+        return f"user {owner} owns a file in it; delete it with all that it holds"
     return ""
 
 

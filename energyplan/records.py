@@ -167,9 +167,13 @@ class Within:
 
     def _possible(self, value: Any) -> Any:
         if value is not None and not isinstance(value, str):
-            at, wanted = self._beyond(self.possible, value)
+            try:
+                at, wanted = self._beyond(self.possible, value)
+            except OverflowError:  # more digits than a float has
+                text = f"give {self.range(self.possible)}"
+                raise ImpossibleError(text, described(value), ()) from None
             if wanted:
-                raise ImpossibleError(f"give {wanted}", np.asarray(value)[at].item(), at)
+                raise ImpossibleError(f"give {wanted}", _item(np.asarray(value)[at]), at)
         return value
 
     def __get_pydantic_core_schema__(

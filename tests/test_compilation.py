@@ -260,6 +260,19 @@ def test_code_that_others_could_have_written_is_not_run(
     assert found.stderr.count("KernelCacheWarning") == 1 and told in found.stderr, found.stderr
 
 
+def test_a_file_of_another_user_is_not_run(compiled: Path, tmp_path: Path) -> None:
+    """A folder that was taken back from others may still hold what they planted."""
+    if os.getuid() != 0:
+        pytest.skip("only the superuser gives a file away")
+    copy, kept = compiled / "copy", tmp_path / "kept"
+    shutil.copytree(compiled / "new" / "kept", kept)
+    for file in (kept / "kernels").iterdir():
+        os.chown(file, 12345, -1)
+    found = run(CALL, path=copy, ENERGYPLAN_CACHE_DIR=str(kept))
+    assert found.stdout.split()[:2] == ["31.0", "outer"]  # compiled anew
+    assert "user 12345 owns a file in it; delete it" in found.stderr
+
+
 def test_the_command_line_says_it_in_one_line(unwritable: str, tmp_path: Path) -> None:
     trajectory = tmp_path / "trajectory.csv"
     trajectory.write_text("t,x,y,yaw,v,omega\n0,0,0,0,0.5,0\n1,0.5,0,0,0.5,0\n2,1,0,0,0.5,0\n")

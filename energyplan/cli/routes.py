@@ -467,10 +467,17 @@ def mission(
         str | None,
         Option(
             metavar="ADDRESS",
-            help="Evaluate many missions on Dask's scheduler at tcp://HOST:8786, or on the cores "
+            help="Evaluate many missions on Dask's scheduler at tls://HOST:8786, or on the cores "
             "of this machine, local: a JSON line for each.",
         ),
     ] = None,
+    insecure_cluster: Annotated[
+        bool,
+        Option(
+            "--insecure-cluster",
+            help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
+        ),
+    ] = False,
     results: Annotated[
         Path | None,
         opt.output(
@@ -495,7 +502,7 @@ def mission(
             raise InvalidInputError(
                 "--report, --trajectories, --fail and --strict are of one mission; leave them out"
             )
-        _many(files, cluster, results, effort=effort, reverse=reverse)
+        _many(files, cluster, insecure_cluster, results, effort=effort, reverse=reverse)
         return
     if len(files) > 1 or results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
@@ -525,12 +532,14 @@ def mission(
     verdict(result.feasible and (after is None or after.feasible), strict)
 
 
-def _many(files: list[Path], address: str, results: Path | None, **settings: Any) -> None:
+def _many(
+    files: list[Path], address: str, insecure: bool, results: Path | None, **settings: Any
+) -> None:
     """Print a JSON line for each of many missions; one that fails stops no other."""
     from energyplan.io.many import answers, cluster
 
     failed = 0
-    with cluster(address) as executor:
+    with cluster(address, insecure=insecure) as executor:
         work = partial(evaluated_mission, **settings)
         for line in answers(work, files, executor, results, settings):
             say(jsonlib.dumps(line, allow_nan=False))

@@ -41,7 +41,7 @@ def read_route_graph(path: str | Path) -> RouteGraph:
                 raise MapError(f"{place}: a second node with id {node}; give each its own")
             graph.add_node(node, pos=_position(feature["geometry"], place), feature=k)
     for k, feature in enumerate(features):
-        if feature["geometry"].get("type") in LINES:
+        if str(feature["geometry"].get("type")) in LINES:
             place = f"{file}: feature {k}"
             properties = feature["properties"]
             edge = _id(properties, "id", place)

@@ -280,7 +280,7 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:
-        root = yaml.compose(content, Loader=yaml.SafeLoader)
+        root = yaml.compose(content, Loader=_Loader)
         data = None if root is None else builder.build(root, ())
     except RecursionError:
         raise error(f"{source} is nested too deeply; {NO_CONFIGURATION}") from None
@@ -296,6 +296,20 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     if not isinstance(data, dict):
         raise error(f"{source} must hold a mapping of keys to values")
     return Document(source, data, lines, error)
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes, of which too many are refused before the others are read."""
+
+    _left = MAX_NODES
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Return the next node; keys of mappings have no index, and are not counted."""
+        self._left -= parent is None or index is not None
+        if self._left < 0:
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem="too many values", problem_mark=mark)
+        return super().compose_node(parent, index)
 
 
 class _Builder:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
+import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from energyplan import __version__
+from energyplan.compilation import processors
 from energyplan.errors import InvalidInputError, needs_extra
 from energyplan.io.files import atomic_write, files_behind
 
@@ -19,14 +20,31 @@ Line = dict[str, Any]
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Executor]:
-    """Connect to Dask's scheduler at an address; ``local`` starts a worker on each core."""
+def cluster(address: str, *, insecure: bool = False) -> Iterator[Executor]:
+    """Start a process on each core (``local``), or connect to Dask's scheduler at an address.
+
+    An address begins with ``tls://``; certificates are those of Dask's configuration
+    (``distributed.comm.tls``). Another one needs `insecure`: whoever reaches such a scheduler or
+    its workers runs code as their user.
+    """
+    if address == "local":
+        spawned = multiprocessing.get_context("spawn")  # threads of this process are not copied
+        with ProcessPoolExecutor(processors(), mp_context=spawned) as pool:
+            yield pool
+        return
+    if not (insecure or address.startswith("tls://")):
+        raise InvalidInputError(
+            f"{address!r} is not encrypted, and whoever reaches it runs code as you; give "
+            "tls://HOST:PORT, or --insecure-cluster (insecure=True in Python) in a network where "
+            "you trust everybody"
+        )
     with needs_extra("cluster", "a cluster"):
         from distributed import Client
+        from distributed.security import Security
     try:
-        local = {"threads_per_worker": 1, "silence_logs": logging.CRITICAL}
-        client = Client(timeout=10, **(local if address == "local" else {"address": address}))
-    except (OSError, ValueError) as problem:
+        security = Security(require_encryption=not insecure)
+        client = Client(address, timeout=10, security=security)
+    except (OSError, ValueError, TypeError) as problem:  # TypeError: no certificate is configured
         why = " ".join(str(problem).split())
         raise InvalidInputError(
             f"no cluster answers at {address!r} ({why}); start one with dask scheduler, or write "
@@ -97,8 +115,15 @@ def _checksum(file: str | Path, settings: Mapping[str, Any]) -> str:
 def _kept(results: Path, checksums: Mapping[str, str]) -> dict[str, str]:
     """Return the lines of a file of results that still hold, by file; none that was cut off."""
     kept = {}
-    lines = results.read_text(encoding="utf-8").split("\n") if results.exists() else [""]
-    for number, line in enumerate(lines[:-1], 1):
+    try:
+        lines = results.read_text(encoding="utf-8").split("\n") if results.exists() else [""]
+    except UnicodeDecodeError:
+        raise InvalidInputError(
+            f"{results} is no text in UTF-8; name another file of results"
+        ) from None
+    if _cut_off(lines[-1]):
+        lines.pop()
+    for number, line in enumerate(lines, 1):
         try:
             found = json.loads(line)
             holds = found["checksum"] == checksums.get(found["file"], found["checksum"])
@@ -109,3 +134,15 @@ def _kept(results: Path, checksums: Mapping[str, str]) -> dict[str, str]:
         if holds and "error" not in found:
             kept[found["file"]] = f"{line}\n"
     return kept
+
+
+def _cut_off(line: str) -> bool:
+    """Return whether the last line is empty, or the beginning of an answer."""
+    begin = '{"file": '
+    if not (line.startswith(begin) or begin.startswith(line)):
+        return False
+    try:
+        json.loads(line)
+    except ValueError:
+        return True
+    return False

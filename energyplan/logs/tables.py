@@ -18,7 +18,7 @@ from fnmatch import fnmatchcase
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -734,13 +734,35 @@ def _bytes(file: Path, error: type[InvalidInputError], most: int = -1) -> bytes:
     """Return a text file's bytes, or the first of them; a few of gzip can hold terabytes."""
     limit = MAX_BYTES + 1 if most < 0 else most
     try:
-        with gzip.open(file) if file.suffix.lower() == ".gz" else file.open("rb") as stream:
-            data = stream.read(limit)
+        packed = file.suffix.lower() == ".gz"
+        with gzip.open(file) if packed else file.open("rb") as stream:
+            data = _unpacked(stream, limit, file, error) if packed else stream.read(limit)
     except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
         raise error(f"{file} is no sound gzip file ({problem}); copy or compress it anew") from None
     if len(data) > MAX_BYTES:
         raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
     return data
+
+
+def _unpacked(stream: IO[bytes], limit: int, file: Path, error: type[InvalidInputError]) -> bytes:
+    """Return unpacked bytes up to a limit; a line that is too long ends it at once."""
+    found, size, line, zeros = io.BytesIO(), 0, 0, 0
+    while size < limit and (part := stream.read(min(MAX_LINE, limit - size))):
+        size += len(part)
+        if not part.strip(b"\0"):  # kept only where more follows
+            zeros += len(part)
+            continue
+        last = part.rfind(b"\n")
+        line = max(zeros, len(part) - 1 - last if last >= 0 else line + zeros + len(part))
+        if line > MAX_LINE + 1:
+            raise error(
+                f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"
+            )
+        found.write(bytes(zeros) + part)
+        zeros = 0
+    if size > MAX_BYTES:
+        raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
+    return found.getvalue()
 
 
 def _cells(data: bytes, mark: str) -> NDArray[np.intp]:

@@ -47,6 +47,8 @@ def create_app(
     hosts: tuple[str, ...] = LOOPBACK,
 ) -> FastAPI:
     """Return the service as an ASGI application."""
+    if token is not None and not token.strip():
+        raise InvalidInputError("the token is empty; give a secret, or None to serve everybody")
     with needs_extra("serve", "the service"):
         from energyplan.serve.api import application
     return application(Path(folder), token, workers, waiting, hosts)

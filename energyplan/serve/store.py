@@ -166,8 +166,11 @@ def _stamp(files: list[Path]) -> _Stamp:
 
 def kind_of(file: Path) -> str:
     """Return which kind of YAML file this is, by its keys; not each is one of `KINDS`."""
-    with file.open("rb") as stream:
-        text = stream.read(65536).decode("utf-8", "replace")
+    try:
+        with file.open("rb") as stream:
+            text = stream.read(65536).decode("utf-8", "replace")
+    except OSError:  # such as a file of another user; who opens it by its name hears why
+        return "others"
     keys = set(re.findall(r"^(\w+)\s*:", text, re.MULTILINE))
     return next((kind for kind, telling in _TELLING if telling & keys), "others")
 

@@ -61,7 +61,7 @@ def evaluated(file: Path) -> dict[str, Any]:
 
 def test_a_worker_that_is_killed_loses_nothing(address: str, missions: list[Path]) -> None:
     results = missions[0].with_name("results.jsonl")
-    with cluster(address) as executor:
+    with cluster(address, insecure=True) as executor:
         lines = [*answers(evaluated, missions, executor, results)]
     assert (missions[2].with_suffix(".died")).exists()
     assert Counter(line["file"] for line in lines) == Counter(map(str, missions))
@@ -77,7 +77,7 @@ def test_a_run_goes_on_where_the_last_one_ended(
     bad, results = missions[1], missions[0].with_name("results.jsonl")
     whole = bad.read_text()
     bad.write_text(whole.replace("pose", "place"))
-    words = "mission", *missions, "--cluster", address, "--results", results
+    words = "mission", *missions, "--cluster", address, "--insecure-cluster", "--results", results
     first = commands.run(capsys, *words)
     lines = {Path(one["file"]).name: one for one in map(json.loads, first.out.splitlines())}
     assert first.code == 1 and "1 of 6 missions failed" in first.err
@@ -124,7 +124,7 @@ def test_logs_and_route_graphs_are_answered_by_the_same_function(
         return documents.identification(ep.identify(ep.DriveLog.read(file), model.vehicle))
 
     files = [graph, tmp_path / "log.csv"]
-    with cluster(address) as executor:
+    with cluster(address, insecure=True) as executor:
         found = {line["file"]: line for line in answers(answered, files, executor)}
     for file in files:
         alone = answered(file)
@@ -134,11 +134,17 @@ def test_logs_and_route_graphs_are_answered_by_the_same_function(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--cluster", "tcp://127.0.0.1:9"), "no cluster answers at 'tcp://127.0.0.1:9'"),
+        (
+            ("--cluster", "tcp://127.0.0.1:9", "--insecure-cluster"),
+            "no cluster answers at 'tcp://127.0.0.1:9'",
+        ),
         (("--results", "r.jsonl"), "need --cluster"),
         (("--cluster", "local", "--report", "r.html"), "--report"),
         (("--cluster", "local", "--results", "r.txt"), "must end with .jsonl"),
-        (("--cluster", "ADDRESS", "--results", "other.jsonl"), "other.jsonl, line 1 is no answer"),
+        (
+            ("--cluster", "ADDRESS", "--insecure-cluster", "--results", "other.jsonl"),
+            "other.jsonl, line 1 is no answer",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(

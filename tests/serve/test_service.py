@@ -738,3 +738,27 @@ def test_maps_that_are_kept_have_a_limit_together(
     for name in "dbca":  # the oldest went
         made(name)
     assert read == ["a", "b", "c", "d", "a"]
+
+
+def test_a_file_that_cannot_be_opened_hides_no_other(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = Path.open
+
+    def guarded(self: Path, *args: Any, **more: Any) -> Any:
+        if self.name == "secret.yaml":
+            raise PermissionError(13, "Permission denied")
+        return opened(self, *args, **more)
+
+    (folder / "secret.yaml").write_text("image: a.png\n")
+    with TestClient(create_app(folder), base_url="http://localhost") as client:
+        monkeypatch.setattr(Path, "open", guarded)
+        answer = client.get("/api/files")
+    (folder / "secret.yaml").unlink()
+    assert answer.status_code == 200 and answer.json()["maps"]
+    assert "secret.yaml" not in answer.json()["maps"]
+
+
+def test_an_empty_token_is_refused(folder: Path) -> None:
+    with pytest.raises(InvalidInputError, match="token is empty"):
+        create_app(folder, "")

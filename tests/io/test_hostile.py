@@ -1,0 +1,70 @@
+"""Files that ask for too much are refused before it is spent."""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from energyplan.errors import InvalidInputError, MapError
+from energyplan.export.graph import read_route_graph
+from energyplan.io.documents import MAX_NODES, parse
+from energyplan.logs.tables import MAX_LINE, read_table
+from energyplan.mission import Charger
+from energyplan.vehicle import Vehicle
+
+
+def test_a_document_of_too_many_values_is_refused_before_it_is_composed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    composed = 0
+    node = yaml.SequenceNode.__init__
+
+    def counted(self: yaml.SequenceNode, *args: object, **more: object) -> None:
+        nonlocal composed
+        composed += 1
+        node(self, *args, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(yaml.SequenceNode, "__init__", counted)
+    with pytest.raises(InvalidInputError, match="too many values"):
+        parse("image: [" + "[]," * (3 * MAX_NODES) + "[]]", "bomb.yaml", InvalidInputError)
+    assert composed <= MAX_NODES
+
+
+def test_a_long_line_is_refused_while_it_is_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, read = tmp_path / "log.csv.gz", 0
+    file.write_bytes(gzip.compress(b"t,x\n" + b"0" * (40 * MAX_LINE)))
+    whole = gzip.GzipFile.read
+
+    def counted(self: gzip.GzipFile, size: int | None = -1) -> bytes:
+        nonlocal read
+        found = whole(self, size)
+        read += len(found)
+        return found
+
+    monkeypatch.setattr(gzip.GzipFile, "read", counted)
+    with pytest.raises(InvalidInputError, match="line longer than"):
+        read_table(file, InvalidInputError)
+    assert read <= 4 * MAX_LINE
+
+
+@pytest.mark.parametrize("value", [2**64, -(10**30), 10**400])
+def test_whole_numbers_beyond_64_bits_are_refused_by_name(value: int) -> None:
+    with pytest.raises(InvalidInputError, match="mass"):
+        replace(Vehicle.preset("quadriga:full"), mass=value)
+    with pytest.raises(InvalidInputError, match="places"):
+        Charger(name="c", pose=(0.0, 0.0, 0.0), power=100.0, places=value)
+
+
+def test_a_geometry_whose_type_is_no_text_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "g.geojson"
+    file.write_text(
+        '{"type": "FeatureCollection", "features": [{"geometry": {"type": []}, "properties": {}}]}'
+    )
+    with pytest.raises(MapError, match="no nodes"):
+        read_route_graph(file)
