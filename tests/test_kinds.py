@@ -366,6 +366,23 @@ def test_annotations_of_public_functions_are_understood() -> None:
             assert wanted & set(told), name
 
 
+SI = {
+    "2 m": 2.0, "2 cm": 0.02, "2 mm": 0.002, "2 s": 2.0, "2 min": 120.0, "2 h": 7200.0,
+    "2 W": 2.0, "2 kW": 2000.0, "2 C": 2.0, "2 Ah": 7200.0, "2 mAh": 7.2, "2 ohm": 2.0,
+    "2 mohm": 0.002, "2 V": 2.0, "2 mV": 0.002, "2 A": 2.0, "2 mA": 0.002, "2 J": 2.0,
+    "2 Wh": 7200.0, "2 kWh": 7.2e6, "2 kg": 2.0, "2 g": 0.002, "2 %": 0.02, "2 m/s": 2.0,
+    "36 km/h": 10.0, "2 degC": 2.0, "2 °C": 2.0, "2 rad": 2.0, "90 deg": math.pi / 2,
+}  # fmt: skip
+"""Amounts, and what they are in SI units."""
+
+
+def test_every_unit_is_what_the_si_says() -> None:
+    for kind, units in records.UNITS.items():
+        for unit in units:
+            (text,) = (text for text in SI if text.split()[1] == unit)
+            assert records.amount(kind, text) == pytest.approx(SI[text], rel=1e-15), (kind, text)
+
+
 @pytest.mark.parametrize("text", ["-5 degC", "-5 °C", "-5 C", "-5"])
 def test_temperatures_are_written_in_degrees_of_either_spelling(text: str) -> None:
     assert records.amount("temperature", text) == -5.0
