@@ -78,7 +78,7 @@ EXECUTED = ROOT / "build" / "executed.json"
 CHANGES, LEAST = 10, 8
 """Changes a module, and how many of them the tests must notice."""
 
-FIRST, ENOUGH = 12, 60.0
+FIRST, ENOUGH = 12, 20.0
 """Tests that a change is tried against at first, and processor time of those that follow [s]."""
 
 SLOWER, STARTING, COMPILING = 2.0, 20.0, 120.0
