@@ -125,6 +125,11 @@ def test_a_png_of_16_bits_by_its_yaml(tmp_path):
     ground = read_heights(file)
     np.testing.assert_allclose(ground.heights, [[1, 2, 3], [-1, 4, 0]], atol=1e-9)
     assert ground.height((1.25, 2.25)) == pytest.approx(1.0)
+    whole = file.read_text()
+    file.write_text(whole.replace("min_height: -1", "").replace("max_height: 4", "max_height: far"))
+    with pytest.raises(MapError, match="hill.yaml.*min_height: this key is missing; give it a"):
+        read_heights(file)
+    file.write_text(whole)
     with pytest.raises(MapError, match="give a YAML file with image, resolution"):
         read_heights(tmp_path / "hill.png")
     Image.fromarray(np.uint8(values >> 8)).save(tmp_path / "hill.png")
