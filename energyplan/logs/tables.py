@@ -12,6 +12,7 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -558,6 +559,7 @@ MAX_LINE = 1 << 20
 """Longest line that is read [bytes]."""
 MAX_BYTES = 1 << 31
 """Largest table that is read, after decompression [bytes]."""
+_most_bytes: ContextVar[int] = ContextVar("most_bytes", default=MAX_BYTES)
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
 _AHEAD = _MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
@@ -730,25 +732,41 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     return suffix
 
 
-def _bytes(file: Path, error: type[InvalidInputError], most: int = -1) -> bytes:
-    """Return a text file's bytes, or the first of them; a few of gzip can hold terabytes."""
-    limit = MAX_BYTES + 1 if most < 0 else most
+@contextmanager
+def unpacked_at_most(size: int) -> Iterator[None]:
+    """Refuse tables of more bytes inside, after decompression, as a service does."""
+    token = _most_bytes.set(min(size, MAX_BYTES))
+    try:
+        yield
+    finally:
+        _most_bytes.reset(token)
+
+
+def _bytes(file: Path, error: type[InvalidInputError]) -> bytes:
+    """Return a text file's bytes; a few of gzip can hold terabytes."""
+    limit = _most_bytes.get()
     try:
         packed = file.suffix.lower() == ".gz"
         with gzip.open(file) if packed else file.open("rb") as stream:
-            data = _unpacked(stream, limit, file, error) if packed else stream.read(limit)
+            data = _unpacked(stream, file, error) if packed else stream.read(limit + 1)
     except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
         raise error(f"{file} is no sound gzip file ({problem}); copy or compress it anew") from None
-    if len(data) > MAX_BYTES:
-        raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
+    _refuse_larger(len(data), file, error)
     return data
 
 
-def _unpacked(stream: IO[bytes], limit: int, file: Path, error: type[InvalidInputError]) -> bytes:
-    """Return unpacked bytes up to a limit; a line that is too long ends it at once."""
+def _refuse_larger(size: int, file: Path, error: type[InvalidInputError]) -> None:
+    """Refuse a table of more bytes than are read."""
+    if size > (limit := _most_bytes.get()):
+        raise error(f"{file} holds more than {limit >> 20} MiB; split it")
+
+
+def _unpacked(stream: IO[bytes], file: Path, error: type[InvalidInputError]) -> bytes:
+    """Return unpacked bytes; a line that is too long, or too many bytes, end it at once."""
     found, size, line, zeros = io.BytesIO(), 0, 0, 0
-    while size < limit and (part := stream.read(min(MAX_LINE, limit - size))):
+    while part := stream.read(MAX_LINE):
         size += len(part)
+        _refuse_larger(size, file, error)
         if not part.strip(b"\0"):  # kept only where more follows
             zeros += len(part)
             continue
@@ -760,8 +778,6 @@ def _unpacked(stream: IO[bytes], limit: int, file: Path, error: type[InvalidInpu
             )
         found.write(bytes(zeros) + part)
         zeros = 0
-    if size > MAX_BYTES:
-        raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
     return found.getvalue()
 
 
@@ -929,8 +945,7 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
             numbers = [name for name, kind in kinds.items() if _holds_numbers(kind)]
             # Of groups: where what a column says is damaged, pyarrow ends the process.
             groups = map(parquet.metadata.row_group, range(parquet.metadata.num_row_groups))
-            if sum(group.total_byte_size for group in groups) > MAX_BYTES:
-                raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
+            _refuse_larger(sum(group.total_byte_size for group in groups), file, error)
             frame = parquet.read(columns=numbers).to_pandas(ignore_metadata=True)
     except (pa.ArrowException, OSError, RuntimeError) as problem:
         first = (str(problem).splitlines() or [""])[0]
