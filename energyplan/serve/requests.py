@@ -154,17 +154,18 @@ def read_body(content: bytes, given: type[BaseModel]) -> BaseModel:
 
 def _few(content: bytes, numbers: int) -> None:
     """Refuse JSON of more values than a file may hold, beside numbers of columns."""
-    if not _most(content, numbers):
+    if not _many(content, content, numbers):
         return
-    plain = _EMPTY.sub(b"0", _STRING.sub(b"0", content))
-    if _most(plain, numbers):
-        raise ValueError(f"it holds more than {numbers or MAX_NODES} values")
+    plain = _STRING.sub(b"0", content)
+    if _many(plain, _EMPTY.sub(b"0", plain), numbers):
+        raise ValueError(f"it holds more than {MAX_NODES + numbers} values")
 
 
-def _most(content: bytes, numbers: int) -> bool:
-    """Return whether JSON may hold too many values: each but the first follows one of its marks."""
+def _many(content: bytes, filled: bytes, numbers: int) -> bool:
+    """Return whether JSON may hold too much: each value but the first follows one of its marks."""
     nests = content.count(b"[") + content.count(b"{")
-    return nests > MAX_NODES or nests + content.count(b",") > MAX_NODES + numbers
+    inner = filled.count(b"[") + filled.count(b"{")
+    return nests > MAX_NODES or inner + filled.count(b",") > MAX_NODES + numbers
 
 
 def _keys_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
