@@ -19,7 +19,7 @@ from fnmatch import fnmatchcase
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -559,9 +559,9 @@ MAX_LINE = 1 << 20
 """Longest line that is read [bytes]."""
 MAX_BYTES = 1 << 31
 """Largest table that is read, after decompression [bytes]."""
-_most_bytes: ContextVar[int] = ContextVar("most_bytes", default=MAX_BYTES)
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
+_most: ContextVar[tuple[int, int]] = ContextVar("most", default=(MAX_BYTES, MAX_CELLS))
 _AHEAD = _MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
 _STRAY_ROWS = 0.01  # share of rows that may be cut short
 _CHUNK = 200_000  # rows parsed at once
@@ -733,22 +733,25 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
 
 
 @contextmanager
-def unpacked_at_most(size: int) -> Iterator[None]:
-    """Refuse tables of more bytes inside, after decompression, as a service does."""
-    token = _most_bytes.set(min(size, MAX_BYTES))
+def unpacked_at_most(size: int, cells: int = MAX_CELLS) -> Iterator[None]:
+    """Refuse tables of more bytes after decompression, or of more cells, as a service does."""
+    token = _most.set((min(size, MAX_BYTES), min(cells, MAX_CELLS)))
     try:
         yield
     finally:
-        _most_bytes.reset(token)
+        _most.reset(token)
 
 
 def _bytes(file: Path, error: type[InvalidInputError]) -> bytes:
     """Return a text file's bytes; a few of gzip can hold terabytes."""
-    limit = _most_bytes.get()
+    limit, _ = _most.get()
     try:
-        packed = file.suffix.lower() == ".gz"
-        with gzip.open(file) if packed else file.open("rb") as stream:
-            data = _unpacked(stream, file, error) if packed else stream.read(limit + 1)
+        if file.suffix.lower() == ".gz":
+            with gzip.open(file) as packed:
+                data = _unpacked(packed, file, error)
+        else:
+            with file.open("rb") as stream:
+                data = stream.read(limit + 1)
     except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
         raise error(f"{file} is no sound gzip file ({problem}); copy or compress it anew") from None
     _refuse_larger(len(data), file, error)
@@ -757,11 +760,12 @@ def _bytes(file: Path, error: type[InvalidInputError]) -> bytes:
 
 def _refuse_larger(size: int, file: Path, error: type[InvalidInputError]) -> None:
     """Refuse a table of more bytes than are read."""
-    if size > (limit := _most_bytes.get()):
+    limit, _ = _most.get()
+    if size > limit:
         raise error(f"{file} holds more than {limit >> 20} MiB; split it")
 
 
-def _unpacked(stream: IO[bytes], file: Path, error: type[InvalidInputError]) -> bytes:
+def _unpacked(stream: gzip.GzipFile, file: Path, error: type[InvalidInputError]) -> bytes:
     """Return unpacked bytes; a line that is too long, or too many bytes, end it at once."""
     found, size, line, zeros = io.BytesIO(), 0, 0, 0
     while part := stream.read(MAX_LINE):
@@ -815,7 +819,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
             f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"
         )
     columns = Columns(names, dialect.line, "line", dialect.decimal)
-    rows, most = len(ends) + (not data.endswith(b"\n")), MAX_CELLS // len(names)
+    rows, most = len(ends) + (not data.endswith(b"\n")), _most.get()[1] // len(names)
     if rows > most:
         raise error(f"{file} has more than {most} rows of {len(names)} columns; split it")
     # Pandas reads a large table five times as fast; a small one is read before it is imported.
@@ -934,7 +938,7 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
     try:
         with pq.ParquetFile(file) as parquet:
             shape = parquet.metadata.num_rows, parquet.metadata.num_columns
-            if shape[1] > MAX_COLUMNS or shape[0] * shape[1] > MAX_CELLS:
+            if shape[1] > MAX_COLUMNS or shape[0] * shape[1] > _most.get()[1]:
                 raise error(f"{file} has {shape[0]} rows of {shape[1]} columns; split it")
             schema = parquet.schema_arrow
             names = [str(name) for name in schema.names]

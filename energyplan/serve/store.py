@@ -58,7 +58,7 @@ _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
 _LONGEST = 200  # letters of a name
 _KEPT = 32  # files whose content is kept
 _CELLS, _MOST = 2**24, 2**25  # most cells of a map, and of all that is kept but the newest
-_UNPACKED = 2**27  # most bytes of a table, after decompression
+_UNPACKED, _TABLE = 2**26, 2**24  # most bytes of a table, after decompression, and cells
 _TURN = 0.05  # time between two looks whether who waits for a file is still waited for [s]
 _Stamp = tuple[tuple[Path, int, int, int, int], ...]
 
@@ -321,7 +321,7 @@ class Pool:
         try:
             job.say("started")
             with (
-                cancellable(job.unwanted), at_most(_CELLS), unpacked_at_most(_UNPACKED),
+                cancellable(job.unwanted), at_most(_CELLS), unpacked_at_most(_UNPACKED, _TABLE),
                 parsed_once(),
             ):  # fmt: skip
                 job.future.set_result(work(job))

@@ -128,3 +128,15 @@ def test_a_table_is_unpacked_up_to_a_size(
     ):
         read_table(file, InvalidInputError)
     assert read <= 2 * MAX_LINE
+
+
+def test_a_table_of_many_cells_is_refused_before_they_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("t,x\n" + "1,2\n" * 51)
+    with tables.unpacked_at_most(2**20, cells=102):
+        assert len(read_table(file, InvalidInputError).columns["t"]) == 51
+    with (
+        tables.unpacked_at_most(2**20, cells=101),
+        pytest.raises(InvalidInputError, match="more than 50 rows"),
+    ):
+        read_table(file, InvalidInputError)
