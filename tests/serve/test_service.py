@@ -831,7 +831,7 @@ def test_who_waits_for_a_file_may_be_cancelled(folder: Path) -> None:
 
     def read(file: Path) -> None:
         begun.set()
-        end.wait()
+        end.wait(30)
 
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(store.read, "room.yaml", read)
