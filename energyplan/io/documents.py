@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import reduce
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -270,7 +272,37 @@ def _fields(schema: Any) -> dict[str, Any]:
 def load(path: str | Path, error: type[InvalidInputError]) -> Document:
     """Read one YAML document that holds a mapping."""
     file = Path(path)
-    return parse(read_bytes(file, MAX_BYTES, error, NO_CONFIGURATION), file.name, error)
+    content, known = read_bytes(file, MAX_BYTES, error, NO_CONFIGURATION), _parsed.get()
+    if known is None:
+        return parse(content, file.name, error)
+    key = file.name, content
+    if key not in known:
+        try:
+            known[key] = parse(content, file.name, InvalidInputError)
+        except InvalidInputError as problem:
+            known[key] = str(problem)
+        while len(known) > _KEPT:
+            known.pop(next(iter(known)))
+    found = known[key]
+    if isinstance(found, str):
+        raise error(found)
+    return replace(found, error=error)
+
+
+_KEPT = 8  # documents, of up to 1 MiB each, that are kept for who reads them again
+_parsed: ContextVar[dict[tuple[str, bytes], Document | str] | None] = ContextVar(
+    "parsed", default=None
+)
+
+
+@contextmanager
+def parsed_once() -> Iterator[None]:
+    """Parse a file that is read several times inside, with the same content, only once."""
+    token = _parsed.set({})
+    try:
+        yield
+    finally:
+        _parsed.reset(token)
 
 
 def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> Document:
@@ -280,6 +312,7 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:
+        _few_events(content)
         root = yaml.compose(content, Loader=_Loader)
         data = None if root is None else builder.build(root, ())
     except RecursionError:
@@ -296,6 +329,35 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     if not isinstance(data, dict):
         raise error(f"{source} must hold a mapping of keys to values")
     return Document(source, data, lines, error)
+
+
+_EVENTS: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's is ten times as fast
+
+
+def _few_events(content: bytes | str) -> None:
+    """Refuse too many values, or too deep a nest, by the parser's events, before any node."""
+    text = content.decode("utf-8", "replace") if isinstance(content, bytes) else content
+    if len(re.findall(r"^%", text, re.MULTILINE)) > _MAX_DEPTH:  # each is compared with all others
+        raise yaml.MarkedYAMLError(problem="too many directives")
+    count, nests = 0, list[bool | None]()  # whether a key comes next; None in a list
+    excess: Any = None
+    with suppress(yaml.YAMLError, UnicodeError):  # are named where the nodes are composed
+        for event in yaml.parse(content, Loader=_EVENTS):
+            if isinstance(event, yaml.NodeEvent):
+                key = nests[-1] if nests else None
+                if key is not None:
+                    nests[-1] = not key
+                count += not key
+            if isinstance(event, yaml.CollectionStartEvent):
+                nests.append(True if isinstance(event, yaml.MappingStartEvent) else None)
+            elif isinstance(event, yaml.CollectionEndEvent):
+                nests.pop()
+            if count > MAX_NODES or len(nests) > _MAX_DEPTH + 1:
+                excess = event.start_mark
+                break
+    if excess is not None:
+        problem = "too many values or too deep a nest"
+        raise yaml.MarkedYAMLError(problem=problem, problem_mark=excess)
 
 
 class _Loader(yaml.SafeLoader):
