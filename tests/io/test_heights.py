@@ -40,6 +40,11 @@ def test_esri_grids(tmp_path):
     assert ground.height((15, 23)) == 3.0
     file.write_text(ASC.replace("corner", "center"))
     assert read_heights(file).height((10, 20)) == 4.0
+    file.write_text(ASC.replace("1 2 3", "1 -9999 3"))
+    with pytest.raises(MapError, match="1 cells without data, the first in row 1, column 2"):
+        read_heights(file)
+    file.write_text(ASC.replace("1 2 3", "1 -9999 3").replace("NODATA_value -9999\n", ""))
+    assert read_heights(file).height((13, 23)) == -9999.0
 
 
 HILL = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 7.0]])
@@ -77,6 +82,10 @@ def test_geotiff(tmp_path, compression, kind):
     assert (ground.height((11, 21)), ground.height((15, 23))) == (4.0, 3.0)
     geotiff(file, HILL.astype(kind), {**tags, GEO_KEYS: keys(model=1, raster=2)})
     assert read_heights(file).height((10, 24)) == 1.0  # the points themselves
+    # the values of a key may stand in another tag, where its number is a place and no unit
+    area[GEO_KEYS] = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 34736, 1, 0)
+    geotiff(file, HILL.astype(kind), area)
+    np.testing.assert_array_equal(read_heights(file).heights, HILL[::-1])
 
 
 def test_a_turned_geotiff(tmp_path):
@@ -161,6 +170,11 @@ def test_a_png_of_16_bits_by_its_yaml(tmp_path):
     ground = read_heights(file)
     np.testing.assert_allclose(ground.heights, [[1, 2, 3], [-1, 4, 0]], atol=1e-9)
     assert ground.height((1.25, 2.25)) == pytest.approx(1.0)
+    whole = file.read_text()
+    file.write_text(whole.replace("min_height: -1", "").replace("max_height: 4", "max_height: far"))
+    with pytest.raises(MapError, match=r"hill\.yaml.*min_height: this key is missing"):
+        read_heights(file)
+    file.write_text(whole)
     with pytest.raises(MapError, match="give a YAML file with image, resolution"):
         read_heights(tmp_path / "hill.png")
     Image.fromarray(np.uint8(values >> 8)).save(tmp_path / "hill.png")
