@@ -143,9 +143,10 @@ class _Visits(_Part):
 
     # who sent it, when and to whom
     idle = frozenset(
-        {"headerId", "timestamp", "version", "manufacturer", "serialNumber", "orderId",
+        {"headerId", "timestamp", "version", "manufacturer", "serialNumber",
          "orderUpdateId", "zoneSetId", "orderDescription", "orderDescriptor"}
     )  # fmt: skip
+    orderId: str = ""  # noqa: N815  as VDA 5050 spells it
     nodes: list[_Node] = []
     edges: list[_Edge] = []
     waypoints: list[_Waypoint] = []

@@ -152,9 +152,11 @@ def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path
 
 
 def _with_poses(table: Recording) -> Recording:
-    """Return a table with x, y and yaw, found as those of a log are where a name says its unit."""
+    """Return a table with x, y and yaw, found as those of a log; a heading says its unit."""
     names = [name for name in table.columns if name]
-    found = {c: one for c, one in guess(names).items() if one.unit or one.field == "theta"}
+    found = guess(names)
+    if (yaw := found.get("yaw")) and not (yaw.unit or yaw.field == "theta"):
+        del found["yaw"]  # a compass counts in degrees, and clockwise
     turns = quaternions(names)
     if len(turns) == 1:
         found.setdefault("yaw", Column(field=next(iter(turns)), channel="yaw"))
