@@ -119,7 +119,6 @@ MAP = "a map of map_server"
 _TELLING = {
     MAP: {"image", "resolution"},
     "a building of Open-RMF": {"levels"},
-    "a parameters file of Nav2": {"planner_server"},
     "a mission": {"tasks", "battery"},
     "a site": {"map", "clearance"},
     "a mission of several robots": {"robots"},
@@ -139,6 +138,25 @@ _TELLING = {
     "--like robot.yaml": {"serial_number", "platform"},
 }
 """Keys by which a file shows what it is."""
+_PARAMETERS = "ros__parameters"
+_OF_ROS = (
+    "a parameters file of ROS 2: of a vector object server, give the areas to keep out of as "
+    "GeoJSON polygons with keep_out, under surfaces; of a planner, the map that it names"
+)
+_BEGINS = {
+    b"QGC WPL": "waypoints of MAVLink, over longitude and latitude: write them in metres of the "
+    "map, as in tasks: [{name: w1, pose: [X, Y, YAW]}]",
+    b"<root": "XML, such as a behaviour tree: write its goals as tasks: [{name: a, pose: [X, Y, "
+    "YAW]}]",
+    b"<?xml": "XML, such as a behaviour tree or a launch file: write its goals as tasks: [{name: "
+    "a, pose: [X, Y, YAW]}]",
+    b"\x89PNG": "an image: name it in the YAML file of a map, as image: FILE.png",
+    b"P5": "an image: name it in the YAML file of a map, as image: FILE.pgm",
+    b"PK\x03\x04": "a zip archive, as spreadsheets are: export a table as CSV",
+    b"SQLite format 3": "a database of SQLite, as ROS 2 bags are: it is no configuration",
+    b"\x89MCAP": "a bag (MCAP): it is no configuration",
+}
+"""What a file is that is no YAML, by how it begins."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
 _EXTRA = ("extra_forbidden", "unexpected_keyword_argument")
@@ -242,13 +260,21 @@ class Document:
     @property
     def kind(self) -> str | None:
         """What the file seems to be, by its keys."""
-        return next((kind for kind, keys in _TELLING.items() if keys <= {*self.data}), None)
+        return next(self._kinds({*self.data}), None)
+
+    def _kinds(self, strange: set[Any]) -> Iterator[str]:
+        """Yield what the file may be, by keys of which some are strange."""
+        if any(isinstance(one, dict) and _PARAMETERS in one for one in self.data.values()):
+            yield _OF_ROS
+        for kind, keys in _TELLING.items():
+            if keys & strange and keys <= {*self.data}:
+                yield kind
 
     def another_kind(self, schema: Any) -> str:
         """Say what else the file seems to be, if anything."""
         strange = {*self.data} - {*_fields(schema)}
-        kinds = [kind for kind, keys in _TELLING.items() if keys & strange and keys <= {*self.data}]
-        return f"; this file seems to be {kinds[0]}" if kinds else ""
+        kind = next(self._kinds(strange), None)
+        return f"; this file seems to be {kind}" if kind else ""
 
 
 def _keys(here: Any, loc: Loc) -> list[str]:
@@ -309,6 +335,10 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     """Parse one YAML document that holds a mapping; as `load`, from memory."""
     if len(content) > MAX_BYTES:
         raise error(f"{source} is larger than {MAX_BYTES >> 10} KiB; {NO_CONFIGURATION}")
+    head = (content if isinstance(content, bytes) else content[:80].encode()).lstrip()
+    for begin, what in _BEGINS.items():
+        if head.startswith(begin):
+            raise error(f"{source} is {what}")
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:
