@@ -49,14 +49,14 @@ from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words
 from energyplan.fit.drive import Drive, Late, check_long_enough
-from energyplan.fit.estimate import PAPER, Fitted, problem_of
+from energyplan.fit.estimate import PAPER, Fitted, problem_of, with_signs
 from energyplan.fit.identification import name_of
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
 from energyplan.logs.clean import set_aside_by_drive
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
-from energyplan.power.effects import Effect, catalogue
+from energyplan.power.effects import UNSIGNED_POWER, Effect, catalogue
 from energyplan.records import checked
 from energyplan.vehicle import Vehicle
 
@@ -155,6 +155,10 @@ def diagnose(
     check_long_enough(learned, held_out)
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)
+    signed = with_signs([*learned, *held_out], vehicle, entries)
+    learned, held_out = signed[: len(learned)], signed[len(learned) :]
+    if all(log.signed for log in learned):
+        entries = tuple(entry for entry in entries if UNSIGNED_POWER not in entry.terms)
     case = _Case(learned, held_out, vehicle, entries)
     case.limits[:0] = copies
     report(0.1, "choosing effects")
