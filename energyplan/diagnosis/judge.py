@@ -519,10 +519,7 @@ class Modelled:
         heat = straight_heat(problem, fitted.model) if heats else None
         if heat is not None:
             fitted = replace(fitted, model=heat.model)
-        # Runs differ as a whole, of every robot: that is no effect that the model lacks.
-        several = len(problem.drives) > 1
-        left = left_over(fitted.model, problem.drives, apart=several)
-        return cls(fitted, heat, adequacy(problem.drives, left))
+        return cls(fitted, heat, adequacy(problem.drives, left_over(fitted.model, problem.drives)))
 
 
 @dataclass(frozen=True)

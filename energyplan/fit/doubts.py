@@ -407,13 +407,11 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
     return told - alone if np.any(told != alone) else None
 
 
-def left_over(
-    model: PowerModel, drives: Sequence[Drive], apart: bool = False
-) -> list[FloatArray]:  # fmt: skip
+def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
     """Return what a model leaves of each drive's power, what contacts hold taken out [W].
 
-    While they change from holding to sliding or back, no model says what they do. The factor by
-    which a whole drive differs from its like is taken out too if they are taken `apart`.
+    While they change from holding to sliding or back, no model says what they do. Of several
+    drives, the factor by which each differs as a whole is taken out too: no term makes up for it.
     """
     left = []
     for drive in drives:
@@ -421,7 +419,7 @@ def left_over(
         clear = np.ones(len(said)) if shown is None else drive.settled
         said = (said if shown is None else said + shown) * clear
         measured = drive.power * clear
-        factor = RunEffect.usual_factor(said, measured) if apart else 1.0
+        factor = RunEffect.usual_factor(said, measured) if len(drives) > 1 else 1.0
         left.append(measured - factor * said)
     return left
 

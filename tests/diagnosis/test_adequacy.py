@@ -85,8 +85,8 @@ def test_noise_that_a_sensor_remembers_for_a_moment_is_no_effect(preset: str, se
     assert diagnose(spiral, figure8, truth.vehicle).verdict != "unexplained"
 
 
-def of_one_robot(seed: int, bumps: float = 0.0, hotel: float = 0.0) -> Diagnosis:
-    """Diagnose runs that differ as a whole by 2 %, on ground with bumps of a share of K."""
+def runs_of_one_robot(seed: int, bumps: float = 0.0, hotel: float = 0.0) -> list[DriveLog]:
+    """Runs that differ as a whole by 2 %, on ground with bumps of a share of K."""
     rng = np.random.default_rng(seed)
     K, way = ROBOT.coefficient("traction_resistance"), 1.3
     logs = []
@@ -103,6 +103,12 @@ def of_one_robot(seed: int, bumps: float = 0.0, hotel: float = 0.0) -> Diagnosis
         at = np.cumsum(0.1 * speed) / way + float(rng.uniform())
         more = bumps * K * 2.0 * speed * np.sin(2 * np.pi * at)
         logs.append(DriveLog({**log.channels, "power": log.power + more}, log.name))
+    return logs
+
+
+def of_one_robot(seed: int, bumps: float = 0.0, hotel: float = 0.0) -> Diagnosis:
+    """Diagnose such runs, of which the last judges."""
+    logs = runs_of_one_robot(seed, bumps, hotel)
     return diagnose(logs[:-1], logs[-1], ROBOT.vehicle)
 
 
@@ -124,6 +130,14 @@ def test_what_is_missing_is_no_factor_of_a_run_and_has_no_probability(seed: int)
     assert all(one["probability"] is None for one in document["effects"])
     assert "none of those known" in document["no_probability"]
     assert "best of those known" in str(found)
+
+
+@pytest.mark.parametrize("bumps", [0.0, 0.3])
+def test_identify_does_not_call_a_difference_between_runs_a_lack(bumps: float) -> None:
+    found = identify(runs_of_one_robot(1, bumps), ROBOT.vehicle)
+    assert found.adequacy.adequate == (bumps == 0.0)
+    lacks = any("the model lacks something" in warning for warning in found.warnings)
+    assert lacks == (bumps > 0.0)
 
 
 def test_an_effect_is_found_where_runs_differ() -> None:
