@@ -204,6 +204,7 @@ class RobotMeasures(_Asked):
     wheel_radius: Annotated[float, Field(gt=0, le=5)] | None = None
     like: Name | None = Field(None, description="a vehicle to take the rest from")
     columns: Annotated[str, Field(max_length=4000)] | None = None  # those that are known
+    unsigned: bool = False  # whether the sensors of its powers see no sign
 
 
 class StartRequest(_Asked):
