@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 
+import networkx as nx
 import numpy as np
 import pytest
 import shapely
@@ -12,11 +13,14 @@ from PIL import Image
 from shapely.affinity import rotate
 
 import energyplan as ep
+from energyplan.battery import Battery
 from energyplan.errors import MapError
 from energyplan.io.geojson import write_surfaces
 from energyplan.io.maps import read_speed_mask
 from energyplan.io.sites import read_site
+from energyplan.mission import Mission, Spreads, Task, evaluate
 from energyplan.planning.driven import drive_plan
+from energyplan.planning.graphs import Roadmap
 from energyplan.power.effects import term
 from energyplan.terrain import SpeedLimit, Surface
 
@@ -298,6 +302,26 @@ def test_a_comparison_prices_both_paths_on_the_same_ground(slow_hall):
     found = ep.compare(with_hotel_load(slow_hall), effort=5000)
     # the shortest way crosses the zone
     assert found.energy_optimal.energy_driven < 0.75 * found.shortest.energy_driven
+
+
+def test_graphs_range_and_missions_go_round_a_slow_zone_too(slow_hall):
+    problem = with_hotel_load(slow_hall)
+    graph = nx.Graph()
+    for name, place in {"a": (2, 5), "b": (18, 5), "c": (2, 9), "d": (18, 9)}.items():
+        graph.add_node(name, pos=place)
+    graph.add_edges_from(["ab", "ac", "cd", "db"])
+    route = Roadmap(graph, problem.cost, problem.surfaces).route("a", "b")
+    assert route.nodes == ("a", "c", "d", "b")
+    within_reach = float(ep.energy_map(problem).energy_at((18, 5)))
+    mission = Mission(
+        model=problem.cost.model, map=problem.map, surfaces=problem.surfaces, start=problem.start,
+        tasks=(Task("there", problem.goal),), battery=Battery.preset("quadriga"),
+        spreads=Spreads.none(), planning_effort=5000, confidence=0.5,
+    )  # fmt: skip
+    leg = evaluate(mission).task("there").energy
+    # 16 m at 226 J/m, and the hotel load for as long as straight ways take with and without limit
+    free, across = (16 * 226 + 150 * time for time in (16 / 1.2, 12 / 1.2 + 4 / 0.1))
+    assert all(free < energy < 0.8 * across for energy in (within_reach, leg))
 
 
 @pytest.mark.parametrize("seed", range(20))
