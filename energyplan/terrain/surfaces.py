@@ -91,6 +91,11 @@ class SlowAreas(NamedTuple):
     speeds: tuple[float, ...] = ()  # limit of each level from 1 on, the highest first [m/s]
     areas: tuple[tuple[int, BaseGeometry], ...] = ()  # level and place, in the order of the levels
 
+    @property
+    def key(self) -> tuple[tuple[int, int], ...]:
+        """What distinguishes it from others of the same map."""
+        return tuple((level, id(area)) for level, area in self.areas)
+
 
 NOT_SLOW = SlowAreas()
 
@@ -167,11 +172,11 @@ class SurfaceMap:
 
     def slow_areas(self, cost: EnergyCost) -> SlowAreas:
         """Return the speed limits that are below the speeds of a cost."""
-        vehicle = cost.vehicle
+        motors = [cost.vehicle.motor, *(one.model.vehicle.motor for one in self.surfaces)]
+        top = min(max(motor.speed for motor in motors), cost.tread_speed or np.inf)
         # the reference point may move faster than both treads only outside of them
-        widest = max(1.0, abs(cost.icr.centre[1]) / cost.half_track)
-        top = widest * min(vehicle.motor.speed, cost.tread_speed or np.inf)
-        known = [(limit.of(vehicle), limit.area) for limit in self.speed_limits]
+        top *= max(1.0, abs(cost.icr.centre[1]) / cost.half_track)
+        known = [(limit.of(cost.vehicle), limit.area) for limit in self.speed_limits]
         speeds = tuple(sorted({speed for speed, _ in known if speed < top}, reverse=True))
         areas = [(speeds.index(speed) + 1, area) for speed, area in known if speed < top]
         return SlowAreas(speeds, tuple(sorted(areas, key=lambda one: one[0])))
@@ -230,8 +235,8 @@ class SurfaceMap:
         ordered, areas = None, slow.areas
         if rank is not None:
             ordered = np.arange(len(slow.speeds) + 1.0)
-            # a motion is priced by points of its parts: none that clips a corner of an area, where
-            # a metre may take ten times as long, lies farther from it
+            # searches price a motion at the middle of parts of half a cell; a part may clip a
+            # corner of an area, where a metre may take ten times as long, from this far away
             aside = 0.25 * grid.resolution
             areas = tuple((k, area.buffer(aside, join_style="mitre")) for k, area in areas)
         return regions + (len(self.surfaces) + 1) * _raster(grid, areas, ordered)

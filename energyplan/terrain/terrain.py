@@ -257,7 +257,7 @@ class Terrain:
             )
         regions = np.asarray(prices)[: len(self.ground.surfaces) + 1]
         rank = np.argsort(np.argsort(regions, kind="stable"))
-        key = slow.speeds, *(level for level, _ in slow.areas), *rank.tolist()
+        key = slow.key, *rank.tolist()
         found = self._dearest.get(key)
         if found is None:
             found = self.ground.raster(self.grid, rank, slow).astype(np.uint8)

@@ -356,3 +356,18 @@ def test_no_path_costs_less_than_the_bound_among_random_zones(slow_hall, seed):
             value = weights.get("energy", 0) * drive.energy
             value += weights.get("time", 0) * drive.duration
             assert found.lower_bound <= value * (1 + 1e-9)
+
+
+def test_what_cannot_price_speed_limits_is_refused(slow_hall):
+    timed = replace(slow_hall, objective="time")
+    planner = ep.Planner(lambda problem, budget: None, objectives=("energy", "time"))
+    assert planner.lacks(timed, counted=False) == ["speed limits"]
+    assert planner.lacks(slow_hall, counted=False) == []  # no speed changes this energy
+    areas = [shapely.box(4 + 0.1 * k, 2, 4.1 + 0.1 * k, 8) for k in range(60)]
+    limits = [SpeedLimit(area, 0.1 + 0.01 * k) for k, area in enumerate(areas)]
+    marble = ep.PowerModel.preset("quadriga:empty:marble")
+    ground = ep.SurfaceMap([Surface(area, marble) for area in areas[:4]], speed_limits=limits)
+    with pytest.raises(MapError, match="4 surfaces under speed limits of 60 speeds make 305 kinds"):
+        ep.plan(replace(timed, surfaces=ground), effort=100)
+    with pytest.raises(ep.errors.InvalidInputError, match="speed_limit is 0"):
+        replace(slow_hall.cost, speed_limit=0.0)

@@ -100,8 +100,7 @@ def certain_regions(query: CompiledProblem, surfaces: SurfaceMap) -> NDArray[np.
         region = np.broadcast_to(query.terrain.regions, grid.shape)
         return _certain_regions(surfaces, grid, region)
 
-    key = "certain regions", slow.speeds, *(level for level, _ in slow.areas)
-    return remembered(grid, surfaces, key, make)
+    return remembered(grid, surfaces, ("certain regions", slow.key), make)
 
 
 def _certain_regions(
