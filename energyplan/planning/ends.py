@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from math import inf
 from typing import NamedTuple
 
@@ -22,7 +23,8 @@ from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.plans import Candidate
 from energyplan.planning.problem import KEPT, LEAVING, PlanningProblem, free_beside
-from energyplan.planning.search.narrow.ends import Ends, ways_out
+from energyplan.planning.search.lattice import joined
+from energyplan.planning.search.narrow.ends import NOTHING, Ends, ways_out
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.planner import plan as plan_bare
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled, merged
@@ -33,6 +35,10 @@ from energyplan.terrain.collision import Body
 
 _FAR = (1.0, 2.0, 4.0, 8.0)  # how far from an end paths are refined for what room is there [sizes]
 _LEFT = 1.5  # how far a path without clearance is used that does not lead to it soon [sizes]
+_RINGS = (0.25, 0.5, 1.0, 2.0)  # distances of poses around an end that ways may lead to [sizes]
+_DIRECTIONS = 16  # in which they lie
+_TURNS = (-0.8, -0.4, -0.2, 0.0, 0.2, 0.4, 0.8)  # by which they are turned [rad]
+_BEST = 3  # how many of these ways are compared
 _PIECE = 0.05  # segments at whose ends that may begin or end [sizes], [rad]
 _NEARLY = 0.01  # gap at which a path without clearance leads out well enough
 _ROUNDS = 3  # of refining at the ends and in between, at most
@@ -100,10 +106,10 @@ def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
     bare = problem if problem.ends_clear else problem.without_clearance
     query = CompiledProblem(bare, 0.0 if problem.ends_clear else problem.clearance)
     found: list[tuple[bool, float, Between]] = []
-    several = ways_out(query, budget.part(SHARES.aside), turn=0.0)
+    several: list[Ends] = []
     if not problem.ends_clear:
-        several += _along_bare_path(query, budget.part(SHARES.aside))
-    for ways in several:
+        several = _aside(query, budget) + _along_bare_path(query, budget.part(SHARES.aside))
+    for ways in several or ways_out(query, budget.part(SHARES.aside), turn=0.0):
         inner = replace(ways.problem, clearance=problem.clearance)
         if not (ways.moved and inner.ends_clear and all(map(problem.allows, ways.paths))):
             continue
@@ -124,6 +130,37 @@ def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
         f"no way was found from start and goal to where the clearance of {problem.clearance:g} m "
         "is kept; lower the clearance"
     )
+
+
+def _aside(query: CompiledProblem, budget: Budget) -> list[Ends]:
+    """Return ways of a single exact motion, to poses around that have the whole clearance."""
+    problem, setting = query.problem, query.setting
+    size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
+    found: list[list[Segments]] = []
+    for goal, end in enumerate((problem.start, problem.goal)):
+        if query.has_margin(end):
+            found.append([NOTHING])
+            continue
+        here, ways = query.centre(end), []
+        for far, toward, turn in product(_RINGS, range(_DIRECTIONS), _TURNS):
+            angle = 2.0 * np.pi * toward / _DIRECTIONS
+            x, y = end.x + far * size * np.cos(angle), end.y + far * size * np.sin(angle)
+            there = Pose(float(x), float(y), end.yaw + turn)
+            budget.spend(UNITS.pose)
+            if not query.has_margin(there):
+                continue
+            at = query.centre(there)
+            motions, cost = joined(setting, *((at, here) if goal else (here, at)))
+            budget.spend(UNITS.join)
+            if cost < inf:
+                ends = (setting.start, at) if goal else (at, setting.goal)
+                ways.append((cost + steering_cost(setting, *ends), len(ways), motions))
+        found.append([motions for _, _, motions in sorted(ways, key=lambda way: way[:2])[:_BEST]])
+    outs, backs = found
+    if not (outs and backs):
+        return []
+    several = max(len(outs), len(backs))
+    return [Ends(query, outs[k % len(outs)], backs[k % len(backs)]) for k in range(several)]
 
 
 def _along_bare_path(query: CompiledProblem, budget: Budget) -> list[Ends]:
@@ -149,8 +186,8 @@ def _along_bare_path(query: CompiledProblem, budget: Budget) -> list[Ends]:
     last = len(fine) - last
     if first > last:
         return []
-    poses = (Pose(*fine.vertices[k].tolist()) for k in (first, last))
-    middle = replace(problem, **dict(zip(("start", "goal"), poses, strict=True)))
+    start, goal = (Pose(*fine.vertices[k].tolist()) for k in (first, last))
+    middle = replace(problem, start=start, goal=goal)
     out, back = (
         query.of_centre(fine.ds[k], fine.dtheta[k]) for k in (slice(0, first), slice(last, None))
     )
@@ -175,7 +212,8 @@ def _refined_at_ends(problem: PlanningProblem, ways: Ends, path: Path, budget: B
             for far in _FAR if len(way.ds) else ():
                 fine = best.subdivide(_PIECE * size, _PIECE)
                 along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-                cut = int(np.searchsorted(along, along[-1] - far * size if goal else far * size))
+                at = along[-1] - far * size if goal else far * size
+                cut = min(int(np.searchsorted(along, at)), len(fine))
                 part = (cut, len(fine)) if goal else (0, cut)
                 for body in room:
                     found = _refined_part(query, body, fine, part, budget)
