@@ -39,6 +39,7 @@ _RINGS = (0.25, 0.5, 1.0, 2.0)  # distances of poses around an end that ways may
 _DIRECTIONS = 16  # in which they lie
 _TURNS = (-0.8, -0.4, -0.2, 0.0, 0.2, 0.4, 0.8)  # by which they are turned [rad]
 _BEST = 3  # how many of these ways are compared
+_SWING = 0.02  # clearance that an end has and leaving it need not keep, for corners swing out [m]
 _PIECE = 0.05  # segments at whose ends that may begin or end [sizes], [rad]
 _NEARLY = 0.01  # gap at which a path without clearance leads out well enough
 _ROUNDS = 3  # of refining at the ends and in between, at most
@@ -103,8 +104,25 @@ def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
     """Return what to plan between: start and goal, or poses near them with more room."""
     if problem.ends_clear and compiled(problem).ends_have_margin:
         return Between(problem)
-    bare = problem if problem.ends_clear else problem.without_clearance
-    query = CompiledProblem(bare, 0.0 if problem.ends_clear else problem.clearance)
+    if problem.ends_clear:
+        found = _joined_ways(problem, CompiledProblem(problem), budget)
+        return found or Between(problem)
+    there_is = problem.clearance_at_ends
+    # as near to obstacles as the ends are, but for what turning takes; nearer where that is in vain
+    for clearance in dict.fromkeys([max(there_is - _SWING, 0.0), 0.0]):
+        query = CompiledProblem(replace(problem, clearance=clearance), problem.clearance)
+        if found := _joined_ways(problem, query, budget):
+            return found
+    raise NoPathError(
+        f"no way was found from start and goal to where the clearance of {problem.clearance:g} m "
+        "is kept; lower the clearance"
+    )
+
+
+def _joined_ways(
+    problem: PlanningProblem, query: CompiledProblem, budget: Budget
+) -> Between | None:
+    """Return the ways that promise the least cost on the whole, of those from one end or both."""
     found: list[tuple[bool, float, Between]] = []
     several: list[Ends] = []
     if not problem.ends_clear:
@@ -122,14 +140,8 @@ def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
         least = steering_cost(setting, setting.start, setting.goal)
         cost = sum(query.value(path) for path in ways.paths) + max(far, least)
         found.append((far == inf, cost, Between(inner, ways)))
-    if found:  # if none of them is joined, the planner says why
-        return min(found, key=lambda one: one[:2])[-1]
-    if problem.ends_clear:
-        return Between(problem)
-    raise NoPathError(
-        f"no way was found from start and goal to where the clearance of {problem.clearance:g} m "
-        "is kept; lower the clearance"
-    )
+    # if none of them is joined, the planner says why
+    return min(found, key=lambda one: one[:2])[-1] if found else None
 
 
 def _aside(query: CompiledProblem, budget: Budget) -> list[Ends]:
@@ -141,7 +153,8 @@ def _aside(query: CompiledProblem, budget: Budget) -> list[Ends]:
         if query.has_margin(end):
             found.append([NOTHING])
             continue
-        here, ways = query.centre(end), []
+        here = query.centre(end)
+        ways: list[tuple[float, int, Segments]] = []
         for far, toward, turn in product(_RINGS, range(_DIRECTIONS), _TURNS):
             angle = 2.0 * np.pi * toward / _DIRECTIONS
             x, y = end.x + far * size * np.cos(angle), end.y + far * size * np.sin(angle)
@@ -164,7 +177,7 @@ def _aside(query: CompiledProblem, budget: Budget) -> list[Ends]:
 
 
 def _along_bare_path(query: CompiledProblem, budget: Budget) -> list[Ends]:
-    """Return ways along a path without clearance, and from there to the whole clearance."""
+    """Return ways along a path of less clearance, and from there to the whole clearance."""
     problem = query.problem
     size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
     try:
@@ -204,7 +217,8 @@ def _along_bare_path(query: CompiledProblem, budget: Budget) -> list[Ends]:
 def _refined_at_ends(problem: PlanningProblem, ways: Ends, path: Path, budget: Budget) -> Path:
     """Refine a path where it leaves or reaches an end that lacks clearance, by what room it has."""
     query, best = ways.query, path
-    room = [grown(query.body, share * problem.clearance_at_ends) for share in KEPT]
+    spare = problem.clearance_at_ends - query.problem.clearance
+    room = [grown(query.body, share * spare) for share in KEPT]
     size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
     for _ in range(_ROUNDS):
         before = query.value(best)
