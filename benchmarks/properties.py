@@ -212,7 +212,7 @@ def bits(found: Plan) -> tuple[object, ...]:
     return (
         path.ds.tobytes(),
         path.dtheta.tobytes(),
-        found.energy,
+        found.energy_steady,
         found.lower_bound_steady,
         found.effort,
     )
@@ -251,15 +251,17 @@ def touched(problem: PlanningProblem, found: Plan) -> bool:
 def faults(case: Drawn, found: Plan, answer: Callable[[PlanningProblem], Plan]) -> Iterator[str]:
     """Yield the properties that the answer to a problem lacks."""
     problem = case.problem
-    if below(found.energy, found.lower_bound_steady):
-        yield f"the energy {found.energy} J lies below the bound {found.lower_bound_steady} J"
-    if apart(sum(found.breakdown.values()), found.energy):
-        yield f"the terms add up to {sum(found.breakdown.values())} J, not {found.energy} J"
+    if below(found.energy_steady, found.lower_bound_steady):
+        yield f"the energy {found.energy_steady} J lies below the bound {found.lower_bound_steady} J"
+    if apart(sum(found.breakdown.values()), found.energy_steady):
+        yield f"the terms add up to {sum(found.breakdown.values())} J, not {found.energy_steady} J"
     if problem.surfaces is None:
         path = found.path
         arcs = float(np.sum(problem.cost.segment_energy(path.ds, path.dtheta)))
-        if apart(arcs, found.energy) or apart(problem.cost.energy(path), found.energy):
-            yield f"the arcs add up to {arcs} J, not {found.energy} J"
+        if apart(arcs, found.energy_steady) or apart(
+            problem.cost.energy(path), found.energy_steady
+        ):
+            yield f"the arcs add up to {arcs} J, not {found.energy_steady} J"
     missed = np.subtract(found.path.end, problem.goal)
     missed[2] = (missed[2] + pi) % (2 * pi) - pi
     if np.abs(missed).max() > 1e-9:
@@ -275,12 +277,12 @@ def faults(case: Drawn, found: Plan, answer: Callable[[PlanningProblem], Plan]) 
         except (NoPathError, TimeLimitError) as error:
             yield f"{name}: {error}"
             continue
-        if below(other.energy, found.lower_bound_steady) or below(
-            found.energy, other.lower_bound_steady
+        if below(other.energy_steady, found.lower_bound_steady) or below(
+            found.energy_steady, other.lower_bound_steady
         ):
             yield (
-                f"{name}: energy {other.energy} J and bound {other.lower_bound_steady} J, "
-                f"as it was {found.energy} J and {found.lower_bound_steady} J"
+                f"{name}: energy {other.energy_steady} J and bound {other.lower_bound_steady} J, "
+                f"as it was {found.energy_steady} J and {found.lower_bound_steady} J"
             )
     try:
         wide = answer(replace(problem, map=case.wide)).lower_bound_steady

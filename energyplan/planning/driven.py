@@ -147,7 +147,27 @@ def priced_models(cost: EnergyCost, surfaces: SurfaceMap | None = None) -> Price
 
 
 def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
-    """Time a path of a problem, and integrate what driving it takes; see `drive_path`."""
+    """Time a path on the ground of a problem, and integrate what driving it takes.
+
+    Parameters
+    ----------
+    problem : PlanningProblem
+        Whose cost, surfaces, heights and obstacles hold; its start and goal do not matter.
+    path : Path
+        The path, such as one that was planned for other ground.
+
+    Returns
+    -------
+    DrivenPath
+        Energy [J], duration [s], largest tread speed [m/s], and the timed trajectory.
+
+    Raises
+    ------
+    InfeasibleMotionError
+        If the motors cannot drive the path at any speed.
+    InvalidInputError
+        If nothing limits the speed.
+    """
     return drive_path(
         path, problem.cost, problem.surfaces, problem.heights,
         grid=problem.terrain.obstacles, body=problem.robot,

@@ -48,20 +48,32 @@ def faster(plan: ep.Plan) -> ep.Plan:
 
 
 FAULTS: dict[str, Callable[[ep.Plan, int], ep.Plan]] = {
-    "lies below the bound": lambda p, _: replace(p, lower_bound=1.01 * p.energy),
+    "lies below the bound": lambda p, _: replace(p, lower_bound_steady=1.01 * p.energy_steady),
     "terms add up": lambda p, _: replace(
         p, breakdown={name: 1.001 * part for name, part in p.breakdown.items()}
     ),
-    "arcs add up": lambda p, _: replace(p, energy=1.001 * p.energy),
+    "arcs add up": lambda p, _: replace(p, energy_steady=1.001 * p.energy_steady),
     "misses the goal": lambda p, _: longer(p, 1e-6),
     "not free": lambda p, _: longer(longer(p, 30.0), -30.0),
-    "planned again": lambda p, k: replace(p, energy=p.energy * (1 + 1e-12 * k)),
-    "translated: ": lambda p, k: replace(p, lower_bound=p.lower_bound * (3 if k == 2 else 1)),
-    "rotated: ": lambda p, k: replace(p, lower_bound=p.lower_bound * (3 if k == 3 else 1)),
-    "rotated by cells: ": lambda p, k: replace(p, energy=p.energy * (0.3 if k == 4 else 1)),
-    "mirrored: ": lambda p, k: replace(p, lower_bound=p.lower_bound * (3 if k == 5 else 1)),
-    "ends swapped: ": lambda p, k: replace(p, lower_bound=p.lower_bound * (3 if k == 6 else 1)),
-    "wider obstacles": lambda p, k: replace(p, lower_bound=p.lower_bound * (0.99 if k > 6 else 1)),
+    "planned again": lambda p, k: replace(p, energy_steady=p.energy_steady * (1 + 1e-12 * k)),
+    "translated: ": lambda p, k: replace(
+        p, lower_bound_steady=p.lower_bound_steady * (3 if k == 2 else 1)
+    ),
+    "rotated: ": lambda p, k: replace(
+        p, lower_bound_steady=p.lower_bound_steady * (3 if k == 3 else 1)
+    ),
+    "rotated by cells: ": lambda p, k: replace(
+        p, energy_steady=p.energy_steady * (0.3 if k == 4 else 1)
+    ),
+    "mirrored: ": lambda p, k: replace(
+        p, lower_bound_steady=p.lower_bound_steady * (3 if k == 5 else 1)
+    ),
+    "ends swapped: ": lambda p, k: replace(
+        p, lower_bound_steady=p.lower_bound_steady * (3 if k == 6 else 1)
+    ),
+    "wider obstacles": lambda p, k: replace(
+        p, lower_bound_steady=p.lower_bound_steady * (0.99 if k > 6 else 1)
+    ),
     "check refuses": lambda p, _: faster(p),
 }
 
