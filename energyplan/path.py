@@ -71,18 +71,21 @@ def as_pose(
 
 def parse_pose(given: str | Sequence[object]) -> Pose:
     """Return the pose that ``X,Y,YAW``, or a list of texts, stands for."""
+    shown = described(given).removeprefix("the text ")
     try:
         x, y, yaw = given.split(",") if isinstance(given, str) else given
+        if isinstance(x, bool) or isinstance(y, bool):
+            raise ValueError
         pose = Pose(float(x), float(y), float(amount("angle", yaw)))  # type: ignore[arg-type]
         if not np.all(np.isfinite(pose)):
             raise ValueError
     except NO_NUMBER:
         raise InvalidInputError(
-            f"pose {given!r} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
+            f"pose {shown} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
         ) from None
     if abs(pose.yaw) > _FULL_TURN:
         raise InvalidInputError(
-            f"the yaw of pose {given!r} is more than a full turn in radians; for degrees write "
+            f"the yaw of pose {shown} is more than a full turn in radians; for degrees write "
             f"{str(yaw).strip().removesuffix('deg')}deg, up to 360"
         )
     return pose

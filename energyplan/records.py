@@ -109,8 +109,10 @@ def numbers(
 ) -> NDArray[np.float64]:
     """Return numbers as an array of floats."""
     try:
+        if isinstance(value, list | tuple) and any(isinstance(part, bool) for part in value):
+            raise TypeError
         array = np.asarray(value)
-        if array.dtype.kind not in "biufO":
+        if array.dtype.kind not in "biufO":  # masks are arrays of truth
             raise TypeError
         array = array.astype(float, copy=False)
     except NO_NUMBER:

@@ -396,6 +396,8 @@ def reach(
 
     if battery and energy is not None:
         raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
+    if energy == math.inf:
+        raise InvalidInputError("--energy is infinite; leave it out for the whole map")
     if soc is not None and battery is None:
         raise InvalidInputError("--soc is the charge of a battery; give --battery, or leave it out")
     if spread and confidence is None:

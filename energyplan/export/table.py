@@ -20,6 +20,9 @@ MOST = 4000
 PROBES = (0.25, 0.5, 0.75)
 """Where between two directions the error is measured."""
 
+FASTEST = 50.0
+"""Largest tread speed of a table, as of a profile [m/s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class CostTable:
@@ -39,8 +42,10 @@ def tabulate(
     if not tolerance > 0:
         raise InvalidInputError(f"tolerance is {tolerance}; give a positive number")
     wanted = [cost.tread_speed] if speeds is None else sorted(set(map(float, speeds)))
-    if not wanted or any(v is not None and not (np.isfinite(v) and v > 0) for v in wanted):
-        raise InvalidInputError(f"speeds are {wanted}; give one or more positive numbers [m/s]")
+    if not wanted or any(v is not None and not 0 < v <= FASTEST for v in wanted):
+        raise InvalidInputError(
+            f"speeds are {wanted}; give one or more positive numbers, up to {FASTEST:g} [m/s]"
+        )
     costs = [replace(cost, speed=v or CHEAPEST) for v in wanted]
     half = cost.half_track
 

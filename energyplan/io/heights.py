@@ -147,9 +147,10 @@ def _from_ascii(file: Path) -> _Raster:
         if key not in (*_KEYS, _NO_DATA):
             break
         try:
-            header[key] = float(words[1])
-        except (IndexError, ValueError):
-            raise MapError(f"{file}, line {row + 1}: {key} needs a number") from None
+            _, value = words
+            header[key] = float(_plain(value))
+        except ValueError:
+            raise MapError(f"{file}, line {row + 1}: {key} needs one number alone") from None
     where = "corner" if "xllcorner" in header else "center"
     for key in ("ncols", "nrows", "cellsize", f"xll{where}", f"yll{where}"):
         if key not in header:
@@ -169,6 +170,13 @@ def _from_ascii(file: Path) -> _Raster:
     return _Raster(values, size, lowest)
 
 
+def _plain(text: bytes) -> bytes:
+    """Return the text of numbers, unless it groups digits as only programs do."""
+    if b"_" in text:
+        raise ValueError("a number has an underscore; write its digits alone")
+    return text
+
+
 def _cells_of(
     file: Path, lines: list[bytes], first: int, rows: int, columns: int
 ) -> NDArray[np.float64]:
@@ -178,7 +186,7 @@ def _cells_of(
     parsed = []
     for k, line in enumerate(body):
         try:
-            parsed.append(np.array(line.split(), dtype=np.float64))
+            parsed.append(np.array(_plain(line).split(), dtype=np.float64))
         except ValueError as error:
             raise MapError(f"{file}, line {first + 1 + k}: {error}") from None
         if len(parsed[-1]) != columns:

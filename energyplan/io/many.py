@@ -104,7 +104,12 @@ def cluster(
     try:
         security = Security(require_encryption=not insecure, **given)
         client = Client(address, timeout=10, security=security)
-    except (OSError, ValueError, TypeError) as problem:  # TypeError: no certificate is configured
+    except TypeError:  # of Dask, without a certificate
+        raise InvalidInputError(
+            f"{address!r} wants a certificate; give --cluster-ca, --cluster-cert and --cluster-key "
+            "(ca, certificate and key in Python)"
+        ) from None
+    except (OSError, ValueError) as problem:
         why = " ".join(str(problem).split())
         raise InvalidInputError(
             f"no cluster answers at {address!r} ({why}); start one with dask scheduler, or write "

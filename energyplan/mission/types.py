@@ -273,7 +273,7 @@ class Charger:
     power: Annotated[Power, Within((0.1, 1e6), (5, 5e4), "W")]
     until: Annotated[Fraction, Within((0.01, 1), (0.3, 1), "", PERCENT)] = 0.95
     temperature: Temperature | None = None
-    places: Annotated[int, Within((1, 1000), (1, 20))] = 1
+    places: Annotated[int, amount_of("number"), Within((1, 1000), (1, 20))] = 1
 
 
 OWN = (

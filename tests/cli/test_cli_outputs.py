@@ -266,6 +266,8 @@ range --map {surfaces} --model model.yaml --start 1.2,2,0 | these are surfaces a
 {plan} --goal 2,2,0 --clearance -1 | clearance is -1.0; give 0 to 20 m
 range {site} --energy 5000 --spread -1 | give
 range {site} --energy -3 | the energy is -3.0 J; give a positive number
+range {site} --energy inf | --energy is infinite; leave it out
+export table --model model.yaml --out t.csv --speeds 0.2,1e308 | up to 50
 range {site} --out range.tif | .asc
 range {site} --soc 0.5 | --battery
 range {site} --spread 0.1 | --confidence

@@ -212,3 +212,14 @@ def test_a_grid_map_in_a_bag(tmp_path, form):
         x = 3.0 + np.cos(yaw) * ahead - np.sin(yaw) * left
         y = 4.0 + np.sin(yaw) * ahead + np.cos(yaw) * left
         assert ground.height((x, y)) == pytest.approx(cells[row, column], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "odd"), [("xllcorner 10", "xllcorner 5 %"), ("cellsize 2", "cellsize 1_0"),
+                       ("4 5 6", "4 1_000 6")]
+)  # fmt: skip
+def test_text_that_is_no_number_of_an_esri_grid_is_refused(tmp_path, given, odd):
+    file = tmp_path / "h.asc"
+    file.write_text(ASC.replace(given, odd))
+    with pytest.raises(MapError, match=r"h\.asc, line \d"):
+        read_heights(file)
