@@ -448,10 +448,10 @@ def refuse_halves(recording: Recording, found: Mapping[str, Column], channels: s
         _refuse_packs(recording, volts.field)
     used = {name for other in found.values() for name in other.names}
     for name in halves(one.field, [other for other in recording.columns if other not in used]):
-        pair = np.stack(recording.together(one.field, name))
-        if not pair.size or np.ptp(pair, axis=1).min() == 0.0:
+        pair = recording.together(one.field, name)
+        if not len(pair[0]) or min(map(np.ptp, pair)) == 0.0:
             continue
-        alike = np.corrcoef(pair)[0, 1]
+        alike = np.corrcoef(*pair)[0, 1]
         sizes = np.abs(pair).mean(axis=1)
         twins = of_batteries(one.field)  # which share what is drawn
         if (alike < _ALIKE or twins) and sizes.min() > _HALF * sizes.max():
@@ -694,13 +694,13 @@ def _of_compass(
     if not {"x", "y", "yaw"} <= set(found) or "east" not in found["x"].field.lower():
         return []
     rows = None if recording.times else recording.series(columns["t"]).values
-    left, right, east, north, yaw = (
-        recording.series(columns[name], rows) for name in (*_SPEEDS, "x", "y", "yaw")
-    )
+    series = {name: recording.series(columns[name], rows) for name in (*_SPEEDS, "x", "y", "yaw")}
     period = 360.0 if _size(recording, columns["yaw"]) > _FULL_TURN else 2 * pi
-    t, heading = usable(yaw)
+    t, heading = usable(series["yaw"])
     turned = Series(t, np.unwrap(heading, period=period) * (2 * pi / period))
-    compass = counts_from_north(Motion(left, right, east, north, turned))
+    compass = counts_from_north(
+        Motion(series["v_left"], series["v_right"], series["x"], series["y"], turned)
+    )
     if compass is None:
         return [
             "whether the heading counts from the east, or clockwise from the north as a compass "

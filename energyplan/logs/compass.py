@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.logs.align import Series, align, usable
+from energyplan.logs.align import Series, align, integral, usable
 from energyplan.path import FloatArray
 
 CHANCE = 4.0  # standard errors beyond which an effect is none by chance
@@ -49,11 +49,12 @@ def counts_from_north(motion: Motion) -> bool | None:
         return None
     edges = np.linspace(start, end, count + 1)
     block = np.arange(count) * _BLOCKS // count
-    lost = np.diff(np.interp(edges, t, _integral(t, np.where(known, 0.0, 1.0))))
+    lost = np.diff(np.interp(edges, t, integral(t, np.where(known, 0.0, 1.0))))
     whole = lost < 0.5 * (edges[1] - edges[0])
 
     def over(rate: FloatArray) -> FloatArray:
-        return np.diff(np.interp(edges, t, _integral(t, np.where(known, rate, 0.0))))[whole]
+        gone = np.interp(edges, t, integral(t, np.where(known, rate, 0.0)))
+        return np.asarray(np.diff(gone)[whole])
 
     moved = np.concatenate([np.diff(np.interp(edges, *one))[whole] for one in (east, north)])
     twice = np.tile(block[whole], 2)
@@ -100,7 +101,3 @@ def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _Fit:
     # Readings without any noise are exact to rounding.
     floor = (1e-12 * float(y @ y) / len(y)) * inverse
     return _Fit(values, covariance + floor, float(rest @ rest))
-
-
-def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])

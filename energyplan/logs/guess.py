@@ -264,7 +264,6 @@ def siblings(one: Column, names: Iterable[str]) -> list[str]:
 
 def voltages_of(currents: Iterable[str], names: Iterable[str]) -> tuple[str, ...]:
     """Return the voltage that is named like each current but for the quantity, where it is."""
-
     every = list(names)
 
     def key(name: str, kind: str) -> tuple[list[str], list[str]]:

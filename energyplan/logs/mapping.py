@@ -432,7 +432,8 @@ class Column(Checked):
     def renamed(self, new: Callable[[str], str], **parts: Any) -> Column:
         """Return the same of columns with other names."""
         return self.changed(
-            field=new(self.field), plus=tuple(map(new, self.plus)), each=tuple(n and new(n) for n in self.each),
+            field=new(self.field), plus=tuple(map(new, self.plus)),
+            each=tuple(name and new(name) for name in self.each),
             times=None if self.times is None else new(self.times), **parts,
         )  # fmt: skip
 

@@ -715,19 +715,18 @@ def _refuse_drives(parts: Sequence[Recording], clocks: Sequence[FloatArray]) -> 
         counted = {} if {"v_left", "v_right"} <= {*found} else guess_encoders(part.columns)
         if not counted and not {"v_left", "v_right"} <= {*found}:
             continue
-        values = part.columns[(counted or found)["v_left"].field]
-        seen = usable(Series(t, values))
-        if len(seen.t) >= _FEWEST:
-            rate = np.gradient(seen.values, seen.t) if counted else seen.values
-            moving.append((part.source, Series(seen.t, rate)))
+        series = usable(Series(t, part.columns[(counted or found)["v_left"].field]))
+        if len(series.t) >= _FEWEST:
+            rate = np.gradient(series.values, series.t) if counted else series.values
+            moving.append((part.source, Series(series.t, rate)))
     for (name, one), (other_name, other) in combinations(moving, 2):
         slow, fast = sorted((one, other), key=lambda part: -float(np.median(np.diff(part.t))))
         seen = align(fast, slow.t).values
         both = np.isfinite(seen)
-        pair = np.stack([slow.values[both], seen[both]])
-        if pair.shape[1] < _FEWEST or np.ptp(pair, axis=1).min() == 0.0:
+        pair = slow.values[both], seen[both]
+        if np.count_nonzero(both) < _FEWEST or min(map(np.ptp, pair)) == 0.0:
             continue
-        if np.corrcoef(pair)[0, 1] ** 2 < 0.5:
+        if np.corrcoef(*pair)[0, 1] < _SAME:
             raise parts[0].error(
                 f"{name} and {other_name} are two drives: each holds the speeds of both sides, and "
                 f"these differ at the same times; name them with a space, as in {name} {other_name}"
@@ -735,6 +734,7 @@ def _refuse_drives(parts: Sequence[Recording], clocks: Sequence[FloatArray]) -> 
 
 
 _FEWEST = 20  # readings below which nothing is concluded
+_SAME = 0.7  # correlation from which one reading explains half of another's variance
 
 
 def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:
