@@ -262,13 +262,13 @@ PAIRS = (
 """A hidden effect with its size, about the least that is drawn, and what it may be taken for."""
 
 
-def settles(log: ep.DriveLog, true: str, other: str) -> float:
+def settles(log: ep.DriveLog, judge: ep.DriveLog, true: str, other: str) -> float:
     """Return how probable diagnosis holds the true one of two effects to be, without the other."""
     entries = [
         entry for entry in catalogue().values()
         if entry.usual or entry.acts == "hold" or entry.name in (true, other)
     ]  # fmt: skip
-    told = ep.diagnose([log], [log.segment(0.0, np.inf)], VEHICLE, effects=entries)
+    told = ep.diagnose([log], [judge], VEHICLE, effects=entries)
     return sum(e.probability for e in told.explanations
                if true in e.effects and other not in e.effects)  # fmt: skip
 
@@ -294,11 +294,12 @@ def designed(count: int, duration: float = 60.0, noise: float = 20.0) -> None:
                 break
             some.append(more)
         robot = Effect(true, size).on(ROBOT)
-        sure = []
-        for asked in (plan.trajectory, joined(some or family[:1])):
-            run = drive(asked, robot, MODEL).run
-            sensors = Sensors(power_noise=noise / np.sqrt(2), seed=k, without=("accel_x",))
-            sure.append(settles(sensors.log(run), true, other))
+        sensors = Sensors(power_noise=noise / np.sqrt(2), seed=k, without=("accel_x",))
+        logs = [
+            sensors.log(drive(asked, robot, MODEL).run)
+            for asked in (plan.trajectory, joined(some or family[:1]))
+        ]
+        sure = [settles(log, judge, true, other) for log, judge in (logs, logs[::-1])]
         rows.append((true, other, *sure))
         print(f"{k}: {true}, not {other}: probability {sure[0]:.3f} after the designed drive, "
               f"{sure[1]:.3f} after a random one", flush=True)  # fmt: skip

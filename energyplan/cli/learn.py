@@ -119,7 +119,7 @@ def start(
     if out is not None and written:
         write_project(result.project, out)
         files = " ".join(map(str, logs))
-        done = f"written: {out}; next: energyplan identify {files} --project {out}"
+        done = f"written: {out}; next: energyplan diagnose {files} --project {out} --out model.yaml"
     elif not written:
         where = "a project" if out is None else out
         done = f"not written: {where}; mend what is WRONG, or write it all the same with --accept"

@@ -10,7 +10,7 @@ from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from itertools import islice, product
 from math import atan2, inf, isfinite, nan
@@ -117,12 +117,13 @@ def _readable(column: Column) -> Column:
     result = formula(added.written if column.plus else column.field, _NAME)
     if result is None or result.times is not None:
         raise ValueError(_FIELDS)
-    for name in result.names:
+    for name in (*result.names, *filter(None, result.each)):
         _place(name)
     first, *rest = result.names
     return column.model_copy(
-        update={"field": first, "plus": tuple(rest), "weights": result.weights}
-    )
+        update={"field": first, "plus": tuple(rest), "weights": result.weights,
+                "each": result.each}
+    )  # fmt: skip
 
 
 def read_message(column: Column, message: Any) -> float:
@@ -404,10 +405,8 @@ def held_of(recording: Recording, mapping: TopicMap) -> dict[str, Column]:
     chosen: dict[str, Column] = {}
     for channel, sources in mapping.channels.items():
         for one in sources:
-            plus = tuple(map(moved, one.plus))
-            times = None if one.times is None else moved(one.times)
             topic = named(one.topic) or one.topic
-            column = one.changed(topic=topic, plus=plus, times=times).joined()
+            column = one.renamed(moved, topic=topic).joined()
             if all(map(recording.elements, column.names)):
                 chosen[channel] = column
                 break
@@ -425,11 +424,7 @@ def topics_of(recording: Recording, columns: Mapping[str, Column], name: str) ->
     channels = {}
     for channel, one in columns.items():
         topic = _apart(known.get(one.field, one.field))[0]
-        times = None if one.times is None else written(one.times, topic)
-        channels[channel] = [one.changed(
-            topic=topic, field=written(one.field, topic),
-            plus=tuple(written(part, topic) for part in one.plus), times=times,
-        )]  # fmt: skip
+        channels[channel] = [one.renamed(partial(written, of=topic), topic=topic)]
     return TopicMap(name=name, channels=channels)
 
 
@@ -767,9 +762,9 @@ def _joints_of_sides(recording: Recording) -> list[Sources]:
         joints = [n.removeprefix(f"{kind}.") for n in _named(recording, topic)
                   if n.startswith(f"{kind}.")]  # fmt: skip
         found: Sources = {}
-        rolls = False
+        rolls, every = False, [f"{topic}.{one}" for one in joints]
         for side in ("left", "right"):
-            own = [one for one in joints if side_of(f"{topic}.{one}") == side]
+            own = [one for one in joints if side_of(f"{topic}.{one}", every) == side]
             # Arms and steering have joints, too.
             wheels = [one for one in own if _ROLLING & set(words(f"{topic}.{one}"))]
             rolls = rolls or bool(wheels)

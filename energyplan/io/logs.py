@@ -69,9 +69,7 @@ def named_columns(
         raise DriveLogError("messages of a bag bear their own times; leave t out")
     for channel, one in result.items():
         one = one.joined()
-        first, *plus = (also.get(name, name) for name in (one.field, *one.plus))
-        times = None if one.times is None else also.get(one.times, one.times)
-        result[channel] = one.changed(field=first, plus=tuple(plus), times=times)
+        result[channel] = one.renamed(lambda name: also.get(name, name))
     return result
 
 
@@ -147,6 +145,8 @@ def tasks_of(table: Recording, full: float = nan) -> dict[str, FloatArray] | Non
 
     Without energies, the table gives shares of `full`, what the battery holds [J].
     """
+    if table.times:  # of each series: that is a recording of instants
+        return None
     found: dict[str, FloatArray] = {}
     for name, values in table.columns.items():
         for key, (names, channel) in _TASK_WORDS.items():

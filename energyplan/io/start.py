@@ -32,9 +32,10 @@ from energyplan.io.documents import MAX_BYTES, load, read_bytes
 from energyplan.io.husky import known_husky
 from energyplan.io.logs import named_columns, read_log, read_recording, tasks_of
 from energyplan.logs import DriveLog
-from energyplan.logs.align import Series, find_runs
+from energyplan.logs.align import Series, find_runs, usable
 from energyplan.logs.checks import grows, mirrored_side, without_copies
 from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
+from energyplan.logs.compass import Motion, counts_from_north
 from energyplan.logs.consistency import (
     POWERS,
     Check,
@@ -57,6 +58,7 @@ from energyplan.logs.guess import (
     of_one_wheel,
     siblings,
     side_of,
+    voltages_of,
     words,
 )
 from energyplan.logs.mapping import (
@@ -171,9 +173,10 @@ def _of_urdf(file: Path) -> dict[str, Any]:
 def _measured(root: ElementTree.Element) -> dict[str, Any]:
     """Return mass, distances and radius of the wheels of a URDF, as far as it holds them."""
     masses = [float(one.get("value", 0.0)) for one in root.iterfind("link/inertial/mass")]
+    joints = [one.get("name", "") for one in root.iterfind("joint")]
     wheels = [
         one for one in root.iterfind("joint")
-        if one.get("type") == "continuous" and side_of(one.get("name", ""))
+        if one.get("type") == "continuous" and side_of(one.get("name", ""), joints)
     ]  # fmt: skip
     places = [
         [float(part) for part in origin.get("xyz", "0 0 0").split()]
@@ -389,10 +392,10 @@ def _of_torques(names: Sequence[str]) -> str:
     torques = [name for name in names if _TORQUES & set(words(name))]
     result = []
     for side in ("left", "right"):
-        own = [name for name in torques if side_of(name) == side]
+        own = [name for name in torques if side_of(name, names) == side]
         others = [
             name for name in names
-            if own and name not in torques and side_of(name) == side
+            if own and name not in torques and side_of(name, names) == side
             and set(words(name)) >= set(words(own[0])) - _TORQUES
             and {"velocity", "vel", "speed", "rate", "omega", "rpm"} & set(words(name))
         ]  # fmt: skip
@@ -423,6 +426,8 @@ def _left_out(recording: Recording, columns: Mapping[str, Column]) -> list[Check
         if rest:
             summed = "+".join((one.field, *one.plus, *rest))
             whole = summed if one.times is None else f"({summed})*{one.times}"
+            if one.each:
+                whole = " + ".join((one.written, *(f"{name}*VOLTAGE" for name in rest)))
             found.append(Check(
                 f"{channel} counts {' and '.join((one.field, *one.plus))}, and not "
                 f"{' and '.join(rest)}, which is of another wheel, motor or battery",
@@ -444,11 +449,10 @@ def refuse_halves(recording: Recording, found: Mapping[str, Column], channels: s
         _refuse_packs(recording, volts.field)
     used = {name for other in found.values() for name in other.names}
     for name in halves(one.field, [other for other in recording.columns if other not in used]):
-        pair = np.array([recording.columns[each] for each in (one.field, name)], float)
-        pair = pair[:, np.isfinite(pair).all(axis=0)]
-        if not pair.size or np.ptp(pair, axis=1).min() == 0.0:
+        pair = recording.together(one.field, name)
+        if not len(pair[0]) or min(map(np.ptp, pair)) == 0.0:
             continue
-        alike = np.corrcoef(pair)[0, 1]
+        alike = np.corrcoef(*pair)[0, 1]
         sizes = np.abs(pair).mean(axis=1)
         twins = of_batteries(one.field)  # which share what is drawn
         if (alike < _ALIKE or twins) and sizes.min() > _HALF * sizes.max():
@@ -488,11 +492,10 @@ def refuse_unlike(recording: Recording, found: Mapping[str, Column]) -> None:
                 f"'p_{channel[2:]}={power.field}'"
             )
         for name in one.plus:
-            first, second = (recording.columns[each] for each in (one.field, name))
-            both = np.isfinite(first) & np.isfinite(second)
-            if not np.any(first[both]) and not np.any(second[both]):
+            first, second = recording.together(one.field, name)
+            if not np.any(first) and not np.any(second):
                 continue
-            alike = correlation(first[both], second[both])
+            alike = correlation(first, second)
             if alike < _ONE_SIDE:
                 way = "go opposite ways" if alike < -_ONE_SIDE else "do not go alike"
                 raise DriveLogError(
@@ -650,7 +653,7 @@ def _draft(recording: Recording, known: Given) -> _Draft:
     if recording.times:
         found.pop("t", None)
     found |= {channel: one for channel, one in typed.rates.items() if channel not in columns}
-    _powers(columns, found)
+    _powers(recording, columns, found)
     found = {channel: one for channel, one in found.items() if channel not in columns}
     if not {"t"} & {*columns, *found} and not recording.times:
         used = taken.union(*(one.names for one in found.values()))
@@ -694,12 +697,20 @@ def _of_compass(
     """Turn a pose of east and north, whose heading is that of a compass, to axes of its own."""
     if not {"x", "y", "yaw"} <= set(found) or "east" not in found["x"].field.lower():
         return []
-    yaw = recording.column(found["yaw"].field)[:_SOME]
-    left, right = (recording.column(columns[name].field)[:_SOME] for name in _SPEEDS)
+    rows = None if recording.times else recording.series(columns["t"]).values
+    series = {name: recording.series(columns[name], rows) for name in (*_SPEEDS, "x", "y", "yaw")}
     period = 360.0 if _size(recording, columns["yaw"]) > _FULL_TURN else 2 * pi
-    rate = np.gradient(np.unwrap(yaw, period=period))
-    known = np.isfinite(rate + left + right)
-    if correlation(rate[known], (right - left)[known]) >= 0.0:
+    t, heading = usable(series["yaw"])
+    turned = Series(t, np.unwrap(heading, period=period) * (2 * pi / period))
+    compass = counts_from_north(
+        Motion(series["v_left"], series["v_right"], series["x"], series["y"], turned)
+    )
+    if compass is None:
+        return [
+            "whether the heading counts from the east, or clockwise from the north as a compass "
+            "does, does not show: it is taken as counted from the east; drive in several directions"
+        ]
+    if not compass:
         return []
     north, east = columns["y"], columns["x"]
     columns["x"] = found["x"] = north.changed(channel="x")
@@ -828,8 +839,8 @@ def _of_body(known: Given, what: str) -> str:
     )
 
 
-def _powers(columns: dict[str, Column], guesses: dict[str, Column]) -> None:
-    """Take each side's power, or its voltage times its current, or the battery's."""
+def _powers(recording: Recording, columns: dict[str, Column], guesses: dict[str, Column]) -> None:
+    """Take each side's power, or its voltages times its currents, or the battery's."""
     for side in ("left", "right"):
         power = f"p_{side}"
         current = guesses.pop(f"current_{side}", None)
@@ -841,12 +852,46 @@ def _powers(columns: dict[str, Column], guesses: dict[str, Column]) -> None:
             continue
         factor = scale_of("current", current.unit).factor * scale_of("voltage", volts.unit).factor
         unit = "" if factor == 1.0 else f"*{factor:g}"
-        columns[power] = current.changed(channel=power, unit=unit, times=volts.field)
+        columns[power] = _product(recording, current, volts).changed(channel=power, unit=unit)
     sides = {"p_left", "p_right"} <= {*columns, *guesses}
     if not sides:
         for side in ("p_left", "p_right"):
             columns.pop(side, None)
             guesses.pop(side, None)
+    current, volts = guesses.get("current"), guesses.get("voltage")
+    if current is None or volts is None or not current.plus or sides:
+        return
+    if {"power", "current", "voltage"} & {*columns, *guesses} == {"current", "voltage"}:
+        product = _product(recording, current, volts)
+        if product.each:
+            factor = scale_of("current", current.unit).factor
+            factor *= scale_of("voltage", volts.unit).factor
+            unit = "" if factor == 1.0 else f"*{factor:g}"
+            guesses["power"] = product.changed(channel="power", unit=unit)
+            del guesses["current"], guesses["voltage"]
+
+
+_ONE_VOLTAGE = 0.01  # by how much voltages may differ to be of one bus: as much as powers do then
+
+
+def _product(recording: Recording, current: Column, volts: Column) -> Column:
+    """Multiply a current by its voltage, each of several by its own."""
+    names = (current.field, *current.plus)
+    own = voltages_of(names, recording.columns)
+    if len(own) == len(names):
+        alone = len(set(own)) == 1
+        return current.model_copy(update={"times": own[0]} if alone else {"each": own})
+    there = sorted({volts.field, *own, *siblings(volts, recording.columns)})
+    usual = [float(np.nanmedian(recording.column(name))) for name in there]
+    if max(usual) - min(usual) <= _ONE_VOLTAGE * max(map(abs, usual)):
+        return current.model_copy(update={"times": volts.field})
+    channel = current.channel.replace("current_", "p_").replace("current", "power")
+    stated = "+".join(f"{name}*{there[0]}" for name in names)
+    raise DriveLogError(
+        f"{recording.source}: {' and '.join(there[:4])} are voltages that differ, and not each "
+        f"current of {' and '.join(names[:4])} has one of its own by name; say which belongs to "
+        f"which, as in --columns '{channel}={stated}'"
+    )
 
 
 class _Choice(NamedTuple):
@@ -896,7 +941,8 @@ def _readings(head: Recording, columns: Mapping[str, Column]) -> dict[str, Float
     if rows is not None:
         series["t"] = Series(rows, rows)
     joined = join_rows(series, [name for name in series if name in _NEEDED])
-    raw = {c: one.values for c, one in series.items()} if joined is None else joined.channels
+    raw = {"t": series["v_left"].t} | {c: one.values for c, one in series.items()}
+    raw = raw if joined is None else joined.channels
     raw = _whole_rows(raw)
     if len(raw["t"]) >= RECORDING:
         mirrored = mirrored_side(Observed(raw, raw["t"], find_runs(raw["t"])).averaged())

@@ -73,6 +73,11 @@ def time_weights(t: FloatArray, runs: Iterable[slice]) -> FloatArray:
     return weights
 
 
+def integral(t: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the integral up to each sample: the trapezoidal rule."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
+
+
 def align(series: Series, clock: FloatArray) -> Aligned:
     """Bring a channel to another clock."""
     t, values = series
@@ -87,11 +92,11 @@ def align(series: Series, clock: FloatArray) -> Aligned:
         (clock < t[0]) | (clock > t[-1]) | (hole & (clock != t[after]) & (clock != t[after - 1]))
     )
     if step < period / 1.5:
-        integral = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
+        total = integral(t, values)
         low = np.clip(clock - period / 2, t[0], t[-1])
         high = np.clip(clock + period / 2, t[0], t[-1])
         width = np.where(high > low, high - low, 1.0)
-        found = (np.interp(high, t, integral) - np.interp(low, t, integral)) / width
+        found = (np.interp(high, t, total) - np.interp(low, t, total)) / width
         return Aligned(np.where(unknown, np.nan, found), f"averaged from {1 / step:.3g} Hz")
     found = np.where(unknown, np.nan, np.interp(clock, t, values))
     return Aligned(found, f"interpolated from {1 / step:.3g} Hz")

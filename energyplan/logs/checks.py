@@ -1031,8 +1031,13 @@ def without_copies(
     train: Sequence[DriveLog], holdout: Sequence[DriveLog]
 ) -> tuple[list[DriveLog], list[str]]:
     """Take each drive once: what is read twice makes nothing surer, and judges nothing."""
-    if any(log is other for log in train for other in holdout):
-        raise InvalidInputError("a drive stands in train and in holdout; give it to one of them")
+    for log in holdout:
+        same = next((other.name for other in train if log is other or _alike(log, other)), None)
+        if same is not None:
+            raise InvalidInputError(
+                f"{log.name} is held out and holds the same readings as {same}, which is learned "
+                "from: errors on it say nothing of other drives; hold out another one"
+            )
     kept: list[DriveLog] = []
     left_out: dict[int, str] = {}
     # The longest first: of a drive and a part of it, the drive stays.
@@ -1052,13 +1057,6 @@ def without_copies(
         for one, other in combinations(learned, 2) if (shared := _shared(one, other))
     ]  # fmt: skip
     for log in holdout:
-        known = next((other.name for other in learned if _alike(log, other)), None)
-        if known is not None:
-            said.append(
-                f"{log.name} holds the same readings as {known}, which was learned from: errors on "
-                "it say nothing of other drives; hold out another one"
-            )
-            continue
         said += [
             f"{log.name} holds {shared} samples of {other.name}, which were learned from: "
             "errors on them say nothing of other drives; hold out others"

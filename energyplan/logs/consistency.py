@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.logs.align import derivative
+from energyplan.logs.align import derivative, integral
 from energyplan.logs.mapping import (
     LONGEST_STEP,
     RATES,
@@ -165,7 +165,7 @@ class Observed:
         if len(self.rates) < 2 or not lasts(self.rates["yaw_rate"]):
             return np.nan
         t, gyro, heading = self.t, self.rates["yaw_rate"], self.rates["yaw"]
-        angles = _integral(t, gyro), np.unwrap(self.channels["yaw"])
+        angles = integral(t, gyro), np.unwrap(self.channels["yaw"])
         for window in (0.0, _WINDOW, 3 * _WINDOW):
             if window > 0.0:
                 edges = np.arange(t[0], t[-1], window)
@@ -308,7 +308,7 @@ def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
             continue
         x, y = (np.interp(edges, t[run], channels[name][run]) for name in ("x", "y"))
         left, right = (
-            np.diff(np.interp(edges, t[run], _integral(t[run], channels[name][run])))
+            np.diff(np.interp(edges, t[run], integral(t[run], channels[name][run])))
             for name in ("v_left", "v_right")
         )
         way = 0.5 * np.abs(left + right)
@@ -333,10 +333,6 @@ def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
     # Stretches that contradict each other (slipping, a lost pose) show nothing.
     scatter = float(np.std(pose * ratio - wheel) / wheel.mean())
     return ratio if scatter < 0.5 else np.nan
-
-
-def _integral(t: FloatArray, values: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1]))])
 
 
 def _repeats(residual: FloatArray) -> float:

@@ -70,10 +70,26 @@ _NO_PLACE = {
 """Words of vectors that are no place."""
 
 
+_TAG = re.compile(r"(?<![A-Z])(?<![a-z](?=[lr]))([lrLR])([0-9]+)(?![0-9a-z])")
+"""A letter and a number, such as the second motor on the left, or the tag of the first robot."""
+
+
+def spelled(name: str, names: Collection[str]) -> str:
+    """Return a name with ``l2`` spelled as ``left2`` where the same with ``r2`` stands beside."""
+
+    def side(tag: re.Match[str]) -> str:
+        letter = tag[1]
+        other = "lrLR"["rlRL".index(letter)]
+        twin = f"{name[: tag.start()]}{other}{name[tag.end(1) :]}" in names
+        return f"{'left' if letter in 'lL' else 'right'}{tag[2]}" if twin else tag[0]
+
+    return _TAG.sub(side, name)
+
+
 def words(name: str) -> list[str]:
-    """Split a name into its words, in small letters."""
+    """Split a name into its words, in small letters; ``r1`` alone may be anything, and is none."""
     found: list[str] = []
-    for part in split_words(re.sub(r"[0-9]+", " ", split_unit(name)[0])):
+    for part in split_words(re.sub(r"[0-9]+", " ", _TAG.sub(" ", split_unit(name)[0]))):
         word = part.lower()
         if word in _WHOLE:
             found.append(word)
@@ -84,9 +100,9 @@ def words(name: str) -> list[str]:
     return found
 
 
-def side_of(name: str) -> str:
-    """Return the side that a name gives, ``"left"`` or ``"right"``; empty where it gives none."""
-    said = set(words(name))
+def side_of(name: str, names: Collection[str] = ()) -> str:
+    """Return the side that a name among others gives, ``"left"`` or ``"right"``; empty for none."""
+    said = set(words(spelled(name, names)))
     sides = [side for side in ("left", "right") if said & _WORDS[side]]
     return sides[0] if len(sides) == 1 else ""
 
@@ -94,8 +110,9 @@ def side_of(name: str) -> str:
 def _groups(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Return names that differ in nothing but the wheel or the number of the motor."""
     alike: dict[object, list[str]] = {}
-    for name in names:
-        stated, unit = words(name), split_unit(name)[1]
+    every = list(names)
+    for name in every:
+        stated, unit = words(spelled(name, every)), split_unit(name)[1]
         number = re.search(r"(?<![.\d])\d+", split_unit(name)[0])
         if number is None and not set(stated) & set(_PLACES):
             continue
@@ -187,8 +204,9 @@ def guess_encoders(names: Iterable[str]) -> dict[str, Column]:
     groups = _groups(counted)
     found: dict[str, Column] = {}
     for side in ("left", "right"):
-        name, channel = next((n for n in counted if side_of(n) == side), ""), f"v_{side}"
-        rest = tuple(n for n in groups.get(name, ()) if n != name and side_of(n) == side)
+        own = [n for n in counted if side_of(n, counted) == side]
+        name, channel = next(iter(own), ""), f"v_{side}"
+        rest = tuple(n for n in groups.get(name, ()) if n != name and n in own)
         if name:
             unit = unit_in(channel, name).unit
             found[channel] = Column(field=name, unit=unit, plus=rest, channel=channel)
@@ -199,8 +217,9 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
     """Return names of wheels' or motors' speeds that a number distinguishes, not a side."""
     kinds = _WORDS["speed"] | ENCODER | {"dist", "distance"}
     groups: dict[tuple[str, ...], list[str]] = {}
-    for name in names:
-        if re.search(r"\d", name) and not side_of(name) and kinds & set(words(name)):
+    every = list(names)
+    for name in every:
+        if re.search(r"\d", name) and not side_of(name, every) and kinds & set(words(name)):
             groups.setdefault(tuple(words(name)), []).append(name)
     return tuple(next((group for group in groups.values() if len(group) > 1), ()))
 
@@ -236,8 +255,30 @@ def siblings(one: Column, names: Iterable[str]) -> list[str]:
     """Return names like a power's, or a torque's, that differ in the wheel or a number alone."""
     side = one.channel.removeprefix("p_") if one.channel.startswith("p_") else ""
     summed = {one.field, *one.plus}
-    alike = {name for group in [_groups(names)] for own in summed for name in group.get(own, ())}
-    return sorted(name for name in alike - {*one.names} if side_of(name) in ("", side) or not side)
+    every = list(names)
+    alike = {name for group in [_groups(every)] for own in summed for name in group.get(own, ())}
+    return sorted(
+        name for name in alike - {*one.names} if side_of(name, every) in ("", side) or not side
+    )
+
+
+def voltages_of(currents: Iterable[str], names: Iterable[str]) -> tuple[str, ...]:
+    """Return the voltage that is named like each current but for the quantity, where it is."""
+    every = list(names)
+
+    def key(name: str, kind: str) -> tuple[list[str], list[str]]:
+        bare = unit_in(kind, spelled(name, every)).bare
+        return [word for word in words(bare) if word not in _WORDS[kind]], re.findall(r"\d+", bare)
+
+    there = [
+        name for name in every if not set(words(name)) & _NOT_MEASURED
+        and (set(words(name)) & _WORDS["voltage"] or unit_in("voltage", name).unit)
+    ]  # fmt: skip
+    found = []
+    for current in currents:
+        own = [name for name in there if key(name, "voltage") == key(current, "current")]
+        found += own if len(own) == 1 else []
+    return tuple(found)
 
 
 def _tokens(name: str) -> list[str]:
@@ -271,6 +312,8 @@ CHANNELS = (
 def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column]:
     """Guess which name is which channel, and in which unit if it says so."""
     every = list(names)
+    there = {*every}
+    alias = {name: spelled(name, there) for name in every}
     others = {*taken, *_quaternions(every)}
     left = [name for name in every if name not in others]
     groups = _groups(left)
@@ -279,7 +322,7 @@ def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column
         quantity = channel.partition("_")[0]
         quantity = quantity if quantity in ("current", "voltage") else channel
         for place, name in enumerate(left):
-            score, unit = _score(channel, name), unit_in(quantity, name).unit
+            score, unit = _score(channel, alias[name]), unit_in(quantity, name).unit
             if unit:
                 score += 1.0 * (score > 0.0)
             elif split_unit(name)[1] and channel != "t":

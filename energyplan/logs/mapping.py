@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from math import isfinite, pi
+from math import isfinite, pi, prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -343,6 +343,7 @@ class Column(Checked):
     plus: tuple[str, ...] = ()  # columns to add, before that
     weights: tuple[float, ...] = ()  # factors of the field and of those; none: all are one
     unsigned: bool = False  # whether it is a power, or a current, whose sensor sees no sign
+    each: tuple[str, ...] = ()  # columns to multiply the field and those by, empty for none
     channel: str = ""  # the channel that it serves as
 
     @model_validator(mode="before")
@@ -363,6 +364,11 @@ class Column(Checked):
             raise ValueError(
                 f"{len(self.weights)} weights of {1 + len(self.plus)} columns; give one for each"
             )
+        if self.each and (len(self.each) != 1 + len(self.plus) or self.times is not None):
+            raise ValueError(
+                f"{len(self.each)} columns to multiply {1 + len(self.plus)} by; give one for each, "
+                "and no other for the sum"
+            )
         return self
 
     @property
@@ -373,28 +379,36 @@ class Column(Checked):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all the columns."""
-        return (self.field, *self.plus, *(() if self.times is None else (self.times,)))
+        factors = self.each if self.times is None else (self.times,)
+        return tuple(dict.fromkeys((self.field, *self.plus, *filter(None, factors))))
 
     @property
     def written(self) -> str:
         """What is computed of the columns, before the conversion."""
         text = ""
-        for weight, name in self._terms():
+        for weight, name, other in self._terms():
             factor = "" if abs(weight) == 1.0 else f"{abs(weight):.10g}*"
-            text += f" {'-' if weight < 0 else '+'} {factor}{name}"
+            text += f" {'-' if weight < 0 else '+'} {factor}{name}{other and '*'}{other}"
         added = text.removeprefix(" + ").strip()
         if self.times is None:
             return added
         return f"({added}) * {self.times}" if self.plus else f"{added} * {self.times}"
 
-    def _terms(self) -> list[tuple[float, str]]:
+    def _terms(self) -> list[tuple[float, str, str]]:
+        """Return factor, column and the column that it is multiplied by, if any, of each term."""
         names = (self.field, *self.plus)
-        return list(zip(self.weights or (1.0,) * len(names), names, strict=True))
+        some = len(names)
+        return list(zip(self.weights or (1.0,) * some, names, self.each or ("",) * some,
+                        strict=True))  # fmt: skip
 
     def value(self, reading: Callable[[str], Any], rate: Callable[[str], Any] | None = None) -> Any:
         """Return the channel in the library's unit from the readings, or rates, of columns."""
         added = rate or reading
-        parts = [added(n) if w == 1.0 else w * added(n) for w, n in self._terms()]
+        parts = [
+            (added(name) if weight == 1.0 else weight * added(name))
+            * (reading(other) if other else 1.0)
+            for weight, name, other in self._terms()
+        ]
         value = sum(parts[1:], start=parts[0])
         if self.times is not None:
             value = value * reading(self.times)
@@ -414,10 +428,15 @@ class Column(Checked):
         def full(name: str) -> str:
             return name if name.startswith("/") else f"/{self.topic.strip('/')}.{name}"
 
-        times = None if self.times is None else full(self.times)
+        return self.renamed(full, topic="")
+
+    def renamed(self, new: Callable[[str], str], **parts: Any) -> Column:
+        """Return the same of columns with other names."""
         return self.changed(
-            topic="", field=full(self.field), plus=tuple(map(full, self.plus)), times=times
-        )
+            field=new(self.field), plus=tuple(map(new, self.plus)),
+            each=tuple(name and new(name) for name in self.each),
+            times=None if self.times is None else new(self.times), **parts,
+        )  # fmt: skip
 
     def matches(self, topic: str) -> bool:
         """Return whether a bag's topic is meant."""
@@ -430,7 +449,8 @@ class Column(Checked):
         if self.topic:
             said = {"topic": self.topic, "field": self.written if self.plus else self.field}
         else:
-            said = {"column": self.field, "plus": [*self.plus], "weights": [*self.weights]}
+            said = {"column": self.field, "plus": [*self.plus], "weights": [*self.weights],
+                    "each": [*self.each]}  # fmt: skip
         said |= {"unit": self.unit, "times": self.times, "unsigned": self.unsigned}
         return {key: value for key, value in said.items() if value}
 
@@ -460,10 +480,11 @@ def column_from(
     times: str | None = None,
     plus: Sequence[str] = (),
     weights: Sequence[float] = (),
+    each: Sequence[str] = (),
 ) -> Column:
     """Return the column of a name that serves as a channel."""
     result = Column(field=column, unit=unit or "", times=times, plus=tuple(plus),
-                  weights=tuple(weights), channel=channel)  # fmt: skip
+                  weights=tuple(weights), each=tuple(each), channel=channel)  # fmt: skip
     _ = result.conversion  # refuses an unknown unit
     return result
 
@@ -519,56 +540,78 @@ def _resolve(channel: str, text: str, names: Collection[str]) -> Column:
     result = None if source in names or not known else formula(source, known)
     if result is None:
         return column_from(channel, source, unit)
-    written = unit or _unit_of(channel, result.names, result.times)
-    return column_from(
-        channel, result.names[0], written, result.times, result.names[1:], result.weights
-    )
+    written = unit or _unit_of(channel, result)
+    first, *plus = result.names
+    return column_from(channel, first, written, result.times, plus, result.weights, result.each)
 
 
 _NUMBER = r"\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+"
 
 
 class Formula(NamedTuple):
-    """A sum of columns or fields with factors, and what it is multiplied by."""
+    """A sum of columns or fields with factors, and what it, or each of them, is multiplied by."""
 
     names: tuple[str, ...]
     weights: tuple[float, ...]  # none where all are one
     times: str | None
+    each: tuple[str, ...] = ()  # second column of each term, empty where it has none
 
 
 def formula(text: str, name: str) -> Formula | None:
-    """Read a sum of names, each of a pattern, with factors; None where it is no such sum."""
-    term = rf"(?:({_NUMBER})\s*\*\s*)?({name})(?:\s*\*\s*({_NUMBER})(?![\w.]))?"
-    whole = rf"(\()?\s*([-+]?\s*{term}(?:\s*[-+]\s*{term})*)\s*(?(1)\))(?:\s*\*\s*({name}))?"
-    match = re.fullmatch(whole, text.strip())
-    if match is None:
-        return None
-    names, weights = [], []
-    for sign, before, one, after in re.findall(rf"([-+]?)\s*{term}", match[2]):
-        weight = float(before or 1.0) * float(after or 1.0)
-        names.append(one)
+    """Read a sum of names, or of products of two, with factors; None where it is no such sum."""
+    by = rf"(?:\s*\*\s*({_NUMBER})(?![\w.]))?"
+    term = rf"(?:({_NUMBER})\s*\*\s*)?({name}){by}(?:\s*\*\s*({name}))?{by}"
+    added = rf"\s*[-+]?\s*{term}(?:\s*[-+]\s*{term})*\s*"
+    inner, times = text.strip(), None
+    if not re.fullmatch(added, inner):
+        outer = re.fullmatch(rf"\((.*)\)(?:\s*\*\s*({name}))?", inner)
+        if outer is None or not re.fullmatch(added, outer[1]):
+            return None
+        inner, times = outer[1], outer[2]
+    names, weights, each = [], [], []
+    for sign, one, first, two, other, three in re.findall(rf"([-+]?)\s*{term}", inner):
+        weight = float(one or 1.0) * float(two or 1.0) * float(three or 1.0)
+        names.append(first)
         weights.append(-weight if sign == "-" else weight)
+        each.append(other)
+    if times is not None and any(each):
+        return None
+    if len(names) == 1 and each[0]:
+        times, each = each[0], [""]
     plain = all(weight == 1.0 for weight in weights)
-    return Formula(tuple(names), () if plain else tuple(weights), match[match.re.groups])
+    return Formula(
+        tuple(names), () if plain else tuple(weights), times, tuple(each) if any(each) else ()
+    )
 
 
-def _unit_of(channel: str, names: Sequence[str], times: str | None) -> str:
+def _unit_of(channel: str, found: Formula) -> str:
     """Return the unit in the names of a formula's columns, if it is in all of them."""
-    if times is None:
+    names, kinds = found.names, ("current", "voltage", "yaw_rate")
+
+    def stated(name: str) -> tuple[str, str]:
+        return next(((k, u) for k in kinds if (u := unit_in(k, name).unit)), ("current", ""))
+
+    def size(*units: tuple[str, str]) -> float:
+        return prod(UNITS[kind].get(unit, 1.0) for kind, unit in units)
+
+    if found.times is not None:
+        factor = size(*dict.fromkeys(map(stated, names)), stated(found.times))
+        return "" if factor == 1.0 else f"*{factor:.10g}"
+    if found.each:
+        sizes = {
+            size(stated(name), stated(other)) if other else
+            scale_of(channel, unit_in(channel, name).unit).factor
+            for name, other in zip(names, found.each, strict=True)
+        }  # fmt: skip
+        units = {"" if one == 1.0 else f"*{one:.10g}" for one in sizes}
+    else:
         units = {unit_in(channel, name).unit for name in names}
-        if len(units) == 1:
-            return units.pop()
-        raise DriveLogError(
-            f"{channel}: {' and '.join(names)} do not tell one unit; give the unit after the "
-            f"formula, or factors in it, as in {channel}={names[0]}-0.25*{names[-1]}[m/s]"
-        )
-    factor = 1.0
-    kinds = ("current", "voltage", "yaw_rate")
-    stated = [next(((k, u) for k in kinds if (u := unit_in(k, name).unit)), ("current", ""))
-            for name in (*names, times)]  # fmt: skip
-    for kind, unit in (*dict.fromkeys(stated[:-1]), stated[-1]):
-        factor *= UNITS[kind].get(unit, 1.0)
-    return "" if factor == 1.0 else f"*{factor:.10g}"
+    if len(units) == 1:
+        return units.pop()
+    raise DriveLogError(
+        f"{channel}: {' and '.join(names)} do not tell one unit; give the unit after the "
+        f"formula, or factors in it, as in {channel}={names[0]}-0.25*{names[-1]}[m/s]"
+    )
 
 
 def clock_in(columns: str | Mapping[str, str | Column] | None) -> Column | None:

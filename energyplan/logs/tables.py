@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from importlib.util import find_spec
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from energyplan.errors import DriveLogError, InvalidInputError, needs_extra
 from energyplan.logs.align import Series, align, usable
 from energyplan.logs.clean import ANY
-from energyplan.logs.guess import guess
+from energyplan.logs.guess import guess, guess_encoders
 from energyplan.logs.mapping import (
     ROW,
     Column,
@@ -375,7 +375,25 @@ class Recording:
         """Return the times of a series; of a table, those of its rows."""
         if not self.times or name in self.times:
             return self.times.get(name, rows)
-        return self.times.get(next(iter(self.elements(name)), ""), rows)
+        parts = self.elements(name) or quaternions(self.columns).get(name, ())
+        return self.times.get(next(iter(parts), ""), rows)
+
+    def together(self, one: str, other: str) -> tuple[FloatArray, FloatArray]:
+        """Return two series at the times of the one that is read less often, where both are known.
+
+        Rows of a table that hold only one of them are as far apart as their numbers say.
+        """
+        pair = []
+        for name in (one, other):
+            values, t = self.column(name), self.clock(name)
+            pair.append(usable(Series(np.arange(len(values), dtype=float) if t is None else t,
+                                      values)))  # fmt: skip
+        if min(len(part.t) for part in pair) < 2:
+            return np.zeros(0), np.zeros(0)
+        clock = max(pair, key=lambda part: float(np.median(np.diff(part.t)))).t
+        first, second = (align(part, clock).values for part in pair)
+        both = np.isfinite(first) & np.isfinite(second)
+        return first[both], second[both]
 
     def series(self, column: Column, rows: FloatArray | None = None) -> Series:
         """Return a channel at the times of its first column; NaN where it has no reading.
@@ -677,6 +695,7 @@ def join(
                "a.csv b.csv" if alike else
                "log all with one clock, or shift one, as in a.csv+b.csv@-1h")
         )  # fmt: skip
+    _refuse_drives(parts, [way[k] for way, k in zip(ways, best[1], strict=True)])
     columns: dict[str, FloatArray] = {}
     times_of: dict[str, FloatArray] = {}
     text: dict[str, str] = {}
@@ -688,6 +707,36 @@ def join(
                 columns[f"{stem}.{label}"], times_of[f"{stem}.{label}"] = values[order], t
         text |= {f"{stem}.{label}": f"{part.source}: {why}" for label, why in part.text.items()}
     return Recording(name, columns, text, times_of, error=error)
+
+
+def _refuse_drives(parts: Sequence[Recording], clocks: Sequence[FloatArray]) -> None:
+    """Refuse to join files that each hold the motion of a robot, of which one differs."""
+    moving = []
+    for part, t in zip(parts, clocks, strict=True):
+        found = guess(part.columns)
+        counted = {} if {"v_left", "v_right"} <= {*found} else guess_encoders(part.columns)
+        if not counted and not {"v_left", "v_right"} <= {*found}:
+            continue
+        series = usable(Series(t, part.columns[(counted or found)["v_left"].field]))
+        if len(series.t) >= _FEWEST:
+            rate = np.gradient(series.values, series.t) if counted else series.values
+            moving.append((part.source, Series(series.t, rate)))
+    for (name, one), (other_name, other) in combinations(moving, 2):
+        slow, fast = sorted((one, other), key=lambda part: -float(np.median(np.diff(part.t))))
+        seen = align(fast, slow.t).values
+        both = np.isfinite(seen)
+        pair = slow.values[both], seen[both]
+        if np.count_nonzero(both) < _FEWEST or min(map(np.ptp, pair)) == 0.0:
+            continue
+        if np.corrcoef(*pair)[0, 1] < _SAME:
+            raise parts[0].error(
+                f"{name} and {other_name} are two drives: each holds the speeds of both sides, and "
+                f"these differ at the same times; name them with a space, as in {name} {other_name}"
+            )
+
+
+_FEWEST = 20  # readings below which nothing is concluded
+_SAME = 0.7  # correlation from which one reading explains half of another's variance
 
 
 def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:

@@ -312,10 +312,11 @@ class MissionReport(html.Readable):
             for one in self.timetable
         ]  # fmt: skip
         sources = [html.words(one.source) for one in self.uncertainty]
-        unknown = [*zip(sources, *(
+        shares = zip(sources, *(
             html.column([getattr(one, kind) / 3600 for one in self.uncertainty])
             for kind in ("energy", "saving")
-        ), strict=True)]  # fmt: skip
+        ), strict=True)  # fmt: skip
+        unknown = [row for row in shares if any(float(size) for size in row[1:])]
         wh = f"{html.number(self.energy / 3600)} Wh"
         most = f"{html.number(self.energy_upper / 3600)} Wh"
         sure = f"{100 * self.mission.confidence:.0f} %"

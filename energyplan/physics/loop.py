@@ -21,7 +21,7 @@ from energyplan.errors import (
     NotIdentifiableError,
 )
 from energyplan.fit import identify
-from energyplan.fit.drive import Drive
+from energyplan.fit.drive import Drive, split_drives
 from energyplan.fit.run import Energy, RunEffect
 from energyplan.limits.speed import profile
 from energyplan.logs import DriveLog
@@ -62,7 +62,7 @@ def predicted_energy(trajectory: Trajectory, problem: PlanningProblem) -> float:
 def ratio(
     drive: Steered, model: PowerModel, priced: PlanningProblem, heights: HeightMap | None
 ) -> float:
-    """Return the energy that a drive took, over what a model says of it; at least one."""
+    """Return the energy that a drive took, over what a model says of it."""
     icr = model.vehicle.icr
     apart = np.subtract(astuple(icr), astuple(drive.icr))
     predicted = predicted_energy(drive.reference, priced)
@@ -70,7 +70,7 @@ def ratio(
         on_slopes = model if heights is None else with_weight(model)
         with suppress(MissingChannelError):  # a sensor less than the model asks for
             predicted = replayed_energy(on_slopes, drive.log)
-    return max(drive.log.energy / predicted, 1.0)
+    return drive.log.energy / predicted
 
 
 LEVEL = 0.95
@@ -90,8 +90,8 @@ def with_interval(
 
 SHORTEST = 16.0
 """Shortest drive that diagnosis learns from [s]."""
-DIAGNOSED = 36.0
-"""Driving in which effects are looked for; less shows too few manoeuvres [s]."""
+DIAGNOSED = 40.0
+"""Driving in which effects are looked for; less cannot be parted into learning and judging [s]."""
 LIKELY = 0.02
 """Probability from which an explanation counts where the next drive is designed."""
 
@@ -133,7 +133,7 @@ def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> LearnedModel:
             "resistance and friction alone were identified"
         )
         return LearnedModel(model, (), note=note)
-    outcome = diagnose(long, [log.segment(float(log.t[0]), np.inf) for log in long], vehicle)
+    outcome = diagnose(*split_drives(long), vehicle)
     found = tuple(LearnedEffect(e.name, e.value, e.std_error, e.unit) for e in outcome.effects)
     most = outcome.explanations[0].probability
     likely = [e for e in outcome.explanations if e.probability > LIKELY * most]

@@ -15,7 +15,7 @@ from by_day import by_day
 from made_drives import pair, sized
 
 from energyplan import DriveLog, diagnose, identify, simulate
-from energyplan.errors import EnergyPlanError, NotIdentifiableError
+from energyplan.errors import EnergyPlanError, InvalidInputError, NotIdentifiableError
 from energyplan.fit.drive import quiet
 from energyplan.io.start import Given, start
 from energyplan.live import lines_of, watch
@@ -66,13 +66,16 @@ def test_a_speed_that_beats_with_its_encoder_is_still_a_speed() -> None:
 def test_a_copy_makes_nothing_surer_and_is_no_test() -> None:
     log, unseen = pair(MODEL, **NOISE)
     copies = [DriveLog(dict(log.channels), f"copy {k}") for k in range(4)]
-    once = diagnose(log, [unseen, copies[3]], MODEL.vehicle)
-    often = diagnose([log, *copies[:3]], [unseen, copies[3]], MODEL.vehicle)
+    once = diagnose(log, unseen, MODEL.vehicle)
+    often = diagnose([log, *copies], unseen, MODEL.vehicle)
     assert often.model == once.model
     assert often.training == (log.name,)
     assert often.predictions == once.predictions
     for told, copy in zip(often.advice, copies, strict=False):
         assert told.startswith(f"{copy.name} holds the same readings as {log.name}")
+    for part in (copies[0], log.segment(-np.inf, np.inf), log.segment(5.0, 40.0)):
+        with pytest.raises(InvalidInputError, match=f"same readings as {log.name}, which is lear"):
+            diagnose(log, [unseen, part], MODEL.vehicle)
 
 
 def test_what_is_at_an_end_of_its_range_is_told() -> None:

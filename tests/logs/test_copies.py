@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from energyplan import DriveLog
+from energyplan.errors import InvalidInputError
 from energyplan.logs.checks import without_copies
 from energyplan.path import FloatArray
 
@@ -44,6 +45,19 @@ def test_of_a_drive_and_a_part_of_it_the_drive_stays(samples: slice, first: bool
     assert [log.name for log in kept] == [longest.name, "c"]
     (line,) = told
     assert "holds the same readings as" in line
+
+
+@pytest.mark.parametrize("samples", [slice(None), slice(50, 150)])
+@pytest.mark.parametrize("whole_is_held_out", [True, False])
+def test_a_part_of_a_drive_is_not_held_out_beside_it(
+    samples: slice, whole_is_held_out: bool
+) -> None:
+    pairs = [[WHOLE], [part(WHOLE, "b", samples, late=1e4)]]
+    train, holdout = pairs[::-1] if whole_is_held_out else pairs
+    with pytest.raises(InvalidInputError, match="holds the same readings as"):
+        without_copies([drive("c", 1), *train], [drive("d", 2), *holdout])
+    segments = [WHOLE.segment(0.0, 10.0)], [WHOLE.segment(10.0, np.inf)]
+    assert without_copies(*segments) == (segments[0], [])
 
 
 def test_a_reading_that_differs_makes_another_drive() -> None:

@@ -388,7 +388,8 @@ def test_several_drives_make_one_project(tmp_path: Path, run: Run) -> None:
     options = ("--track", 0.45, "--wheelbase", 0.5, "--mass", 30, "--out", tmp_path / "p.yaml")
     told = run("start", first, second, *options)
     assert told.code == 0 and "holds the same readings" in told.out
-    assert f"next: energyplan identify {first} {second}" in told.out
+    wanted = f"next: energyplan diagnose {first} {second} --project {tmp_path / 'p.yaml'}"
+    assert f"{wanted} --out model.yaml" in told.out
     told = run("start", first, third, *options)
     assert told.code == 2 and "c.csv" in told.err and "wrong sign" in told.err
 

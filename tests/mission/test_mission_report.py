@@ -144,6 +144,18 @@ def test_what_is_not_done_has_no_times() -> None:
     assert (task["arrival"], task["departure"], task["soc_lower"]) == (None, None, None)
 
 
+def test_sources_that_contribute_nothing_have_no_row() -> None:
+    residual = Residual(rmse=1e-4, mae=1e-4, bias=0.0, energy_error=0.03, correlation_time=2.0)
+    model = replace(PowerModel.preset("quadriga:empty:marble"), residual=residual)
+    report = evaluate(
+        corridor(1e6, {"a": 25.0}, 5.0, model=model, confidence=0.95, coefficient_spread=0.05)
+    )
+    assert "noise of the drive" in {doubt.source for doubt in report.uncertainty}
+    shown = "\n".join(text.mission(report))
+    assert "coefficient spread" in shown and "hold-out error" in shown
+    assert "noise of the drive" not in shown
+
+
 def test_sources_of_doubt_add_up_to_the_bound() -> None:
     residual = Residual(rmse=15.0, mae=12.0, bias=0.0, energy_error=0.03, correlation_time=2.0)
     model = PowerModel.preset("quadriga:empty:marble")

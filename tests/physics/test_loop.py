@@ -17,6 +17,7 @@ import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.fit.run import RunEffect
+from energyplan.logs.checks import without_copies
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
 from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, loop, switch_on
@@ -185,6 +186,21 @@ def test_one_short_drive_tells_resistance_and_friction() -> None:
     assert learned.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.05)
 
 
+def test_a_model_is_judged_by_what_it_has_not_learned_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    handed: list[list[ep.DriveLog]] = []
+
+    def noted(*lists: list[ep.DriveLog]) -> ep.Diagnosis:
+        handed.extend(lists[:2])
+        return ep.diagnose(*lists)
+
+    monkeypatch.setattr(loop, "diagnose", noted)
+    drives = [simulate.drive(MODEL, "survey", seed=k, power_noise=2.0) for k in (1, 2)]
+    assert learn(drives, VEHICLE).model is not None
+    train, judge = handed
+    assert sum(map(len, train)) + sum(map(len, judge)) == sum(map(len, drives))
+    assert without_copies(train, judge) == (train, [])
+
+
 def test_what_drives_take_beyond_the_model_is_learned_with_its_scatter() -> None:
     """Of drives that each take two percent more, give or take, nineteen of twenty are foretold."""
     rng = np.random.default_rng(1)
@@ -210,6 +226,10 @@ def test_what_a_controller_takes_that_steers_otherwise_is_not_carried_over() -> 
     other = replace(ICR, longitudinal=0.1 * ICR.half_track)
     told = loop.ratio(Steered(asked, log, other), MODEL, problem, None)
     assert told == pytest.approx(1.0, abs=0.002)
+    greedy = MODEL.with_term(HOTEL, 60.0)  # a drive may take less than a model says
+    said = sum(energy_predicted(asked, greedy).values())
+    less = loop.ratio(Steered(asked, log, ICR), greedy, believed(PROBLEM, greedy, 0.5), None)
+    assert less == pytest.approx(log.energy / said) and less < 0.9
 
 
 def test_on_a_map_with_heights_a_model_of_level_ground_gets_the_weight() -> None:
