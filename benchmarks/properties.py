@@ -252,7 +252,9 @@ def faults(case: Drawn, found: Plan, answer: Callable[[PlanningProblem], Plan]) 
     """Yield the properties that the answer to a problem lacks."""
     problem = case.problem
     if below(found.energy_steady, found.lower_bound_steady):
-        yield f"the energy {found.energy_steady} J lies below the bound {found.lower_bound_steady} J"
+        yield (
+            f"the energy {found.energy_steady} J lies below the bound {found.lower_bound_steady} J"
+        )
     if apart(sum(found.breakdown.values()), found.energy_steady):
         yield f"the terms add up to {sum(found.breakdown.values())} J, not {found.energy_steady} J"
     if problem.surfaces is None:

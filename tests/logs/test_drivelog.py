@@ -99,17 +99,17 @@ def test_bad_mappings_are_refused(noisy, columns, words):
 HEAD = "t,v_left,v_right,power\n"
 
 
-def test_truncated_and_exploding_gzip_are_refused(tmp_path, monkeypatch):
+def test_truncated_and_exploding_gzip_are_refused(tmp_path):
     text = (HEAD + "".join(f"{k},1,1,5\n" for k in range(20000))).encode()
     cut = tmp_path / "cut.csv.gz"
     cut.write_bytes(gzip.compress(text)[:-40])
     with pytest.raises(DriveLogError, match="sound gzip"):
         DriveLog.read(cut)
-    monkeypatch.setattr(tables, "MAX_BYTES", 1 << 20)
     bomb = tmp_path / "bomb.csv.gz"
-    bomb.write_bytes(gzip.compress(HEAD.encode() + b"0" * (1 << 24)))
-    assert bomb.stat().st_size < 1 << 15
-    with pytest.raises(DriveLogError, match="more than 1 MiB"):
+    bomb.write_bytes(gzip.compress(HEAD.encode() + b"1,1,1,5\n" * (1 << 21)))
+    assert bomb.stat().st_size < 1 << 17
+    too_much = pytest.raises(DriveLogError, match="more than 1 MiB")
+    with tables.unpacked_at_most(1 << 20), too_much:
         DriveLog.read(bomb)
 
 
@@ -171,28 +171,28 @@ def test_damage_to_what_parquet_says_of_itself_never_ends_the_process(tmp_path):
     assert int(done.stdout) > 500
 
 
-def test_parquet_of_absurd_size_is_refused(tmp_path, monkeypatch):
+def test_parquet_of_absurd_size_is_refused(tmp_path):
     pa = pytest.importorskip("pyarrow")
     pq = pytest.importorskip("pyarrow.parquet")
     file = tmp_path / "drive.parquet"
     pq.write_table(pa.table({"t": np.random.default_rng(1).normal(size=1000)}), file)
-    monkeypatch.setattr(tables, "MAX_BYTES", 7000)
-    with pytest.raises(DriveLogError, match=r"holds more than 0 MiB"):
+    too_much = pytest.raises(DriveLogError, match=r"holds more than 0 MiB")
+    with tables.unpacked_at_most(7000), too_much:
         DriveLog.read(file)
-    monkeypatch.setattr(tables, "MAX_CELLS", 999)
-    with pytest.raises(DriveLogError, match="1000 rows of 1 columns"):
+    too_many = pytest.raises(DriveLogError, match="1000 rows of 1 columns")
+    with tables.unpacked_at_most(tables.MAX_BYTES, 999), too_many:
         DriveLog.read(file)
 
 
-def test_absurdly_wide_and_long_tables_are_refused(tmp_path, monkeypatch):
+def test_absurdly_wide_and_long_tables_are_refused(tmp_path):
     with pytest.raises(DriveLogError, match="5001 columns"):
         DriveLog.read(write(tmp_path, "a," * 5000 + "\n"))
     with pytest.raises(DriveLogError, match="line 1 is longer"):
         DriveLog.read(write(tmp_path, "column," * 1_000_000))
     with pytest.raises(DriveLogError, match="line longer than 1024 KiB"):
         DriveLog.read(write(tmp_path, HEAD + "1," * 1_000_000))
-    monkeypatch.setattr(tables, "MAX_CELLS", 40)
-    with pytest.raises(DriveLogError, match="more than 10 rows"):
+    too_many = pytest.raises(DriveLogError, match="more than 10 rows")
+    with tables.unpacked_at_most(tables.MAX_BYTES, 40), too_many:
         DriveLog.read(write(tmp_path, HEAD + "".join(f"{k},1,1,5\n" for k in range(11))))
 
 
