@@ -1,0 +1,59 @@
+"""What a battery gives and takes is the same in the search, the simulation and the report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from corridors import at, corridor
+
+from energyplan.battery import Battery
+from energyplan.mission import Charger, Mission, evaluate
+from energyplan.path import Pose
+from energyplan.power import PowerModel
+from energyplan.power.effects import with_weight
+from energyplan.terrain import HeightMap
+
+PACK = Battery.of("24 V 20 Ah lead-acid")
+
+
+def docked(power: float, *tasks: object, **changes: object) -> Mission:
+    """Return a mission along the corridor with a charger where it starts, on a pack by name."""
+    dock = Charger("dock", Pose(3.0, 1.5, 0.0), power)
+    values = {"battery": PACK, "soc": 0.55, "reserve": 0.2, "chargers": (dock,), **changes}
+    return corridor(1.0, tuple(tasks), 3.0, **values)
+
+
+@pytest.mark.parametrize("power", [100.0, 150.0, 600.0])
+def test_a_charger_gives_what_the_battery_takes(power: float) -> None:
+    report = evaluate(docked(power, at("A", 10, dwell=3600, power=250.0), soc=0.3))
+    taken = sum(
+        float(np.trapezoid(-run.voltage * run.current, run.t))
+        for part in report.charges
+        for run in [PACK.simulate(np.arange(0.0, part.arrival - part.departure, 1.0),
+                                  np.full(int(np.ceil(part.arrival - part.departure)), -power),
+                                  soc=float(part.soc[0]))]
+    )  # fmt: skip
+    (dock,) = report.chargers
+    assert dock.visits >= 1
+    assert dock.energy == pytest.approx(taken, rel=2e-3)
+    assert dock.energy < PACK.full_energy * dock.visits
+    line = report.timeline
+    given = line.power[:-1] @ np.diff(line.t)
+    assert given == pytest.approx(report.energy - dock.energy, rel=1e-9)
+
+
+def test_what_a_battery_does_not_take_back_is_in_the_energy() -> None:
+    warm = Battery.of("25.6 V 20 Ah LiFePO4")
+    model = with_weight(PowerModel.preset("quadriga:empty:marble"))
+    heights = HeightMap(np.tile(0.3 * np.abs(np.arange(36.0) - 18.0), (4, 1)), 1.0)
+    asked = corridor(1.0, (at("A", 8),), 28.0, battery=warm, soc=0.8, heights=heights, model=model)
+    cold = evaluate(replace(asked, battery=replace(warm, temperature=-5.0)))
+    drives = [part for part in cold.trip if part.kind == "drive"]
+    assert sum(part.energy for part in drives) == pytest.approx(cold.energy, rel=1e-12)
+    assert min(float(part.power.min()) for part in drives) >= -1e-9
+    assert evaluate(asked).energy < cold.energy
+    returned = sum(float(p.leg.consumption.power.clip(max=0) @ np.diff(p.t)) for p in drives)
+    assert returned < 0.0
+    assert all(np.diff(part.soc).max() <= 1e-12 for part in drives)
