@@ -57,3 +57,38 @@ def test_what_a_battery_does_not_take_back_is_in_the_energy() -> None:
     returned = sum(float(p.leg.consumption.power.clip(max=0) @ np.diff(p.t)) for p in drives)
     assert returned < 0.0
     assert all(np.diff(part.soc).max() <= 1e-12 for part in drives)
+
+
+@pytest.mark.parametrize("power", [100.0, 150.0, 600.0])
+def test_a_stronger_charger_takes_no_task_away(power: float) -> None:
+    tasks = (
+        at("A", 4, dwell=1800, power=200.0, window=(0, 3000)),
+        at("B", 10, dwell=1800, power=200.0),
+    )
+    free, given = (evaluate(docked(power, *tasks, order=order)) for order in ("free", "given"))
+    assert free.feasible and given.feasible
+    assert free.energy <= given.energy * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("order", ["free", "given"])
+def test_a_task_beyond_the_power_of_the_battery_is_left_out_alone(order: str) -> None:
+    beyond = 1.2 * PACK.max_discharge_current * float(PACK.ocv(1.0))
+    tasks = (
+        at("A", 6, dwell=600, power=100.0),
+        at("B", 10, dwell=60, power=beyond),
+        at("C", 14, dwell=600, power=100.0),
+    )
+    report = evaluate(docked(200.0, *tasks, soc=0.9, order=order))
+    assert [task.name for task in report.left_out] == ["B"]
+    assert report.task("B").reason == "battery"
+    assert "current" in report.task("B").detail
+
+
+def test_a_task_near_the_power_of_the_battery_is_done_after_a_charge() -> None:
+    small = replace(PACK, max_discharge_current=np.inf, resistance=0.4, pair_resistance=0.0)
+    run = [small.simulate([0.0, 20.0], [200.0, 0.0], soc=soc).reason for soc in (0.4, 0.9)]
+    assert run == ["voltage", "none"]
+    task = at("A", 6, dwell=20, power=195.0)
+    report = evaluate(docked(200.0, task, battery=small, soc=0.4, order="free"))
+    assert report.feasible
+    assert report.chargers[0].visits == 1
