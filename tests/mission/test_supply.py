@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from battery_missions import worse
 from corridors import at, corridor
 
 from energyplan.battery import Battery
@@ -92,3 +93,7 @@ def test_a_task_near_the_power_of_the_battery_is_done_after_a_charge() -> None:
     report = evaluate(docked(200.0, task, battery=small, soc=0.4, order="free"))
     assert report.feasible
     assert report.chargers[0].visits == 1
+
+
+def test_no_given_order_is_better_than_a_free_one() -> None:
+    assert list(worse(range(6))) == []
