@@ -76,12 +76,12 @@ fuzz: $(READY)
 	ENERGYPLAN_FUZZ=$(FUZZ) $(BIN)/python -m pytest tests/io/test_fuzz.py \
 		-n $(FUZZ_JOBS) -k "$(FUZZ_ONLY)"
 
-# Nightly: changes the numerical core in ten places a module, and prints what no test notices.
+# Changes each module in ten places, and prints what no test notices.
 MUTATE ?= *
 mutate: $(NIGHTLY_READY)
 	@set -f; $(BIN)/python tests/mutation.py $(MUTATE)
 
-# Nightly: fails where the tests notice fewer than eight of the ten changes of a recorded module.
+# Nightly: fails where a module is not recorded, or tests notice fewer than eight of its changes.
 recheck: $(NIGHTLY_READY)
 	@set -f; $(BIN)/python tests/mutation.py --recheck $(MUTATE)
 

@@ -209,7 +209,13 @@ def _preset(rng: np.random.Generator) -> EnergyCost:
 def bits(found: Plan) -> tuple[object, ...]:
     """Return what has to be the same when a problem is planned again."""
     path = found.path
-    return path.ds.tobytes(), path.dtheta.tobytes(), found.energy, found.lower_bound, found.effort
+    return (
+        path.ds.tobytes(),
+        path.dtheta.tobytes(),
+        found.energy,
+        found.lower_bound_steady,
+        found.effort,
+    )
 
 
 def below(low: float, high: float) -> bool:
@@ -245,8 +251,8 @@ def touched(problem: PlanningProblem, found: Plan) -> bool:
 def faults(case: Drawn, found: Plan, answer: Callable[[PlanningProblem], Plan]) -> Iterator[str]:
     """Yield the properties that the answer to a problem lacks."""
     problem = case.problem
-    if below(found.energy, found.lower_bound):
-        yield f"the energy {found.energy} J lies below the bound {found.lower_bound} J"
+    if below(found.energy, found.lower_bound_steady):
+        yield f"the energy {found.energy} J lies below the bound {found.lower_bound_steady} J"
     if apart(sum(found.breakdown.values()), found.energy):
         yield f"the terms add up to {sum(found.breakdown.values())} J, not {found.energy} J"
     if problem.surfaces is None:
@@ -269,17 +275,19 @@ def faults(case: Drawn, found: Plan, answer: Callable[[PlanningProblem], Plan]) 
         except (NoPathError, TimeLimitError) as error:
             yield f"{name}: {error}"
             continue
-        if below(other.energy, found.lower_bound) or below(found.energy, other.lower_bound):
+        if below(other.energy, found.lower_bound_steady) or below(
+            found.energy, other.lower_bound_steady
+        ):
             yield (
-                f"{name}: energy {other.energy} J and bound {other.lower_bound} J, "
-                f"as it was {found.energy} J and {found.lower_bound} J"
+                f"{name}: energy {other.energy} J and bound {other.lower_bound_steady} J, "
+                f"as it was {found.energy} J and {found.lower_bound_steady} J"
             )
     try:
-        wide = answer(replace(problem, map=case.wide)).lower_bound
+        wide = answer(replace(problem, map=case.wide)).lower_bound_steady
     except (NoPathError, TimeLimitError):
         wide = inf
-    if below(wide, found.lower_bound):
-        yield f"wider obstacles lower the bound from {found.lower_bound} J to {wide} J"
+    if below(wide, found.lower_bound_steady):
+        yield f"wider obstacles lower the bound from {found.lower_bound_steady} J to {wide} J"
     yield from _undriven(problem, found)
 
 

@@ -132,7 +132,19 @@ class OutsideMapError(PlanningError):
 
 
 class TimeLimitError(PlanningError):
-    """The time limit passed before a first plan was found."""
+    """The time limit passed, or the effort was spent, before a first plan was found.
+
+    Parameters
+    ----------
+    message : str
+        How far the search got, and what may help.
+    remedy : {"time_limit", "effort"}
+        The option that gives more.
+    """
+
+    def __init__(self, message: str, remedy: str = "time_limit") -> None:
+        super().__init__(message)
+        self.remedy = remedy
 
 
 class CancelledError(EnergyPlanError):

@@ -122,6 +122,37 @@ list(ep.watch(['0,1,2,3'], VEHICLE)) | lines\[0\] .* live.follow\(FILE\)
 robot(icr=0.4) | icr is 0.4; give a TreadICR: TreadICR.symmetric\(METRES\)
 robot(motor={'speed': 1}) | motor is {'speed': 1}; give a MotorLimits
 ep.Motion.from_twist(0.5, 0.0, 0.4) | icr is 0.4
+# another kind of value for each function that checks its arguments
+BATTERY.larger('twice') | ^energy is the text 'twice'; give
+BATTERY.simulate(['a', 'b'], [0, 1]) | ^t is \['a', 'b'\]; give
+ep.Battery.of(12) | ^words is 12; give
+LOG.motion(0.47) | ^icr is 0\.47; give
+LOG.blocks('10 s') | ^duration is the text '10 s'; give
+LOG.resample('20 Hz') | ^period is the text '20 Hz'; give
+LOG.shifted(power='1 s') | ^power is the text '1 s'; give
+ep.EnergyCost.from_coefficients('a', 1.0, 0.5) | ^per_metre is the text 'a'; give
+COST.breakdown([(0, 0), (1, 1)]) | ^path is \[\(0, 0\), \(1, 1\)\]; give
+COST.per_metre('0.1') | ^curvature is the text '0\.1'; give
+COST.per_radian('0.1') | ^radius is the text '0\.1'; give
+COST.lower_bound('here') | ^point is the text 'here'; give
+ep.HeightMap(np.zeros((3, 3)), 1.0).rise([(0, 0), (1, 1)]) | ^path is \[\(0, 0\), \(1, 1\)\]; give
+mission().resume((2, 3, 0), 'full') | ^soc is the text 'full'; give
+mission().resume_robots('quadriga') | ^states is the text 'quadriga'; give
+mission().with_remedy('drop') | ^remedy is the text 'drop'; give
+ep.Motion.from_trajectory(LINE, VEHICLE.icr) | ^trajectory is a Path; give
+HALL.updated(np.ones((2, 2), bool), 'first', 0) | ^row is the text 'first'; give
+LINE.subdivide('10 cm') | ^max_ds is the text '10 cm'; give
+TIMED.scaled('twice') | ^factor is the text 'twice'; give
+VEHICLE.with_mass('heavy') | ^mass is the text 'heavy'; give
+ep.compare('hall') | ^problem is the text 'hall'; give
+ep.read_heights(3) | ^path is 3; give
+ep.read_mission(3) | ^path is 3; give
+ep.read_model(3) | ^source is 3; give
+ep.read_surfaces(3) | ^path is 3; give
+ep.simulate.drive('quadriga', 'spiral') | ^model is the text 'quadriga'; give
+ep.simulate.identification_drive('quadriga') | ^model is the text 'quadriga'; give
+ep.simulate.validation_drive('quadriga') | ^model is the text 'quadriga'; give
+ep.steering.path((0, 0, 0), (1, 1, 1), MODEL) | ^cost is a PowerModel; give
 # texts, units, dates, nothing where numbers are wanted
 ep.TreadICR('0.4', 0.4) | tread ICR left is the text '0.4'; give a number
 ep.MotorLimits(speed=None) | motor limit speed is None
@@ -364,6 +395,23 @@ def test_annotations_of_public_functions_are_understood() -> None:
             told = records._kinds(value.__wrapped__)
             wanted = set(inspect.signature(value).parameters) - {"options"}
             assert wanted & set(told), name
+
+
+SI = {
+    "2 m": 2.0, "2 cm": 0.02, "2 mm": 0.002, "2 s": 2.0, "2 min": 120.0, "2 h": 7200.0,
+    "2 W": 2.0, "2 kW": 2000.0, "2 C": 2.0, "2 Ah": 7200.0, "2 mAh": 7.2, "2 ohm": 2.0,
+    "2 mohm": 0.002, "2 V": 2.0, "2 mV": 0.002, "2 A": 2.0, "2 mA": 0.002, "2 J": 2.0,
+    "2 Wh": 7200.0, "2 kWh": 7.2e6, "2 kg": 2.0, "2 g": 0.002, "2 %": 0.02, "2 m/s": 2.0,
+    "36 km/h": 10.0, "2 degC": 2.0, "2 °C": 2.0, "2 rad": 2.0, "90 deg": math.pi / 2,
+}  # fmt: skip
+"""Amounts, and what they are in SI units."""
+
+
+def test_every_unit_is_what_the_si_says() -> None:
+    for kind, units in records.UNITS.items():
+        for unit in units:
+            (text,) = (text for text in SI if text.split()[1] == unit)
+            assert records.amount(kind, text) == pytest.approx(SI[text], rel=1e-15), (kind, text)
 
 
 @pytest.mark.parametrize("text", ["-5 degC", "-5 °C", "-5 C", "-5"])

@@ -77,6 +77,7 @@ def start(
         ),
     ] = None,
     columns: opt.Columns = None,
+    unsigned: opt.Unsigned = False,
     accept: Annotated[
         bool, Option("--accept", help="Accept a log with a check that is WRONG.")
     ] = False,
@@ -105,7 +106,7 @@ def start(
     known = ({} if like is None else read_like(like)) | known | asked
     if not name and like is None and out is not None:
         name = out.stem  # a robot is called as its project is, not as a drive of it
-    given = Given(**known, name=name, columns=opt.columns_of(columns))
+    given = Given(**known, name=name, columns=opt.columns_of(columns), unsigned=unsigned)
     try:
         with progress("looking into the log"):
             result = start_all(logs, given)
@@ -264,7 +265,8 @@ def _read(paths: list[Path], robot: RobotOptions, first: Any = None) -> list[Dri
     from energyplan.io.logs import read_drives
 
     with progress("reading") as update:
-        return read_drives(paths, robot.vehicle, robot.columns, robot.topics, update, first)
+        read = read_drives(paths, robot.vehicle, robot.columns, robot.topics, update, first)
+    return [replace(log, signed=False) for log in read] if robot.unsigned else read
 
 
 def _contradictions(logs: list[DriveLog], vehicle: Any) -> list[str]:

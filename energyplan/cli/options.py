@@ -189,6 +189,15 @@ class Effort:
     ] = math.inf
 
 
+Unsigned = Annotated[
+    bool,
+    Option(
+        "--unsigned",
+        help="The sensors of current or power see no sign: what a motor returns is not negative.",
+    ),
+]
+
+
 @dataclass(frozen=True)
 class RobotOptions:
     """The robot whose logs are read, and how."""
@@ -203,3 +212,4 @@ class RobotOptions:
             autocompletion=_complete("topics"),
         ),
     ] = None
+    unsigned: Unsigned = False

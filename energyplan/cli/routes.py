@@ -478,6 +478,20 @@ def mission(
             help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
         ),
     ] = False,
+    cluster_ca: Annotated[
+        Path | None,
+        Option(
+            "--cluster-ca", metavar="FILE", help="Certificate of the cluster's authority (PEM)."
+        ),
+    ] = None,
+    cluster_cert: Annotated[
+        Path | None,
+        Option("--cluster-cert", metavar="FILE", help="Your certificate for the cluster (PEM)."),
+    ] = None,
+    cluster_key: Annotated[
+        Path | None,
+        Option("--cluster-key", metavar="FILE", help="The private key of --cluster-cert (PEM)."),
+    ] = None,
     results: Annotated[
         Path | None,
         opt.output(
@@ -502,8 +516,12 @@ def mission(
             raise InvalidInputError(
                 "--report, --trajectories, --fail and --strict are of one mission; leave them out"
             )
-        _many(files, cluster, insecure_cluster, results, effort=effort, reverse=reverse)
+        tls = {"ca": cluster_ca, "certificate": cluster_cert, "key": cluster_key}
+        access = {"insecure": insecure_cluster, **tls}
+        _many(files, cluster, access, results, effort=effort, reverse=reverse)
         return
+    if cluster_ca or cluster_cert or cluster_key:
+        raise InvalidInputError("--cluster-ca, --cluster-cert and --cluster-key need --cluster")
     if len(files) > 1 or results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
     wanted = _read_mission(files[0], effort, reverse)
@@ -533,13 +551,17 @@ def mission(
 
 
 def _many(
-    files: list[Path], address: str, insecure: bool, results: Path | None, **settings: Any
+    files: list[Path],
+    address: str,
+    access: dict[str, Any],
+    results: Path | None,
+    **settings: Any,
 ) -> None:
     """Print a JSON line for each of many missions; one that fails stops no other."""
     from energyplan.io.many import answers, cluster
 
     failed = 0
-    with cluster(address, insecure=insecure) as executor:
+    with cluster(address, **access) as executor:
         work = partial(evaluated_mission, **settings)
         for line in answers(work, files, executor, results, settings):
             say(jsonlib.dumps(line, allow_nan=False))

@@ -58,11 +58,13 @@ class EnergyCost(SteadyDriving):
     time_value : float
         Value of a second where the speed is chosen [J/s]. It is not part of the energy: the
         robot hurries, and pays for it.
+    speed_limit : float
+        Largest speed of the reference point [m/s]. Turning on the spot is as fast as without it.
 
     Raises
     ------
     InvalidInputError
-        If `speed` is not positive, or `time_value` is negative or not finite.
+        If `speed` or `speed_limit` is not positive, or `time_value` is negative or not finite.
     MissingChannelError
         If a term reads a channel that a cost cannot know.
     ModelError
@@ -265,6 +267,7 @@ class EnergyCost(SteadyDriving):
             with np.errstate(divide="ignore"):
                 turns = self.vehicle.max_yaw_rate * self.half_track / np.abs(y)
             limit = np.asarray(np.minimum(top / (np.abs(x) + np.abs(y)), turns))
+            limit = self._within_limit(x, y, limit)
             rate = speeds.cheapest_rate(_STANDSTILL * limit, limit, value, _SCAN)
             return np.asarray(value(rate).reshape(prices.shape) / prices)
 

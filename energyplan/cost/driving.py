@@ -89,6 +89,7 @@ class SteadyDriving:
     speed: float | Literal["cheapest"] | None = None
     channels: Mapping[str, float] = field(default_factory=dict)
     time_value: float = 0.0  # value of a second where the speed is chosen [J/s]
+    speed_limit: float = np.inf  # largest speed of the reference point [m/s]
 
     def __post_init__(self) -> None:
         check_fields(self, InvalidInputError)
@@ -96,6 +97,10 @@ class SteadyDriving:
             raise InvalidInputError(f"time_value is {self.time_value}; give joules a second >= 0")
         if isinstance(self.speed, float | int) and not self.speed > 0:
             raise InvalidInputError(f"speed is {self.speed}; give metres per second > 0")
+        if not self.speed_limit > 0:
+            raise InvalidInputError(
+                f"speed_limit is {self.speed_limit}; give metres per second > 0"
+            )
         self._check_channels()
 
     def _check_channels(self) -> None:
@@ -265,7 +270,16 @@ class SteadyDriving:
         return self._anywhere.forces(self._motion(x, y, rate))
 
     def _admissible_rate(self, x: FloatArray, y: FloatArray, fastest: float = np.inf) -> FloatArray:
-        return speeds.admissible_rate(x, y, self.vehicle, self._forces, fastest)
+        rate = speeds.admissible_rate(x, y, self.vehicle, self._forces, fastest)
+        return self._within_limit(x, y, rate)
+
+    def _within_limit(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
+        """Return rates at which the reference point keeps the speed limit too."""
+        if self.speed_limit == np.inf:
+            return rate
+        with np.errstate(divide="ignore"):
+            along = np.abs(x + self.icr.centre[1] / self.half_track * y)
+            return np.asarray(np.minimum(rate, self.speed_limit / along))
 
     def _rate(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Rate [1/s] at which elements are driven: the cheapest admissible one; 0 if none is."""

@@ -7,14 +7,15 @@ errors that are reported come from drives that took part in neither.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from energyplan.diagnosis.averaging import averaged, note_of
 from energyplan.diagnosis.candidates import Part, change_time
 from energyplan.diagnosis.judge import (
+    Judged,
     MassCentre,
     Prediction,
     energies,
@@ -39,7 +40,6 @@ from energyplan.diagnosis.result import (
     Explanation,
     FoundEffect,
     Unexplained,
-    Verdict,
     advice_of_model,
     advice_of_predictions,
     few_drives,
@@ -49,14 +49,14 @@ from energyplan.errors import InvalidInputError, NotIdentifiableError
 from energyplan.fit import fit_icr, identify
 from energyplan.fit.doubts import Adequacy, ends_in_words, leaves_open, open_in_words
 from energyplan.fit.drive import Drive, Late, check_long_enough
-from energyplan.fit.estimate import PAPER, Fitted, problem_of
+from energyplan.fit.estimate import PAPER, Fitted, problem_of, with_signs
 from energyplan.fit.identification import name_of
 from energyplan.logs import DriveLog
 from energyplan.logs.checks import refuse_one_side, without_copies, yaw_rate_offset
 from energyplan.logs.clean import set_aside_by_drive
 from energyplan.path import FloatArray
 from energyplan.power import PowerModel, Residual, Term
-from energyplan.power.effects import Effect, catalogue
+from energyplan.power.effects import UNSIGNED_POWER, Effect, catalogue
 from energyplan.records import checked
 from energyplan.vehicle import Vehicle
 
@@ -155,6 +155,10 @@ def diagnose(
     check_long_enough(learned, held_out)
     report(0.0, "fitting the paper's model")
     vehicle = _with_icr(learned, vehicle)
+    signed = with_signs([*learned, *held_out], vehicle, entries)
+    learned, held_out = signed[: len(learned)], signed[len(learned) :]
+    if all(log.signed for log in learned):
+        entries = tuple(entry for entry in entries if UNSIGNED_POWER not in entry.terms)
     case = _Case(learned, held_out, vehicle, entries)
     case.limits[:0] = copies
     report(0.1, "choosing effects")
@@ -268,108 +272,85 @@ class _Case:
         self, searched: SearchResult, choose: bool, empirical: bool, report: Progress
     ) -> Diagnosis:
         """Judge the most probable explanation on the hold-out drives and put it into words."""
-        before, best = self.before, searched.best
         told_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
         keep = self.identified and self.mass_centre is None
         fighting = next((one for one in self.entries if one.acts == "hold"), None)
-
         outcome = judged(
-            best, choose=choose, plain=self.paper if keep else None, heats=fighting is not None,
-            smooth=lambda part: empirical and self._carry(part),
+            searched.best, choose=choose, plain=self.paper if keep else None,
+            heats=fighting is not None, smooth=lambda part: empirical and self._carry(part),
         )  # fmt: skip
-        chosen, parts, left = outcome.effects, outcome.parts, outcome.left
-        fitted, quality, heat = outcome.model.fitted, outcome.model.quality, outcome.model.heat
+        parts, quality, heat = outcome.parts, outcome.model.quality, outcome.model.heat
         weighed = (
-            averaged(best.problem, fitted, parts, self._common(parts))
+            averaged(searched.best.problem, outcome.model.fitted, parts, self._common(parts))
             if choose else None
         )  # fmt: skip
-        told = fitted if weighed is None else weighed.fitted
+        told = outcome.model.fitted if weighed is None else weighed.fitted
         average = None if weighed is None else weighed.average
-        after = [predict(told.model, parts, drive) for drive in self.held]
-        if told.model is self.paper:
-            after = list(before)
-        ahead, undated = after, None
-        if any(part.effect.acts == "change" for part in parts):
-            ahead = [predict(told.model, parts, drive, dated=False) for drive in self.held]
-            undated = score(ahead)
-        others = self._explanations(searched)
-        found = self._found(chosen, fitted, searched, after)
+        on = _HeldOut.of(self, told, parts)
+        found = self._found(outcome.effects, outcome.model.fitted, searched, on.after)
         if heat is not None and fighting is not None:
             found = (*found, heat.effect(fighting))
-        unexplained = tuple(
-            Unexplained(
-                one.channel, one.shape, one.explained_variance, one.p_value,
-                outcome.added is not None and one is outcome.first,
-            )
-            for one in left
-        )  # fmt: skip
         names = [effect.name for effect in found]
-        used = [part.effect for part in chosen]
-        errors = score(before), score(after)
-        known = score([with_contacts(told.model, one) for one in after])
-        held = holds(quality, known.rmse)
-        advice = [
-            *self.limits,
-            *open_in_words(told.model, told.assumed),
-            *ends_in_words(told.model),
-            *([] if heat is None else [heat.in_words]),
-            *self._of_totals(chosen),
-            *advice_of_model(
-                found,
-                {entry.name: entry for entry in self.entries},
-                used,
-                outcome.dropped,
-                fitted.model,
-                quality,
-                left,
-                outcome.dependences,
-                SIGNIFICANCE,
-            ),
-            *advice_of_predictions(
-                names, *errors, known, quality, held, undated, searched.untested, average
-            ),
-            *(() if average is None else [note_of(average, names)]),
-            *few_drives(len(self.logs[0])),
-            *self.notes,
-        ]
-        verdict: Verdict = "no_effect"
-        if found:
-            usual = {entry.name for entry in self.entries if entry.usual}.issuperset(names)
-            enough = quality.adequate
-            if not usual:
-                enough = explains(quality, errors[0].rmse, known.rmse)
-            verdict = "effect_found" if held and enough else "unexplained"
-        elif left or not (quality.adequate and held):
-            verdict = "unexplained"
+        usual = {entry.name for entry in self.entries if entry.usual}.issuperset(names)
+        held = holds(quality, on.known)
+        advice = self._advice(outcome, found, told, average, on, held, searched.untested)
+        used = [part.effect for part in outcome.effects]
         report(1.0, "done")
         return Diagnosis(
-            verdict=verdict,
             effects=found,
             model=_for_planners(
-                told.model, used, replace(errors[1], run_spread=told.run_spread), self.name
+                told.model, used, replace(on.errors[1], run_spread=told.run_spread), self.name
             ),
-            before=errors[0],
-            after=errors[1],
-            before_interval=interval(before),
-            after_interval=interval(after),
-            unexplained=unexplained,
+            before=on.errors[0],
+            after=on.errors[1],
+            before_interval=interval(on.before),
+            after_interval=interval(on.after),
+            unexplained=outcome.unexplained,
             advice=tuple(advice),
-            paper=replace(self.paper, residual=errors[0]),
+            paper=replace(self.paper, residual=on.errors[0]),
             dependences_before=told_before,
             dependences_after=outcome.dependences,
-            predictions_before=self._on_given_samples(before),
-            predictions_after=self._on_given_samples(after),
-            explanations=others,
+            predictions_before=self._on_given_samples(on.before),
+            predictions_after=self._on_given_samples(on.after),
+            explanations=self._explanations(searched),
             adequacy=quality,
-            predictions=energies(told, ahead),
+            predictions=energies(told, on.ahead),
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),
             set_aside=set_aside_by_drive([*self.logs[0], *self.logs[1]]),
-            after_undated=undated,
+            holds=held,
+            explains=explains(quality, usual, on.errors[0].rmse, score(on.known).rmse),
+            after_undated=on.undated,
             average=average,
         )
+
+    def _advice(
+        self, outcome: Judged, found: Sequence[FoundEffect], told: Fitted, average: Average | None,
+        on: _HeldOut, held: bool, untested: Sequence[tuple[str, str]],
+    ) -> Iterator[str]:  # fmt: skip
+        """Yield what to drive, weigh or mend next, the most important first."""
+        quality, heat = outcome.model.quality, outcome.model.heat
+        names = [one.name for one in found]
+        yield from self.limits
+        yield from open_in_words(told.model, told.assumed)
+        yield from ends_in_words(told.model)
+        if heat is not None:
+            yield heat.in_words
+        yield from self._of_totals(outcome.effects)
+        yield from advice_of_model(
+            found, {entry.name: entry for entry in self.entries},
+            [part.effect for part in outcome.effects], outcome.dropped, outcome.model.fitted.model,
+            quality, outcome.left, outcome.dependences, SIGNIFICANCE,
+        )  # fmt: skip
+        yield from advice_of_predictions(
+            names, *on.errors, score(on.known), quality, held, on.undated, untested, average
+        )
+        if average is not None:
+            yield note_of(average, names)
+        yield from few_drives(len(self.logs[0]))
+        yield from self.notes
 
     def _of_totals(self, parts: Sequence[Part]) -> list[str]:
         """Describe what totals do not show of losses."""
@@ -447,6 +428,32 @@ class _Case:
                 )
             )  # fmt: skip
         return tuple(found)
+
+
+@dataclass(frozen=True)
+class _HeldOut:
+    """What the paper's model and the one that is handed on say of the hold-out drives."""
+
+    before: list[Prediction]
+    after: list[Prediction]
+    ahead: list[Prediction]  # with a change of state not dated on these drives
+    known: list[Prediction]  # `after`, with what their own power shows of contacts that hold
+    errors: tuple[Residual, Residual]  # before and after
+    undated: Residual | None  # of `ahead`, where that is not `after`
+
+    @classmethod
+    def of(cls, case: _Case, told: Fitted, parts: Sequence[Part]) -> _HeldOut:
+        """Predict the hold-out drives of a case."""
+        before = case.before
+        after = [predict(told.model, parts, drive) for drive in case.held]
+        if told.model is case.paper:
+            after = list(before)
+        ahead, undated = after, None
+        if any(part.effect.acts == "change" for part in parts):
+            ahead = [predict(told.model, parts, drive, dated=False) for drive in case.held]
+            undated = score(ahead)
+        known = [with_contacts(told.model, one) for one in after]
+        return cls(before, after, ahead, known, (score(before), score(after)), undated)
 
 
 def _for_planners(

@@ -22,6 +22,7 @@ from energyplan.diagnosis.result import (
     ErrorInterval,
     Evidence,
     FoundEffect,
+    Unexplained,
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, EffectSet, Gain
 from energyplan.errors import VehicleError
@@ -47,8 +48,9 @@ from energyplan.fit.regressors import (
     losses_of,
     slip_limit,
 )
+from energyplan.fit.run import RunEffect
 from energyplan.path import FloatArray
-from energyplan.power import PowerModel, Residual
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
 from energyplan.power.effects import WHEEL_FIGHT, Effect, empirical_term
 from energyplan.vehicle import GRAVITY, Vehicle, wheel_loads
 
@@ -533,6 +535,17 @@ class Judged:
     first: Dependence | None  # the one that explains most, other than how drives differ
 
     @property
+    def unexplained(self) -> tuple[Unexplained, ...]:
+        """The reasons that are left, as a diagnosis reports them."""
+        return tuple(
+            Unexplained(
+                one.channel, one.shape, one.explained_variance, one.p_value,
+                self.added is not None and one is self.first,
+            )
+            for one in self.left
+        )  # fmt: skip
+
+    @property
     def parts(self) -> tuple[Part, ...]:
         """All that the model has in addition to the paper's terms."""
         return self.effects if self.added is None else (*self.effects, self.added)
@@ -583,6 +596,7 @@ def judged(
     left = [
         one for one in told
         if one.p_value < SIGNIFICANCE and one.explained_variance > max(_TELLING, 2 * one.std_error)
+        and not (one.channel == "drive" and one.values[0] <= USUAL_RUN_SPREAD)
     ]  # fmt: skip
     first = next((one for one in left if one.channel != "drive"), None)
     added = None
@@ -610,15 +624,25 @@ def with_contacts(model: PowerModel, one: Prediction) -> Prediction:
     return one if shown is None else replace(one, power=one.power + shown)
 
 
-def holds(quality: Adequacy, error: float) -> bool:
-    """Return whether what was found on the training drives holds on others."""
-    return error <= _HOLDS * max(quality.residual, quality.usual)
+def holds(quality: Adequacy, predictions: Sequence[Prediction]) -> bool:
+    """Return whether what was found on the training drives holds on others, but for their factors.
+
+    Each run of a robot has a factor of its own, which those of other runs do not show.
+    """
+    apart = [
+        replace(one, power=one.power * RunEffect.usual_factor(one.power, one.drive.power))
+        for one in predictions
+    ]
+    return score(apart).rmse <= _HOLDS * max(quality.residual, quality.usual)
 
 
-def explains(quality: Adequacy, before: float, after: float) -> bool:
-    """Return whether what was found explains the error, where more is left than noise."""
-    if quality.adequate:
-        return True
+def explains(quality: Adequacy, usual: bool, before: float, after: float) -> bool:
+    """Return whether what was found explains the error, where more is left than noise.
+
+    What nearly every robot has explains nothing beyond that.
+    """
+    if quality.adequate or usual:
+        return quality.adequate
     gross = quality.residual > _GROSS * quality.usual
     return after <= (_EXPLAINED if gross else 1.0) * before
 

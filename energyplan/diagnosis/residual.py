@@ -114,11 +114,17 @@ def _shape_columns(
 def dependences(
     problem: Problem, terms: Sequence[Term], carriers: Sequence[str] = tuple(CARRIERS)
 ) -> tuple[Dependence, ...]:
-    """Test the residual of a model against every signal."""
+    """Test the residual of a model against every signal; runs count without their own factors."""
     problem = problem.of_totals
     errors = problem.reference(problem.design(terms))
     design = problem.design(terms, errors)
     now = fit(design, errors)
+    between = _between_drives(now, design)
+    if between:
+        problem = _apart(problem, now, design)
+        errors = problem.reference(problem.design(terms))
+        design = problem.design(terms, errors)
+        now = fit(design, errors)
     width = len(terms)
     found = []
     forces = [held_forces(d, problem.vehicle, terms, now.values) for d in problem.drives]
@@ -142,8 +148,20 @@ def dependences(
             shape = shape if skipped < 0 else np.insert(shape, skipped, 0.0)
             found.append(_dependence(name, carrier, knots, shape, now, new, width))
     found += _periodic(problem, now, errors, design)
-    every = [*_holm(found), *_between_drives(now, design)]
+    every = [*_holm(found), *between]
     return tuple(sorted(every, key=lambda one: -one.explained_variance))
+
+
+def _apart(problem: Problem, now: Fit, design: DesignMatrix) -> Problem:
+    """Return the drives, each without the factor by which its power differs from its like."""
+    table, owner = design.longest
+    said, measured = table[:, :-1] @ now.values, table[:, -1]
+    factors = [
+        RunEffect.usual_factor(said[owner == k], measured[owner == k])
+        for k in range(len(problem.drives))
+    ]
+    pairs = zip(problem.drives, factors, strict=True)
+    return problem.on([replace(drive, power=drive.power / by) for drive, by in pairs])
 
 
 def _between_drives(now: Fit, design: DesignMatrix) -> list[Dependence]:

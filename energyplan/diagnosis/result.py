@@ -51,7 +51,7 @@ class FoundEffect(ReadOnly):
     unit: str  # unit of the value, as in the catalogue
     std_error: float  # standard error of the value, in its unit
     evidence: Evidence  # why it was added
-    probability: float = 1.0  # that it is there, over all explanations
+    probability: float = 1.0  # that it is there, over all explanations; see `Explanation`
     rivals: tuple[str, ...] = ()  # effects that these drives cannot separate from it
     details: Mapping[str, float] = field(default_factory=dict)
     meaning: str = ""  # what the catalogue says it is
@@ -61,12 +61,16 @@ class FoundEffect(ReadOnly):
         object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
 
 
+BEST_KNOWN = "best of those known"
+"""What is shown in place of a probability that nothing supports."""
+
+
 @dataclass(frozen=True)
 class Explanation:
     """A set of effects that may be the reason, as a whole."""
 
     effects: tuple[str, ...]  # their names, the one that explains most first
-    probability: float  # that it is the right one
+    probability: float  # that it is the right one, of those that the catalogue has
     model: PowerModel  # the model with these effects, fitted to the training drives
 
 
@@ -108,10 +112,6 @@ class Diagnosis(html.Readable):
 
     Parameters
     ----------
-    verdict : {"effect_found", "no_effect", "unexplained"}
-        The answer in a word. ``no_effect``: the paper's model leaves no more than noise.
-        ``unexplained``: it leaves more, and no entry of the catalogue helps, or what was found does
-        not hold on the hold-out drives.
     effects : tuple of FoundEffect
         Those of the most probable explanation: the one that explains most first, last what nearly
         every robot has.
@@ -144,6 +144,12 @@ class Diagnosis(html.Readable):
         What chose among explanations: parts of the training drives, each predicted from the others.
     set_aside : mapping of str to mapping of str to int
         For each drive, how many samples were left out or mended, by reason.
+    holds : bool
+        Whether the extended model errs on the hold-out drives about as on the training drives, each
+        run's own factor taken out.
+    explains : bool
+        Whether it leaves no more than noise on the training drives, or its effects, other than
+        those that nearly every robot has, lower the error on the hold-out drives enough.
     after_undated : Residual or None
         Error of the extended model where the time of a change within a hold-out drive is not taken
         from that drive: the prediction in the narrow sense. None where there is no such time.
@@ -163,7 +169,6 @@ class Diagnosis(html.Readable):
     ('effect_found', ['hotel_load'])
     """
 
-    verdict: Verdict
     effects: tuple[FoundEffect, ...]
     model: PowerModel
     before: Residual
@@ -184,8 +189,42 @@ class Diagnosis(html.Readable):
     judging: tuple[str, ...]
     choosing: tuple[str, ...]
     set_aside: Mapping[str, Mapping[str, int]]
+    holds: bool
+    explains: bool
     after_undated: Residual | None = None
     average: Average | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """The answer in a word: ``effect_found``, ``no_effect`` or ``unexplained``.
+
+        ``no_effect``: the paper's model leaves no more than noise. ``unexplained``: it leaves more,
+        and no entry of the catalogue explains it, or what was found does not hold on the hold-out
+        drives.
+        """
+        if not (self.holds and self.explains):
+            return "unexplained"
+        if self.effects:
+            return "effect_found"
+        return "unexplained" if self.unexplained else "no_effect"
+
+    @property
+    def no_probability(self) -> str | None:
+        """Why no explanation has a probability; None where each has.
+
+        Probabilities compare what the catalogue has. Where more than noise is left, the cause may
+        be something else, and nothing says how probable that is.
+        """
+        if self.adequacy.adequate:
+            return None
+        return (
+            "more than noise is left, so that the cause may be none of those known: "
+            "explanations are in order, and none has a probability"
+        )
+
+    def chance(self, probability: float) -> str:
+        """Return the probability of an explanation or an effect as it is shown."""
+        return html.chance(probability) if self.no_probability is None else BEST_KNOWN
 
     def _summaries(self) -> list[html.Summary]:
         errors = [
@@ -200,6 +239,7 @@ class Diagnosis(html.Readable):
             f"{html.number(quality.noise)} W"
             + ("; the residual lasts longer than noise does" if quality.coloured else ""),
             *html.set_aside(self.set_aside),
+            *([] if self.no_probability is None else [self.no_probability]),
             *(f"unexplained: {found.channel} ({found.shape}), "
               f"{100 * found.explained_variance:.0f} % of the residual's variance"
               for found in self.unexplained),
@@ -210,13 +250,14 @@ class Diagnosis(html.Readable):
                 f"verdict: {html.words(self.verdict)}",
                 ("effect", "symbol", "value", "standard error", "unit", "probability",
                  "cannot be separated from"),
-                [(e.name, e.symbol, e.value, e.std_error, e.unit, html.chance(e.probability),
+                [(e.name, e.symbol, e.value, e.std_error, e.unit, self.chance(e.probability),
                   ", ".join(map(html.words, e.rivals)) or "-") for e in self.effects],
             ),
             html.Summary(
                 "possible explanations", ("effects", "probability"),
                 [(" and ".join(map(html.words, one.effects)) or "none",
-                  html.chance(one.probability)) for one in self.explanations],
+                  self.chance(one.probability) if k == 0 or self.no_probability is None else "-")
+                 for k, one in enumerate(self.explanations)],
             ),
             html.Summary(
                 "error on the hold-out drives, with 95 % intervals from resampled blocks",

@@ -14,6 +14,7 @@ from scipy.stats import f as fisher
 from energyplan.errors import MissingChannelError, NotIdentifiableError
 from energyplan.fit.drive import SCALES, Drive, speed_noise
 from energyplan.fit.regressors import Linear, equations_of, is_lossy, linearise_drive, power_of
+from energyplan.fit.run import RunEffect
 from energyplan.fit.solvers import (
     NORMAL_MAD,
     SensorNoise,
@@ -409,13 +410,17 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
 def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:
     """Return what a model leaves of each drive's power, what contacts hold taken out [W].
 
-    While they change from holding to sliding or back, no model says what they do.
+    While they change from holding to sliding or back, no model says what they do. Of several
+    drives, the factor by which each differs as a whole is taken out too: no term makes up for it.
     """
     left = []
     for drive in drives:
-        shown = shown_of_contacts(model, drive)
-        residual = drive.power - predicted(model, drive)
-        left.append(residual if shown is None else (residual - shown) * drive.settled)
+        said, shown = predicted(model, drive), shown_of_contacts(model, drive)
+        clear = np.ones(len(said)) if shown is None else drive.settled
+        said = (said if shown is None else said + shown) * clear
+        measured = drive.power * clear
+        factor = RunEffect.usual_factor(said, measured) if len(drives) > 1 else 1.0
+        left.append(measured - factor * said)
     return left
 
 

@@ -503,7 +503,7 @@ class Drive:
         steps = 0.5 * np.diff(t) * (np.abs(motion.v[1:]) + np.abs(motion.v[:-1]))
         distance = np.concatenate([[0.0], np.cumsum(steps)])
         motion = motion.with_channels(t=since, distance=distance)
-        sides = log.sides
+        sides = None if log.signed is False else log.sides
         return cls(
             log.name, t, motion, log.power, log.battery_side,
             between=None if sides is None else np.asarray(sides.right - sides.left),

@@ -409,34 +409,75 @@ _SETTLING = 5  # fits in which slight turns settle, at most
 _CLEARLY = 5.0  # logarithm of the odds from which on they are there
 
 
+def with_signs(
+    logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect],
+    drives: Sequence[Drive] | None = None,
+) -> list[DriveLog]:  # fmt: skip
+    """Return drives of one robot that say whether its sides' powers have a sign.
+
+    What nobody said of any drive is found from all of them together.
+    """
+    if any(log.signed is False for log in logs):
+        return [replace(log, signed=False) for log in logs]
+    unknown = [log for log in logs if log.signed is None]
+    if not unknown or any(log.sides is None for log in logs):
+        return list(logs)
+    lost = any(find_lost_sign(log.channels) for log in unknown)
+    if not lost:
+        problem = Problem(prepared(logs, vehicle) if drives is None else drives, vehicle)
+        terms = _usual_terms(effects)
+        held = _holding(problem)
+        lost = _slide(held) and _unsigned(held, terms, _fitted(held, terms))
+    return [replace(log, signed=not lost) for log in logs]
+
+
 def problem_of(
     logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect],
     drives: Sequence[Drive] | None = None,
 ) -> Problem:  # fmt: skip
     """Return drives as they are fitted: each side an equation, where it slides and has its sign."""
-    problem = Problem(prepared(logs, vehicle) if drives is None else drives, vehicle)
-    if any(find_lost_sign(log.channels) for log in logs):
+    drives = prepared(logs, vehicle) if drives is None else drives
+    problem = Problem(drives, vehicle)
+    if any(log.signed is False for log in with_signs(logs, vehicle, effects, drives)):
         return problem.of_totals
+    return with_sides(problem, _usual_terms(effects))
+
+
+def _usual_terms(effects: Sequence[Effect]) -> list[Term]:
+    """Return the paper's terms and those that nearly every drive shows."""
     usual = (effect for effect in usual_effects(effects) if not effect.grid)
-    return with_sides(problem, [term for effect in usual for term in effect.terms])
+    return [*PAPER, *(term for effect in usual for term in effect.terms)]
 
 
-def with_sides(problem: Problem, usual: Sequence[Term]) -> Problem:
+def _holding(problem: Problem) -> Problem:
+    """Return the drives with contacts that may hold."""
+    breakaway = _HOLDING / (problem.vehicle.slip_moment / float(problem.vehicle.loads.sum()))
+    return problem.on([replace(one, breakaway=breakaway, fields={}) for one in problem.drives])
+
+
+def _slide(held: Problem) -> bool:
+    """Return whether contacts slide often enough for the powers of the sides to show forces."""
+    slides = np.concatenate([drive.slides for drive in held.drives]) != 0.0
+    return bool(np.mean(slides) > _LEFT)
+
+
+def _fitted(held: Problem, terms: Sequence[Term]) -> FloatArray:
+    design = held.design(terms)
+    return fit(design, held.reference(design)).values
+
+
+def with_sides(problem: Problem, terms: Sequence[Term]) -> Problem:
     """Return the drives with contacts that may hold, or their totals if the sides show nothing."""
-    vehicle, terms, total = problem.vehicle, [*PAPER, *usual], problem.of_totals
+    total = problem.of_totals
     if problem is total:
         return with_slight_turns(problem, terms)
-    breakaway = _HOLDING / (vehicle.slip_moment / float(vehicle.loads.sum()))
-    drives = [replace(drive, breakaway=breakaway, fields={}) for drive in problem.drives]
-    held = problem.on(drives)
-    slides = np.concatenate([drive.slides for drive in held.drives]) != 0.0
-    if np.mean(slides) <= _LEFT:
+    held = _holding(problem)
+    if not _slide(held):
         return total
-    design = held.design(terms)
-    values = fit(design, held.reference(design)).values
-    if _misfit(held, terms, values, np.inf) > _LOST or _unsigned(held, terms, values):
+    values = _fitted(held, terms)
+    if _misfit(held, terms, values, np.inf) > _LOST:
         return total
-    slight = _misfit(problem, terms, values, breakaway)
+    slight = _misfit(problem, terms, values, held.drives[0].breakaway)
     return held if _SLIDES < slight < np.inf else problem  # which slides however little it turns
 
 

@@ -709,7 +709,7 @@ def identify(
             f"{drives[0].name}: the measured power is zero throughout; check its channel"
         )
     if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
-        lost = {log.name: find_lost_sign(log.channels) for log in drives}
+        lost = {log.name: find_lost_sign(log.channels) for log in drives if log.signed is None}
         warnings += [
             f"{name}: {text}; if so, these terms are wrong" for name, text in lost.items() if text
         ]

@@ -53,7 +53,7 @@ COEFFICIENTS, SHIFT = range(2)
     SCALARS,
 ) = range(22)
 # Settings.
-MEMORY, NOISE_MEMORY, THRESHOLD, LEAST_MATERIAL, SETTINGS = range(5)
+MEMORY, NOISE_MEMORY, THRESHOLD, LEAST_MATERIAL, LEAST_VARIANCE, SETTINGS = range(6)
 
 CLIP = 4.0
 """Standard deviations beyond which a residual pulls no harder."""
@@ -214,7 +214,8 @@ def advance(
 
     most = max(settings[NOISE_MEMORY] / max(dt, 1e-9), 2.0)
     scalars[SAMPLES] = min(scalars[SAMPLES] + 1.0, most)
-    scalars[VARIANCE] += (min(after * after, limit * limit) - variance) / scalars[SAMPLES]
+    heard = variance + (min(after * after, limit * limit) - variance) / scalars[SAMPLES]
+    scalars[VARIANCE] = max(heard, settings[LEAST_VARIANCE])
     if doubt < variance:  # else the residual is mostly that of coefficients yet to be found
         scalars[BLOCK_SUM] += z
         scalars[BLOCK_SQUARES] += z * z
@@ -282,6 +283,7 @@ _TYPICAL = {"N": 0.7, "W": 0.15, "kg": 0.7}
 
 _FRICTION = 0.5  # the same of what does not grow with the vehicle
 _NOISE = 0.07  # of the power, by kilogram of the vehicle, where nothing is known [W/kg]
+_FINEST = 1e-4  # of that noise: no meter is better, and residuals that are all zero show nothing
 _NOISE_MEMORY = 120.0
 _CORRELATION_TIME = 0.5  # of the residual, until the drive shows its own [s]
 
@@ -447,7 +449,8 @@ class OnlineIdentifier:
         self._ramps = bool(self._needed & {"accel", "yaw_accel"})
         # Looks are not independent, so that this bounds the rate of false alarms.
         threshold = float(chi2.isf(false_alarms * TICK / 3600.0, p))
-        self._settings = np.array([memory, _NOISE_MEMORY, threshold, material])
+        finest = (_FINEST * _NOISE * self._model.vehicle.mass) ** 2
+        self._settings = np.array([memory, _NOISE_MEMORY, threshold, material, finest])
         self._matrices, self._vectors = np.zeros((2, p, p)), np.zeros((2, p))
         self._ring = np.zeros((LONGEST + 1, p + p * p + 1))
         self._scalars = np.zeros(SCALARS)

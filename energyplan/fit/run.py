@@ -104,6 +104,13 @@ class RunEffect:
         """Return the effect with the error of runs that were left out, where that is larger."""
         return replace(self, deviation=max(self.deviation, deviation))
 
+    @classmethod
+    def usual_factor(cls, said: FloatArray, measured: FloatArray) -> float:
+        """Fit the factor of one run's power, as far from one as runs of robots usually are."""
+        square, most = float(said @ said), cls().reach(LEVEL)
+        excess = float(said @ measured) / square - 1.0 if square > 0.0 else 0.0
+        return 1.0 + float(np.clip(excess, -most, most))
+
     def reach(self, level: float) -> float:
         """Half width of the interval of the relative effect."""
         return float(student.ppf(0.5 + level / 2, self.freedom)) * self.deviation

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import reduce
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -117,7 +119,6 @@ MAP = "a map of map_server"
 _TELLING = {
     MAP: {"image", "resolution"},
     "a building of Open-RMF": {"levels"},
-    "a parameters file of Nav2": {"planner_server"},
     "a mission": {"tasks", "battery"},
     "a site": {"map", "clearance"},
     "a mission of several robots": {"robots"},
@@ -137,6 +138,25 @@ _TELLING = {
     "--like robot.yaml": {"serial_number", "platform"},
 }
 """Keys by which a file shows what it is."""
+_PARAMETERS = "ros__parameters"
+_OF_ROS = (
+    "a parameters file of ROS 2: of a vector object server, give the areas to keep out of as "
+    "GeoJSON polygons with keep_out, under surfaces; of a planner, the map that it names"
+)
+_BEGINS = {
+    b"QGC WPL": "waypoints of MAVLink, over longitude and latitude: write them in metres of the "
+    "map, as in tasks: [{name: w1, pose: [X, Y, YAW]}]",
+    b"<root": "XML, such as a behaviour tree: write its goals as tasks: [{name: a, pose: [X, Y, "
+    "YAW]}]",
+    b"<?xml": "XML, such as a behaviour tree or a launch file: write its goals as tasks: [{name: "
+    "a, pose: [X, Y, YAW]}]",
+    b"\x89PNG": "an image: name it in the YAML file of a map, as image: FILE.png",
+    b"P5": "an image: name it in the YAML file of a map, as image: FILE.pgm",
+    b"PK\x03\x04": "a zip archive, as spreadsheets are: export a table as CSV",
+    b"SQLite format 3": "a database of SQLite, as ROS 2 bags are: it is no configuration",
+    b"\x89MCAP": "a bag (MCAP): it is no configuration",
+}
+"""What a file is that is no YAML, by how it begins."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
 _EXTRA = ("extra_forbidden", "unexpected_keyword_argument")
@@ -240,13 +260,21 @@ class Document:
     @property
     def kind(self) -> str | None:
         """What the file seems to be, by its keys."""
-        return next((kind for kind, keys in _TELLING.items() if keys <= {*self.data}), None)
+        return next(self._kinds({*self.data}), None)
+
+    def _kinds(self, strange: set[Any]) -> Iterator[str]:
+        """Yield what the file may be, by keys of which some are strange."""
+        if any(isinstance(one, dict) and _PARAMETERS in one for one in self.data.values()):
+            yield _OF_ROS
+        for kind, keys in _TELLING.items():
+            if keys & strange and keys <= {*self.data}:
+                yield kind
 
     def another_kind(self, schema: Any) -> str:
         """Say what else the file seems to be, if anything."""
         strange = {*self.data} - {*_fields(schema)}
-        kinds = [kind for kind, keys in _TELLING.items() if keys & strange and keys <= {*self.data}]
-        return f"; this file seems to be {kinds[0]}" if kinds else ""
+        kind = next(self._kinds(strange), None)
+        return f"; this file seems to be {kind}" if kind else ""
 
 
 def _keys(here: Any, loc: Loc) -> list[str]:
@@ -270,16 +298,51 @@ def _fields(schema: Any) -> dict[str, Any]:
 def load(path: str | Path, error: type[InvalidInputError]) -> Document:
     """Read one YAML document that holds a mapping."""
     file = Path(path)
-    return parse(read_bytes(file, MAX_BYTES, error, NO_CONFIGURATION), file.name, error)
+    content, known = read_bytes(file, MAX_BYTES, error, NO_CONFIGURATION), _parsed.get()
+    if known is None:
+        return parse(content, file.name, error)
+    key = file.name, content
+    if key not in known:
+        try:
+            known[key] = parse(content, file.name, InvalidInputError)
+        except InvalidInputError as problem:
+            known[key] = str(problem)
+        while len(known) > _KEPT:
+            known.pop(next(iter(known)))
+    found = known[key]
+    if isinstance(found, str):
+        raise error(found)
+    return replace(found, error=error)
+
+
+_KEPT = 8  # documents, of up to 1 MiB each, that are kept for who reads them again
+_parsed: ContextVar[dict[tuple[str, bytes], Document | str] | None] = ContextVar(
+    "parsed", default=None
+)
+
+
+@contextmanager
+def parsed_once() -> Iterator[None]:
+    """Parse a file that is read several times inside, with the same content, only once."""
+    token = _parsed.set({})
+    try:
+        yield
+    finally:
+        _parsed.reset(token)
 
 
 def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> Document:
     """Parse one YAML document that holds a mapping; as `load`, from memory."""
     if len(content) > MAX_BYTES:
         raise error(f"{source} is larger than {MAX_BYTES >> 10} KiB; {NO_CONFIGURATION}")
+    head = (content if isinstance(content, bytes) else content[:80].encode()).lstrip()
+    for begin, what in _BEGINS.items():
+        if head.startswith(begin):
+            raise error(f"{source} is {what}")
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:
+        _few_events(content)
         root = yaml.compose(content, Loader=_Loader)
         data = None if root is None else builder.build(root, ())
     except RecursionError:
@@ -296,6 +359,35 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     if not isinstance(data, dict):
         raise error(f"{source} must hold a mapping of keys to values")
     return Document(source, data, lines, error)
+
+
+_EVENTS: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's is ten times as fast
+
+
+def _few_events(content: bytes | str) -> None:
+    """Refuse too many values, or too deep a nest, by the parser's events, before any node."""
+    text = content.decode("utf-8", "replace") if isinstance(content, bytes) else content
+    if len(re.findall(r"^%", text, re.MULTILINE)) > _MAX_DEPTH:  # each is compared with all others
+        raise yaml.MarkedYAMLError(problem="too many directives")
+    count, nests = 0, list[bool | None]()  # whether a key comes next; None in a list
+    excess: Any = None
+    with suppress(yaml.YAMLError, UnicodeError):  # are named where the nodes are composed
+        for event in yaml.parse(content, Loader=_EVENTS):
+            if isinstance(event, yaml.NodeEvent):
+                key = nests[-1] if nests else None
+                if key is not None:
+                    nests[-1] = not key
+                count += not key
+            if isinstance(event, yaml.CollectionStartEvent):
+                nests.append(True if isinstance(event, yaml.MappingStartEvent) else None)
+            elif isinstance(event, yaml.CollectionEndEvent):
+                nests.pop()
+            if count > MAX_NODES or len(nests) > _MAX_DEPTH + 1:
+                excess = event.start_mark
+                break
+    if excess is not None:
+        problem = "too many values or too deep a nest"
+        raise yaml.MarkedYAMLError(problem=problem, problem_mark=excess)
 
 
 class _Loader(yaml.SafeLoader):

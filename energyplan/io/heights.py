@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import DriveLogError, MapError
+from energyplan.io import geotiff
 from energyplan.io.bags import is_bag, opened_bag
 from energyplan.io.documents import beside, load, read_bytes
 from energyplan.io.maps import MAX_FILE, Placed, fit, opened_image
@@ -26,18 +26,12 @@ FINEST = 1e-3
 LAYERS = ("elevation_inpainted", "elevation_smooth", "elevation", "height")
 """Layers of a grid_map that hold heights, the first without holes is taken."""
 
-# tags of TIFF, keys of GeoTIFF and their values
-_SCALE, _TIE_POINT, _TRANSFORM, _GEO_KEYS, _GDAL_NO_DATA = 33550, 33922, 34264, 34735, 42113
-_GDAL_METADATA = 42112
-_ITEM = re.compile(r'<Item\b(?=[^>]*\brole="(scale|offset|unittype)")[^>]*>([^<]*)<')
-_HEIGHTS = {
-    **dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0), "dm": 0.1, "cm": 0.01,
-    "mm": 0.001, "km": 1000.0, **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
-    **dict.fromkeys(("us-ft", "ftus", "us survey foot"), 1200 / 3937),
-}  # fmt: skip
-"""Metres of the units in which heights are said to be, in GDAL's metadata."""
-_MODEL, _RASTER, _LINEAR_UNITS, _VERTICAL_UNITS = 1024, 1025, 3076, 4099
-_GEOGRAPHIC, _POINT, _METRE, _BY_USER = 2, 2, 9001, 32767
+LOWEST, HIGHEST = -500.0, 9000.0
+"""Heights that dry ground can have [m]: from below the Dead Sea to above Mount Everest."""
+
+# tags of TIFF, and values of keys of GeoTIFF
+_SCALE, _TIE_POINT, _TRANSFORM, _GDAL_NO_DATA = 33550, 33922, 34264, 42113
+_GEOGRAPHIC, _POINT = 2, 2
 _GRID_MAP = "grid_map_msgs/msg/GridMap"
 _DEFINITIONS = {
     "grid_map_msgs/msg/GridMapInfo": (
@@ -63,7 +57,8 @@ def read_heights(path: str | Path) -> HeightMap:
     path : str or Path
         An ESRI ASCII grid (``.asc``): ``ncols``, ``nrows``, ``xllcorner`` and ``yllcorner`` (or
         ``xllcenter`` and ``yllcenter``), ``cellsize``, optionally ``NODATA_value``, then the rows
-        from the top. A GeoTIFF (``.tif``) of one band in a projection with metres. A YAML file
+        from the top. A GeoTIFF (``.tif``) of one band in a projection, in metres or feet as
+        its keys say. A YAML file
         that names a 16 bit PNG: ``image``, ``resolution``, ``origin`` as in a map of map_server,
         ``min_height`` and ``max_height`` of the least and the greatest value of a pixel. A bag
         with a grid_map_msgs/GridMap, of which the last message counts. A value stands for the
@@ -77,8 +72,8 @@ def read_heights(path: str | Path) -> HeightMap:
     Raises
     ------
     MapError
-        If the file is missing, malformed or too large, has cells without data, or counts in
-        degrees; the message names the place.
+        If the file is missing, malformed or too large, has cells without data or heights that no
+        ground has, counts in degrees, or does not say its unit; the message names the place.
 
     Examples
     --------
@@ -112,6 +107,15 @@ def read_heights(path: str | Path) -> HeightMap:
         raise MapError(
             f"{file}: {len(lost)} cells without data, the first in row {row + 1}, column "
             f"{column + 1} from the top; fill them or crop the grid"
+        )
+    odd = np.argwhere((raster.heights < LOWEST) | (raster.heights > HIGHEST))
+    if len(odd):
+        row, column = odd[0]
+        raise MapError(
+            f"{file}: {len(odd)} cells of heights that no ground has, the first of "
+            f"{raster.heights[row, column]:g} m in row {row + 1}, column {column + 1} from the "
+            "top; cells without data want the tag NODATA (gdal_edit.py -a_nodata VALUE), then fill "
+            "them or crop the grid; heights in another unit want it written"
         )
     if 0.0 < raster.resolution < FINEST:
         raise MapError(
@@ -223,8 +227,7 @@ def _from_geotiff(file: Path) -> _Raster:
     values, tags = _decoded(file, "TIFF")
     heights = values.astype(np.float64)
     try:
-        keys = np.array(tags.get(_GEO_KEYS, (1, 1, 0, 0)), int).reshape(-1, 4)[1:]
-        known = {int(key): int(value) for key, place, _, value in keys if place == 0}
+        known = geotiff.keys_of(tags)
         no_data = float(str(tags.get(_GDAL_NO_DATA, "nan")).strip("\0 "))
         matrix = np.array(tags.get(_TRANSFORM, ()), float)
         if len(matrix) == 0:
@@ -236,33 +239,25 @@ def _from_geotiff(file: Path) -> _Raster:
         raise MapError(f"{file}: it does not say where it lies; give a GeoTIFF") from None
     except NO_NUMBER as error:
         raise MapError(f"{file}: malformed GeoTIFF tags: {error}") from None
-    if known.get(_MODEL) == _GEOGRAPHIC:
+    if known.get(geotiff.MODEL) == _GEOGRAPHIC:
         raise MapError(
             f"{file}: heights over degrees of longitude and latitude; reproject them to metres, as "
             "with gdalwarp -t_srs EPSG:..."
         )
-    for key in (_LINEAR_UNITS, _VERTICAL_UNITS):
-        if known.get(key, _METRE) not in (_METRE, _BY_USER):
-            raise MapError(f"{file}: the unit {known[key]} of EPSG; convert it to metres (9001)")
+    unit = geotiff.units(file, tags)
     size = float(np.hypot(along_x, along_y))
     if max(abs(down_x - along_y), abs(down_y + along_x)) > 1e-6 * size:
         raise MapError(f"{file}: cells of {along_x:g} by {-down_y:g}; resample to square ones")
     heights[heights == no_data] = np.nan
-    scaling = dict(_ITEM.findall(str(tags.get(_GDAL_METADATA, ""))))
-    unit = scaling.get("unittype", "").strip().lower()
-    try:
-        heights = heights * float(scaling.get("scale", 1.0)) + float(scaling.get("offset", 0.0))
-        heights *= _HEIGHTS[unit]
-    except (KeyError, ValueError):
-        raise MapError(f"{file}: heights of {scaling}; convert them to metres") from None
-    offset = 0.0 if known.get(_RASTER) == _POINT else 0.5
+    heights = (heights * unit.scale + unit.offset) * unit.up
+    offset = 0.0 if known.get(geotiff.RASTER) == _POINT else 0.5
     last = heights.shape[0] - 1 + offset
     lowest = Pose(
-        float(left + offset * along_x + last * down_x),
-        float(top + offset * along_y + last * down_y),
+        unit.across * float(left + offset * along_x + last * down_x),
+        unit.across * float(top + offset * along_y + last * down_y),
         float(np.arctan2(along_y, along_x)),
     )
-    return _Raster(heights, size, lowest)
+    return _Raster(heights, unit.across * size, lowest)
 
 
 def _from_grid_map(file: Path) -> _Raster:

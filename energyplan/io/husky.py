@@ -59,7 +59,8 @@ def read_husky(wheels: str | Path, *, blind: Literal["keep", "drop"] = "keep") -
     follows the tread speeds best; its readings are then averaged around each wheel sample.
 
     The sensors read nothing while a motor generates, as the inner one may in an arc. Such samples
-    show only that a side draws less than the dead band; `set_aside` counts them.
+    show only that a side draws less than the dead band; `set_aside` counts them. So the log says
+    that its powers have no sign, and fits use the total of both sides.
 
     Source: LaRocque et al. (2024), arXiv 2403.16877.
     """
@@ -119,7 +120,9 @@ def husky_log(table: Recording, wheels: Path, blind: Literal["keep", "drop"] = "
     log = DriveLog.from_columns(channels, label, table.place)
     if blind == "drop":
         log = _without(log, t[lost])
-    return replace(log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings))
+    return replace(
+        log, set_aside=(*aside, *log.set_aside), warnings=(*warnings, *log.warnings), signed=False
+    )
 
 
 def _without(log: DriveLog, times: FloatArray) -> DriveLog:

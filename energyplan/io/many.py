@@ -5,32 +5,90 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from energyplan import __version__
 from energyplan.compilation import processors
-from energyplan.errors import InvalidInputError, needs_extra
+from energyplan.errors import EnergyPlanError, InvalidInputError, needs_extra
+from energyplan.io.documents import MAX_BYTES, read_bytes
 from energyplan.io.files import atomic_write, files_behind
 
 Line = dict[str, Any]
 
 
+_TRIES = 3
+"""How many processes may be killed at one file, as in Dask."""
+
+
+class _Local(ThreadPoolExecutor):
+    """A thread on each core, with a process each: a killed one loses no other's work."""
+
+    def __init__(self) -> None:
+        super().__init__(processors())
+        self._own = threading.local()
+        self._pools: list[ProcessPoolExecutor] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
+        return super().submit(self._run, fn, *args, **named)
+
+    def _run(self, fn: Callable[..., Any], *args: Any, **named: Any) -> Any:
+        for _ in range(_TRIES):
+            if (pool := getattr(self._own, "pool", None)) is None:
+                spawned = multiprocessing.get_context("spawn")  # no threads are copied
+                pool = self._own.pool = ProcessPoolExecutor(1, mp_context=spawned)
+                self._pools.append(pool)
+            try:
+                return pool.submit(fn, *args, **named).result()
+            except BrokenExecutor:
+                self._own.pool = None
+        raise EnergyPlanError(
+            f"its process was killed {_TRIES} times, perhaps since memory is short; try it alone"
+        )
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        super().shutdown(wait, cancel_futures=cancel_futures)
+        for pool in self._pools:
+            pool.shutdown(wait)
+
+
 @contextmanager
-def cluster(address: str, *, insecure: bool = False) -> Iterator[Executor]:
+def cluster(
+    address: str,
+    *,
+    insecure: bool = False,
+    ca: str | Path | None = None,
+    certificate: str | Path | None = None,
+    key: str | Path | None = None,
+) -> Iterator[Executor]:
     """Start a process on each core (``local``), or connect to Dask's scheduler at an address.
 
-    An address begins with ``tls://``; certificates are those of Dask's configuration
-    (``distributed.comm.tls``). Another one needs `insecure`: whoever reaches such a scheduler or
-    its workers runs code as their user.
+    An address begins with ``tls://``; what is not given of the files of the authority, the
+    certificate and its key is that of Dask's configuration (``distributed.comm.tls``). Another
+    address needs `insecure`: whoever reaches such a scheduler or its workers runs code as their
+    user.
     """
+    files = {"tls_ca_file": ca, "tls_client_cert": certificate, "tls_client_key": key}
+    given = {name: str(file) for name, file in files.items() if file is not None}
+    if given and not address.startswith("tls://"):
+        raise InvalidInputError(f"{address!r} uses no certificates; give tls://HOST:PORT")
     if address == "local":
-        spawned = multiprocessing.get_context("spawn")  # threads of this process are not copied
-        with ProcessPoolExecutor(processors(), mp_context=spawned) as pool:
+        pool = _Local()
+        try:
             yield pool
+        finally:
+            pool.shutdown(cancel_futures=True)
         return
     if not (insecure or address.startswith("tls://")):
         raise InvalidInputError(
@@ -41,8 +99,10 @@ def cluster(address: str, *, insecure: bool = False) -> Iterator[Executor]:
     with needs_extra("cluster", "a cluster"):
         from distributed import Client
         from distributed.security import Security
+    for file in given.values():
+        read_bytes(Path(file), MAX_BYTES, InvalidInputError, "give a file in PEM")
     try:
-        security = Security(require_encryption=not insecure)
+        security = Security(require_encryption=not insecure, **given)
         client = Client(address, timeout=10, security=security)
     except (OSError, ValueError, TypeError) as problem:  # TypeError: no certificate is configured
         why = " ".join(str(problem).split())

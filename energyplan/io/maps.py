@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
@@ -128,7 +129,8 @@ def _header(file: Path, kind: type[Header], *, costs: bool = False) -> Header:
         if near and near[0] not in document.data:
             raise document.fail((key,), f"there is no such key; write it {near[0]}")
     if costs and _lower(document.data.get("mode")) == "raw":
-        document.data.update(occupied_thresh=1.0, free_thresh=0.0)
+        whole = {**document.data, "occupied_thresh": 1.0, "free_thresh": 0.0}
+        document = replace(document, data=whole)
     if kind is _SpeedMaskHeader and "type" not in document.data:
         raise document.fail(
             ("type",),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from math import atan2
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -12,10 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.battery import Battery
 from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
-from energyplan.io.bags import heading
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
+from energyplan.io.orders import Order, read_order
 from energyplan.io.sites import PARTS, SiteFile, load_site, on_site
 from energyplan.mission import Mission, Robot, Task
 from energyplan.mission.types import OWN, Name, Place
@@ -107,8 +106,9 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
             ) from None
 
     if isinstance(tasks := document.data.get("tasks"), str):
-        tasks = at(("tasks",), lambda name: _read_tasks(file(name)), tasks)
-        document = replace(document, data={**document.data, "tasks": tasks})
+        order = at(("tasks",), lambda name: read_order(file(name)), tasks)
+        document = replace(document, data={**document.data, "tasks": order.tasks})
+        return _as_ordered(_build(document, folder, anywhere), order)
     if "robots" in document.data:
         return _of_robots(document, folder, anywhere)
 
@@ -159,76 +159,20 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
     )
 
 
-class _Position(BaseModel):
-    """Where a node, or the pose of a waypoint, is [m]."""
-
-    x: float
-    y: float
-    theta: float | None = None
-
-
-class _Orientation(BaseModel):
-    """A quaternion."""
-
-    x: float = 0.0
-    y: float = 0.0
-    z: float
-    w: float
-
-
-class _PoseOfROS(BaseModel):
-    """A pose as ROS writes it."""
-
-    position: _Position
-    orientation: _Orientation
-
-
-class _Node(BaseModel):
-    """A node of an order of VDA 5050."""
-
-    name: str = Field(alias="nodeId")
-    place: _Position = Field(alias="nodePosition")
-
-
-class _Waypoint(BaseModel):
-    """A waypoint of Nav2."""
-
-    name: str = ""
-    pose: _PoseOfROS
-
-    @property
-    def place(self) -> _Position:
-        return self.pose.position.model_copy(update={"theta": heading(self.pose.orientation)})
-
-
-class _Visits(BaseModel):
-    """What of an order, or of waypoints, says where to go."""
-
-    orderId: str = ""  # noqa: N815  as VDA 5050 spells it
-    nodes: list[_Node] = []
-    waypoints: list[_Waypoint] = []
-
-
-def _read_tasks(file: Path) -> list[dict[str, Any]]:
-    """Return the tasks of an order of VDA 5050, or of waypoints of Nav2, in their order.
-
-    A node without a heading is left as it is reached.
-    """
-    document = load(file, MissionError)
-    if not {"nodes", "waypoints"} & {*document.data}:
-        seems = f"this seems to be {document.kind}; " if document.kind else ""
-        raise document.fail((), f"{seems}give an order of VDA 5050 or waypoints of Nav2 as tasks")
-    tasks: list[dict[str, Any]] = []
-    found = document.check(_Visits)
-    stops: list[_Node | _Waypoint] = [*found.nodes, *found.waypoints]
-    for k, stop in enumerate(stops, 1):
-        x, y, yaw = stop.place.x, stop.place.y, stop.place.theta
-        before = tasks[-1]["pose"] if tasks else (x - 1.0, y)
-        yaw = atan2(y - before[1], x - before[0]) if yaw is None else yaw
-        twice = any(one["name"] == stop.name for one in tasks)
-        label = f"{stop.name} ({k})" if twice else stop.name or str(k)
-        tasks.append({"name": label, "pose": [x, y, yaw]})
-    return tasks
+def _as_ordered(mission: Mission, order: Order) -> Mission:
+    """Return a mission with what an order says of it beside its tasks."""
+    notes, limit = order.notes, order.speed
+    if limit is not None:
+        usual = None if mission.robots else mission.tread_speed
+        if usual is not None and usual > limit:
+            mission = replace(mission, speed=limit)
+            notes += (f"the mission is driven at {limit:g} m/s, the least maxSpeed of its edges",)
+        elif usual is None:
+            notes += (
+                f"the order limits the speed to {limit:g} m/s (maxSpeed of its edges), which is "
+                f"not used here: give speed: {limit:g}",
+            )
+    return noted(mission, notes) if notes else mission
 
 
 class _Entry(Checked, BaseModel):

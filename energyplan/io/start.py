@@ -97,6 +97,7 @@ class Given:
     like: Vehicle | None = None  # a vehicle to take the rest from
     columns: str | Mapping[str, Column] | None = None  # those that are known
     counts_per_revolution: float = nan  # what an encoder counts while the wheel turns once
+    unsigned: bool = False  # whether the sensors of its powers see no sign
 
     def __post_init__(self) -> None:
         for key in ("wheel_radius", "track", "wheelbase", "mass", "length", "width",
@@ -565,6 +566,9 @@ def _started(file: Path, known: Given) -> tuple[Start, DriveLog]:
     draft = _draft(recording, known)
     columns, assumed = _with_units(recording, draft, known)
     log, columns, turned = _signed(recording, columns)
+    if known.unsigned:
+        columns = {c: one.changed(unsigned=c in POWERS) for c, one in columns.items()}
+        log = replace(log, signed=False)
     topics = topics_of(recording, columns, file.stem) if recording.kinds else None
 
     def holds(units: Mapping[str, str]) -> bool:

@@ -7,6 +7,7 @@ import gzip
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,8 @@ from energyplan.errors import InvalidInputError, MapError, PathError, needs_extr
 from energyplan.io.files import atomic_write
 from energyplan.logs import DriveLog
 from energyplan.logs.guess import guess
-from energyplan.logs.tables import Recording, read_table
+from energyplan.logs.mapping import Column
+from energyplan.logs.tables import Recording, quaternions, read_table
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
 
 if TYPE_CHECKING:
@@ -37,7 +39,8 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
     Parameters
     ----------
     file : str or File
-        CSV, CSV.gz or Parquet; poses of the body frame [m], [rad], two or more.
+        CSV, CSV.gz or Parquet; poses of the body frame [m], [rad], two or more. Names may say
+        another unit (``yaw_deg``, ``x [mm]``); a quaternion (``qz``, ``qw``) is a heading.
     longitudinal : float
         Where the reference point of the path's arcs lies along the body's x axis [m]: the
         ``icr.longitudinal`` of the vehicle that drives it.
@@ -61,7 +64,7 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
     ...     round(read_path(write_path(line, File(folder) / "path.csv")).length, 6)
     2.0
     """
-    table = read_table(file, PathError)
+    table = _with_poses(read_table(file, PathError))
     _check_kind(table, _PATH)
     poses = np.column_stack([_complete(table, name) for name in _PATH])
     if len(poses) < 2:
@@ -120,7 +123,7 @@ def read_trajectory(file: str | File) -> Trajectory:
         If a column is missing, times do not increase, or poses and speeds disagree; the message
         names file and line.
     """
-    table = read_table(file, PathError)
+    table = _with_poses(read_table(file, PathError))
     _check_kind(table, _TRAJECTORY)
     t, x, y, yaw, v, omega = (_complete(table, name) for name in _TRAJECTORY)
     if len(t) < 2:
@@ -146,6 +149,20 @@ def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path
     if {"t", "v", "omega"} & (set(table.columns) | set(table.text)):
         return read_trajectory(file)
     return read_path(file, longitudinal)
+
+
+def _with_poses(table: Recording) -> Recording:
+    """Return a table with x, y and yaw, found as those of a log; a heading says its unit."""
+    names = [name for name in table.columns if name]
+    found = guess(names)
+    if (yaw := found.get("yaw")) and not (yaw.unit or yaw.field == "theta"):
+        del found["yaw"]  # a compass counts in degrees, and clockwise
+    turns = quaternions(names)
+    if len(turns) == 1:
+        found.setdefault("yaw", Column(field=next(iter(turns)), channel="yaw"))
+    lacking = [name for name in _PATH if name in found and name not in table.columns]
+    poses = {name: found[name].value(table.column) for name in lacking}
+    return replace(table, columns={**table.columns, **poses})
 
 
 def _check_kind(table: Recording, needed: Sequence[str]) -> None:

@@ -27,7 +27,7 @@ from energyplan.logs.align import (
 )
 from energyplan.logs.checks import checks_of
 from energyplan.logs.clean import Place, SetAside, clean, needed_channels, total_power
-from energyplan.logs.consistency import Check, Observed
+from energyplan.logs.consistency import POWERS, Check, Observed
 from energyplan.logs.mapping import Column, clock_in, parse_columns
 from energyplan.logs.tables import Recording, read_table, table_of
 from energyplan.motion import Motion
@@ -67,6 +67,9 @@ class DriveLog(ReadOnly, html.Readable):
         What of that checks of its readings found.
     began : float, optional
         When the drive began that it was cut from [s]: what warms up does so from then on.
+    signed : bool, optional
+        Whether the sensors of its powers see a sign, so that what a side returns reads negative;
+        None where nobody said. Of powers without one, only the total is used.
 
     Raises
     ------
@@ -87,6 +90,7 @@ class DriveLog(ReadOnly, html.Readable):
     warnings: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
     began: float | None = None
+    signed: bool | None = None
 
     def __post_init__(self) -> None:
         needed_channels(self.channels, self.name)
@@ -231,7 +235,9 @@ class DriveLog(ReadOnly, html.Readable):
             place = lambda row: f"{clock[row]:.3f} s"  # noqa: E731
         else:
             series["t"] = Series(rows, rows)
-        return _cleaned(series, name, place, recording.notes_of(mapping), refuse)
+        log = _cleaned(series, name, place, recording.notes_of(mapping), refuse)
+        unsigned = any(mapping[one].unsigned for one in mapping if one in POWERS)
+        return replace(log, signed=False) if unsigned else log
 
     @classmethod
     def from_columns(

@@ -681,7 +681,7 @@ def _lost_sign(drive: Observed) -> _Found:
         yield Check(
             "p_left and p_right are never negative, and in arcs the inner side seems to be held "
             "back far more than on straight lines: the sensors show what it returns as power drawn",
-            "log signed currents, or let diagnose find unsigned_power",
+            "log signed currents, or give --unsigned (signed=False of a DriveLog)",
         )
 
 

@@ -342,6 +342,7 @@ class Column(Checked):
     times: str | None = None  # a further column to multiply by, as a voltage by a current
     plus: tuple[str, ...] = ()  # columns to add, before that
     weights: tuple[float, ...] = ()  # factors of the field and of those; none: all are one
+    unsigned: bool = False  # whether it is a power, or a current, whose sensor sees no sign
     channel: str = ""  # the channel that it serves as
 
     @model_validator(mode="before")
@@ -430,7 +431,7 @@ class Column(Checked):
             said = {"topic": self.topic, "field": self.written if self.plus else self.field}
         else:
             said = {"column": self.field, "plus": [*self.plus], "weights": [*self.weights]}
-        said |= {"unit": self.unit, "times": self.times}
+        said |= {"unit": self.unit, "times": self.times, "unsigned": self.unsigned}
         return {key: value for key, value in said.items() if value}
 
     def changed(self, **parts: Any) -> Column:

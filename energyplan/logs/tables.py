@@ -12,13 +12,14 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -560,6 +561,7 @@ MAX_BYTES = 1 << 31
 """Largest table that is read, after decompression [bytes]."""
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
+_most: ContextVar[tuple[int, int]] = ContextVar("most", default=(MAX_BYTES, MAX_CELLS))
 _AHEAD = _MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
 _STRAY_ROWS = 0.01  # share of rows that may be cut short
 _CHUNK = 200_000  # rows parsed at once
@@ -730,25 +732,45 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
     return suffix
 
 
-def _bytes(file: Path, error: type[InvalidInputError], most: int = -1) -> bytes:
-    """Return a text file's bytes, or the first of them; a few of gzip can hold terabytes."""
-    limit = MAX_BYTES + 1 if most < 0 else most
+@contextmanager
+def unpacked_at_most(size: int, cells: int = MAX_CELLS) -> Iterator[None]:
+    """Refuse tables of more bytes after decompression, or of more cells, as a service does."""
+    token = _most.set((min(size, MAX_BYTES), min(cells, MAX_CELLS)))
     try:
-        packed = file.suffix.lower() == ".gz"
-        with gzip.open(file) if packed else file.open("rb") as stream:
-            data = _unpacked(stream, limit, file, error) if packed else stream.read(limit)
+        yield
+    finally:
+        _most.reset(token)
+
+
+def _bytes(file: Path, error: type[InvalidInputError]) -> bytes:
+    """Return a text file's bytes; a few of gzip can hold terabytes."""
+    limit, _ = _most.get()
+    try:
+        if file.suffix.lower() == ".gz":
+            with gzip.open(file) as packed:
+                data = _unpacked(packed, file, error)
+        else:
+            with file.open("rb") as stream:
+                data = stream.read(limit + 1)
     except (gzip.BadGzipFile, EOFError, zlib.error) as problem:
         raise error(f"{file} is no sound gzip file ({problem}); copy or compress it anew") from None
-    if len(data) > MAX_BYTES:
-        raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
+    _refuse_larger(len(data), file, error)
     return data
 
 
-def _unpacked(stream: IO[bytes], limit: int, file: Path, error: type[InvalidInputError]) -> bytes:
-    """Return unpacked bytes up to a limit; a line that is too long ends it at once."""
+def _refuse_larger(size: int, file: Path, error: type[InvalidInputError]) -> None:
+    """Refuse a table of more bytes than are read."""
+    limit, _ = _most.get()
+    if size > limit:
+        raise error(f"{file} holds more than {limit >> 20} MiB; split it")
+
+
+def _unpacked(stream: gzip.GzipFile, file: Path, error: type[InvalidInputError]) -> bytes:
+    """Return unpacked bytes; a line that is too long, or too many bytes, end it at once."""
     found, size, line, zeros = io.BytesIO(), 0, 0, 0
-    while size < limit and (part := stream.read(min(MAX_LINE, limit - size))):
+    while part := stream.read(MAX_LINE):
         size += len(part)
+        _refuse_larger(size, file, error)
         if not part.strip(b"\0"):  # kept only where more follows
             zeros += len(part)
             continue
@@ -760,8 +782,6 @@ def _unpacked(stream: IO[bytes], limit: int, file: Path, error: type[InvalidInpu
             )
         found.write(bytes(zeros) + part)
         zeros = 0
-    if size > MAX_BYTES:
-        raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
     return found.getvalue()
 
 
@@ -799,7 +819,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
             f"{file} has a line longer than {MAX_LINE >> 10} KiB; this is no table of numbers"
         )
     columns = Columns(names, dialect.line, "line", dialect.decimal)
-    rows, most = len(ends) + (not data.endswith(b"\n")), MAX_CELLS // len(names)
+    rows, most = len(ends) + (not data.endswith(b"\n")), _most.get()[1] // len(names)
     if rows > most:
         raise error(f"{file} has more than {most} rows of {len(names)} columns; split it")
     # Pandas reads a large table five times as fast; a small one is read before it is imported.
@@ -918,7 +938,7 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
     try:
         with pq.ParquetFile(file) as parquet:
             shape = parquet.metadata.num_rows, parquet.metadata.num_columns
-            if shape[1] > MAX_COLUMNS or shape[0] * shape[1] > MAX_CELLS:
+            if shape[1] > MAX_COLUMNS or shape[0] * shape[1] > _most.get()[1]:
                 raise error(f"{file} has {shape[0]} rows of {shape[1]} columns; split it")
             schema = parquet.schema_arrow
             names = [str(name) for name in schema.names]
@@ -929,8 +949,7 @@ def _read_parquet(file: Path, error: type[InvalidInputError]) -> Recording:
             numbers = [name for name, kind in kinds.items() if _holds_numbers(kind)]
             # Of groups: where what a column says is damaged, pyarrow ends the process.
             groups = map(parquet.metadata.row_group, range(parquet.metadata.num_row_groups))
-            if sum(group.total_byte_size for group in groups) > MAX_BYTES:
-                raise error(f"{file} holds more than {MAX_BYTES >> 20} MiB; split it")
+            _refuse_larger(sum(group.total_byte_size for group in groups), file, error)
             frame = parquet.read(columns=numbers).to_pandas(ignore_metadata=True)
     except (pa.ArrowException, OSError, RuntimeError) as problem:
         first = (str(problem).splitlines() or [""])[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,7 +37,7 @@ SHOWN = {
     "Check": "what value expected ok remedy",
     "Design": "separates manoeuvres sentence",
     "Diagnosis": "verdict effects training choosing judging predictions average set_aside "
-    "unexplained advice explanations before after after_undated adequacy",
+    "unexplained advice explanations no_probability before after after_undated adequacy",
     "Driven": "energy_predicted energy_measured error arrived tracking_error heading_error "
     "final_error",
     "EnergyMap": "complete_to confidence",
@@ -145,6 +145,12 @@ def start(result: Start) -> Document:
 
 def diagnosis(report: Diagnosis) -> Document:
     """Return what ``energyplan diagnose --json`` prints."""
+    if report.no_probability is not None:
+        report = replace(
+            report,
+            effects=tuple(replace(one, probability=math.nan) for one in report.effects),
+            explanations=tuple(replace(one, probability=math.nan) for one in report.explanations),
+        )
     return {**plain(report), "terms": terms(report.model)}
 
 

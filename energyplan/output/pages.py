@@ -16,7 +16,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from energyplan import __version__
 from energyplan.errors import InvalidInputError
-from energyplan.html import Cells, Summary, chance, number, quantity, rendered, words
+from energyplan.html import Cells, Summary, number, quantity, rendered, words
 from energyplan.output import plots
 from energyplan.output.plots.style import LINES, svg
 from energyplan.path import wrap_angle
@@ -159,10 +159,16 @@ def diagnosis_page(report: Diagnosis, holdout: Sequence[DriveLog]) -> Page:
     page.made_from(model=report.model)
     before, after = (f"{number(one.rmse, 3)} W" for one in (report.before, report.after))
     found = " and ".join(words(effect.name) for effect in report.effects) or "none"
+    cause = (
+        f"Of the known causes, {found} explains the residual best; more than noise is left, so "
+        "that there may be another one."
+        if report.no_probability is not None
+        else f"The most probable cause of the residual is {found}, with a probability of "
+        f"{report.chance(report.explanations[0].probability)}."
+    )
     page.paragraph(
         {
-            "effect_found": f"The most probable cause of the residual is {found}, with a "
-            f"probability of {chance(report.explanations[0].probability)}. On drives that were not "
+            "effect_found": f"{cause} On drives that were not "
             f"fitted to, the root mean square error is {before} without it and {after} with it.",
             "no_effect": "No effect of the catalogue predicts these drives better than the paper's "
             "model alone.",

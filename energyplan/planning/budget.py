@@ -71,6 +71,12 @@ def cancellable(unwanted: Callable[[], bool]) -> Iterator[None]:
         _unwanted.reset(token)
 
 
+def end_if_unwanted() -> None:
+    """Raise `CancelledError` where what is worked on is unwanted."""
+    if _unwanted.get()():
+        raise CancelledError("the request was cancelled")
+
+
 class Budget:
     """What planning may spend.
 
@@ -191,7 +197,9 @@ class Budget:
     def check(self, done: str) -> None:
         """Raise a `TimeLimitError` that says how far one has got if nothing is left."""
         if self.over:
-            raise TimeLimitError(f"{self.name} was over when {done}; give more {self.remedy}")
+            raise TimeLimitError(
+                f"{self.name} was over when {done}; give more {self.remedy}", self.remedy
+            )
 
     @property
     def name(self) -> str:

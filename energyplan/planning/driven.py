@@ -21,7 +21,7 @@ from energyplan.limits.drive import Ground, Traversal
 from energyplan.limits.speed import corner_rounding, profile
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Trajectory
-from energyplan.planning.problem import PlanningProblem, is_length
+from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.space.prices import Prices
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
@@ -152,32 +152,6 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
         path, problem.cost, problem.surfaces, problem.heights,
         grid=problem.terrain.obstacles, body=problem.robot,
     )  # fmt: skip
-
-
-def limit_notes(problem: PlanningProblem, path: Path) -> tuple[str, ...]:
-    """Say how much of a path is slowed down by speed limits that no search for routes prices."""
-    surfaces = problem.surfaces
-    if surfaces is None or not surfaces.speed_limits or is_length(problem):
-        return ()
-    whole = surfaces.cut_at_limits(path)
-    halves = Path(whole.start, np.repeat(0.5 * whole.ds, 2), np.repeat(0.5 * whole.dtheta, 2),
-                  whole.longitudinal)  # fmt: skip
-    moves = whole.ds != 0.0
-    x, y, yaw = halves.vertices[1::2][moves].T
-    ahead = whole.longitudinal * np.column_stack([np.cos(yaw), np.sin(yaw)])
-    places = np.column_stack([x, y]) + ahead
-    curvature, region = whole.dtheta[moves] / whole.ds[moves], surfaces.region_at(places)
-    speeds = [cost.cheapest_speed(curvature) for cost in surfaces.costs(problem.cost)]
-    priced = np.stack(speeds)[region, np.arange(len(region))]
-    slow = surfaces.top_speed(places, problem.cost.vehicle) < priced * (1.0 - SAME)
-    slowed = float(np.abs(whole.ds[moves])[slow].sum())
-    if not slowed > 0.0:
-        return ()
-    return (
-        f"speed limits slow down {slowed:.3g} m of the path, and the search prices every path "
-        "without them: another way may take less; energy, duration and gap as driven follow the "
-        "limits, the lower bound does not",
-    )
 
 
 def stops_count(problem: PlanningProblem) -> bool:

@@ -12,16 +12,38 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
+from math import inf
 from typing import NamedTuple
 
-from energyplan.errors import NoPathError
-from energyplan.path import Path
+import numpy as np
+
+from energyplan.errors import NoPathError, PlanningError
+from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.plans import Candidate
-from energyplan.planning.problem import KEPT, PlanningProblem, free_beside
-from energyplan.planning.search.narrow.ends import Ends, ways_out
-from energyplan.planning.space.compiled import CompiledProblem, compiled
-from energyplan.planning.space.cost_to_go import cost_to_go, reached, regions_for
+from energyplan.planning.problem import KEPT, LEAVING, PlanningProblem, free_beside
+from energyplan.planning.search.lattice import joined
+from energyplan.planning.search.narrow.ends import NOTHING, Ends, ways_out
+from energyplan.planning.search.optimise import Refiner
+from energyplan.planning.search.planner import plan as plan_bare
+from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled, merged
+from energyplan.planning.space.configurations import grown
+from energyplan.planning.space.cost_to_go import cost_at_start, cost_to_go, regions_for
+from energyplan.planning.space.motions import steering_cost
+from energyplan.terrain.collision import Body
+
+_FAR = (1.0, 2.0, 4.0, 8.0)  # how far from an end paths are refined for what room is there [sizes]
+_LEFT = 1.5  # how far a path without clearance is used that does not lead to it soon [sizes]
+_RINGS = (0.25, 0.5, 1.0, 2.0)  # distances of poses around an end that ways may lead to [sizes]
+_DIRECTIONS = 16  # in which they lie
+_TURNS = (-0.8, -0.4, -0.2, 0.0, 0.2, 0.4, 0.8)  # by which they are turned [rad]
+_BEST = 3  # how many of these ways are compared
+_SWING = 0.02  # clearance that an end has and leaving it need not keep, for corners swing out [m]
+_PIECE = 0.05  # segments at whose ends that may begin or end [sizes], [rad]
+_NEARLY = 0.01  # gap at which a path without clearance leads out well enough
+_ROUNDS = 3  # of refining at the ends and in between, at most
+_GAIN = 1e-3  # least part of the cost by which another round, or less room, has to pay
 
 
 class CheckedEnds(NamedTuple):
@@ -68,9 +90,11 @@ class Between(NamedTuple):
         if self.ways is None:
             return solve(self.problem, budget)
         found = solve(self.problem, budget.part(SHARES.stage))
-        path = self.ways.refined(found.path, budget)
-        if problem.fault(path):
-            path = self.ways.around(found.path)
+        path = whole = self.ways.around(found.path)
+        if not problem.ends_clear:
+            path = _refined_at_ends(problem, self.ways, whole, budget)
+        elif problem.fault(path := self.ways.refined(found.path, budget)):
+            path = whole
         free = [one for one in known if problem.fault(one) is None]
         # other paths that were found begin and end elsewhere
         return Candidate(min([path, *free], key=self.ways.query.value), first_time=found.first_time)
@@ -80,27 +104,169 @@ def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
     """Return what to plan between: start and goal, or poses near them with more room."""
     if problem.ends_clear and compiled(problem).ends_have_margin:
         return Between(problem)
-    found: list[Between] = []
-    for share in (1.0,) if problem.ends_clear else KEPT:
-        kept = replace(problem, clearance=share * problem.clearance_at_ends)
-        wanted = 0.0 if problem.ends_clear else problem.clearance
-        query = CompiledProblem(kept, wanted)
-        for ways in ways_out(query, budget.part(SHARES.aside), turn=0.0):
-            inner = replace(ways.problem, clearance=problem.clearance)
-            if not (ways.moved and inner.ends_clear and all(map(problem.allows, ways.paths))):
-                continue
-            found.append(Between(inner, ways))
-            setting = compiled(inner).leading.setting
-            budget.beside(partial(regions_for, setting))
-            to_go = cost_to_go(setting)
-            budget.spend(to_go.work / UNITS.nodes)
-            if reached(to_go, setting):
-                return found[-1]
-    if found:  # the planner says why they are not joined
-        return found[0]
     if problem.ends_clear:
-        return Between(problem)
+        found = _joined_ways(problem, CompiledProblem(problem), budget)
+        return found or Between(problem)
+    there_is = problem.clearance_at_ends
+    # as near to obstacles as the ends are, but for what turning takes; nearer where that is in vain
+    for clearance in dict.fromkeys([max(there_is - _SWING, 0.0), 0.0]):
+        query = CompiledProblem(replace(problem, clearance=clearance), problem.clearance)
+        if found := _joined_ways(problem, query, budget):
+            return found
     raise NoPathError(
         f"no way was found from start and goal to where the clearance of {problem.clearance:g} m "
         "is kept; lower the clearance"
+    )
+
+
+def _joined_ways(
+    problem: PlanningProblem, query: CompiledProblem, budget: Budget
+) -> Between | None:
+    """Return the ways that promise the least cost on the whole, of those from one end or both."""
+    found: list[tuple[bool, float, Between]] = []
+    several: list[Ends] = []
+    if not problem.ends_clear:
+        several = _aside(query, budget) + _along_bare_path(query, budget.part(SHARES.aside))
+    for ways in several or ways_out(query, budget.part(SHARES.aside), turn=0.0):
+        inner = replace(ways.problem, clearance=problem.clearance)
+        if not (ways.moved and inner.ends_clear and all(map(problem.allows, ways.paths))):
+            continue
+        setting = compiled(inner).leading.setting
+        if not found:
+            budget.beside(partial(regions_for, setting))
+        to_go = cost_to_go(setting)
+        budget.spend(to_go.work / UNITS.nodes)
+        far = cost_at_start(to_go, setting) * setting.least_metre
+        least = steering_cost(setting, setting.start, setting.goal)
+        cost = sum(query.value(path) for path in ways.paths) + max(far, least)
+        found.append((far == inf, cost, Between(inner, ways)))
+    # if none of them is joined, the planner says why
+    return min(found, key=lambda one: one[:2])[-1] if found else None
+
+
+def _aside(query: CompiledProblem, budget: Budget) -> list[Ends]:
+    """Return ways of a single exact motion, to poses around that have the whole clearance."""
+    problem, setting = query.problem, query.setting
+    size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
+    found: list[list[Segments]] = []
+    for goal, end in enumerate((problem.start, problem.goal)):
+        if query.has_margin(end):
+            found.append([NOTHING])
+            continue
+        here = query.centre(end)
+        ways: list[tuple[float, int, Segments]] = []
+        for far, toward, turn in product(_RINGS, range(_DIRECTIONS), _TURNS):
+            angle = 2.0 * np.pi * toward / _DIRECTIONS
+            x, y = end.x + far * size * np.cos(angle), end.y + far * size * np.sin(angle)
+            there = Pose(float(x), float(y), end.yaw + turn)
+            budget.spend(UNITS.pose)
+            if not query.has_margin(there):
+                continue
+            at = query.centre(there)
+            motions, cost = joined(setting, *((at, here) if goal else (here, at)))
+            budget.spend(UNITS.join)
+            if cost < inf:
+                ends = (setting.start, at) if goal else (at, setting.goal)
+                ways.append((cost + steering_cost(setting, *ends), len(ways), motions))
+        found.append([motions for _, _, motions in sorted(ways, key=lambda way: way[:2])[:_BEST]])
+    outs, backs = found
+    if not (outs and backs):
+        return []
+    several = max(len(outs), len(backs))
+    return [Ends(query, outs[k % len(outs)], backs[k % len(backs)]) for k in range(several)]
+
+
+def _along_bare_path(query: CompiledProblem, budget: Budget) -> list[Ends]:
+    """Return ways along a path of less clearance, and from there to the whole clearance."""
+    problem = query.problem
+    size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
+    try:
+        found = plan_bare(problem, budget.part(SHARES.stage), gap=_NEARLY).path
+    except PlanningError:  # the search without a goal may still lead out
+        return []
+    fine = found.subdivide(_PIECE * size, _PIECE)
+    # all of it where that is short, for what is near an end may lack clearance
+    lacking = [not query.has_margin(Pose(*at.tolist())) for at in fine.vertices]
+    off = np.hypot(*np.moveaxis(fine.vertices[[[0], [-1]], :2] - fine.vertices[:, :2], -1, 0))
+    first, last = (
+        int(np.argmin(there & (away <= LEAVING * size)))
+        for there, away in ((np.array(lacking), off[0]), (np.array(lacking[::-1]), off[1][::-1]))
+    )
+    if lacking[first]:
+        first = int(np.argmax(off[0] > _LEFT * size))
+    if lacking[-1 - last]:
+        last = int(np.argmax(off[1][::-1] > _LEFT * size))
+    last = len(fine) - last
+    if first > last:
+        return []
+    start, goal = (Pose(*fine.vertices[k].tolist()) for k in (first, last))
+    middle = replace(problem, start=start, goal=goal)
+    out, back = (
+        query.of_centre(fine.ds[k], fine.dtheta[k]) for k in (slice(0, first), slice(last, None))
+    )
+    return [
+        Ends(
+            query,
+            Segments(*(np.concatenate(each) for each in zip(out, ways.out, strict=True))),
+            Segments(*(np.concatenate(each) for each in zip(ways.back, back, strict=True))),
+        )
+        for ways in ways_out(CompiledProblem(middle, query.wanted), budget, turn=0.0)
+    ]
+
+
+def _refined_at_ends(problem: PlanningProblem, ways: Ends, path: Path, budget: Budget) -> Path:
+    """Refine a path where it leaves or reaches an end that lacks clearance, by what room it has."""
+    query, best = ways.query, path
+    spare = problem.clearance_at_ends - query.problem.clearance
+    room = [grown(query.body, share * spare) for share in KEPT]
+    size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
+    for _ in range(_ROUNDS):
+        before = query.value(best)
+        for goal, way in enumerate((ways.out, ways.back)):
+            for far in _FAR if len(way.ds) else ():
+                fine = best.subdivide(_PIECE * size, _PIECE)
+                along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
+                at = along[-1] - far * size if goal else far * size
+                cut = min(int(np.searchsorted(along, at)), len(fine))
+                part = (cut, len(fine)) if goal else (0, cut)
+                for body in room:
+                    found = _refined_part(query, body, fine, part, budget)
+                    # less room is used where that saves something
+                    if _saves(query, found, best) and problem.fault(found) is None:
+                        best = found
+        found = _refined_part(query, query.grown, best, (0, len(best)), budget)
+        if query.value(found) < query.value(best) and problem.fault(found) is None:
+            best = found
+        if not query.value(best) < before * (1.0 - _GAIN):
+            break
+    fewer = merged(Segments(best.ds, best.dtheta))
+    found = replace(best, ds=fewer.ds, dtheta=fewer.dtheta)
+    return best if problem.fault(found) else found
+
+
+def _saves(query: CompiledProblem, path: Path, other: Path) -> bool:
+    """Return whether a path costs clearly less than another."""
+    return query.value(path) < query.value(other) * (1.0 - _GAIN)
+
+
+def _refined_part(
+    query: CompiledProblem, body: Body, path: Path, part: tuple[int, int], budget: Budget
+) -> Path:
+    """Return a path some segments of which were refined for a body; it may not be free."""
+    begin, end = part
+    if begin >= end or budget.over:
+        return path
+    ds, dtheta = path.ds, path.dtheta
+    start, goal = (query.centre(Pose(*path.vertices[k].tolist())) for k in part)
+    refiner = Refiner(
+        query.setting._replace(body=body, start=start, goal=goal),
+        query.of_centre(ds[begin:end], dtheta[begin:end]),
+    )
+    refiner.shortcut(budget)
+    refiner.polish(budget)
+    new = query.reference(*refiner.segments)
+    return replace(
+        path,
+        ds=np.concatenate([ds[:begin], new.ds, ds[end:]]),
+        dtheta=np.concatenate([dtheta[:begin], new.dtheta, dtheta[end:]]),
     )

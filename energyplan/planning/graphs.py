@@ -122,7 +122,7 @@ def _straight_prices(edges: Edges, prices: Prices) -> FloatArray:
         return prices.motion(ds, 0.0)
     heading = np.column_stack([np.cos(edges.heading), np.sin(edges.heading)])
     ends = edges.start + edges.length[:, None] * heading
-    shares = prices.surfaces.line_shares(edges.start, ends)
+    shares = prices.surfaces.line_shares(edges.start, ends, prices.slow)
     return np.asarray(sum(prices.motion(ds * part, 0.0, k) for k, part in enumerate(shares.T)))
 
 
@@ -225,9 +225,7 @@ def energy_graph(
     for state, price in zip(states, straight.tolist(), strict=True):
         out.add_node(state, cost=price)
     first, then = _successions(graph, edges)
-    region = np.zeros(len(states), int)
-    if surfaces is not None and len(region):
-        region = surfaces.region_at(edges.start)
+    region = prices.class_at(edges.start)
     known = {node: float(data.get("radius", radius)) for node, data in graph.nodes(data=True)}
     widest = np.array([known[state.source] for state in states])
     corner = _corners(edges, first, then, widest[then], region[then], prices)
@@ -351,8 +349,7 @@ class Roadmap:
     def _spin(self, node: Hashable, before: float | None, after: float | None) -> float:
         """Return the price of turning on the spot at a node; nothing where a yaw is free."""
         turn = 0.0 if before is None or after is None else float(wrap_angle(after - before))
-        ground = self.surfaces
-        region = 0 if ground is None else int(ground.region_at(self._places[node]))
+        region = int(self._prices.class_at(self._places[node]))
         return float(self._prices.motion(0.0, turn, region))
 
     def route(

@@ -215,7 +215,8 @@ def ompl_planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candida
                 )
             raise TimeLimitError(
                 f"{name} found no path in {budget.name}{text}; give more {budget.remedy}, or use "
-                "the planner 'lattice'"
+                "the planner 'lattice'",
+                budget.remedy,
             )
         poses = [_pose(state) for state in definition.getSolutionPath().getStates()]
         ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)

@@ -38,9 +38,10 @@ from energyplan.errors import (
 )
 from energyplan.path import ROUNDING, FloatArray, Path
 from energyplan.planning.budget import SHARES, Budget, plan_budget
-from energyplan.planning.driven import DrivenPath, drive_plan, driven_share, limit_notes
+from energyplan.planning.driven import DrivenPath, drive_plan, driven_share
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
+from energyplan.planning.space.prices import Prices
 from energyplan.records import check_fields, checked
 
 
@@ -80,7 +81,8 @@ class Planner:
         A function ``(problem, budget, **options) -> Candidate``; as ``"module:function"`` it is
         imported when it is used.
     surfaces : bool
-        Whether it can be used where there are surfaces with power models of their own.
+        Whether it can be used where there are surfaces with power models of their own, or speed
+        limits that change a price.
     heights : bool
         Whether it can be used where the ground slopes.
     objectives : tuple of str
@@ -160,8 +162,10 @@ class Planner:
             Whether the budget is one of effort.
         """
         wanted = [name for name, weight in problem.weights.items() if weight > 0]
+        limits = Prices(problem.cost, problem.surfaces, problem.objective).slow.areas
         missing = {
             "surfaces": problem.terrain.ground.surfaces and not self.surfaces,
+            "speed limits": limits and not self.surfaces,
             "heights": problem.heights is not None and not self.heights,
             "a costmap": problem.softened and not self.costmap,
             "a least turning radius": problem.least_radius > 0 and not self.turning,
@@ -254,8 +258,8 @@ class Plan(html.Readable):
     soft_cost : float
         What the costmap adds to the cost, in the unit of the objective; no part of the energy.
     notes : tuple of str
-        What was done about a start that touches an obstacle, or an end that lacks the clearance;
-        that speed limits slow the path down, and that the clock stopped the planning, if they did.
+        What was done about a start that touches an obstacle, or an end that lacks the clearance,
+        and that the clock stopped the planning, if it did.
     problem : PlanningProblem, optional
         What it answers, which `driven` needs; a plan read from a pickle has been driven instead.
     shortest : Path, optional
@@ -297,7 +301,7 @@ class Plan(html.Readable):
         # the problem holds the map; the drive itself is small
         with suppress(EnergyPlanError):
             _ = self.driven
-        _ = self._rated, self._slowed
+        _ = self._rated
         return {**vars(self), "problem": None}
 
     @cached_property
@@ -434,13 +438,8 @@ class Plan(html.Readable):
 
     @property
     def all_notes(self) -> tuple[str, ...]:
-        """The notes, what speed limits slow down, and why there is no gap where there is none."""
-        return (*self.notes, *self._slowed, *(() if self.gap is not None else (_NO_GAP,)))
-
-    @cached_property
-    def _slowed(self) -> tuple[str, ...]:
-        """What speed limits slow down on this path, which the search does not price."""
-        return limit_notes(self.problem, self.path) if self.problem else ()
+        """The notes, and why there is no gap where there is none."""
+        return (*self.notes, *(() if self.gap is not None else (_NO_GAP,)))
 
     def _costs(self) -> list[tuple[str, object]]:
         """Return rows of the cost, where it is not the energy alone, and of its lower bound."""

@@ -45,7 +45,7 @@ MOVED = 0.05
 
 _RINGS = 0.005  # between the rings of poses that it is moved to [m]
 _HALVINGS = 12  # of the clearance, until what there is of it at an end is known well enough
-_LEAVING = 3.0  # diagonals of the robot within which an end that lacks clearance is left
+LEAVING = 3.0  # diagonals of the robot within which an end that lacks clearance is left
 _ASIDE = 16  # directions in which there may be room beside a pose
 _TURN = 0.05  # between two poses of a path that are tested for the clearance [rad]
 
@@ -284,7 +284,7 @@ class PlanningProblem:
         fine = path.subdivide(grid.resolution, _TURN)
         lacking = ~grid.footprint_free(fine.vertices, self.robot)
         # beyond some lengths of the robot, and two arcs that lead aside
-        away = _LEAVING * float(np.hypot(*np.ptp(self.robot.footprint, axis=0)))
+        away = LEAVING * float(np.hypot(*np.ptp(self.robot.footprint, axis=0)))
         away += 2.0 * float(np.sqrt(self.least_radius * self.clearance))
         ends = np.array([fine.vertices[0], fine.vertices[-1]])[:, None, :2]
         off = np.hypot(*np.moveaxis(fine.vertices[:, :2] - ends, -1, 0)).min(axis=0)

@@ -25,6 +25,7 @@ __all__ = ["create_app", "run"]
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 _MOST = 512  # connections at once, where the system lets a process open three times as many files
 _UNREAD = 1 << 18  # bytes of answers that the system keeps for a client that does not read them
+_REST = 1 << 20  # bytes of bodies that were refused, after which a connection ends
 _PATIENCE = 10.0  # time between two looks at a connection, which is to have moved by then [s]
 _LOGGERS = {"energyplan.serve": "INFO", "uvicorn": "WARNING", "py.warnings": "WARNING"}
 _LOGGING = {
@@ -132,6 +133,7 @@ def server(app: FastAPI) -> Any:
             super().connection_made(transport)
             self._heard = self.loop.time()
             self._seen: tuple[float, int] | None = None
+            self._rest = 0
             if len(self.connections) > most:
                 every: list[Any] = [one for one in self.connections if one is not self]
                 others = [one for one in every if one.waits and not one.transport.is_closing()]
@@ -140,6 +142,12 @@ def server(app: FastAPI) -> Any:
 
         def data_received(self, data: bytes) -> None:
             self._heard = self.loop.time()
+            cycle = self.cycle
+            if cycle is not None and cycle.response_complete and cycle.more_body:
+                self._rest += len(data)  # of a body that was refused
+                if self._rest > _REST:
+                    self.transport.abort()
+                    return
             super().data_received(data)
 
         @property

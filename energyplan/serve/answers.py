@@ -150,7 +150,11 @@ PREPARED = _record(
     robots=_list(_record("RobotStart", name=str, start=list[float])), map=MAP, areas=_Areas,
 )  # fmt: skip
 FILES = _record(
-    "Files", **dict.fromkeys(KINDS, list[str]), presets=dict[str, list[str]], planners=list[str]
+    "Files",
+    **dict.fromkeys(KINDS, list[str]),
+    unreadable=dict[str, str],
+    presets=dict[str, list[str]],
+    planners=list[str],
 )
 HEALTH = _record("Health", version=str, workers=int, load=int)
 SAVED = _record("Saved", name=str, bytes=int)

@@ -7,7 +7,7 @@ import base64
 import io
 import json
 import math
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import aclosing, asynccontextmanager
 from functools import cache, partial
 from importlib.resources import files
@@ -18,6 +18,7 @@ import numpy as np
 from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
+from fastapi.routing import APIRoute
 from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel
 from shapely.geometry import mapping
@@ -58,7 +59,7 @@ from energyplan.io.start import start as start_of
 from energyplan.io.tables import contours_document
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
-from energyplan.mission import MissionReport, Routes, evaluate
+from energyplan.mission import Mission, MissionReport, Routes, evaluate
 from energyplan.output import documents
 from energyplan.path import Trajectory, as_pose
 from energyplan.planning import plan
@@ -147,6 +148,8 @@ class _Service:
         if isinstance(error, CancelledError) and self.pool.closing:
             error = StoppingError("the service is ending; try again in a while")
         status = next((code for kind, code in STATUS if isinstance(error, kind)), 500)
+        if isinstance(error, TimeLimitError) and error.remedy == "effort":
+            status = 422  # it is the same each time
         detail = " ".join(str(error).split()).replace(f"{self.store.folder}/", "")
         if status == 500:
             return problem(500, "Error", "the service failed; see its log")
@@ -161,13 +164,35 @@ class _Service:
     ) -> None:  # fmt: skip
         """Have a path answered by work, which gets the request."""
 
+        class Read(Request):
+            """A request whose body is read before FastAPI asks for it."""
+
+            given: BaseModel
+
+            async def json(self) -> Any:
+                return self.given
+
+        class Reading(APIRoute):
+            """A path whose requests are read in a thread, while others are heard."""
+
+            def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+                handle = super().get_route_handler()
+
+                async def handler(request: Request) -> Response:
+                    read = Read(request.scope, request.receive)
+                    content = await read.body()
+                    read.given = await asyncio.to_thread(requests.read_body, content, given)
+                    return await handle(read)
+
+                return handler
+
         async def endpoint(body: Any, request: Request) -> Response:
             return await self.answer(request, lambda job: work(job, body))
 
         endpoint.__annotations__["body"] = given
         router.add_api_route(
             path, endpoint, methods=["POST"], response_model=shape, summary=given.__doc__,
-            name=path.strip("/"),
+            name=path.strip("/"), route_class_override=Reading,
         )  # fmt: skip
 
     async def answer(self, request: Request, work: Callable[[Job], Document]) -> Response:
@@ -234,8 +259,13 @@ def _files(service: _Service) -> APIRouter:
     async def listing() -> Document:
         """List the data folder by kind, and the planners."""
         presets = {"models": [*MODEL_PRESETS], "batteries": [*BATTERY_PRESETS]}
-        names = await asyncio.to_thread(store.names)
-        return {**names, "presets": presets, "planners": [*known_planners()]}
+        names, unreadable = await asyncio.to_thread(store.names)
+        return {
+            **names,
+            "unreadable": unreadable,
+            "presets": presets,
+            "planners": [*known_planners()],
+        }
 
     @router.put("/files/{name:path}", status_code=201, response_model=answers.SAVED)
     async def upload(name: str, request: Request) -> Document:
@@ -357,24 +387,29 @@ def _timeline(report: MissionReport) -> Document:
 
 @cache
 def _compiled() -> None:
-    """Compile what the service may call, before a limit of time begins."""
+    """Compile what the service may call, once, which no limit of time counts."""
     compile_kernels("energyplan")
+
+
+def _mission(file: Path) -> Mission:
+    return read_mission(file, inside=True)
 
 
 def _missions(service: _Service) -> APIRouter:
     router, store, routes = APIRouter(), service.store, Routes()
 
+    read = partial(store.read, read=_mission, keep=False)
+
     def opened(job: Job, name: str) -> Document:
         """Return what the page shows of a mission's file, and what the file holds."""
-        file = store.path(name)
-        mission = read_mission(file, inside=True)
+        mission = read(name)
         shapes = [
             {"type": "Feature", "properties": {"surface": name}, "geometry": mapping(area)}
             for name, area in (mission.surfaces.polygons if mission.surfaces else ())
         ]
         keys = ("start", "soc", "reserve", "coefficient_spread", "tasks", "chargers")
         return {
-            "document": documents.plain(load(file, InvalidInputError).data),
+            "document": documents.plain(load(store.path(name), InvalidInputError).data),
             **{key: documents.plain(getattr(mission, key)) for key in keys},
             "robots": [
                 {"name": one.name, "start": documents.plain(one.start)} for one in mission.parts
@@ -391,18 +426,21 @@ def _missions(service: _Service) -> APIRouter:
     def evaluated(job: Job, given: requests.MissionRequest) -> Document:
         if given.mission is None and given.document is None:
             raise InvalidInputError("give mission, the name of a file, or document")
-        file = store.folder / "mission" if given.mission is None else store.path(given.mission)
+        job.limit(given.time_limit)
         mission = (
-            read_mission(file, inside=True) if given.document is None
-            else mission_from(given.document, file.parent)
+            read(given.mission) if given.mission is not None and given.document is None
+            else mission_from(
+                given.document or {},
+                (store.path(given.mission) if given.mission else store.folder / "mission").parent,
+            )
         )  # fmt: skip
         if len(mission.tasks) > MOST_TASKS or (mission.planning_effort or 0) > MOST_EFFORT:
             raise InvalidInputError(
                 f"the mission has more than {MOST_TASKS} tasks, or a planning_effort above "
                 f"{MOST_EFFORT}; energyplan mission has no such limit"
             )
-        _compiled()
-        job.limit(given.time_limit)
+        with job.untimed():
+            _compiled()
         report = evaluate(mission, job.say, routes=routes)
         found = documents.mission(report, trajectories=True)
         for one, robot in zip(report.robots, found.get("robots", ()), strict=True):

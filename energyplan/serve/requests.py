@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import json
 import logging
+import re
 import time
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
@@ -13,17 +15,18 @@ import numpy as np
 from fastapi.exceptions import HTTPException, RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import (
-    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
     PlainValidator,
+    ValidationError,
     WithJsonSchema,
     model_validator,
 )
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from energyplan.errors import InvalidInputError
 from energyplan.io.documents import MAX_NODES
 from energyplan.io.sites import SiteFile
 from energyplan.path import FloatArray
@@ -33,6 +36,9 @@ LONGEST, MOST_EFFORT = 60.0, 5_000_000
 
 MOST_ROWS, MOST_TASKS, MOST_KEYS = 200_000, 500, 100
 """Largest number of samples of a trajectory in a request, of tasks of a mission, and of keys."""
+
+MOST_NUMBERS = 6 * MOST_ROWS
+"""Most numbers of a trajectory in a request."""
 
 PoseRow = Annotated[list[float], Field(min_length=3, max_length=3, examples=[[2.0, 2.0, 0.0]])]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -83,12 +89,11 @@ class RangeRequest(_OnSite):
 
 def _column(value: Any) -> FloatArray:
     """Return a column of a trajectory."""
-    array = np.asarray(value)
-    if isinstance(value, list) and not {*map(type, value)} <= {int, float}:
-        raise ValueError("give numbers alone")
-    if array.dtype.kind not in "if" or array.ndim != 1 or len(array) > MOST_ROWS:
+    if not isinstance(value, list) or len(value) > MOST_ROWS:
         raise ValueError(f"give a list of numbers, {MOST_ROWS} at most")
-    return array.astype(float)
+    if not {*map(type, value)} <= {int, float}:
+        raise ValueError("give numbers alone")
+    return np.array(value, float)
 
 
 Column = Annotated[
@@ -122,25 +127,71 @@ def complaint(error: RequestValidationError) -> str:
     return "; ".join(found[:20])
 
 
-def _few(document: Any) -> Any:
-    """Refuse a document of more values than a file may hold."""
-    waiting, count = [document], 0
-    while waiting:
-        item: Any = waiting.pop()
-        inner = [*item.values()] if isinstance(item, dict) else item
-        if isinstance(inner, list):
-            waiting += inner
-            count += len(inner)
-        if count > MAX_NODES:
-            raise ValueError(f"it holds more than {MAX_NODES} values")
-    return document
+_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.DOTALL)
+_EMPTY = re.compile(rb"\[\s*\]|\{\s*\}")
+_LONG_NUMBER = re.compile(rb"\d{19}")
+
+
+def read_body(content: bytes, given: type[BaseModel]) -> BaseModel:
+    """Return what a body of JSON holds; values are counted before any is built."""
+    try:
+        _few(content, MOST_NUMBERS if issubclass(given, CheckRequest) else 0)
+        value = json.loads(
+            content, object_pairs_hook=_keys_once,
+            parse_int=_int64 if _LONG_NUMBER.search(content) else None,
+        )  # fmt: skip
+        return given.model_validate(value)
+    except ValidationError as error:
+        every = [{**one, "loc": ("body", *one["loc"])} for one in error.errors()]
+        raise InvalidInputError(complaint(RequestValidationError(every))) from None
+    except json.JSONDecodeError as error:
+        raise InvalidInputError(f"the body: Invalid JSON: {error}") from None
+    except RecursionError:
+        raise InvalidInputError("the body: it is nested too deeply") from None
+    except ValueError as error:
+        raise InvalidInputError(f"the body: {error}") from None
+
+
+def _few(content: bytes, numbers: int) -> None:
+    """Refuse JSON of more values than a file may hold, beside numbers of columns."""
+    if not _many(content, content, numbers):
+        return
+    plain = _STRING.sub(b"0", content)
+    if _many(plain, _EMPTY.sub(b"0", plain), numbers):
+        raise ValueError(f"it holds more than {MAX_NODES + numbers} values")
+
+
+def _many(content: bytes, filled: bytes, numbers: int) -> bool:
+    """Return whether JSON may hold too much: each value but the first follows one of its marks."""
+    nests = content.count(b"[") + content.count(b"{")
+    inner = filled.count(b"[") + filled.count(b"{")
+    return nests > MAX_NODES or inner + filled.count(b",") > MAX_NODES + numbers
+
+
+def _keys_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object, whose keys stand once."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen = set[str]()
+        for key, _ in pairs:
+            if key in seen:
+                raise ValueError(f"{key[:60]!r} stands twice; drop one")
+            seen.add(key)
+    return found
+
+
+def _int64(digits: str) -> int:
+    """Return a whole number of 64 bits."""
+    if len(digits) > 20 or not -(2**63) <= (value := int(digits)) < 2**63:
+        raise ValueError(f"{digits[:30]} is beyond 64 bits")
+    return value
 
 
 class MissionRequest(_Asked):
     """A mission: a file of the data folder, or what one would hold; with both, in its place."""
 
     mission: Name | None = None
-    document: Annotated[dict[str, Any] | None, AfterValidator(_few)] = None
+    document: dict[str, Any] | None = None
     time_limit: float = Field(LONGEST, gt=0, le=LONGEST)
 
 
@@ -153,6 +204,7 @@ class RobotMeasures(_Asked):
     wheel_radius: Annotated[float, Field(gt=0, le=5)] | None = None
     like: Name | None = Field(None, description="a vehicle to take the rest from")
     columns: Annotated[str, Field(max_length=4000)] | None = None  # those that are known
+    unsigned: bool = False  # whether the sensors of its powers see no sign
 
 
 class StartRequest(_Asked):
@@ -176,8 +228,8 @@ class DiagnoseRequest(IdentifyRequest):
     holdout: list[Name] = Field(min_length=1, max_length=100)
 
 
-LARGEST = {"POST": 6 * 2**20, "PUT": 64 * 2**20}
-"""Largest body of a request [byte]."""
+LARGEST = {"POST": 2**20, "PUT": 64 * 2**20, "/api/check": 6 * 2**20}
+"""Largest body of a request by its method or its path [byte]."""
 HELD = 128 * 2**20
 """Largest sum of the bodies of all requests in hand [byte]."""
 DEADLINE = 30.0
@@ -197,6 +249,12 @@ def problem(status: int, title: str, detail: str, **more: Any) -> JSONResponse:
     """Return an error as RFC 9457 has it."""
     body = {"type": "about:blank", "title": title, "status": status, "detail": detail, **more}
     return JSONResponse(body, status, media_type="application/problem+json")
+
+
+def _largest(scope: Scope) -> int:
+    """Return the size of the largest body that a request may have [byte]."""
+    method = scope["method"]
+    return LARGEST.get(scope["path"] if method == "POST" else method, LARGEST.get(method, 0))
 
 
 class Access:
@@ -243,7 +301,7 @@ class Guard:
         if refused is not None:
             await refused(scope, receive, send)
             return
-        most = LARGEST.get(scope["method"], 0)
+        most = _largest(scope)
         until = asyncio.get_running_loop().time() + self.deadline
         held, whole = 0, False
 
@@ -281,10 +339,15 @@ class Guard:
             right = hmac.compare_digest(given.strip().encode(), self.token.encode())
             if scheme.lower() != "bearer" or not right:
                 return problem(401, "Unauthorized", "send the token as 'Authorization: Bearer'")
+        if "transfer-encoding" in headers and "content-length" in headers:  # which is right?
+            text = "give Content-Length or Transfer-Encoding, not both"
+            refusal = problem(400, "TwoLengths", text)
+            refusal.headers["Connection"] = "close"
+            return refusal
         kind = headers.get("content-type", "")
         if scope["method"] == "POST" and not kind.startswith("application/json"):
             return problem(415, "WrongType", "send JSON, as Content-Type: application/json")
-        size, most = headers.get("content-length", "0"), LARGEST.get(scope["method"], 0)
+        size, most = headers.get("content-length", "0"), _largest(scope)
         if size.isdigit() and int(size) > most:
             return problem(413, "TooLarge", f"the body is larger than {most} bytes")
         return None

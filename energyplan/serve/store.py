@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import threading
 import time
-from collections import defaultdict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from math import inf
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -22,12 +24,14 @@ from energyplan.errors import (
     TimeLimitError,
 )
 from energyplan.io.bags import BAG_SUFFIXES
-from energyplan.io.files import atomic_write, files_behind
+from energyplan.io.documents import parsed_once
+from energyplan.io.files import atomic_write, files_behind, is_file
 from energyplan.io.flight import FLIGHT_SUFFIXES
 from energyplan.io.maps import at_most
 from energyplan.io.mission import read_battery
 from energyplan.io.sites import SiteFile, load_site
-from energyplan.planning.budget import cancellable
+from energyplan.logs.tables import unpacked_at_most
+from energyplan.planning.budget import cancellable, end_if_unwanted
 from energyplan.terrain import Site
 
 T = TypeVar("T")
@@ -54,6 +58,8 @@ _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
 _LONGEST = 200  # letters of a name
 _KEPT = 32  # files whose content is kept
 _CELLS, _MOST = 2**24, 2**25  # most cells of a map, and of all that is kept but the newest
+_UNPACKED, _TABLE = 2**26, 2**24  # most bytes of a table, after decompression, and cells
+_TURN = 0.05  # time between two looks whether who waits for a file is still waited for [s]
 _Stamp = tuple[tuple[Path, int, int, int, int], ...]
 
 
@@ -70,35 +76,50 @@ class Store:
             raise InvalidInputError(f"the data folder {folder} is no folder; create it first")
         self._kept: dict[Hashable, tuple[_Stamp, Any]] = {}
         self._lock = threading.Lock()
-        self._turns: dict[Hashable, threading.Lock] = defaultdict(threading.Lock)
+        self._turns: WeakValueDictionary[Hashable, threading.Lock] = WeakValueDictionary()
 
-    def names(self) -> dict[str, list[str]]:
-        """Return the names of all files by kind, those of the folder itself before subfolders'.
+    def names(self) -> tuple[dict[str, list[str]], dict[str, str]]:
+        """Return the names of all files by kind, and why others cannot be read.
 
-        Maps, models, vehicles and missions are all YAML: their keys distinguish them.
+        Those of the folder itself come before subfolders'. Maps, models, vehicles and missions are
+        all YAML: their keys distinguish them.
         """
         found: dict[str, list[str]] = {kind: [] for kind in KINDS}
+        unreadable: dict[str, str] = {}
         for file in sorted(self.folder.rglob("*"), key=lambda one: (len(one.parts), one)):
             name = file.relative_to(self.folder).as_posix()
-            if not file.is_file() or not _NAME.fullmatch(name):
+            kinds = [kind for kind, ends in KINDS.items() if name.lower().endswith(ends)]
+            if not kinds or not _NAME.fullmatch(name):
                 continue
-            yaml = file.suffix.lower() in (".yaml", ".yml")
-            for kind, ends in KINDS.items():
-                if name.lower().endswith(ends) and (not yaml or kind_of(file) == kind):
+            try:
+                if not file.is_file():
+                    continue
+                if not os.access(file, os.R_OK):
+                    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+                yaml = file.suffix.lower() in (".yaml", ".yml")
+                right = kind_of(file) if yaml else None
+            except OSError as problem:  # such as of another user's file: the others are listed
+                unreadable[name] = problem.strerror or str(problem)
+                continue
+            for kind in kinds:
+                if right in (None, kind):
                     found[kind].append(name)
-        return found
+        return found, unreadable
 
     def path(self, name: str) -> Path:
         """Return the file of a name."""
         file = self._inside(name)
-        if not file.is_file():
+        if not is_file(file):
             raise UnknownFileError(f"the data folder has no file {name!r}")
         return file
 
     def _inside(self, name: str) -> Path:
         if len(name) > _LONGEST or not _NAME.fullmatch(name):
             raise UnknownFileError(f"{name[:80]!r} is no name of a file in the data folder")
-        file = (self.folder / name).resolve()
+        try:
+            file = (self.folder / name).resolve()
+        except (OSError, RuntimeError):  # such as a link to itself
+            raise UnknownFileError(f"{name!r} cannot be followed") from None
         if not file.is_relative_to(self.folder):
             raise UnknownFileError(f"{name!r} lies outside the data folder")
         return file
@@ -121,24 +142,72 @@ class Store:
             raise InvalidInputError(f"{name!r} does not end like a file that the service reads")
         return atomic_write(self._inside(name), content, anew=True)
 
-    def read(self, name: str, read: Callable[[Path], T], *more: Hashable) -> T:
-        """Return what a file holds, read anew where it, or a file that it names, has changed."""
+    def read(self, name: str, read: Callable[[Path], T], *more: Hashable, keep: bool = True) -> T:
+        """Return what a file holds, read anew where it, or a file that it names, has changed.
+
+        That it cannot be read is kept too; with `keep` false, nothing but that.
+        """
         file = self.path(name)
         key = (more or read, file)
-        with self._turns[key]:  # who comes next finds what the first has read
+        with self._turn(key):  # who comes next finds what the first has read
             known = self._kept.get(key)
-            if known is not None and _stamp([part[0] for part in known[0]]) == known[0]:
-                found: T = known[1]
-                return found
-            stamp = _stamp([file, *files_behind(file)])  # before: what changes then is seen
-            self._kept.pop(key, None)
-            content = read(file)
-            with self._lock:
-                self._kept[key] = stamp, content
-                kept = self._kept
-                while len(kept) > _KEPT or (len(kept) > 1 and _cells(kept) > _MOST):
-                    kept.pop(next(iter(kept)))
-        return content
+            if known is None or _stamp([part[0] for part in known[0]]) != known[0]:
+                stamp = _stamp([file, *files_behind(file)])  # before: what changes then is seen
+                self._kept.pop(key, None)
+                content: T | _Refusal
+                try:
+                    content = read(file)
+                except InvalidInputError as problem:
+                    if not _lasts(problem):
+                        raise
+                    content = _Refusal(type(problem), str(problem), vars(problem))
+                if not keep and not isinstance(content, _Refusal):
+                    return content
+                known = stamp, content
+                with self._lock:
+                    self._kept[key] = known
+                    kept = self._kept
+                    while len(kept) > _KEPT or (len(kept) > 1 and _cells(kept) > _MOST):
+                        kept.pop(next(iter(kept)))
+        found: T | _Refusal = known[1]
+        if isinstance(found, _Refusal):
+            raise found.error()
+        return found
+
+    @contextmanager
+    def _turn(self, key: Hashable) -> Iterator[None]:
+        """Have only one read a file at a time; who waits may be cancelled."""
+        with self._lock:
+            turn = self._turns.setdefault(key, threading.Lock())  # until nobody holds it
+        while not turn.acquire(timeout=_TURN):
+            end_if_unwanted()
+        try:
+            yield
+        finally:
+            turn.release()
+
+
+class _Refusal(NamedTuple):
+    """Why a file cannot be read, without what its reading held."""
+
+    kind: type[InvalidInputError]
+    message: str
+    values: dict[str, Any]
+
+    def error(self) -> InvalidInputError:
+        """Return it as an error."""
+        error = self.kind.__new__(self.kind, self.message)
+        vars(error).update(self.values)
+        return error
+
+
+def _lasts(problem: BaseException | None) -> bool:
+    """Return whether a file is wrong, and not what reads it: of files, memory or disk."""
+    while problem is not None:
+        if isinstance(problem, OSError | MemoryError | ImportError):
+            return False
+        problem = problem.__context__
+    return True
 
 
 def _cells(kept: dict[Hashable, tuple[_Stamp, Any]]) -> int:
@@ -166,11 +235,8 @@ def _stamp(files: list[Path]) -> _Stamp:
 
 def kind_of(file: Path) -> str:
     """Return which kind of YAML file this is, by its keys; not each is one of `KINDS`."""
-    try:
-        with file.open("rb") as stream:
-            text = stream.read(65536).decode("utf-8", "replace")
-    except OSError:  # such as a file of another user; who opens it by its name hears why
-        return "others"
+    with file.open("rb") as stream:
+        text = stream.read(65536).decode("utf-8", "replace")
     keys = set(re.findall(r"^(\w+)\s*:", text, re.MULTILINE))
     return next((kind for kind, telling in _TELLING if telling & keys), "others")
 
@@ -204,6 +270,13 @@ class Job:
     def limit(self, seconds: float) -> None:
         """Have the work end within a time from now on [s]."""
         self._until = time.monotonic() + seconds
+
+    @contextmanager
+    def untimed(self) -> Iterator[None]:
+        """Have what is done inside not count."""
+        left, self._until = self._until - time.monotonic(), inf
+        yield
+        self._until = time.monotonic() + left
 
     @property
     def late(self) -> bool:
@@ -247,7 +320,10 @@ class Pool:
     def _run(self, job: Job, work: Callable[[Job], Any]) -> None:
         try:
             job.say("started")
-            with cancellable(job.unwanted), at_most(_CELLS):
+            with (
+                cancellable(job.unwanted), at_most(_CELLS), unpacked_at_most(_UNPACKED, _TABLE),
+                parsed_once(),
+            ):  # fmt: skip
                 job.future.set_result(work(job))
         except BaseException as error:  # noqa: BLE001  for whoever waits
             if isinstance(error, CancelledError) and job.late and not job.cancelled.is_set():

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil, floor
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import shapely
@@ -82,6 +82,24 @@ class SpeedLimit:
         return self.speed * vehicle.motor.speed
 
 
+class SlowAreas(NamedTuple):
+    """Speed limits that slow a robot down.
+
+    With ``n`` regions, class ``region + n level`` of ground is a region under one of the limits.
+    """
+
+    speeds: tuple[float, ...] = ()  # limit of each level from 1 on, the highest first [m/s]
+    areas: tuple[tuple[int, BaseGeometry], ...] = ()  # level and place, in the order of the levels
+
+    @property
+    def key(self) -> tuple[tuple[int, int], ...]:
+        """What distinguishes it from others of the same map."""
+        return tuple((level, id(area)) for level, area in self.areas)
+
+
+NOT_SLOW = SlowAreas()
+
+
 @dataclass(frozen=True)
 class SurfaceMap:
     """Surfaces, each with a power model, areas to keep out of, and speed limits.
@@ -152,8 +170,19 @@ class SurfaceMap:
             if areas and not any(area.intersects(extent) for area in areas)
         )
 
+    def slow_areas(self, cost: EnergyCost) -> SlowAreas:
+        """Return the speed limits that are below the speeds of a cost."""
+        motors = [cost.vehicle.motor, *(one.model.vehicle.motor for one in self.surfaces)]
+        top = min(max(motor.speed for motor in motors), cost.tread_speed or np.inf)
+        # the reference point may move faster than both treads only outside of them
+        top *= max(1.0, abs(cost.icr.centre[1]) / cost.half_track)
+        known = [(limit.of(cost.vehicle), limit.area) for limit in self.speed_limits]
+        speeds = tuple(sorted({speed for speed, _ in known if speed < top}, reverse=True))
+        areas = [(speeds.index(speed) + 1, area) for speed, area in known if speed < top]
+        return SlowAreas(speeds, tuple(sorted(areas, key=lambda one: one[0])))
+
     def costs(self, cost: EnergyCost) -> tuple[EnergyCost, ...]:
-        """Return the cost of every region, by its number."""
+        """Return the cost of every class of ground: the regions, then these under each limit."""
         if self._last and self._last[0][0] is cost:
             return self._last[0]
         for surface in self.surfaces:
@@ -163,13 +192,16 @@ class SurfaceMap:
                     f"{surface.model.vehicle.icr.longitudinal} m, the robot at "
                     f"{cost.icr.longitudinal} m; identify both with the same longitudinal ICR"
                 )
-        known: dict[int, EnergyCost] = {id(cost.model): cost}
+        known = {id(cost.model): cost}
         for surface in self.surfaces:
             if id(surface.model) not in known:
                 known[id(surface.model)] = replace(
                     cost, model=surface.model, speed=cost.tread_speed or CHEAPEST
                 )
         found = (cost, *(known[id(surface.model)] for surface in self.surfaces))
+        for speed in self.slow_areas(cost).speeds:
+            slow = {id(one): replace(one, speed_limit=speed) for one in known.values()}
+            found += tuple(slow[id(one)] for one in found[: len(self.surfaces) + 1])
         self._last[:] = [found]
         return found
 
@@ -181,19 +213,44 @@ class SurfaceMap:
             region[shapely.intersects_xy(surface.area, rows[..., 0], rows[..., 1])] = k
         return region
 
-    def raster(self, grid: OccupancyGrid, rank: ArrayLike | None = None) -> NDArray[np.intp]:
-        """Return the region at the centre of each cell of a map, shape (rows, columns)."""
-        raster = np.zeros(grid.shape, np.int64)
-        for k, surface in enumerate(self.surfaces, start=1):
-            a, e = _rim(shapely.transform(surface.area, grid.to_cells))
-            before = None if rank is None else raster.copy()
-            _fill(raster, a, a + e, k)
-            if before is not None:
-                _share(raster, before, a, a + e, k, np.asarray(rank, float))
-        return raster
+    def class_at(self, points: ArrayLike, slow: SlowAreas) -> NDArray[np.intp]:
+        """Return the class of ground at each world point (..., 2) [m]."""
+        rows = np.asarray(points, float)
+        level = np.zeros(rows.shape[:-1], np.intp)
+        for k, area in slow.areas:
+            level[shapely.intersects_xy(area, rows[..., 0], rows[..., 1])] = k
+        return np.asarray(self.region_at(rows) + (len(self.surfaces) + 1) * level)
+
+    def raster(
+        self, grid: OccupancyGrid, rank: ArrayLike | None = None, slow: SlowAreas = NOT_SLOW
+    ) -> NDArray[np.intp]:
+        """Return the class of ground at the centre of each cell of a map, shape (rows, columns).
+
+        With a rank of the regions, it is the one of highest rank in the cell, and the lowest limit.
+        """
+        ordered = None if rank is None else np.asarray(rank, float)
+        regions = _raster(grid, enumerate((s.area for s in self.surfaces), start=1), ordered)
+        if not slow.areas:
+            return regions
+        ordered, areas = None, slow.areas
+        if rank is not None:
+            ordered = np.arange(len(slow.speeds) + 1.0)
+            # searches price a motion at the middle of parts of half a cell; a part may clip a
+            # corner of an area, where a metre may take ten times as long, from this far away
+            aside = 0.25 * grid.resolution
+            areas = tuple((k, area.buffer(aside, join_style="mitre")) for k, area in areas)
+        return regions + (len(self.surfaces) + 1) * _raster(grid, areas, ordered)
+
+    def _edges(self, slow: SlowAreas) -> tuple[FloatArray, FloatArray]:
+        return self._all_edges if slow.areas else self._region_edges
 
     @cached_property
-    def _edges(self) -> tuple[FloatArray, FloatArray]:
+    def _all_edges(self) -> tuple[FloatArray, FloatArray]:
+        starts, along = zip(self._region_edges, self._limit_edges, strict=True)
+        return np.concatenate(starts), np.concatenate(along)
+
+    @cached_property
+    def _region_edges(self) -> tuple[FloatArray, FloatArray]:
         return _edges(surface.area for surface in self.surfaces)
 
     @cached_property
@@ -217,33 +274,52 @@ class SurfaceMap:
         ds, dtheta = (np.repeat(column, count) * share for column in (path.ds, path.dtheta))
         return Path(path.start, ds, dtheta, path.longitudinal)
 
-    def edge_points(self, spacing: float) -> Iterable[FloatArray]:
-        """Yield points along each edge of the surfaces, spaced by at most `spacing` [m], (n, 2)."""
-        for a, e in zip(*self._edges, strict=True):
+    def edge_points(self, spacing: float, slow: SlowAreas = NOT_SLOW) -> Iterable[FloatArray]:
+        """Yield points along each edge of the ground, spaced by at most `spacing` [m], (n, 2)."""
+        for a, e in zip(*self._edges(slow), strict=True):
             count = int(np.hypot(*e) / spacing) + 2
             yield a + np.linspace(0.0, 1.0, count)[:, None] * e
 
-    def shares(self, path: Path) -> FloatArray:
-        """Return how each segment of a path divides over the regions."""
-        out = np.zeros((len(path), len(self.surfaces) + 1))
-        for k, (arc, cuts) in enumerate(_cuts(path, *self._edges)):
-            regions = self.region_at(arc.points(0.5 * (cuts[:-1] + cuts[1:])))
-            np.add.at(out[k], regions, np.diff(cuts))
+    def _classes(self, slow: SlowAreas) -> int:
+        return (len(self.surfaces) + 1) * (len(slow.speeds) + 1)
+
+    def shares(self, path: Path, slow: SlowAreas = NOT_SLOW) -> FloatArray:
+        """Return how each segment of a path divides over the classes of ground."""
+        out = np.zeros((len(path), self._classes(slow)))
+        for k, (arc, cuts) in enumerate(_cuts(path, *self._edges(slow))):
+            classes = self.class_at(arc.points(0.5 * (cuts[:-1] + cuts[1:])), slow)
+            np.add.at(out[k], classes, np.diff(cuts))
         return out
 
-    def line_shares(self, starts: ArrayLike, ends: ArrayLike) -> FloatArray:
-        """Return how straight lines divide over the regions, as `shares` does for segments."""
+    def line_shares(
+        self, starts: ArrayLike, ends: ArrayLike, slow: SlowAreas = NOT_SLOW
+    ) -> FloatArray:
+        """Return how straight lines divide over the classes, as `shares` does for segments."""
         p = np.asarray(starts, float)
         d = np.asarray(ends, float) - p
-        out = np.zeros((len(p), len(self.surfaces) + 1))
-        crossed = np.nan_to_num(_crossings(p, d, *self._edges), nan=1.0)
+        out = np.zeros((len(p), self._classes(slow)))
+        crossed = np.nan_to_num(_crossings(p, d, *self._edges(slow)), nan=1.0)
         both = np.broadcast_to([0.0, 1.0], (len(p), 2))
         cuts = np.sort(np.concatenate([both, crossed], axis=1), axis=1)
         line, place = np.nonzero(np.diff(cuts, axis=1) > 0)
         middle = 0.5 * (cuts[line, place] + cuts[line, place + 1])
-        region = self.region_at(p[line] + middle[:, None] * d[line])
-        np.add.at(out, (line, region), cuts[line, place + 1] - cuts[line, place])
+        kind = self.class_at(p[line] + middle[:, None] * d[line], slow)
+        np.add.at(out, (line, kind), cuts[line, place + 1] - cuts[line, place])
         return out
+
+
+def _raster(
+    grid: OccupancyGrid, areas: Iterable[tuple[int, BaseGeometry]], rank: FloatArray | None
+) -> NDArray[np.intp]:
+    """Return the number of the last area at the centre of each cell, 0 where there is none."""
+    raster = np.zeros(grid.shape, np.int64)
+    for k, area in areas:
+        a, e = _rim(shapely.transform(area, grid.to_cells))
+        before = None if rank is None else raster.copy()
+        _fill(raster, a, a + e, k)
+        if before is not None and rank is not None:
+            _share(raster, before, a, a + e, k, rank)
+    return raster
 
 
 def with_limits(surfaces: SurfaceMap | None, limits: Sequence[SpeedLimit]) -> SurfaceMap | None:

@@ -16,7 +16,7 @@ from energyplan.path import FloatArray, Path
 from energyplan.records import Within, check_fields, checked
 from energyplan.terrain.grid import CostMap, OccupancyGrid
 from energyplan.terrain.heights import HeightMap
-from energyplan.terrain.surfaces import SurfaceMap
+from energyplan.terrain.surfaces import NOT_SLOW, SlowAreas, SurfaceMap
 
 _KEPT = 4  # number of `Terrain` objects that a map keeps: those requested last
 MOST_CLASSES = 255  # a cell's class of surface is kept in one byte
@@ -110,11 +110,12 @@ def path_pieces(
     cut = path if heights is None else heights.cut(path)
     slope = np.zeros(len(cut)) if heights is None else heights.slopes(cut)
     driven = replace(cut, ds=cut.ds / np.cos(slope))
-    if surfaces is None or not surfaces.surfaces:
+    slow = NOT_SLOW if surfaces is None else surfaces.slow_areas(cost)
+    if surfaces is None or not (surfaces.surfaces or slow.areas):
         return (Piece(cost, driven, slope),)
     return tuple(
         Piece(c, replace(driven, ds=driven.ds * share, dtheta=driven.dtheta * share), slope)
-        for c, share in zip(surfaces.costs(cost), surfaces.shares(cut).T, strict=True)
+        for c, share in zip(surfaces.costs(cost), surfaces.shares(cut, slow).T, strict=True)
         if np.any(share > 0)
     )
 
@@ -235,24 +236,32 @@ class Terrain:
 
     @cached_property
     def regions(self) -> NDArray[np.uint8]:
-        """Class of surface at the centre of each cell, shape (rows, columns) or (1, 1) if one."""
+        """Region at the centre of each cell, shape (rows, columns) or (1, 1) if there is one."""
         if not self.ground.surfaces:
             return np.zeros((1, 1), np.uint8)
         return self.ground.raster(self.grid).astype(np.uint8)
 
     @cached_property
-    def _dearest(self) -> dict[tuple[int, ...], NDArray[np.uint8]]:
+    def _dearest(self) -> dict[tuple[object, ...], NDArray[np.uint8]]:
         return {}
 
-    def dearest(self, prices: ArrayLike) -> NDArray[np.uint8]:
-        """Return one region per cell: of those that share it, the most expensive."""
-        if not self.ground.surfaces:
+    def dearest(self, prices: ArrayLike, slow: SlowAreas = NOT_SLOW) -> NDArray[np.uint8]:
+        """Return one class per cell: of those that share it, the most expensive."""
+        if not (self.ground.surfaces or slow.areas):
             return self.regions
-        rank = np.argsort(np.argsort(prices, kind="stable"))
-        found = self._dearest.get(tuple(rank.tolist()))
+        if (count := np.size(prices)) > MOST_CLASSES:
+            raise MapError(
+                f"{len(self.ground.surfaces)} surfaces under speed limits of {len(slow.speeds)} "
+                f"speeds make {count} kinds of ground, more than {MOST_CLASSES}; round the speeds, "
+                "or merge surfaces of one model"
+            )
+        regions = np.asarray(prices)[: len(self.ground.surfaces) + 1]
+        rank = np.argsort(np.argsort(regions, kind="stable"))
+        key = slow.key, *rank.tolist()
+        found = self._dearest.get(key)
         if found is None:
-            found = self.ground.raster(self.grid, rank).astype(np.uint8)
-            found = self._dearest.setdefault(tuple(rank.tolist()), found)
+            found = self.ground.raster(self.grid, rank, slow).astype(np.uint8)
+            found = self._dearest.setdefault(key, found)
         return found
 
     def region_at(self, points: ArrayLike) -> NDArray[np.intp]:
@@ -272,7 +281,7 @@ class Terrain:
     # -- what it costs ----------------------------------------------------------------------------
 
     def costs(self, cost: EnergyCost) -> tuple[EnergyCost, ...]:
-        """Return the cost of every region by its number, given that outside all surfaces."""
+        """Return the cost of every class of ground; see `SurfaceMap.costs`."""
         return self.ground.costs(cost)
 
     def cut(self, path: Path) -> Path:

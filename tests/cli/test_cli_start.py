@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 
 import energyplan as ep
 from energyplan import simulate
-from energyplan.io.config import write_vehicle
+from energyplan.io.config import read_project, write_project, write_vehicle
 from energyplan.io.logs import read_log
 from energyplan.io.start import Given, start
 from energyplan.io.tables import write_log
@@ -245,3 +246,29 @@ def test_powers_without_sign_are_told_once(tmp_path: Path, run: Run) -> None:
     assert text.count("never negative") == 1
     assert "these terms are wrong" in text
     assert "unseen driving: stretches of" in text
+
+
+def test_a_project_keeps_that_sensors_see_no_sign(tmp_path: Path, run: Run) -> None:
+    file, out = tmp_path / "own.csv", tmp_path / "p.yaml"
+    table(drive(), "rates").to_csv(file, index=False)
+    run("start", file, *MEASURES, "--wheel-radius", RADIUS, "--unsigned", "--out", out)
+    columns = read_project(out).columns
+    assert [name for name, one in columns.items() if one.unsigned] == ["p_left", "p_right"]
+    assert ep.DriveLog.read(file, dict(columns)).signed is False
+    robot = ("--vehicle", out, "--columns", out, "--json")
+    kept = run("identify", file, *robot, "--method", "windows").json
+    bare = {name: one.changed(unsigned=False) for name, one in columns.items()}
+    assert ep.DriveLog.read(file, bare).signed is None
+    project = replace(read_project(out), columns=bare)
+    write_project(project, out)
+    said = run("identify", file, *robot, "--method", "windows", "--unsigned").json
+    assert said["terms"] == kept["terms"]
+
+
+def test_a_topic_map_says_that_sensors_see_no_sign(tmp_path: Path) -> None:
+    file = bag(tmp_path, drive())
+    given = Given(track=0.4, wheelbase=0.62, mass=30.0, wheel_radius=RADIUS)
+    for unsigned, signed in ((True, False), (False, None)):
+        made = start(file, replace(given, unsigned=unsigned))
+        assert made.project.topics is not None
+        assert read_log(file, topics=made.project.topics).signed is signed

@@ -272,7 +272,7 @@ def test_steering_misses_the_minimum_by_no_more_than_it_says() -> None:
         MODEL.with_term(HOTEL, 50.0).with_term(VISCOUS_LOSS, 40.0), motor=MotorLimits(speed=3.0)
     )
     cost = EnergyCost(limited)
-    assert 0 < cost.steering_error < 0.01
+    assert 0 < cost.gauge.error < cost.steering_error < 0.01
     straight = float(cost.segment_energy(2.0, 0.0))
     found = float(steering.energy((0, 0, 0), (2.0, 0, 0), cost))
     assert (1 - cost.steering_error) * straight <= found <= (1 + 1e-9) * straight

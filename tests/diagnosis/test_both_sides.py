@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from made_drives import pair, sized
 from energyplan import DriveLog, Vehicle, check, diagnose, simulate
 from energyplan.diagnosis import Diagnosis
 from energyplan.fit.drive import prepared
-from energyplan.fit.estimate import Problem, fit, problem_of
+from energyplan.fit.estimate import Problem, fit, problem_of, with_signs
 from energyplan.io.tables import read_trajectory
 from energyplan.motion import Motion
 from energyplan.power import HOTEL, SLIP, TRACTION, PowerModel, effects
@@ -231,3 +232,24 @@ def test_the_owner_is_told_what_the_sides_waste(told: tuple[str, Diagnosis]) -> 
     if average.explanation_error < average.cautious_error:
         assert not [line for line in found.advice if "do not believe" in line]
         assert not [line for line in found.advice if "suspicion" in line]
+
+
+def test_the_sign_of_powers_is_what_the_logs_say_or_all_of_them_show() -> None:
+    model = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
+    one, other = (
+        simulate.identification_drive(model, seed=seed, **NOISE) for seed in (1, 2)
+    )  # fmt: skip
+    shown = {name: np.abs(one.channel(name)) for name in ("p_left", "p_right")}
+    lost = DriveLog({**one.channels, **shown}, "lost")
+
+    def equations(*logs: DriveLog) -> int:
+        return problem_of(logs, model.vehicle, ()).drives[0].equations
+
+    assert equations(one, other) == 2
+    assert equations(replace(one, signed=False), other) == 1
+    assert equations(lost, other) == 1
+    assert equations(replace(lost, signed=True), replace(other, signed=True)) == 2
+    signed = with_signs([lost, other], model.vehicle, ())
+    assert [log.signed for log in signed] == [False, False]
+    assert [equations(log) for log in signed] == [1, 1]  # of any part of the set
+    assert [log.signed for log in with_signs([one, other], model.vehicle, ())] == [True, True]

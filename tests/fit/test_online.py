@@ -55,7 +55,7 @@ def test_without_forgetting_it_is_the_batch_solution(p: int) -> None:
     scalars[kernel.SAMPLES], scalars[kernel.BLOCK_TIME] = 1e18, -1e18  # the noise is known
     phi = rng.normal(size=(400, p)) * 20.0
     power = phi @ np.linspace(0.5, 1.5, p) + rng.normal(0.0, 5.0, 400)
-    settings = np.array([1e18, 1e18, np.inf, 0.0])
+    settings = np.array([1e18, 1e18, np.inf, 0.0, 0.0])
     vectors[kernel.COEFFICIENTS] = 1.0
     assert kernel.advance_all(
         phi, power, np.full(400, 0.05), matrices, vectors, ring, scalars, settings
@@ -68,7 +68,7 @@ def test_without_forgetting_it_is_the_batch_solution(p: int) -> None:
 
 def test_a_robot_that_hardly_moves_teaches_nothing() -> None:
     """What hardly is depends on how it moves otherwise: one that is always slow is learned from."""
-    settings, period = np.array([1e18, 30.0, np.inf, 0.0]), np.full(400, 0.05)
+    settings, period = np.array([1e18, 30.0, np.inf, 0.0, 0.0]), np.full(400, 0.05)
     driving, creeping = np.full((400, 1), 20.0), np.full((400, 1), 1.0)
     state = _state(1)
     kernel.advance_all(driving, 24.0 * np.ones(400), period, *state, settings)
@@ -81,6 +81,16 @@ def test_a_robot_that_hardly_moves_teaches_nothing() -> None:
     assert slow[1][kernel.COEFFICIENTS, 0] > 1.0
 
 
+@pytest.mark.parametrize("other", [0.3, 0.1])
+def test_a_power_that_is_always_zero_makes_nothing_surer_than_a_meter_could(other: float) -> None:
+    online = OnlineIdentifier(MARBLE.vehicle)
+    for k in range(300):
+        online.update(200.0 * k, 0.5, other if k % 2 else 0.3, 0.0)
+    covariance = online.model.covariance
+    assert covariance is not None
+    assert np.sqrt(covariance[1, 1]) > 1e-6 * MARBLE.vehicle.mass  # of the traction resistance [N]
+
+
 def test_statistic_of_a_known_change_has_its_expectation() -> None:
     """White noise and known coefficients: the 8 s window's statistic is non-central chi-squared."""
     rng, found = np.random.default_rng(4), []
@@ -89,7 +99,7 @@ def test_statistic_of_a_known_change_has_its_expectation() -> None:
         scalars[kernel.REPEATS], scalars[kernel.SAMPLES] = 1.0, 1e18
         scalars[kernel.BLOCK_TIME] = -1e18
         matrices[kernel.INFORMATION] = 1e12
-        settings = np.array([1e18, 1e18, np.inf, 0.0])
+        settings = np.array([1e18, 1e18, np.inf, 0.0, 0.0])
         phi, power = np.full((160, 1), 10.0), rng.normal(2.0, 5.0, 160)
         kernel.advance_all(
             phi, power, np.full(160, 0.05), matrices, vectors, ring, scalars, settings

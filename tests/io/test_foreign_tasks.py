@@ -79,6 +79,73 @@ def test_what_holds_no_tasks_is_refused_with_its_line(
         mission(tmp_path, tasks)
 
 
+def edge(name: str, **more: Any) -> dict[str, Any]:
+    return {"edgeId": name, "released": True, "startNodeId": "a", "endNodeId": "b", **more}
+
+
+def test_the_least_speed_of_edges_is_that_of_the_mission(tmp_path: Path) -> None:
+    slow = {**ORDER, "edges": [edge("e1", maxSpeed=0.3), edge("e2", maxSpeed=0.2)]}
+    found = mission(tmp_path, slow)
+    assert found.speed == 0.2
+    assert any("0.2 m/s" in note and "maxSpeed" in note for note in found.notes)
+    fast = mission(tmp_path, {**ORDER, "edges": [edge("e1", maxSpeed=50.0)]})
+    assert fast.speed is None and not any("maxSpeed" in note for note in fast.notes)
+    own = mission(tmp_path, slow, HEAD + "speed: 0.1\n")
+    assert own.speed == 0.1
+    cheapest = mission(tmp_path, slow, HEAD + "speed: cheapest\n")
+    assert cheapest.speed == "cheapest"
+    assert any("give speed: 0.2" in note for note in cheapest.notes)
+
+
+def test_what_is_not_released_or_not_known_is_named(tmp_path: Path) -> None:
+    held = {**node("later", x=12.0, y=10.0), "released": False}
+    waits = {**node("wait", x=2.0, y=8.0), "actions": [
+        {"actionType": "wait", "actionId": "1", "blockingType": "HARD",
+         "actionParameters": [{"key": "duration", "value": "90"}]},
+        {"actionType": "pick", "actionId": "2", "blockingType": "HARD"}]}  # fmt: skip
+    turned = edge("e1", rotationAllowed=False, released=True)
+    asked = {"orderId": "o", "nodes": [waits, held], "edges": [turned], "vendorKey": 1}
+    found = mission(tmp_path, asked)
+    assert [(task.name, task.dwell) for task in found.tasks] == [("wait", 90.0)]
+    said = " ".join(found.notes)
+    assert "left out: later" in said and "no energy: pick" in said
+    assert "not used: vendorKey, rotationAllowed" in said
+    assert not mission(tmp_path, {**asked, "nodes": [node("a", x=2.0, y=8.0)], "edges": [],
+                                  "vendorKey": None}).notes[:-1]  # fmt: skip
+
+
+def test_waypoints_as_the_panel_of_rviz_saves_them(tmp_path: Path) -> None:
+    yaws = (-2.0, 0.5)
+    saved = {
+        f"waypoint{k}": {"pose": [2.0, 8.0, 0.0],
+                         "orientation": [float(np.cos(a / 2)), 0.0, 0.0, float(np.sin(a / 2))]}
+        for k, a in enumerate(yaws)
+    }  # fmt: skip
+    tasks = mission(tmp_path, {"waypoints": saved}).tasks
+    assert [task.name for task in tasks] == ["waypoint0", "waypoint1"]
+    np.testing.assert_allclose([task.pose for task in tasks], [(2.0, 8.0, yaw) for yaw in yaws])
+    with pytest.raises(MissionError, match=r"waypoint0: give pose: \[x, y, z\]"):
+        mission(tmp_path, {"waypoints": {"waypoint0": {"pose": [1.0, 2.0]}}})
+
+
+@pytest.mark.parametrize(("begin", "said"), [
+    ("QGC WPL 110\n0\t1\t0\t16\t0\t0\t0\t0\t38.1\t-122.4\t12\t1\n", "MAVLink, over longitude"),
+    ('<?xml version="1.0"?>\n<launch/>\n', "XML"),
+    ('<root main_tree_to_execute="M"><BehaviorTree ID="M"/></root>', "behaviour tree"),
+    ("PK\x03\x04\x14", "zip archive"),
+    ("move_base:\n  ros__parameters: {frequency: 2.0}\n", "parameters file of ROS 2"),
+    ("poses:\n  ros__parameters: {points: [1, 2]}\n", "parameters file of ROS 2"),
+])  # fmt: skip
+def test_files_of_other_kinds_are_known_by_what_they_hold(
+    tmp_path: Path, begin: str, said: str
+) -> None:
+    (tmp_path / "tasks.yaml").write_text(begin)
+    (tmp_path / "round.yaml").write_text(HEAD)
+    for file in ("round.yaml", "tasks.yaml"):
+        with pytest.raises(MissionError, match=said):
+            read_mission(tmp_path / file)
+
+
 def test_an_order_alone_is_named(tmp_path: Path) -> None:
     (tmp_path / "order.json").write_text(json.dumps(ORDER))
     with pytest.raises(MissionError, match="VDA 5050: give it as the tasks of a mission"):

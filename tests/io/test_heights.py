@@ -40,23 +40,32 @@ def test_esri_grids(tmp_path):
     assert ground.height((15, 23)) == 3.0
     file.write_text(ASC.replace("corner", "center"))
     assert read_heights(file).height((10, 20)) == 4.0
+    file.write_text(ASC.replace("1 2 3", "1 -9999 3"))
+    with pytest.raises(MapError, match="1 cells without data, the first in row 1, column 2"):
+        read_heights(file)
+    file.write_text(ASC.replace("1 2 3", "1 -99 3").replace("NODATA_value -9999\n", ""))
+    assert read_heights(file).height((13, 23)) == -99.0
 
 
 HILL = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 7.0]])
 SCALE, TIE_POINT, TRANSFORM, GEO_KEYS, NO_DATA = 33550, 33922, 34264, 34735, 42113
+DOUBLES, TEXTS = 34736, 34737
 
 
 def geotiff(file, values, tags, **options):
     info = TiffImagePlugin.ImageFileDirectory_v2()
     for tag, value in tags.items():
-        info.tagtype[tag] = {GEO_KEYS: 3, NO_DATA: 2}.get(tag, 12)
+        info.tagtype[tag] = {GEO_KEYS: 3, NO_DATA: 2, TEXTS: 2}.get(tag, 12)
         info[tag] = value
     Image.fromarray(values).save(file, tiffinfo=info, **options)
 
 
 def keys(**values):
-    names = {"model": 1024, "raster": 1025, "linear": 3076, "vertical": 4099}
-    rows = [(names[name], 0, 1, value) for name, value in values.items()]
+    names = {"model": 1024, "raster": 1025, "linear": 3076, "vertical": 4099,
+             "projected": 3072, "system": 4096, "size": 3077, "citation": 3073,
+             "system_citation": 4097}  # fmt: skip
+    places = {"size": (DOUBLES, 1), "citation": (TEXTS, 40), "system_citation": (TEXTS, 40)}
+    rows = [(names[name], *places.get(name, (0, 1)), value) for name, value in values.items()]
     return tuple(np.array([(1, 1, 0, len(rows)), *rows]).ravel().tolist())
 
 
@@ -73,6 +82,10 @@ def test_geotiff(tmp_path, compression, kind):
     assert (ground.height((11, 21)), ground.height((15, 23))) == (4.0, 3.0)
     geotiff(file, HILL.astype(kind), {**tags, GEO_KEYS: keys(model=1, raster=2)})
     assert read_heights(file).height((10, 24)) == 1.0  # the points themselves
+    # the values of a key may stand in another tag, where its number is a place and no unit
+    area[GEO_KEYS] = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 34736, 1, 0)
+    geotiff(file, HILL.astype(kind), area)
+    np.testing.assert_array_equal(read_heights(file).heights, HILL[::-1])
 
 
 def test_a_turned_geotiff(tmp_path):
@@ -92,8 +105,12 @@ def test_a_turned_geotiff(tmp_path):
         ({GEO_KEYS: keys(model=2)}, "degrees of longitude"),
         ({SCALE: (0.0003, 0.0003, 0.0)}, "degrees of longitude"),
         ({SCALE: (2.0, 3.0, 0.0)}, "cells of 2 by 3"),
-        ({GEO_KEYS: keys(model=1, linear=9002)}, "the unit 9002 of EPSG"),
-        ({GEO_KEYS: keys(model=1, vertical=9003)}, "the unit 9003 of EPSG"),
+        ({GEO_KEYS: keys(model=1, linear=9030)}, "the unit 9030 of EPSG"),
+        ({GEO_KEYS: keys(model=1, vertical=9101)}, "the unit 9101 of EPSG"),
+        ({GEO_KEYS: keys(model=1, linear=9002)}, "nothing says whether its heights"),
+        ({GEO_KEYS: keys(model=1, projected=2277)}, "EPSG:2277 alone"),
+        ({GEO_KEYS: keys(model=1, projected=3857)}, "Mercator of web maps"),
+        ({GEO_KEYS: keys(model=1, system=6358)}, "heights are of EPSG:6358"),
         ({NO_DATA: "5"}, "1 cells without data, the first in row 2, column 2"),
         ({TIE_POINT: None}, "does not say where it lies"),
     ],
@@ -106,6 +123,43 @@ def test_geotiffs_that_are_no_heights_in_metres(tmp_path, tags, told):
         read_heights(tmp_path / "h.tif")
 
 
+FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
+
+
+@pytest.mark.parametrize(
+    ("given", "more", "across", "up"),
+    [
+        ({"projected": 32633}, {}, 1.0, 1.0),
+        ({"projected": 25832, "system": 5773}, {}, 1.0, 1.0),
+        ({"projected": 26910, "system": 6360}, {}, 1.0, SURVEY_FOOT),
+        ({"projected": 32719, "vertical": 9002}, {}, 1.0, FOOT),
+        ({"projected": 2277, "linear": 9003, "system": 8228}, {}, SURVEY_FOOT, FOOT),
+        ({"linear": 32767, "size": 0, "vertical": 9001}, {DOUBLES: (0.9144,)}, 0.9144, 1.0),
+        (
+            {"projected": 32767, "citation": 0, "system_citation": 40},
+            {TEXTS: f"{'NAD_1983_StatePlane_Texas_Feet|':40}{'NAVD88 - Geoid12B (ftUS)|':40}"},
+            FOOT, SURVEY_FOOT,
+        ),
+    ],
+)  # fmt: skip
+def test_a_geotiff_in_the_unit_that_its_keys_say(tmp_path, given, more, across, up):
+    tags = {SCALE: (2.0, 2.0, 0.0), TIE_POINT: (0.0, 0.0, 0.0, 10.0, 24.0, 0.0)}
+    tags |= {GEO_KEYS: keys(model=1, raster=1, **given), **more}
+    geotiff(tmp_path / "h.tif", HILL.astype(np.float32), tags)
+    ground = read_heights(tmp_path / "h.tif")
+    np.testing.assert_allclose(ground.heights, up * HILL[::-1], rtol=1e-12)
+    assert ground.resolution == pytest.approx(2.0 * across, rel=1e-12)
+    at = (11 * across, 21 * across)
+    assert ground.height(at) == pytest.approx(4.0 * up, rel=1e-9)
+
+
+@pytest.mark.parametrize("value", [-9999.0, -32768.0, 3.4e38])
+def test_heights_that_no_ground_has(tmp_path, value):
+    (tmp_path / "h.asc").write_text(ASC.replace("-9999", "-1").replace("5", f"{value:g}"))
+    with pytest.raises(MapError, match=r"1 cells of heights that no ground has.*row 2, column 2"):
+        read_heights(tmp_path / "h.asc")
+
+
 def test_a_png_of_16_bits_by_its_yaml(tmp_path):
     values = np.array([[0, 65535, 13107], [26214, 39321, 52428]], np.uint16)
     Image.fromarray(values).save(tmp_path / "hill.png")
@@ -116,6 +170,11 @@ def test_a_png_of_16_bits_by_its_yaml(tmp_path):
     ground = read_heights(file)
     np.testing.assert_allclose(ground.heights, [[1, 2, 3], [-1, 4, 0]], atol=1e-9)
     assert ground.height((1.25, 2.25)) == pytest.approx(1.0)
+    whole = file.read_text()
+    file.write_text(whole.replace("min_height: -1", "").replace("max_height: 4", "max_height: far"))
+    with pytest.raises(MapError, match=r"hill\.yaml.*min_height: this key is missing"):
+        read_heights(file)
+    file.write_text(whole)
     with pytest.raises(MapError, match="give a YAML file with image, resolution"):
         read_heights(tmp_path / "hill.png")
     Image.fromarray(np.uint8(values >> 8)).save(tmp_path / "hill.png")

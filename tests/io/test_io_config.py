@@ -235,6 +235,30 @@ def test_paths_read_back_the_same(tmp_path, path, name):
     assert_allclose(again.vertices, path.poses(), atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("names", "values"),
+    [
+        ("x,y,qz,qw", lambda x, y, a: (x, y, np.sin(a / 2), np.cos(a / 2))),
+        (
+            "pose.position.x,pose.position.y,pose.orientation.x,pose.orientation.y,"
+            "pose.orientation.z,pose.orientation.w",
+            lambda x, y, a: (x, y, 0 * a, 0 * a, np.sin(a / 2), np.cos(a / 2)),
+        ),
+        ("x,y,yaw_deg", lambda x, y, a: (x, y, np.degrees(a))),
+        ("x [mm],y [mm],yaw [deg]", lambda x, y, a: (1000 * x, 1000 * y, np.degrees(a))),
+        ("x,y,theta", lambda x, y, a: (x, y, a)),
+    ],
+)
+def test_a_path_in_other_words_and_units(tmp_path, path, names, values):
+    poses = path.poses(0.05, 0.05)
+    rows = np.column_stack(values(*poses.T))
+    (tmp_path / "it.csv").write_text(
+        "\n".join([names, *(",".join(f"{v:.15g}" for v in row) for row in rows)])
+    )
+    again = tables.read_path(tmp_path / "it.csv", longitudinal=path.longitudinal)
+    assert_allclose(again.vertices, poses, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_trajectories_read_back_the_same(tmp_path, name):
     there = trajectory()

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 
 from energyplan.errors import DriveLogError
 from energyplan.fit import identify
+from energyplan.fit.estimate import problem_of
 from energyplan.io.husky import HuskyDrive, read_husky
 from energyplan.io.logs import read_log
 from energyplan.io.start import Given, start
@@ -220,3 +221,13 @@ def test_a_table_with_these_columns_is_not_taken_for_a_husky_s(tmp_path: Path) -
     own = read_log(file, mapped)
     raw = np.genfromtxt(file, delimiter=",", names=True)
     np.testing.assert_allclose(own.channel("p_left"), raw["curL"] * raw["velL"])
+
+
+def test_the_log_says_that_its_powers_have_no_sign(tmp_path, model):
+    """Whatever the samples look like: the total is fitted, of the log and of its parts."""
+    file = write_drive(tmp_path, identification_drive(model, duration=120.0), 0.2)
+    log = read_husky(file)
+    named = read_log(file, topics="husky")
+    for part in (log, named, log.segment(0.0, 60.0), log.resample(0.5), log.blocks(40.0)[1]):
+        assert part.signed is False
+        assert problem_of([part], model.vehicle, ()).drives[0].equations == 1

@@ -399,6 +399,21 @@ def test_a_map_of_obstacles(tmp_path):
     assert drivable.difference(wall.buffer(0.1)).difference(free.buffer(0.08)).area < 1e-9
 
 
+def test_degrees_are_told_from_metres_by_the_longer_side(tmp_path):
+    file = tmp_path / "o.geojson"
+    for area, told in (
+        (shapely.box(0, 0, 5, 0.05), None),
+        (shapely.box(0, 0, 0.05, 5), None),
+        (shapely.box(8.1, 50.1, 8.1 + 9e-2, 50.1 + 1e-2), "reach over 0.09, as degrees"),
+    ):
+        file.write_text(drawn(f"{area}"))
+        if told is None:
+            assert read_map(file).occupied.all()
+        else:
+            with pytest.raises(MapError, match=told):
+                read_map(file)
+
+
 SITE = "map: m.yaml\nkeepout: m.yaml\nclearance: 20 cm\n"
 
 

@@ -125,6 +125,32 @@ def test_commands_of_the_field(
         assert terms[1]["value"] == pytest.approx(30.0, rel=0.05)
 
 
+OF_TOOLS = (
+    "behaviour_tree_as_mission", "geotiff_state_plane_code", "geotiff_untold_no_data",
+    "geotiff_vertical_epsg_feet", "nav2_rviz_waypoints", "path_with_quaternions",
+    "vda5050_speed_of_edges", "vector_objects_as_keepout", "waypoints_of_mavlink",
+)  # fmt: skip
+"""Files of other tools: what an answer or a refusal must hold stands in the case."""
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", OF_TOOLS)
+def test_files_of_other_tools(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run, name: str
+) -> None:
+    folder = shared_data / "field" / name
+    case = tomllib.loads((folder / "case.toml").read_text())
+    shutil.copytree(folder, tmp_path / "case")
+    monkeypatch.chdir(tmp_path / "case")
+    words, *_ = map(shlex.split, case["commands"])
+    answer = run(*words[1:])
+    if answer.code in (0, 3) and not case["words"]:
+        energy = re.findall(r"energy as driven.*?([\d.]+)\n", answer.out)[0]
+        assert float(energy) == pytest.approx(1888.0, rel=0.03)
+    else:
+        assert re.search(case["words"] or "metres", answer.err + answer.out), answer.err
+
+
 def test_a_side_in_the_mirror_is_doubted_without_a_heading() -> None:
     columns = {"t": AT.t, "v_left": AT.left, "v_right": -AT.right, "power": AT.power}
     (warning,) = ep.DriveLog.from_columns(columns).warnings

@@ -262,7 +262,8 @@ PARTS = [
          (), PlanningProblem, like(heights=None)),
     Part(problem, ("cost",), ep.EnergyCost, {
         "model": lambda: model(0.5),
-        **like(battery=False, speed=0.5, channels={"temperature": 20.0}, time_value=50.0),
+        **like(battery=False, speed=0.5, channels={"temperature": 20.0}, time_value=50.0,
+               speed_limit=0.2),
     }, {"channels": "no term reads it", "time_value": "the speed is given"}),
     Part(site, (), Site, {
         "map": lambda: replace(hall(), unknown=None), "surfaces": lambda: None,

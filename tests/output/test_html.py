@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,7 +14,20 @@ import pytest
 import energyplan as ep
 from energyplan import PowerModel, __version__, simulate
 from energyplan.errors import InvalidInputError
-from energyplan.html import Readable, Summary, column, number, quantity, share, unit
+from energyplan.html import (
+    Readable,
+    Summary,
+    chance,
+    clock,
+    column,
+    listed,
+    number,
+    quantity,
+    set_aside,
+    share,
+    spanned,
+    unit,
+)
 from energyplan.output import plots
 from energyplan.output.pages import Page
 from energyplan.output.plots import svg
@@ -270,6 +284,39 @@ def test_numbers_that_are_compared_have_the_decimals_of_the_largest() -> None:
 def test_a_part_of_a_limit_that_is_printed_keeps_the_limit() -> None:
     parts = (2 / 3, 1.0, 0.99999, 2.5, 0.012345, 0.0)
     assert [share(one) for one in parts] == ["66.6 %", "100 %", "99.9 %", "250 %", "1.23 %", "0 %"]
+
+
+def test_the_width_of_an_interval_decides_on_the_digits() -> None:
+    assert spanned(12.3456, 11.9, 12.8) == "12.346 (11.900 to 12.800)"
+    assert spanned(1234.56, 1000.0, 1400.0) == "1235 (1000 to 1400)"
+    assert spanned(5.0, 4.0, 14.0) == "5.0 (4.0 to 14.0)"
+    assert spanned(2.0, 2.0, 2.0) == "2 (2 to 2)"
+    assert spanned(2.0, 1.0, math.inf) == "2 (1 to inf)"
+    assert spanned(2.0, 2.0, 2.0 + 1e-6) == "2.00000000 (2.00000000 to 2.00000100)"
+
+
+def test_of_many_names_the_rest_is_a_number() -> None:
+    assert listed(["a", "b", "a", "c"]) == "a, b, c"
+    assert listed(["a", "b", "c", "d"]) == "a, b and 2 more"
+    counts = {"one": {"gap": 2, "spike": 1}, "two": {"gap": 3}}
+    assert set_aside(counts) == [
+        "set aside in one, two: 5 samples: gap", "set aside in one: 1 samples: spike",
+    ]  # fmt: skip
+
+
+def test_times_are_hours_minutes_and_seconds() -> None:
+    seconds = (0.4, 59.6, 3599.4, 3600.0, 90061.0)
+    assert [clock(s) for s in seconds] == ["0:00:00", "0:01:00", "0:59:59", "1:00:00", "25:01:01"]
+
+
+def test_probabilities_and_large_numbers_have_the_digits_that_they_bear() -> None:
+    chances = (0.0, 0.0099, 0.01, 0.5, 0.99, 0.991, 1.0)
+    assert [chance(p) for p in chances] == [
+        "below 0.01", "below 0.01", "0.01", "0.50", "0.99", "above 0.99", "above 0.99",
+    ]  # fmt: skip
+    assert [number(x) for x in (12345.6, -12345.6, 9.9994e8, 1e9, 1e-5)] == [
+        "12346", "-12346", "999940000", "1e+09", "1e-05",
+    ]  # fmt: skip
 
 
 def test_units_are_printed_with_raised_powers() -> None:

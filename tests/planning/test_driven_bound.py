@@ -109,11 +109,12 @@ def test_on_slopes_speed_must_not_matter(name, known):
 
 
 def test_the_gap_of_the_least_time_is_that_of_the_drive():
-    """A zone of 0.1 m/s is not in the steady durations; what the drive takes is 20 s more."""
+    """A zone of 0.1 m/s across the hall is in the bound too; stops and its borders are not."""
     zone = SurfaceMap((), speed_limits=(SpeedLimit(shapely.box(4, 0, 6, 6), 0.1),))
     plan = planned(MODEL, objective="time", surfaces=zone)
-    assert plan.cost == plan.driven.duration > plan.cost_steady + 10
-    assert plan.gap == plan.cost / plan.lower_bound - 1 > 1
+    assert plan.cost == plan.driven.duration > plan.cost_steady > 2 / 0.1
+    assert plan.gap == plan.cost / plan.lower_bound - 1
+    assert plan.gap < 0.3
     assert "lower bound of the cost [s]" in str(plan)
 
 

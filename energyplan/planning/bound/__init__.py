@@ -20,7 +20,7 @@ from energyplan.compilation import processors
 from energyplan.planning.bound.corners import DiscEnds, least_over_corners, ways_to_goal
 from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
-from energyplan.planning.bound.surfaces import certain_regions, least_excess
+from energyplan.planning.bound.surfaces import certain_regions, least_excess, least_of_metres
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work
 from energyplan.planning.settings import BOUND
 from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
@@ -60,7 +60,8 @@ def lower_bound(
     among, final = _among_obstacles(
         query.grid, separate, radius, direct, limit - excess, effort, {} if spent is None else spent
     )
-    return Bound(max(free, among + excess), final)
+    metres = least_of_metres(query, radius, limit)
+    return Bound(max(free, among + excess, metres), final)
 
 
 def prepare_bound(query: CompiledProblem) -> None:

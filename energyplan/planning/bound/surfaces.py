@@ -7,16 +7,18 @@ the least parts; the second of them is found here.
 
 from __future__ import annotations
 
-from math import ceil, sqrt
+from math import ceil, hypot, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.compilation import FlagTable, FloatTable, njit
+from energyplan.path import FloatArray
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.prices import remembered
 from energyplan.planning.space.queues import pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap
+from energyplan.terrain.surfaces import NOT_SLOW, SlowAreas
 
 MOST_CELLS = 250_000  # cells above which they are joined to larger ones
 CLEARANCE_ERROR = 1e-3  # far above what rounding makes of a clearance [cells]
@@ -27,11 +29,33 @@ def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
     surfaces = query.problem.surfaces
     if surfaces is None:
         return 0.0
-    from scipy import ndimage  # slow to import, and rarely needed
+    return _least_sum(query, surfaces, query.least_prices.metre_excess(), radius, limit)
 
-    excess = query.least_prices.metre_excess()
+
+def least_of_metres(query: CompiledProblem, radius: float, limit: float) -> float:
+    """Return a lower bound on what the metres of every path cost, if turning costs nothing.
+
+    A robot that a speed limit slows down turns at no cost in time, so that where radians are paid
+    for, an area with a limit may add nothing to them.
+    """
+    surfaces = query.problem.surfaces
+    if surfaces is None or not query.objective.slow.areas:
+        return 0.0
+    prices, setting = query.least_prices.metre_prices(0.0), query.setting
+    straight = hypot(setting.goal.x - setting.start.x, setting.goal.y - setting.start.y)
+    least = float(prices.min())
+    excess = _least_sum(query, surfaces, prices - least, radius, limit - least * straight)
+    return least * straight + excess
+
+
+def _least_sum(
+    query: CompiledProblem, surfaces: SurfaceMap, excess: FloatArray, radius: float, limit: float
+) -> float:
+    """Return the least sum of an excess of each metre by class of ground."""
     if excess.max() <= 1e-9 * query.least.metre:
         return 0.0
+    from scipy import ndimage  # slow to import, and rarely needed
+
     grid = query.grid
     per_metre = np.append(excess, 0.0)[certain_regions(query, surfaces)]
     # clearance of a cell's centre [m]; a point of the cell has up to half a diagonal more
@@ -65,21 +89,28 @@ def _blocks(cells: NDArray[np.generic], factor: int, fill: float) -> NDArray[np.
 
 
 def certain_regions(query: CompiledProblem, surfaces: SurfaceMap) -> NDArray[np.intp]:
-    """Return the region of each cell that lies in one as a whole, -1 for those near an edge."""
+    """Return the class of each cell that lies in one as a whole, -1 for those near an edge."""
     grid = query.grid
 
+    slow = query.objective.slow
+
     def make() -> NDArray[np.intp]:
+        if slow.areas:
+            return _certain_regions(surfaces, grid, surfaces.raster(grid, slow=slow), slow)
         region = np.broadcast_to(query.terrain.regions, grid.shape)
         return _certain_regions(surfaces, grid, region)
 
-    return remembered(grid, surfaces, "certain regions", make)
+    return remembered(grid, surfaces, ("certain regions", slow.key), make)
 
 
 def _certain_regions(
-    surfaces: SurfaceMap, grid: OccupancyGrid, region: NDArray[np.uint8]
+    surfaces: SurfaceMap,
+    grid: OccupancyGrid,
+    region: NDArray[np.integer],
+    slow: SlowAreas = NOT_SLOW,
 ) -> NDArray[np.intp]:
     crossed = np.zeros(grid.shape, bool)
-    for points in surfaces.edge_points(0.4 * grid.resolution):
+    for points in surfaces.edge_points(0.4 * grid.resolution, slow):
         at = grid.to_cells(points)
         # all that lies on an edge is within a fifth of a cell of one of these points
         for aside in ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)):

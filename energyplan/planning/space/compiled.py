@@ -228,8 +228,8 @@ class CompiledProblem:
         levels = min(LEVELS, (MOST_CLASSES + 1) // len(self.costs))
         if levels < 2:
             raise ModelError(
-                f"with {len(self.costs)} surfaces no levels of a costmap are left; merge "
-                "surfaces of one model, or leave the costmap out"
+                f"with {len(self.costs)} kinds of ground no levels of a costmap are left; merge "
+                "surfaces of one model, round the speeds of limits, or leave the costmap out"
             )
         return levels
 
@@ -241,7 +241,7 @@ class CompiledProblem:
         exploit cheap corners that exist only in the raster.
         """
         mean = self._priced.kept.reshape(len(self.costs), -1).mean(axis=1)
-        surface = self.terrain.dearest(mean)
+        surface = self.terrain.dearest(mean, self.objective.slow)
         if self._levels > 1 and self.problem.costmap is not None:
             level = np.round(self.problem.costmap.over(self.grid) * (self._levels - 1))
             return np.asarray(surface * np.uint8(self._levels) + level.astype(np.uint8), np.uint8)

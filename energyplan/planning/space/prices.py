@@ -23,6 +23,7 @@ from energyplan.planning.settings import SLOPES
 from energyplan.power.effects import reads_slope
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.terrain.grid import from_raster
+from energyplan.terrain.surfaces import NOT_SLOW, SlowAreas
 
 Value = TypeVar("Value")
 
@@ -107,7 +108,7 @@ def check_models(costs: tuple[EnergyCost, ...], surfaces: SurfaceMap | None) -> 
         "the ground",
         *(f"surface {s.name!r}" for s in (surfaces.surfaces if surfaces else ())),
     ]
-    for name, cost in zip(names, costs, strict=True):
+    for name, cost in zip(names, costs[: len(names)], strict=True):
         if not reads_slope(cost.model):
             raise InvalidInputError(
                 f"heights are given, but no term of the model {cost.model.name!r} of {name} reads "
@@ -191,9 +192,28 @@ class Prices:
     objective: str | Mapping[str, float] = "energy"  # what to make least, as in `PlanningProblem`
 
     @cached_property
+    def slow(self) -> SlowAreas:
+        """The speed limits that change a price."""
+        if self.surfaces is None or not self.surfaces.speed_limits:
+            return NOT_SLOW
+        regions = self.surfaces.costs(self.cost)[: len(self.surfaces.surfaces) + 1]
+        if not self._weights[2] and all(cost.same_at_any_speed for cost in regions):
+            return NOT_SLOW
+        return self.surfaces.slow_areas(self.cost)
+
+    @cached_property
     def costs(self) -> tuple[EnergyCost, ...]:
-        """Costs of the regions; that outside all surfaces is the first."""
-        return (self.cost,) if self.surfaces is None else self.surfaces.costs(self.cost)
+        """Costs of the classes of ground; that outside all areas is the first."""
+        if self.surfaces is None:
+            return (self.cost,)
+        count = (len(self.surfaces.surfaces) + 1) * (len(self.slow.speeds) + 1)
+        return self.surfaces.costs(self.cost)[:count]
+
+    def class_at(self, points: ArrayLike) -> NDArray[np.intp]:
+        """Return the class of ground at each world point (..., 2) [m]."""
+        if self.surfaces is None:
+            return np.zeros(np.shape(points)[:-1], np.intp)
+        return self.surfaces.class_at(points, self.slow)
 
     @cached_property
     def _weights(self) -> tuple[float, float, float]:
@@ -212,7 +232,7 @@ class Prices:
         *,
         exact: bool = False,
     ) -> FloatArray:
-        """Return the price of arcs within one region."""
+        """Return the price of arcs within one class of ground."""
         cost = self.costs[region]
         energy, length, time = self._weights
         slope: ArrayLike | None = 0.0 if exact else None
@@ -256,10 +276,10 @@ class Minorant(NamedTuple):
 
 
 class _Kept(NamedTuple):
-    """What is kept of infima: minorants by track, and the excess of a metre by ground."""
+    """What is kept of infima: minorants by track, prices of a metre by ground and radian."""
 
     minorants: dict[float, Minorant]
-    excess: dict[int, float]
+    metres: dict[tuple[int, float], float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,18 +352,23 @@ class LeastPrices:
 
     def metre_excess(self) -> FloatArray:
         """Return by how much a metre on each ground exceeds one on the cheapest, at least."""
-        least, half_track = self.minorant(0.0), self.objective.cost.half_track
-        known = self._kept.excess
-        for ground in set(range(len(self.objective.costs))) - set(known):
+        least = self.minorant(0.0)
+        return np.maximum(self.metre_prices(least.radian) - least.metre, 0.0)
+
+    def metre_prices(self, radian: float) -> FloatArray:
+        """Return the least price of a metre on each ground, beyond that of the radians turned."""
+        half_track, known = self.objective.cost.half_track, self._kept.metres
+        grounds = range(len(self.objective.costs))
+        for ground in [k for k in grounds if (k, radian) not in known]:
 
             def price(x: FloatArray, y: FloatArray, ground: int = ground) -> FloatArray:
-                turning = least.radian / half_track * np.abs(y)
+                turning = radian / half_track * np.abs(y)
                 return np.asarray(self.price(x, y, (ground,))[0] - turning)
 
             infimum = Infimum(price, self._infimum.even, self._special)
             metre = infimum.lowered(infimum.least(per_metre(lambda x, y: np.abs(x))))
-            known[ground] = max(metre - least.metre, 0.0)
-        return np.array([known[ground] for ground in sorted(known)])
+            known[ground, radian] = metre
+        return np.array([known[ground, radian] for ground in grounds])
 
 
 def least_prices(

@@ -107,6 +107,25 @@ def spin_room(space: Space, body: Body, pose: Pose) -> float:
 
 
 @inner
+def _kept(space: Space, body: Body, grown: Body, pose: Pose) -> float:
+    """Return the part of what a body is grown by that a pose has room for."""
+    low, high = 0.0, 1.0
+    for _ in range(ESCAPE.parts_of_clearance):
+        part = 0.5 * (low + high)
+        between = Body(
+            body.x_min + part * (grown.x_min - body.x_min),
+            body.y_min + part * (grown.y_min - body.y_min),
+            body.x_max + part * (grown.x_max - body.x_max),
+            body.y_max + part * (grown.y_max - body.y_max),
+        )
+        if pose_free(space, between, pose.x, pose.y, pose.yaw):
+            low = part
+        else:
+            high = part
+    return low
+
+
+@inner
 def _octaves(room: float) -> float:
     """Return how often the room is halved against that of a place with room."""
     turn = ESCAPE.turn
@@ -200,6 +219,8 @@ def escape(
                 else:
                     # short paths and more room come first
                     f = g[count] / (ESCAPE.doubling * reach) - _octaves(room)
+                    if needed == 0.0:  # it is clearance that is lacking
+                        f -= ESCAPE.clearing * _kept(space, body, grown, there)
                     size = push(heap_f, heap_node, size, f, count)
                 count += 1
     return Escape(poses, parent, motion_ds, motion_turn, with_room[:found].copy(), tested[0])

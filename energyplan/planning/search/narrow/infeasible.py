@@ -391,7 +391,8 @@ def none_in_time(
     left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in [start[:2], *near])
     return TimeLimitError(
         f"no path was found in {budget.name}: {done}; the place nearest to the goal that was "
-        f"reached is ({x:.2f}, {y:.2f}), {left:.2f} m from it; give more {budget.remedy}"
+        f"reached is ({x:.2f}, {y:.2f}), {left:.2f} m from it; give more {budget.remedy}",
+        budget.remedy,
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+import os
+import signal
+from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +15,52 @@ from energyplan.io.many import answers, cluster
 
 
 def measured(file: Path) -> dict[str, Any]:
-    return {"size": file.stat().st_size}
+    return {"size": file.stat().st_size, "process": os.getpid()}
+
+
+def killed(file: Path) -> dict[str, Any]:
+    """Answer a file; the process is killed at the first try, or at each."""
+    died = file.with_suffix(".died")
+    if file.name == "always.csv" or (file.name == "once.csv" and not died.exists()):
+        died.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return measured(file)
+
+
+def test_a_killed_process_loses_no_other_answer(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("always.csv", "once.csv", "a.csv", "b.csv")]
+    for file in files:
+        file.write_text("12345")
+    with cluster("local") as executor:
+        lines = {Path(line["file"]).name: line for line in answers(killed, files, executor)}
+    assert files[1].with_suffix(".died").exists()
+    assert "killed 3 times" in lines.pop("always.csv")["error"]
+    assert [line["size"] for line in lines.values()] == [5, 5, 5]
 
 
 def test_the_cores_of_this_machine_are_processes_without_a_port(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("12345")
     with cluster("local") as executor:
-        assert isinstance(executor, ProcessPoolExecutor)
-        assert [line["size"] for line in answers(measured, [tmp_path / "a.csv"], executor)] == [5]
+        (line,) = answers(measured, [tmp_path / "a.csv"], executor)
+    assert line["size"] == 5 and line["process"] != os.getpid()
 
 
 def test_a_cluster_without_encryption_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="runs code as you"), cluster("tcp://127.0.0.1:9"):
+        pass
+
+
+def test_certificates_go_with_encryption_and_must_be_readable(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InvalidInputError, match="uses no certificates"),
+        cluster("local", ca=tmp_path / "ca.pem"),
+    ):
+        pass
+    pytest.importorskip("distributed", reason="a cluster needs the extra cluster")
+    with (
+        pytest.raises(InvalidInputError, match=r"ca\.pem.* cannot be read"),
+        cluster("tls://127.0.0.1:9", ca=tmp_path / "ca.pem"),
+    ):
         pass
 
 
