@@ -44,6 +44,7 @@ def problem(seed: int, tasks: int, chargers: int, windows: bool) -> OrderProblem
     return OrderProblem(
         loads=np.zeros(1),
         energy=energy[None, None],
+        floor=np.zeros((1, 1, size, size)),
         finish=energy[None, :, [0, *range(1 + tasks, size)]].min(axis=-1),
         time=driving[None],
         finish_time=driving[:, 0],

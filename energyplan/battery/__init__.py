@@ -464,6 +464,17 @@ class Battery(ByValue, html.Readable):
         current = 2.0 * power / (emf + np.sqrt(np.where(possible, root, 0.0)))
         return np.where(possible, current, np.inf)
 
+    def largest_power(self, soc: FloatArray, lasting: FloatArray) -> FloatArray:
+        """Largest power that it delivers after some time [s] at states of charge [W], rested."""
+        emf, factor = self.ocv(soc), self._resistance_factor
+        filled = 1.0 - np.exp(-lasting / self.pair_time)
+        resistance = factor * (self.resistance + self.pair_resistance * filled)
+        safe = np.maximum(resistance, 1e-12)
+        current = np.minimum(emf - self.cutoff_voltage, 0.5 * emf) / safe
+        current = np.clip(current, 0.0, self.max_discharge_current)
+        power = np.where(np.isfinite(current), (emf - resistance * current) * current, np.inf)
+        return np.where(soc > self.cutoff_soc, power, 0.0)
+
     def circuit(self) -> Circuit:
         """Return the constants that the kernel reads."""
         factor = self._resistance_factor

@@ -67,6 +67,9 @@ class OrderProblem(NamedTuple):
     capacity: Floats  # (m,): energy on leaving each charger when full, the reserve taken off [J]
     charge_power: Floats  # (m,): energy stored per second at each charger [W]
     budget: float  # energy at the start, the reserve taken off [J]
+    # (L, M, N, N): charge that must be left after each way, and the task at its end, for the
+    # battery to deliver their power, the reserve taken off [J]
+    floor: WideBlock
     payload: float = 0.0  # payload at the start [kg]
     full: float = np.inf  # energy of a full battery, the reserve taken off [J]
     start_time: float = 0.0  # time at the start [s]
@@ -88,6 +91,7 @@ class OrderProblem(NamedTuple):
         nodes = np.array([0, *(mine + 1), *range(1 + n, self.time.shape[1])])
         return self._replace(
             energy=self.energy[..., nodes[:, None], nodes], finish=self.finish[:, nodes],
+            floor=self.floor[..., nodes[:, None], nodes],
             time=self.time[..., nodes[:, None], nodes], finish_time=self.finish_time[nodes],
             service=self.service[mine], service_time=self.service_time[mine],
             window=self.window[mine], idle=self.idle[mine], prize=self.prize[mine],
@@ -252,19 +256,19 @@ class LabelStore(NamedTuple):
 
 
 @inner
-def _spend(label: Label, energy: float, seconds: float, full: float) -> Label:
-    """Drive or work; charges longer before it where the charge would not do. May end below 0."""
+def _spend(label: Label, energy: float, seconds: float, full: float, floor: float) -> Label:
+    """Drive or work; charges longer before it where less than `floor` is left. May end below."""
     left, time, slack = label.left - energy, label.time + seconds, label.slack
     if left > full:
         left = max(full, label.left)
     room = max(full - left, 0.0)
     if slack * label.rate > room:
         slack = room / label.rate
-    if left < 0.0 and slack > 0.0:
-        more = min(-left / label.rate, slack)
+    if left < floor and slack > 0.0:
+        more = min((floor - left) / label.rate, slack)
         left, time, slack = left + label.rate * more, time + more, slack - more
-        if left > -_EPSILON * max(label.left, 1.0):
-            left = max(left, 0.0)
+        if left > floor - _EPSILON * max(label.left, 1.0):
+            left = max(left, floor)
     return Label(label.energy + energy, left, time, label.rate, slack, label.prize, label.load)
 
 
@@ -480,7 +484,8 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
             if store.link[k, 3] == _GONE:
                 continue
             here, at = _label(store, k), store.link[k, 1]
-            energy = problem.energy[_priced(problem, here.load)]
+            load = _priced(problem, here.load)
+            energy = problem.energy[load]
             for c in range(m):
                 place = 1 + n + c
                 if place == at:
@@ -489,8 +494,10 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
                     spent = energy[way, at, place]
                     if not np.isfinite(spent):
                         continue
-                    there = _spend(here, spent, problem.time[way, at, place], problem.full)
-                    if there.left < 0.0:
+                    floor = problem.floor[load, way, at, place]
+                    lasts = problem.time[way, at, place]
+                    there = _spend(here, spent, lasts, problem.full, floor)
+                    if there.left < floor:
                         continue
                     quicker = timed and there.slack > 0.0 and there.rate > problem.charge_power[c]
                     for kind in range(3 if quicker else 1):
@@ -512,7 +519,7 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
                 here = _label(store, k)
                 prize, load = here.prize, _priced(problem, here.load)
                 energy, finish = problem.energy[load], problem.finish[load]
-                last = _spend(here, finish[place], problem.finish_time[place], problem.full)
+                last = _spend(here, finish[place], problem.finish_time[place], problem.full, 0.0)
                 if last.left >= 0.0 and np.isfinite(last.energy):
                     better = prize > best_prize + _EPSILON
                     if not better and prize > best_prize - _EPSILON:
@@ -536,12 +543,14 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
                         spent = energy[way, place, 1 + t]
                         if not np.isfinite(spent):
                             continue
-                        there = _spend(here, spent, problem.time[way, place, 1 + t], problem.full)
+                        lasts = problem.time[way, place, 1 + t]
+                        there = _spend(here, spent, lasts, problem.full, 0.0)
                         if there.left < 0.0 or there.time > closes + _EPSILON:
                             continue
                         begun = _begin(there, opens, closes, problem.idle[t])
-                        done = _spend(begun, problem.service[t], 0.0, problem.full)
-                        if done.left < 0.0 or done.time > closes + _EPSILON:
+                        floor = problem.floor[load, way, place, 1 + t]
+                        done = _spend(begun, problem.service[t], 0.0, problem.full, floor)
+                        if done.left < floor or done.time > closes + _EPSILON:
                             continue
                         done = Label(
                             done.energy, done.left, done.time + problem.service_time[t], done.rate,

@@ -13,19 +13,17 @@ from energyplan.battery import SAGS
 from energyplan.mission._order_kernel import GRAM
 from energyplan.mission.energy import Consumption, Estimate
 from energyplan.mission.routes import Leg, Legs
-from energyplan.mission.types import Charger, Mission
+from energyplan.mission.types import Mission
 from energyplan.path import ROUNDING, FloatArray, Pose, Trajectory
 
 Kind = Literal["start", "drive", "wait", "work", "charge", "end"]
 
 
 class Stepping(NamedTuple):
-    """Constants of the time steps of stays and charges."""
+    """Constants of the time steps of stays."""
 
     step: float = 30.0  # time between two samples [s]
     most_steps: int = 10_000  # samples of one stay: three days in such steps, longer ones beyond
-    parts: int = 300  # parts of the step in which a charge ends
-    hours: int = 48  # longest charge [h]
     instant: float = 1e-6  # time that is none [s]
 
 
@@ -65,8 +63,11 @@ class Segment:
     @property
     def energy(self) -> float:
         """Energy at the battery, as expected [J]; negative while charging."""
-        drawn = float(self.power[:-1] @ np.diff(self.t))
-        return drawn if self.leg is None else self.leg.energy.mean
+        spans = np.diff(self.t)
+        if self.leg is None:
+            return float(self.power[:-1] @ spans)
+        refused = self.power[:-1] - self.leg.consumption.power  # by a battery that takes no more
+        return self.leg.energy.mean + float(refused @ spans)
 
     @property
     def poses(self) -> FloatArray:
@@ -232,16 +233,23 @@ class Simulation:
         shares = load.spread if load.spread.any() else np.ones(len(load.spread))
         raised = load.power + (more - load.energy.mean) * shares / float(shares @ np.diff(t))
         clock = state.time + t - t[0]
-        expected, soc = self._run(state.expected, clock, load.power)
-        worst, soc_lower = self._run(state.worst, clock, raised)
+        expected, soc, braked = self._run(state.expected, clock, load.power)
+        worst, soc_lower, _ = self._run(state.worst, clock, raised)
+        # what the battery did not take back is not in the energy
+        total = state.total + load.energy
+        total = replace(total, mean=total.mean + float(braked[-1]))
         after = replace(
-            state, time=float(clock[-1]), spent=spent, total=state.total + load.energy,
+            state, time=float(clock[-1]), spent=spent, total=total,
             expected=expected, worst=worst,
         )  # fmt: skip
-        power = np.append(load.power, load.power[-1])
+        power = load.power + np.diff(braked) / np.diff(t)
+        power = np.append(power, power[-1])
         return np.array([clock, power, soc, soc_lower]), after
 
-    def _run(self, charge: Charge, t: FloatArray, power: FloatArray) -> tuple[Charge, FloatArray]:
+    def _run(
+        self, charge: Charge, t: FloatArray, power: FloatArray
+    ) -> tuple[Charge, FloatArray, FloatArray]:
+        """Return the battery after a load, its charge, and the energy that it did not take back."""
         run = self.mission.battery.simulate(
             t, np.append(power, 0.0), soc=charge.soc, polarisation=charge.polarisation
         )
@@ -249,22 +257,23 @@ class Simulation:
         if charge.failure == "none" and run.reason != "none":
             load = power[min(int(np.searchsorted(t, run.brown_out, "right")), len(power)) - 1]
             after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
-        return after, run.soc
+        return after, run.soc, run.braked
 
     def charge(self, state: Status, leave_by: float = np.inf) -> Status:
         """Charge at the charger at hand up to its level, or until it is time to leave [s]."""
         charger = self.mission.chargers[state.node - self.legs.chargers[0]]
-        low = self._charge(state.worst, charger, self.at_least(charger.until))
-        high = self._charge(state.expected, charger, charger.until)
+        supply = self.legs.supply
+        low = supply.charge(state.worst.soc, self.at_least(charger.until), charger)
+        high = supply.charge(state.expected.soc, charger.until, charger)
         gauge = self.legs.gauge
-        enough = high[0][-1]
-        last = min(max(low[0][-1], enough), leave_by - state.time)
+        last = min(max(low.time[-1], high.time[-1]), leave_by - state.time)
         if last <= STEPPING.instant:
             return state
-        t = np.unique(np.append(np.concatenate([low[0], high[0]]), last))
+        t = np.unique(np.append(np.concatenate([low.time, high.time]), last))
         t = t[t <= last]
-        filled = [np.interp(t, *one) for one in (high, low)]
-        power = np.where(t < min(enough, t[-1]), -charger.power, 0.0)
+        filled = [np.interp(t, one.time, one.charge) for one in (high, low)]
+        given = np.diff(np.interp(t, high.time, high.joules)) / np.diff(t)
+        power = np.append(-given, 0.0)
         t = state.time + t
         low_end, high_end = (Charge(float(s[-1])) for s in (filled[1], filled[0]))
         shown = min(low_end.soc + self.quantile * self.mission.spreads.soc, 1.0)  # by the gauge
@@ -274,38 +283,6 @@ class Simulation:
             stretches=(*state.stretches, state.spent),
         )  # fmt: skip
         return self._add(state, "charge", np.array([t, power, *filled]))
-
-    def _charge(
-        self, charge: Charge, charger: Charger, until: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return times since charging began and charges, until it suffices or rises no more."""
-        battery, power = self.mission.at_charger(charger), charger.power
-        t, soc = [0.0], [charge.soc]
-        steps = STEPPING.step * np.arange(int(3600 / STEPPING.step) + 1)
-        for _ in range(STEPPING.hours):
-            begun = soc[-1]
-            if begun >= until:
-                break
-            run = battery.simulate(steps, np.full(len(steps), -power), soc=begun)
-            reached = np.flatnonzero(run.soc >= until)
-            stop = int(reached[0]) if len(reached) else len(steps)
-            hour = t[-1]
-            t.extend(hour + steps[1:stop])
-            soc.extend(run.soc[1:stop])
-            if len(reached):
-                # the last step ends when it suffices
-                short = np.linspace(0.0, STEPPING.step, STEPPING.parts + 1)
-                run = battery.simulate(
-                    short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
-                )
-                # the shorter steps need not get there by the last bit
-                enough = np.flatnonzero(run.soc >= until)
-                end = int(enough[0]) if len(enough) else STEPPING.parts
-                t.append(hour + steps[stop - 1] + short[end])
-                soc.append(until)
-            elif run.soc_end - begun < 1e-3:
-                break
-        return np.array(t), np.array(soc)
 
     # -- tasks ------------------------------------------------------------------------------------
 
@@ -459,7 +436,7 @@ class Simulation:
         need = safe.spent.upper(self.quantile)
         mean = max(need / max(safe.time - since, 1.0), 1.0)
         levels = [soc, self.mission.reserve, safe.worst.soc]
-        stored = self.mission.battery.usable_energy(mean, levels)
+        stored = self.legs.supply.stored(mean, levels)
         if stored[0] == 0 and safe.worst.failure in SAGS:
             return 0.0
         by_soc = stored[1] - stored[2] if safe.worst.failure == "none" else 0.0

@@ -16,17 +16,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.battery import Battery, BatteryModel
 from energyplan.errors import MissionError
 from energyplan.fit.doubts import unfounded
 from energyplan.fit.run import RunEffect
 from energyplan.limits.drive import Ground, Traversal
+from energyplan.mission.supply import Gauge
 from energyplan.mission.types import Mission, Spreads, Task
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
-from energyplan.records import ByValue, bounds
+from energyplan.records import ByValue
 from energyplan.terrain import HeightMap, SurfaceMap
 from energyplan.vehicle import TreadICR, Vehicle, wheel_loads
 
@@ -78,40 +78,6 @@ class _Source(NamedTuple):
 
 _OF_BATTERY = ("capacity of the battery", "health of the battery", "temperature of the battery")
 """What is open about what a battery holds."""
-
-
-class Gauge(NamedTuple):
-    """What is open about a battery."""
-
-    shares: tuple[float, float, float]  # by which share a drive empties it more, by source
-    soc: float  # energy of one standard deviation of the state of charge [J]
-
-
-def gauge_of(battery: BatteryModel, spreads: Spreads, power: float, quantile: float) -> Gauge:
-    """Return what is open about a battery at a power [W], read where the bound lies.
-
-    That is a quantile of standard deviations to the worse side, which is exact for an unknown that
-    is alone, also where a table of capacities has a kink.
-    """
-    stored, steps = float(battery.usable_energy(power, 1.0)), max(quantile, 1.0)
-    soc = spreads.soc * (stored or battery.full_energy)
-
-    def emptied(left: float) -> float:
-        # one that delivers nothing at all has nothing to lose
-        return max(max(stored, 1.0) / max(left, 1.0) - 1.0, 0.0) / steps
-
-    capacity = emptied(stored * (1.0 - steps * spreads.capacity))
-    if not isinstance(battery, Battery):
-        return Gauge((capacity, 0.0, 0.0), soc)
-
-    def worse(name: str, spread: float) -> float:
-        now, (low, high) = getattr(battery, name), bounds(Battery)[name].possible
-        sides = (min(max(now + sign * steps * spread, low), high) for sign in (-1.0, 1.0))
-        changed = (replace(battery, **{name: side}) for side in sides)
-        return emptied(min(float(one.usable_energy(power, 1.0)) for one in changed))
-
-    health, warmth = worse("health", spreads.health), worse("temperature", spreads.temperature)
-    return Gauge((capacity, health, warmth), soc)
 
 
 class Consumption(NamedTuple):

@@ -35,7 +35,7 @@ from energyplan.mission._order_kernel import (
 )
 from energyplan.mission.drive import Attempt, Simulation, Status, Visit
 from energyplan.mission.energy import Estimate
-from energyplan.mission.routes import Progress
+from energyplan.mission.routes import Leg, Progress
 from energyplan.mission.types import Task
 from energyplan.path import ROUNDING, FloatArray
 
@@ -64,6 +64,8 @@ class Ordering(NamedTuple):
     most_loads: int = 1024  # payloads that are distinguished at most
     each: int = 64  # most payloads of a problem, and most that each leg is priced with
     same: float = 1e-6  # part of an energy by which orders differ that count as one
+    # parts of a charge whose mean power counts; those after the first one where time presses
+    paces: tuple[tuple[float, float], ...] = ((0.0, 1.0), (0.0, 0.5), (0.5, 1.0))
     lossless: float = 1.0  # power at which a battery loses nothing to its resistance [W]
 
 
@@ -274,7 +276,7 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
     if free or not change.any():
         loads = problem.payload + done @ change
         index = problem.at(loads)
-    energy = problem.energy.copy()
+    energy = np.where(np.isinf(problem.floor), np.inf, problem.energy)
     places = np.arange(1 + n + m)
     energy[..., places, places] = np.inf
     least = energy.min(axis=(0, 1))
@@ -388,6 +390,13 @@ def best_stops(
         tried = trials.tried(middle)
         low, high = (middle, high) if tried.end is None else (low, middle)
         found = min(found, tried, key=trials.rank)
+    if sim.timed and sim.stations:
+        # a charge is the faster the emptier the battery is: other parts of it than the whole
+        for pace in ORDERING.paces[1:]:
+            if trials.gap(found, hope) <= ORDERING.same:
+                break
+            others = (trials.tried(caution, pace=pace) for caution in sorted({0.0, low, high}))
+            found = min(found, *others, key=trials.rank)
     return found.answer(trials.gap(found, hope))
 
 
@@ -404,10 +413,15 @@ class OrderSearch:
         self._prizes = {k + 1: float(one) for k, one in zip(tasks, prize, strict=True)}
 
     def tried(
-        self, caution: float, scale: float = 1.0, late: float | None = None, ideal: bool = False
+        self,
+        caution: float,
+        scale: float = 1.0,
+        late: float | None = None,
+        ideal: bool = False,
+        pace: tuple[float, float] = ORDERING.paces[0],
     ) -> Order:
         """Solve at a caution, plan what is used, and drive what was found."""
-        matrix = Matrix(self.sim, self.state, self.tasks, caution, scale, late, ideal)
+        matrix = Matrix(self.sim, self.state, self.tasks, caution, scale, late, ideal, pace)
         order = matrix.solved(self.progress)
         last, visits = self.sim.follow(self.state, order.stops, order.hurried)
         return replace(order, visits=visits, end=self.sim.arrives(last), true=matrix.true)
@@ -460,6 +474,7 @@ class Matrix:
     def __init__(
         self, sim: Simulation, state: Status, tasks: Sequence[int], caution: float,
         scale: float = 1.0, late: float | None = None, ideal: bool = False,
+        pace: tuple[float, float] = ORDERING.paces[0],
     ) -> None:  # fmt: skip
         self._sim, self._state, self._tasks = sim, state, tuple(tasks)
         self._caution, self._scale, self._ideal = caution, scale, ideal
@@ -477,7 +492,8 @@ class Matrix:
         self._levels = np.linspace(low, high, 1 if low == high else ORDERING.levels)
         self._inflation = 1.0
         self._power = sim.legs.driving_power
-        self._cache: dict[tuple[float, bool], FloatArray] = {}
+        self._cache: dict[tuple[float, bool], tuple[FloatArray, FloatArray]] = {}
+        self._pace = pace
 
     @property
     def true(self) -> bool:
@@ -486,19 +502,49 @@ class Matrix:
 
     # -- energies ---------------------------------------------------------------------------------
 
-    def _known(self, payload: float, hurried: bool) -> FloatArray:
-        """Energies with one payload: those of the legs where planned, from below where not."""
+    def _known(self, payload: float, hurried: bool) -> tuple[FloatArray, FloatArray]:
+        """Energies with one payload: those of the legs where planned, from below where not.
+
+        Beside them is the charge that must be left after each, for its largest power.
+        """
         if (payload, hurried) not in self._cache:
             legs = self._sim.legs
             matrix = legs.lower_bounds(payload) * self._inflation
+            peak, later = np.zeros((2, *matrix.shape))
             for i in {*self.nodes}:
                 for j in {*self.nodes, *self._ends}:
                     # a route of least time takes no less than that of least energy
                     for quick in (False, True) if hurried else (False,):
                         if legs.planned(i, j, quick):
-                            matrix[i, j] = self._priced(legs.leg(i, j, payload, quick).energy)
-            self._cache[payload, hurried] = matrix
+                            leg = legs.leg(i, j, payload, quick)
+                            matrix[i, j] = self._priced(leg.energy)
+                            peak[i, j], later[i, j] = self._peak(leg)
+            floor = self._floor(peak) - later
+            matrix[np.isinf(floor)] = np.inf
+            self._cache[payload, hurried] = matrix, np.maximum(floor, 0.0)
         return self._cache[payload, hurried]
+
+    def _peak(self, leg: Leg) -> tuple[float, float]:
+        """Return the largest power of a drive [W], and the energy that it takes after it [J]."""
+        if leg.trajectory is None or leg.trouble:
+            return 0.0, 0.0
+        load, spans = leg.consumption, np.diff(leg.trajectory.t)
+        power = load.power + self._caution * self._sim.quantile * load.spread
+        last = int(power.argmax())
+        return float(power[last]), float(power[last:] @ spans[last:])
+
+    def _floor(self, power: FloatArray, lasting: FloatArray | float = 0.0) -> FloatArray:
+        """Return the energy on board at which the battery delivers powers [J]; above the reserve.
+
+        It is infinite where not even a full battery does.
+        """
+        supply, reserve = self._sim.legs.supply, self._sim.mission.reserve
+        least = supply.least_charge(power, 0.0 if self._ideal else lasting)
+        floor = np.where(np.isinf(least), np.inf, 0.0)
+        some = (least > reserve) & np.isfinite(least)
+        if some.any():
+            floor[some] = self._scale * (self._held(least[some]) - self._stored(reserve, reserve))
+        return np.maximum(floor, 0.0)
 
     def _priced(self, energy: Estimate) -> float:
         """Return what an energy counts, as the battery feels it."""
@@ -507,18 +553,30 @@ class Matrix:
         felt = self._sim.legs.from_battery(energy)
         return felt.upper(self._caution * self._sim.quantile)
 
+    def _floors(self, payload: float, hurried: bool) -> FloatArray:
+        """Charges to be left after each way and its task; with any payload where levels differ."""
+        if self._each:
+            ways = self._known(round(payload, 6), hurried)[1]
+        else:
+            known = [self._known(float(level), hurried)[1] for level in self._levels]
+            ways = np.min(known, axis=0) if self._ideal else np.max(known, axis=0)
+        floor, n = ways[np.ix_(self.nodes, self.nodes)], len(self._tasks)
+        done = floor[:, 1 : 1 + n] - self._fixed["service"]
+        floor[:, 1 : 1 + n] = np.maximum(done, self._of_tasks)
+        return np.asarray(floor)
+
     def _all(self, payload: float, hurried: bool = False) -> FloatArray:
         """Energies with any payload, interpolated between the levels."""
         if self._each:
-            return self._known(round(payload, 6), hurried)
+            return self._known(round(payload, 6), hurried)[0]
         levels = self._levels
         if len(levels) == 1:
-            return self._known(float(levels[0]), hurried)
+            return self._known(float(levels[0]), hurried)[0]
         weights = np.ones(len(levels))
         for k, level in enumerate(levels):
             for other in np.delete(levels, k):
                 weights[k] *= (payload - other) / (level - other)
-        known = [self._known(float(level), hurried) for level in levels]
+        known = [self._known(float(level), hurried)[0] for level in levels]
         blocked = np.any([~np.isfinite(m) for m in known], axis=0)
         total = sum(w * np.where(blocked, 0.0, m) for w, m in zip(weights, known, strict=True))
         return np.where(blocked, np.inf, np.asarray(total))
@@ -561,12 +619,45 @@ class Matrix:
         return {"service": np.array(service, float), "service_time": np.array(lasting, float),
                 "idle": np.array(idle, float)}  # fmt: skip
 
+    @cached_property
+    def _of_tasks(self) -> FloatArray:
+        """Charge with which each task must end for the battery to deliver its power [J]."""
+        sim, power, lasting = self._sim, [], []
+        models, upper = sim.legs.models, self._caution * sim.quantile
+        for k in self._tasks:
+            dwell = sim.mission.tasks[k].dwell
+            work = models.work(sim.legs.region(k + 1), k, self._state.payload)
+            power.append(work.upper(upper) / dwell if dwell > 0 else 0.0)
+            lasting.append(dwell)
+        return self._floor(np.array(power, float), np.array(lasting, float))
+
+    @cached_property
+    def _chargers(self) -> tuple[FloatArray, FloatArray]:
+        """Energy with which each charger is left at most, and energy stored in a second there."""
+        sim, supply, full, rate = self._sim, self._sim.legs.supply, [], []
+        reserve = self._stored(sim.mission.reserve, sim.mission.reserve)
+        for node in sim.stations:
+            one = sim.mission.chargers[node - sim.legs.chargers.start]
+            until = one.until + self._caution * (sim.at_least(one.until) - one.until)
+            if self._ideal:
+                full.append(self._stored(until, until) - reserve)
+                rate.append(supply.fastest(one))
+                continue
+            filled = supply.charge(min(sim.mission.reserve, until), until, one)
+            full.append(float(self._held(filled.charge[-1])) - reserve)
+            # the mean of the part of the charge that is concerned
+            ends = filled.charge[0] + np.ptp(filled.charge) * np.array(self._pace)
+            spans = np.interp(ends, filled.charge, filled.time)
+            held = self._held(ends)
+            fallback = supply.fastest(one) * sim.mission.battery.charge_efficiency
+            usual = spans[1] > spans[0] and held[1] > held[0]
+            rate.append(float(np.diff(held)[0] / np.diff(spans)[0]) if usual else fallback)
+        return self._scale * np.array(full, float), np.array(rate, float)
+
     def problem(self) -> OrderProblem:
         """Return the order problem on what is known now."""
         sim, mission, state = self._sim, self._sim.mission, self._state
         tasks = [mission.tasks[k] for k in self._tasks]
-        kept = 1.0 if self._ideal else mission.battery.charge_efficiency
-        stations = [mission.chargers[node - sim.legs.chargers.start] for node in sim.stations]
         reserve = self._stored(mission.reserve, mission.reserve)
         inner = np.ix_(self.nodes, self.nodes)
         late = self._late * sim.quantile * state.time_spread
@@ -586,11 +677,9 @@ class Matrix:
             prize=prizes(tasks),
             window=np.array([task.window for task in tasks], float).reshape(-1, 2),
             budget=self._scale * (self._stored(state.expected.soc, state.worst.soc) - reserve),
-            capacity=np.array([
-                self._scale * (self._stored(c.until, sim.at_least(c.until)) - reserve)
-                for c in stations
-            ]),
-            charge_power=np.array([c.power for c in stations]) * kept,
+            capacity=self._chargers[0],
+            charge_power=self._chargers[1],
+            floor=np.array([[self._floors(load, way) for way in sim.ways] for load in able]),
             start_time=state.time + late,
             full=self._scale * (self._stored(1.0, 1.0) - reserve),
             given=mission.order == "given",
@@ -598,9 +687,12 @@ class Matrix:
 
     def _stored(self, expected: float, least: float) -> float:
         """Return the energy that the battery gives from a state of charge to empty [J]."""
+        return float(self._held(np.asarray(expected + self._caution * (least - expected))))
+
+    def _held(self, charge: FloatArray) -> FloatArray:
+        """Return the energies that the battery gives from states of charge on [J]."""
         power = ORDERING.lossless if self._ideal else self._power
-        soc = expected + self._caution * (least - expected)
-        return float(self._sim.mission.battery.usable_energy(power, soc))
+        return self._sim.legs.supply.stored(power, charge)
 
     # -- routes -----------------------------------------------------------------------------------
 

@@ -57,7 +57,7 @@ class ChargerReport:
     name: str  # the charger
     visits: int  # how often the robot charges there
     duration: float  # how long in all [s]
-    energy: float  # energy that it supplies, as expected [J]
+    energy: float  # energy that the battery takes there, at its terminals, as expected [J]
 
 
 @dataclass(frozen=True)

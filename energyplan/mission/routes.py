@@ -18,7 +18,8 @@ from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
-from energyplan.mission.energy import Consumption, Estimate, Gauge, Models, gauge_of
+from energyplan.mission.energy import Consumption, Estimate, Models
+from energyplan.mission.supply import Gauge, Supply
 from energyplan.mission.types import Charger, Mission, Task
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, find, plan
@@ -318,9 +319,13 @@ class Legs:
         return NormalDist().inv_cdf(self.mission.confidence)
 
     @cached_property
+    def supply(self) -> Supply:
+        """The battery, with what is not certain about it."""
+        return Supply(self.mission.battery, self.mission.spreads, self.quantile)
+
+    @cached_property
     def _gauge(self) -> Gauge:
-        mission = self.mission
-        return gauge_of(mission.battery, mission.spreads, self.driving_power, self.quantile)
+        return self.supply.drain(self.driving_power)
 
     @property
     def gauge(self) -> Estimate:

@@ -276,6 +276,13 @@ class Charger:
     places: Annotated[int, amount_of("number"), Within((1, 1000), (1, 20))] = 1
 
 
+def at_charger(battery: BatteryModel, charger: Charger) -> BatteryModel:
+    """Return a battery as it is while it charges."""
+    if charger.temperature is None or not isinstance(battery, Battery):
+        return battery
+    return replace(battery, temperature=charger.temperature)
+
+
 OWN = (
     "model", "vehicle", "battery", "start", "home", "soc", "reserve", "payload", "payload_models",
     "speed", "return_to", "planning_effort", "planning_time",
@@ -729,9 +736,7 @@ class Mission(ReadOnly, html.Readable):
 
     def at_charger(self, charger: Charger) -> BatteryModel:
         """Return the battery as it is while it charges."""
-        if charger.temperature is None or not isinstance(self.battery, Battery):
-            return self.battery
-        return replace(self.battery, temperature=charger.temperature)
+        return at_charger(self.battery, charger)
 
     def charging_fault(self, charger: Charger) -> str:
         """Why the battery takes no charge at a charger, and the remedy; empty where it does."""

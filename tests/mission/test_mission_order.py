@@ -49,6 +49,7 @@ def problem(
     return OrderProblem(
         loads=loads,
         energy=energy,
+        floor=np.zeros_like(energy),
         finish=energy[:, 0, :, 0],
         time=time[None],
         finish_time=time[:, 0],

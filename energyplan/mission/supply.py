@@ -1,0 +1,140 @@
+"""What a mission's battery gives and takes; search, simulation and report read the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from energyplan.battery import Battery, BatteryModel
+from energyplan.mission.types import Charger, Spreads, at_charger
+from energyplan.path import FloatArray
+from energyplan.records import bounds
+
+
+class Charging(NamedTuple):
+    """Constants of the time steps of charges."""
+
+    step: float = 30.0  # time between two samples [s]
+    parts: int = 300  # parts of the step in which a charge ends
+    hours: int = 48  # longest charge [h]
+    least_rise: float = 1e-3  # rise of the state of charge in an hour below which a charge ends
+    halvings: int = 40  # of the state of charge, in the search for the least that gives a power
+
+
+CHARGING = Charging()
+
+
+class Gauge(NamedTuple):
+    """What is open about a battery."""
+
+    shares: tuple[float, float, float]  # by which share a drive empties it more, by source
+    soc: float  # energy of one standard deviation of the state of charge [J]
+
+
+class Charged(NamedTuple):
+    """A charge from its begin on, until it suffices or rises no more."""
+
+    time: FloatArray  # (n,): time since it began [s]
+    charge: FloatArray  # (n,): state of charge then
+    joules: FloatArray  # (n,): energy that the battery took until then, at its terminals [J]
+
+
+@dataclass(frozen=True, eq=False)
+class Supply:
+    """A battery with what is not certain about it, at so many standard deviations."""
+
+    battery: BatteryModel
+    spreads: Spreads
+    quantile: float
+
+    def drain(self, power: float) -> Gauge:
+        """Return what is open about the battery at a power [W], read where the bound lies.
+
+        That is a quantile of standard deviations to the worse side, which is exact for an unknown
+        that is alone, also where a table of capacities has a kink.
+        """
+        battery, spreads = self.battery, self.spreads
+        stored, steps = float(battery.usable_energy(power, 1.0)), max(self.quantile, 1.0)
+        soc = spreads.soc * (stored or battery.full_energy)
+
+        def emptied(left: float) -> float:
+            # one that delivers nothing at all has nothing to lose
+            return max(max(stored, 1.0) / max(left, 1.0) - 1.0, 0.0) / steps
+
+        capacity = emptied(stored * (1.0 - steps * spreads.capacity))
+        if not isinstance(battery, Battery):
+            return Gauge((capacity, 0.0, 0.0), soc)
+
+        def worse(name: str, spread: float) -> float:
+            now, (low, high) = getattr(battery, name), bounds(Battery)[name].possible
+            sides = (min(max(now + sign * steps * spread, low), high) for sign in (-1.0, 1.0))
+            changed = (replace(battery, **{name: side}) for side in sides)
+            return emptied(min(float(one.usable_energy(power, 1.0)) for one in changed))
+
+        health, warmth = worse("health", spreads.health), worse("temperature", spreads.temperature)
+        return Gauge((capacity, health, warmth), soc)
+
+    def stored(self, power: float, charge: ArrayLike) -> FloatArray:
+        """Return the energy that it delivers at a power [W] from states of charge on [J]."""
+        return self.battery.usable_energy(power, charge)
+
+    def limit(self, charge: ArrayLike, lasting: ArrayLike = 0.0) -> FloatArray:
+        """Return the largest power that it delivers for a time [s] at states of charge [W]."""
+        soc, seconds = np.broadcast_arrays(np.asarray(charge, float), np.asarray(lasting, float))
+        if not isinstance(self.battery, Battery):
+            return np.full(soc.shape, np.inf)
+        return self.battery.largest_power(soc, seconds)
+
+    def least_charge(self, power: ArrayLike, lasting: ArrayLike = 0.0) -> FloatArray:
+        """Return the least states of charge at which it delivers powers [W]; infinite if none."""
+        load, seconds = np.broadcast_arrays(np.asarray(power, float), np.asarray(lasting, float))
+        low, high = np.zeros(load.shape), np.ones(load.shape)
+        for _ in range(CHARGING.halvings):
+            middle = 0.5 * (low + high)
+            enough = self.limit(middle, seconds) >= load
+            low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+        high = np.where(self.limit(np.zeros(load.shape), seconds) >= load, 0.0, high)
+        return np.where(self.limit(np.ones(load.shape), seconds) >= load, high, np.inf)
+
+    def fastest(self, charger: Charger) -> float:
+        """Return the power with which a charger fills it at most [W]."""
+        power = float(charger.power)
+        if not isinstance(self.battery, Battery):
+            return power
+        current = self.battery.max_charge_current
+        return min(power, float(self.battery.ocv(1.0)) * current)
+
+    def charge(self, charge: float, until: float, charger: Charger) -> Charged:
+        """Charge at a charger from a state of charge until another, or until it rises no more."""
+        battery, power = at_charger(self.battery, charger), charger.power
+        t, soc, joules = [0.0], [charge], [0.0]
+        steps = CHARGING.step * np.arange(int(3600 / CHARGING.step) + 1)
+        for _ in range(CHARGING.hours):
+            begun, hour, before = soc[-1], t[-1], joules[-1]
+            if begun >= until:
+                break
+            run = battery.simulate(steps, np.full(len(steps), -power), soc=begun)
+            taken = before + power * steps - run.braked
+            reached = np.flatnonzero(run.soc >= until)
+            stop = int(reached[0]) if len(reached) else len(steps)
+            t.extend(hour + steps[1:stop])
+            soc.extend(run.soc[1:stop])
+            joules.extend(taken[1:stop])
+            if len(reached):
+                # the last step ends when it suffices
+                short = np.linspace(0.0, CHARGING.step, CHARGING.parts + 1)
+                run = battery.simulate(
+                    short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
+                )
+                # the shorter steps need not get there by the last bit
+                enough = np.flatnonzero(run.soc >= until)
+                end = int(enough[0]) if len(enough) else CHARGING.parts
+                t.append(hour + steps[stop - 1] + short[end])
+                soc.append(until)
+                joules.append(float(taken[stop - 1] + power * short[end] - run.braked[end]))
+            elif run.soc_end - begun < CHARGING.least_rise:
+                break
+        return Charged(np.array(t), np.array(soc), np.array(joules))
