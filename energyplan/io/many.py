@@ -74,10 +74,26 @@ def cluster(
 ) -> Iterator[Executor]:
     """Start a process on each core (``local``), or connect to Dask's scheduler at an address.
 
-    An address begins with ``tls://``; what is not given of the files of the authority, the
-    certificate and its key is that of Dask's configuration (``distributed.comm.tls``). Another
-    address needs `insecure`: whoever reaches such a scheduler or its workers runs code as their
-    user.
+    Parameters
+    ----------
+    address : str
+        ``local``, or the address of a scheduler, as ``tls://HOST:8786``.
+    insecure : bool
+        Allow an address without TLS: whoever reaches such a scheduler or its workers runs code as
+        their user.
+    ca, certificate, key : str or Path, optional
+        Files in PEM of the authority, and of the certificate and key to show. What is not given is
+        that of Dask's configuration (``distributed.comm.tls``).
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        For `answers`. A local process that is killed is replaced; only its own file is repeated.
+
+    Raises
+    ------
+    InvalidInputError
+        If the address is not encrypted, no cluster answers there, or it wants a certificate.
     """
     files = {"tls_ca_file": ca, "tls_client_cert": certificate, "tls_client_key": key}
     given = {name: str(file) for name, file in files.items() if file is not None}

@@ -131,6 +131,14 @@ def test_a_full_disk_is_told_before_the_work(
     assert "No space left" in error
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
+@pytest.mark.parametrize(("words", "code"), [("--version", 0), ("check absent.csv --model a", 2)])
+def test_a_closed_standard_error_hides_no_answer(words: str, code: int) -> None:
+    command = f"{shlex.quote(sys.executable)} -m energyplan {words} 2>&-"
+    done = subprocess.run(["sh", "-c", command], stdout=subprocess.PIPE, check=False)
+    assert done.returncode == code and bool(done.stdout) == (code == 0)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
 def test_a_closed_pipe_is_one_line() -> None:
     reading, writing = os.pipe()

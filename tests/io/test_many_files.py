@@ -64,6 +64,15 @@ def test_certificates_go_with_encryption_and_must_be_readable(tmp_path: Path) ->
         pass
 
 
+def test_encryption_without_a_certificate_names_the_options() -> None:
+    pytest.importorskip("distributed", reason="a cluster needs the extra cluster")
+    with (
+        pytest.raises(InvalidInputError, match="wants a certificate; give --cluster-ca"),
+        cluster("tls://127.0.0.1:9"),
+    ):
+        pass
+
+
 def worked(results: Path, executor: Executor) -> list[dict[str, Any]]:
     (results.parent / "a.csv").write_text("12345")
     return [*answers(measured, [results.parent / "a.csv"], executor, results)]
