@@ -13,7 +13,7 @@ import pytest
 
 import energyplan as ep
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 properties = importlib.import_module("properties")
 
 
