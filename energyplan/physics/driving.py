@@ -100,7 +100,7 @@ class Sensors:
         for channel in sorted(set(self.without) - {*channels, "slope"}):
             raise UnknownNameError("channel of this drive", channel, channels)
         kept = {key: values for key, values in channels.items() if key not in self.without}
-        return DriveLog(kept, name)
+        return DriveLog(kept, name, signed=not self.unsigned)
 
     def _late(self, t: FloatArray, power: FloatArray) -> FloatArray:
         return np.interp(t - self.delay, t, power) if self.delay else power

@@ -237,10 +237,10 @@ def test_drives_and_their_errors_are_checked() -> None:
         diagnose([], log, VEHICLE)
     with pytest.raises(InvalidInputError, match="holdout is empty"):
         diagnose(log, [], VEHICLE)
-    with pytest.raises(InvalidInputError, match="in train and in holdout"):
+    with pytest.raises(InvalidInputError, match="is held out and holds the same readings"):
         diagnose([log], [log], VEHICLE)
     with pytest.raises(DriveLogError, match="too short to learn from"):
-        diagnose(short, log, VEHICLE)
+        diagnose(short, simulate.validation_drive(PAPER), VEHICLE)
 
 
 def test_effects_that_are_told_go_in_whether_they_help_or_not() -> None:
