@@ -391,7 +391,11 @@ def _few_events(content: bytes | str) -> None:
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes, of which too many are refused before the others are read."""
+    """Composes nodes, and refuses too many while it does.
+
+    Python's parser reads what libyaml's refuses, such as a tag with a comma, so that counting
+    libyaml's events alone lets some files through.
+    """
 
     _left = MAX_NODES
 

@@ -54,7 +54,7 @@ _SAID = {
 _REMEDY = "convert the file to metres, as with gdalwarp -t_srs EPSG:326.. (UTM)"
 
 
-class Units(NamedTuple):
+class RasterUnits(NamedTuple):
     """What a GeoTIFF counts in."""
 
     across: float  # metres of a unit of its coordinates
@@ -139,7 +139,7 @@ def _up(file: Path, keys: Mapping[int, Any], said: str, across: float) -> float:
     return by_text or 1.0
 
 
-def units(file: Path, tags: Mapping[int, Any]) -> Units:
+def units(file: Path, tags: Mapping[int, Any]) -> RasterUnits:
     """Return what a GeoTIFF counts in; refuse what nothing says."""
     keys = keys_of(tags)
     scaling = dict(_ITEM.findall(str(tags.get(METADATA, ""))))
@@ -151,4 +151,4 @@ def units(file: Path, tags: Mapping[int, Any]) -> Units:
     if not np.isfinite(scale + offset) or (said and said not in _SAID):
         raise MapError(f"{file}: heights of {scaling}; convert them to metres")
     across = _across(file, keys)
-    return Units(across, _up(file, keys, said, across), scale, offset)
+    return RasterUnits(across, _up(file, keys, said, across), scale, offset)

@@ -14,7 +14,7 @@ from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
-from energyplan.io.orders import Order, read_order
+from energyplan.io.orders import TaskOrder, read_order
 from energyplan.io.sites import PARTS, SiteFile, load_site, on_site
 from energyplan.mission import Mission, Robot, Task
 from energyplan.mission.types import OWN, Name, Place
@@ -159,7 +159,7 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
     )
 
 
-def _as_ordered(mission: Mission, order: Order) -> Mission:
+def _as_ordered(mission: Mission, order: TaskOrder) -> Mission:
     """Return a mission with what an order says of it beside its tasks."""
     notes, limit = order.notes, order.speed
     if limit is not None:

@@ -18,7 +18,7 @@ from energyplan.io.bags import heading
 from energyplan.io.documents import load
 
 
-class Order(NamedTuple):
+class TaskOrder(NamedTuple):
     """What an order says of a mission."""
 
     tasks: list[dict[str, Any]]  # as the list of a mission's file
@@ -26,7 +26,7 @@ class Order(NamedTuple):
     speed: float | None  # what it limits the speed to [m/s]
 
 
-class _Part(BaseModel):
+class _Keyed(BaseModel):
     """A part of an order; keys that are neither read nor idle are named in a note."""
 
     model_config = ConfigDict(extra="allow", populate_by_name=True)
@@ -38,11 +38,11 @@ class _Part(BaseModel):
         for name in type(self).model_fields:
             value = getattr(self, name)
             for one in value if isinstance(value, list) else [value]:
-                found += one.unread() if isinstance(one, _Part) else []
+                found += one.unread() if isinstance(one, _Keyed) else []
         return found
 
 
-class _Position(_Part):
+class _Position(_Keyed):
     """Where a node, or the pose of a waypoint, is [m], and its heading [rad]."""
 
     # the map is the mission's, the ground says the height, and a task is reached without deviation
@@ -55,7 +55,7 @@ class _Position(_Part):
     theta: float | None = None
 
 
-class _Orientation(_Part):
+class _Orientation(_Keyed):
     """A quaternion."""
 
     x: float = 0.0
@@ -64,7 +64,7 @@ class _Orientation(_Part):
     w: float
 
 
-class _PoseOfROS(_Part):
+class _PoseOfROS(_Keyed):
     """A pose as ROS writes it."""
 
     # the frame is the map's
@@ -73,14 +73,14 @@ class _PoseOfROS(_Part):
     orientation: _Orientation
 
 
-class _Parameter(_Part):
+class _Parameter(_Keyed):
     """A parameter of an action."""
 
     key: str
     value: Any = None
 
 
-class _Action(_Part):
+class _Action(_Keyed):
     """An action of VDA 5050 at a node or on an edge."""
 
     # who started it, and whether the robot may move meanwhile; its time counts either way
@@ -101,7 +101,7 @@ class _Action(_Part):
         return None
 
 
-class _Node(_Part):
+class _Node(_Keyed):
     """A node of an order of VDA 5050."""
 
     idle = frozenset({"sequenceId", "nodeDescription", "nodeDescriptor"})
@@ -111,7 +111,7 @@ class _Node(_Part):
     actions: list[_Action] = []
 
 
-class _Edge(_Part):
+class _Edge(_Keyed):
     """An edge of an order of VDA 5050; the planner finds its own way from node to node."""
 
     idle = frozenset(
@@ -125,7 +125,7 @@ class _Edge(_Part):
     actions: list[_Action] = []
 
 
-class _Waypoint(_Part):
+class _Waypoint(_Keyed):
     """A waypoint of Nav2."""
 
     idle = frozenset({"header"})
@@ -138,7 +138,7 @@ class _Waypoint(_Part):
         return _Position(x=at.x, y=at.y, theta=heading(self.pose.orientation))
 
 
-class _Visits(_Part):
+class _Visits(_Keyed):
     """What an order, or waypoints, say."""
 
     # who sent it, when and to whom
@@ -196,7 +196,7 @@ def _notes(found: _Visits, waiting: list[str], untimed: list[str]) -> list[str]:
     return notes
 
 
-def read_order(file: Path) -> Order:
+def read_order(file: Path) -> TaskOrder:
     """Return the tasks of an order of VDA 5050, or of waypoints of Nav2, in their order.
 
     A node without a heading is left as it is reached. Actions that say their duration are dwelt for
@@ -227,4 +227,4 @@ def read_order(file: Path) -> Order:
         tasks.append(task)
     untimed += [one.kind for edge in edges for one in edge.actions]
     limits = [edge.fastest for edge in edges if edge.fastest is not None]
-    return Order(tasks, tuple(_notes(found, waiting, untimed)), min(limits, default=None))
+    return TaskOrder(tasks, tuple(_notes(found, waiting, untimed)), min(limits, default=None))

@@ -35,7 +35,7 @@ from energyplan.logs import DriveLog
 from energyplan.logs.align import Series, find_runs, usable
 from energyplan.logs.checks import grows, mirrored_side, without_copies
 from energyplan.logs.clean import POWER_WAYS, RECORDING, join_rows, possible, total_power
-from energyplan.logs.compass import Motion, counts_from_north
+from energyplan.logs.compass import Recorded, counts_from_north
 from energyplan.logs.consistency import (
     POWERS,
     Check,
@@ -703,7 +703,7 @@ def _of_compass(
     t, heading = usable(series["yaw"])
     turned = Series(t, np.unwrap(heading, period=period) * (2 * pi / period))
     compass = counts_from_north(
-        Motion(series["v_left"], series["v_right"], series["x"], series["y"], turned)
+        Recorded(series["v_left"], series["v_right"], series["x"], series["y"], turned)
     )
     if compass is None:
         return [
@@ -850,9 +850,7 @@ def _powers(recording: Recording, columns: dict[str, Column], guesses: dict[str,
         volts = voltage or guesses.get("voltage")
         if volts is None:
             continue
-        factor = scale_of("current", current.unit).factor * scale_of("voltage", volts.unit).factor
-        unit = "" if factor == 1.0 else f"*{factor:g}"
-        columns[power] = _product(recording, current, volts).changed(channel=power, unit=unit)
+        columns[power] = _product(recording, current, volts)
     sides = {"p_left", "p_right"} <= {*columns, *guesses}
     if not sides:
         for side in ("p_left", "p_right"):
@@ -864,10 +862,7 @@ def _powers(recording: Recording, columns: dict[str, Column], guesses: dict[str,
     if {"power", "current", "voltage"} & {*columns, *guesses} == {"current", "voltage"}:
         product = _product(recording, current, volts)
         if product.each:
-            factor = scale_of("current", current.unit).factor
-            factor *= scale_of("voltage", volts.unit).factor
-            unit = "" if factor == 1.0 else f"*{factor:g}"
-            guesses["power"] = product.changed(channel="power", unit=unit)
+            guesses["power"] = product
             del guesses["current"], guesses["voltage"]
 
 
@@ -875,17 +870,19 @@ _ONE_VOLTAGE = 0.01  # by how much voltages may differ to be of one bus: as much
 
 
 def _product(recording: Recording, current: Column, volts: Column) -> Column:
-    """Multiply a current by its voltage, each of several by its own."""
+    """Return the power of a current times its voltage, each of several times its own."""
     names = (current.field, *current.plus)
+    channel = current.channel.replace("current_", "p_").replace("current", "power")
+    factor = scale_of("current", current.unit).factor * scale_of("voltage", volts.unit).factor
+    power = current.changed(channel=channel, unit="" if factor == 1.0 else f"*{factor:g}")
     own = voltages_of(names, recording.columns)
     if len(own) == len(names):
         alone = len(set(own)) == 1
-        return current.model_copy(update={"times": own[0]} if alone else {"each": own})
+        return power.changed(**({"times": own[0]} if alone else {"each": own}))
     there = sorted({volts.field, *own, *siblings(volts, recording.columns)})
     usual = [float(np.nanmedian(recording.column(name))) for name in there]
     if max(usual) - min(usual) <= _ONE_VOLTAGE * max(map(abs, usual)):
-        return current.model_copy(update={"times": volts.field})
-    channel = current.channel.replace("current_", "p_").replace("current", "power")
+        return power.changed(times=volts.field)
     stated = "+".join(f"{name}*{there[0]}" for name in names)
     raise DriveLogError(
         f"{recording.source}: {' and '.join(there[:4])} are voltages that differ, and not each "

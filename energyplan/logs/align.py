@@ -109,6 +109,17 @@ class Means(NamedTuple):
     unused: int
 
 
+def at_common_times(one: Series, other: Series) -> tuple[FloatArray, FloatArray]:
+    """Return two channels at the times of the one that is read less often, where both are known."""
+    pair = usable(one), usable(other)
+    if min(len(part.t) for part in pair) < 2:
+        return np.zeros(0), np.zeros(0)
+    clock = max(pair, key=lambda part: float(np.median(np.diff(part.t)))).t
+    first, second = (align(part, clock).values for part in pair)
+    both = np.isfinite(first) & np.isfinite(second)
+    return first[both], second[both]
+
+
 def interval_means(
     t: FloatArray, channels: Mapping[str, FloatArray], runs: Sequence[slice], period: float
 ) -> Means:

@@ -16,7 +16,7 @@ _BLOCKS = 20  # parts of the drive that are taken for independent of each other
 _STEPS = 3  # readings of the slowest sensor in a stretch, at least
 
 
-class Motion(NamedTuple):
+class Recorded(NamedTuple):
     """What shows how a robot moves, each on a clock of its own."""
 
     left: Series  # speeds, in any unit
@@ -26,7 +26,7 @@ class Motion(NamedTuple):
     yaw: Series  # heading [rad], unwrapped
 
 
-def counts_from_north(motion: Motion) -> bool | None:
+def counts_from_north(motion: Recorded) -> bool | None:
     """Return whether a heading counts clockwise from the north; None where nothing shows it.
 
     The robot goes where it heads: dead reckoning by the wheels' speed and the heading, read in
@@ -73,7 +73,7 @@ def counts_from_north(motion: Motion) -> bool | None:
     return by_turning < 0.0 if abs(by_turning) > CHANCE else None
 
 
-class _Fit(NamedTuple):
+class _Turning(NamedTuple):
     values: FloatArray  # (k,): factors of the columns
     covariance: FloatArray  # (k, k): theirs, of blocks that are independent
     rest: float  # sum of the squares that are left
@@ -85,12 +85,12 @@ class _Fit(NamedTuple):
         return value / error if error > 0.0 else 0.0
 
 
-def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _Fit:
+def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _Turning:
     """Fit columns to readings by least squares; whole blocks of readings may share an error."""
     size = columns.shape[1]
     gram = columns.T @ columns
     if not np.all(np.diag(gram) > 0.0) or np.linalg.cond(gram) > 1e10:
-        return _Fit(np.zeros(size), np.zeros((size, size)), float(y @ y))
+        return _Turning(np.zeros(size), np.zeros((size, size)), float(y @ y))
     inverse = np.linalg.inv(gram)
     values = inverse @ (columns.T @ y)
     rest = y - columns @ values
@@ -100,4 +100,4 @@ def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _Fit:
     covariance = inverse @ (scores @ scores.T) @ inverse * _BLOCKS / (_BLOCKS - 1)
     # Readings without any noise are exact to rounding.
     floor = (1e-12 * float(y @ y) / len(y)) * inverse
-    return _Fit(values, covariance + floor, float(rest @ rest))
+    return _Turning(values, covariance + floor, float(rest @ rest))

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.errors import DriveLogError, InvalidInputError, needs_extra
-from energyplan.logs.align import Series, align, usable
+from energyplan.logs.align import Series, align, at_common_times, usable
 from energyplan.logs.clean import ANY
 from energyplan.logs.guess import guess, guess_encoders
 from energyplan.logs.mapping import (
@@ -386,14 +386,8 @@ class Recording:
         pair = []
         for name in (one, other):
             values, t = self.column(name), self.clock(name)
-            pair.append(usable(Series(np.arange(len(values), dtype=float) if t is None else t,
-                                      values)))  # fmt: skip
-        if min(len(part.t) for part in pair) < 2:
-            return np.zeros(0), np.zeros(0)
-        clock = max(pair, key=lambda part: float(np.median(np.diff(part.t)))).t
-        first, second = (align(part, clock).values for part in pair)
-        both = np.isfinite(first) & np.isfinite(second)
-        return first[both], second[both]
+            pair.append(Series(np.arange(len(values), dtype=float) if t is None else t, values))
+        return at_common_times(*pair)
 
     def series(self, column: Column, rows: FloatArray | None = None) -> Series:
         """Return a channel at the times of its first column; NaN where it has no reading.
@@ -722,11 +716,8 @@ def _refuse_drives(parts: Sequence[Recording], clocks: Sequence[FloatArray]) -> 
             rate = np.gradient(series.values, series.t) if counted else series.values
             moving.append((part.source, Series(series.t, rate)))
     for (name, one), (other_name, other) in combinations(moving, 2):
-        slow, fast = sorted((one, other), key=lambda part: -float(np.median(np.diff(part.t))))
-        seen = align(fast, slow.t).values
-        both = np.isfinite(seen)
-        pair = slow.values[both], seen[both]
-        if np.count_nonzero(both) < _FEWEST or min(map(np.ptp, pair)) == 0.0:
+        pair = at_common_times(one, other)
+        if len(pair[0]) < _FEWEST or min(map(np.ptp, pair)) == 0.0:
             continue
         if np.corrcoef(*pair)[0, 1] < _SAME:
             raise parts[0].error(
