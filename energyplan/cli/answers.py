@@ -86,18 +86,24 @@ def progress(text: str) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from energyplan.compilation import telling
+    from energyplan.compilation import Compiling, compiling_shown, telling
 
     # A bar without a total moves to and fro, until the work reports its progress.
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=None)
 
-        def compiling(name: str) -> None:
-            note = name.removeprefix("energyplan.")
-            bar.update(task, description=f"preparing, once: {note}" if note else text)
+        def compiling(how_far: Compiling) -> None:
+            bar.update(task, description=str(how_far), total=how_far.total, completed=how_far.done)
+            if how_far.done == how_far.total:
+                bar.update(task, description=text, total=None, completed=0)
 
-        with telling(compiling):
+        def late(name: str) -> None:
+            note = name.removeprefix("energyplan.")
+            if note and not bar.tasks[task].total:
+                bar.update(task, description=f"compiling, once: {note}")
+
+        with compiling_shown(compiling), telling(late):
             yield lambda fraction, note="": bar.update(
                 task, total=1.0, completed=fraction, description=printable(note or text)
             )

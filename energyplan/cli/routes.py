@@ -130,8 +130,9 @@ def problem_of(
     names: dict[str, Any] = {
         key: str(value) for key, value in vars(site).items() if isinstance(value, Path)
     }
-    named = SiteFile(map=names.pop("map_file"), **names)
-    named = named.model_copy(update={"clearance": site.clearance or 0.0})
+    named = SiteFile(map=names.pop("map_file"), **names).model_copy(
+        update={"clearance": site.clearance or 0.0, "resolution": site.resolution}
+    )
     place = load_site(named, lambda key, name, read: read(Path(name)))
     asked = problem_from(
         place, read_model(drive.model), (start, goal), battery=drive.at_battery, speed=drive.speed,
