@@ -50,8 +50,11 @@ def warn(text: str) -> None:
     sys.stderr.write(printable(text) + "\n")
 
 
-def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
-    """Print the answer, as JSON or as text, of which a list holds parts; JSON names presets."""
+def answer(document: dict[str, Any], text: object, *, json: bool, then: str = "") -> None:
+    """Print the answer, as JSON or as text, of which a list holds parts; JSON names presets.
+
+    Text ends with the command that one would give next.
+    """
     warn_with_answer()
     if json:
         if presets_used.get():
@@ -61,6 +64,8 @@ def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
         say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
         say("\n".join(map(str, text)) if isinstance(text, list) else str(text))
+        if then:
+            say(f"next: {then}")
 
 
 def warn_with_answer() -> None:
@@ -109,20 +114,36 @@ def progress(text: str) -> Iterator[Any]:
             )
 
 
-_command: ContextVar[tuple[str, tuple[str | Path, ...]]] = ContextVar("command", default=("", ()))
-"""The command in hand as a shell takes it, and what it was given to read."""
+_command: ContextVar[tuple[tuple[str, ...], tuple[str | Path, ...]]] = ContextVar(
+    "command", default=((), ())
+)
+"""The words of the command in hand, and what it was given to read."""
 
 
 def remember_command(words: Sequence[str], inputs: Sequence[str | Path]) -> None:
-    """Keep the command in hand, and what it was given to read, for its report."""
-    _command.set((shlex.join(words), tuple(inputs)))
+    """Keep the command in hand, and what it was given to read."""
+    _command.set((tuple(words), tuple(inputs)))
+
+
+FLAGS = "--at-battery", "--unsigned"
+"""Options without a value, of those that the next command takes too."""
+
+
+def following(command: str, *words: str | Path, keep: str) -> str:
+    """Return a command as a shell takes it, with those options of the one in hand that are named."""
+    given, kept, known = _command.get()[0], list[str](), keep.split()
+    for k, word in enumerate(given):
+        name, joined, _ = word.partition("=")
+        if name in known:
+            kept += [word] if joined or name in FLAGS else [word, *given[k + 1 : k + 2]]
+    return f"energyplan {command} {shlex.join([*map(str, words), *kept])}"
 
 
 def write_report(page: Page, file: Path) -> None:
     """Write a report, with the command and the files read at its end."""
     from energyplan.io.files import atomic_write, files_behind
 
-    call, inputs = _command.get()
+    words, inputs = _command.get()
     read = dict.fromkeys(source for value in inputs for source in files_behind(value))
-    page.made_from(call=call, files=read)
+    page.made_from(call=shlex.join(words), files=read)
     atomic_write(file, page.html())

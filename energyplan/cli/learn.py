@@ -20,6 +20,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import (
     answer,
+    following,
     give_up_stdout,
     progress,
     say,
@@ -281,7 +282,8 @@ def identify(
         found = replace(found, warnings=(*doubts, *found.warnings))
         if out:
             write_model(found.model, out)
-        answer(documents.identification(found), found, json=json)
+        then = following("diagnose", *logs, "--out", "diagnosed.yaml", keep=opt.OF_ROBOT)
+        answer(documents.identification(found), found, json=json, then=then)
 
 
 def _table(path: Path) -> Any:
@@ -411,7 +413,9 @@ def diagnose(
         page.heading("Drives")
         page.bullets(lines)
         write_report(page, report)
-    answer({**parts, **documents.diagnosis(result)}, [*lines, result], json=json)
+    ends = ("--start", "X,Y,YAW", "--goal", "X,Y,YAW")
+    then = following("compare", "--map", "MAP.yaml", "--model", out, *ends, keep="") if out else ""
+    answer({**parts, **documents.diagnosis(result)}, [*lines, result], json=json, then=then)
     verdict(result.verdict != "unexplained", strict)
 
 

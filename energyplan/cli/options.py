@@ -173,6 +173,13 @@ class SiteOptions:
     clearance: Annotated[float | None, Option(help="Distance to keep from obstacles [m].")] = None
 
 
+OF_ROBOT = "--project --vehicle --columns --topics --unsigned"
+OF_ROUTE = (
+    "--map --resolution --surfaces --keepout --clearance --model --at-battery --speed --start --goal "
+    "--effort --turning --reverse --planner"
+)
+"""Options that the command which one gives next takes as they are."""
+
 Work = Annotated[
     int | None,
     Option(
