@@ -90,7 +90,7 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         "be compared with the truth.",
         "lead",
     )
-    with compiling_shown(lambda how_far: how_far.done % 20 or say(str(how_far))):
+    with compiling_shown(lambda how_far: say(str(how_far)) if how_far.done % 20 == 0 else None):
         compile_kernels(*kernels(surfaces=True), "energyplan.fit", "energyplan.battery")
     with ThreadPoolExecutor(1) as beside:
         say("1/7 identifying Quadriga on four grounds")

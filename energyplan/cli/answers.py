@@ -130,7 +130,7 @@ FLAGS = "--at-battery", "--unsigned"
 
 
 def following(command: str, *words: str | Path, keep: str) -> str:
-    """Return a command as a shell takes it, with those options of the one in hand that are named."""
+    """Return a command as a shell takes it, with some options of the one in hand."""
     given, kept, known = _command.get()[0], list[str](), keep.split()
     for k, word in enumerate(given):
         name, joined, _ = word.partition("=")

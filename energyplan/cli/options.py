@@ -175,8 +175,8 @@ class SiteOptions:
 
 OF_ROBOT = "--project --vehicle --columns --topics --unsigned"
 OF_ROUTE = (
-    "--map --resolution --surfaces --keepout --clearance --model --at-battery --speed --start --goal "
-    "--effort --turning --reverse --planner"
+    "--map --resolution --surfaces --keepout --clearance --model --at-battery --speed --start "
+    "--goal --effort --turning --reverse --planner"
 )
 """Options that the command which one gives next takes as they are."""
 

@@ -630,7 +630,7 @@ _CALENDAR = 1e9, 4e9  # seconds since 1970 that are days of this century: 2001 t
 
 
 def name_of(vehicle: Vehicle, logs: Sequence[DriveLog]) -> str:
-    """Return the name of a model: its robot, and the days of its drives, or else the first's name."""
+    """Return the name of a model: its robot, and the days of its drives or the first's name."""
     begun = [log.t[0] if log.began is None else log.began for log in logs]
     if all(_CALENDAR[0] < time < _CALENDAR[1] for time in begun):
         days = sorted({f"{datetime.fromtimestamp(time, UTC):%Y-%m-%d}" for time in begun})
