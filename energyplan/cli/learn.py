@@ -91,7 +91,8 @@ def start(
     makes no project, unless you accept that. Other commands read the project with --project.
     """
     from energyplan.io.config import write_project
-    from energyplan.io.start import Given, read_like, start_all
+    from energyplan.io.given import Given, read_like
+    from energyplan.io.start import start_all
     from energyplan.output import documents, text
 
     numbers = {

@@ -15,8 +15,9 @@ from own_robot import MODEL, RADIUS, ROBOT, bag, drive
 import energyplan as ep
 from energyplan import simulate
 from energyplan.io.config import read_project, write_project, write_vehicle
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.start import start
 from energyplan.io.tables import write_log
 from energyplan.power.presets import MODEL_PRESETS
 
