@@ -107,7 +107,8 @@ def start(
             raise InvalidInputError(f"{option} is for the image of a map; leave it out with logs")
 
     from energyplan.io.config import write_project
-    from energyplan.io.start import Given, read_like, start_all
+    from energyplan.io.given import Given, read_like
+    from energyplan.io.start import start_all
     from energyplan.output import documents, text
 
     numbers = {

@@ -16,9 +16,10 @@ from PIL import Image
 import energyplan as ep
 from energyplan import simulate
 from energyplan.io.config import read_project, write_project, write_vehicle
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
 from energyplan.io.maps import read_map
-from energyplan.io.start import Given, start
+from energyplan.io.start import start
 from energyplan.io.tables import write_log
 from energyplan.power.presets import MODEL_PRESETS
 
