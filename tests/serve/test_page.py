@@ -229,9 +229,7 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     assert opened.errors == []
 
 
-def test_a_wall_is_refused_and_a_mission_is_kept(
-    browser: Any, folder: Path, address: str
-) -> None:
+def test_a_wall_is_refused_and_a_mission_is_kept(browser: Any, folder: Path, address: str) -> None:
     opened = Opened(browser, address, 1300)
     opened.click(0.002, 0.5)
     assert "There is a wall" in opened.page.inner_text("#status")
