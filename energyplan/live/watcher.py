@@ -47,6 +47,7 @@ _CHECKED = 60.0  # time driven after which what was read so far is checked as a 
 
 _STILL = 0.02  # speed of the treads below which a robot stands [m/s]
 
+_AHEAD = 10  # poses of a path, as far apart as is near, that a drive may pass between samples
 _FACING = 0.6  # largest difference of heading at which a robot is at a task's pose [rad]
 
 
@@ -202,6 +203,14 @@ def _power(model: PowerModel, samples: Sequence[Sample]) -> FloatArray:
     return np.asarray(model.power(motion))
 
 
+@dataclass
+class _Row:
+    """A path of a task in one of its directions, and how far the robot has driven along it."""
+
+    poses: list[list[float]]
+    passed: int = 0  # how many of them it has passed
+
+
 class _Watch:
     def __init__(
         self, prior: PowerModel | Vehicle | None, mission: Mission | None, settings: Settings,
@@ -223,6 +232,14 @@ class _Watch:
         self._back: list[Sample] = []
         self._told_at = self._looked_at = -inf
         self._stood: dict[str, float] = {}
+        self._rows = {
+            task.name: [
+                _Row(one.path(mission.vehicle.icr.longitudinal).poses(settings.near, 1.0).tolist())
+                for one in task.options
+            ]
+            for task in (() if mission is None else mission.tasks)
+            if mission is not None and task.path
+        }
         self._polarisation = 0.0
         self._soc = settings.soc
         if mission is not None and self._soc is None:
@@ -234,7 +251,7 @@ class _Watch:
         self._here: _GroundLearner | None = None
         self._samples, self._unchecked = 0, list[Sample]()
         self._carries = mission is not None and (
-            mission.payload > 0 or any(task.payload for task in mission.tasks)
+            mission.payload > 0 or any(task.change for task in mission.tasks)
         )
 
     def run(
@@ -457,21 +474,39 @@ class _Watch:
             yield from self._look()
 
     def _finished(self, sample: Sample, step: float) -> Iterator[str]:
-        """Yield the tasks that have just been done: the robot has stood there for their dwell."""
+        """Yield the tasks that have just been done.
+
+        The robot has stood at their pose for their dwell, or has driven along their path.
+        """
         if self._mission is None or self._pose is None:
             return
-        if max(abs(sample.v_left), abs(sample.v_right)) > _STILL:
-            return
+        standing = max(abs(sample.v_left), abs(sample.v_right)) <= _STILL
         for task in self._mission.tasks:
-            here = self._pose
-            away = hypot(task.pose.x - here.x, task.pose.y - here.y)
-            turned = abs(float(wrap_angle(task.pose.yaw - here.yaw)))
-            if task.name in self._known or away > self._settings.near or turned > _FACING:
+            if task.name in self._known:
                 continue
-            stood = self._stood[task.name] = self._stood.get(task.name, 0.0) + step
-            if stood >= task.dwell:
-                self._known.add(task.name)
-                yield task.name
+            if task.pose is None:
+                if any(self._drove(one) for one in self._rows[task.name]):
+                    self._known.add(task.name)
+                    yield task.name
+            elif standing and self._at(task.pose):
+                stood = self._stood[task.name] = self._stood.get(task.name, 0.0) + step
+                if stood >= task.dwell:
+                    self._known.add(task.name)
+                    yield task.name
+
+    def _at(self, pose: Sequence[float]) -> bool:
+        """Return whether the robot is near a pose, and faces as it does."""
+        assert self._pose is not None
+        away = hypot(pose[0] - self._pose.x, pose[1] - self._pose.y)
+        turned = abs(float(wrap_angle(pose[2] - self._pose.yaw)))
+        return away <= self._settings.near and turned <= _FACING
+
+    def _drove(self, row: _Row) -> bool:
+        """Follow the robot along a path; return whether it is at its end."""
+        for k in range(row.passed, min(row.passed + _AHEAD, len(row.poses))):
+            if self._at(row.poses[k]):
+                row.passed = k + 1
+        return row.passed == len(row.poses)
 
     def _charge(self) -> float:
         """Return the state of charge now, by the energy that was drawn since it was last known."""
