@@ -24,8 +24,10 @@ from energyplan import simulate
 from energyplan.errors import DriveLogError
 from energyplan.fit.tasks import identify_tasks
 from energyplan.io.bags import TopicMap, of_types, read_message, topics_of
+from energyplan.io.draft import refuse
+from energyplan.io.given import Given, read_like
 from energyplan.io.logs import named_columns, read_log, tasks_of
-from energyplan.io.start import Given, read_like, refuse, start, start_all
+from energyplan.io.start import start, start_all
 from energyplan.logs.tables import Recording, message_series, read_table
 
 AT = At(drive(ROVER), ROVER)
