@@ -203,14 +203,6 @@ def _power(model: PowerModel, samples: Sequence[Sample]) -> FloatArray:
     return np.asarray(model.power(motion))
 
 
-@dataclass
-class _Row:
-    """A path of a task in one of its directions, and how far the robot has driven along it."""
-
-    poses: list[list[float]]
-    passed: int = 0  # how many of them it has passed
-
-
 class _Watch:
     def __init__(
         self, prior: PowerModel | Vehicle | None, mission: Mission | None, settings: Settings,
@@ -232,14 +224,13 @@ class _Watch:
         self._back: list[Sample] = []
         self._told_at = self._looked_at = -inf
         self._stood: dict[str, float] = {}
-        self._rows = {
-            task.name: [
-                _Row(one.path(mission.vehicle.icr.longitudinal).poses(settings.near, 1.0).tolist())
-                for one in task.options
-            ]
-            for task in (() if mission is None else mission.tasks)
-            if mission is not None and task.path
-        }
+        self._rows: dict[tuple[str, int], FloatArray] = {}  # poses along paths, in each direction
+        self._passed: Counter[tuple[str, int]] = Counter()  # how many of them were passed
+        if mission is not None:
+            for task in mission.tasks:
+                for k, one in enumerate(task.options if task.path else ()):
+                    path = one.path(mission.vehicle.icr.longitudinal)
+                    self._rows[task.name, k] = path.poses(settings.near, _FACING)
         self._polarisation = 0.0
         self._soc = settings.soc
         if mission is not None and self._soc is None:
@@ -485,7 +476,7 @@ class _Watch:
             if task.name in self._known:
                 continue
             if task.pose is None:
-                if any(self._drove(one) for one in self._rows[task.name]):
+                if any(self._drove(one) for one in self._rows if one[0] == task.name):
                     self._known.add(task.name)
                     yield task.name
             elif standing and self._at(task.pose):
@@ -494,19 +485,20 @@ class _Watch:
                     self._known.add(task.name)
                     yield task.name
 
-    def _at(self, pose: Sequence[float]) -> bool:
+    def _at(self, pose: Sequence[float] | FloatArray) -> bool:
         """Return whether the robot is near a pose, and faces as it does."""
         assert self._pose is not None
         away = hypot(pose[0] - self._pose.x, pose[1] - self._pose.y)
         turned = abs(float(wrap_angle(pose[2] - self._pose.yaw)))
         return away <= self._settings.near and turned <= _FACING
 
-    def _drove(self, row: _Row) -> bool:
-        """Follow the robot along a path; return whether it is at its end."""
-        for k in range(row.passed, min(row.passed + _AHEAD, len(row.poses))):
-            if self._at(row.poses[k]):
-                row.passed = k + 1
-        return row.passed == len(row.poses)
+    def _drove(self, row: tuple[str, int]) -> bool:
+        """Follow the robot along a path in one direction; return whether it is at its end."""
+        poses, passed = self._rows[row], self._passed[row]
+        for k in range(passed, min(passed + _AHEAD, len(poses))):
+            if self._at(poses[k]):
+                self._passed[row] = k + 1
+        return self._passed[row] == len(poses)
 
     def _charge(self) -> float:
         """Return the state of charge now, by the energy that was drawn since it was last known."""
