@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
+    from energyplan.terrain import OccupancyGrid
     from energyplan.vehicle import TreadICR
 
 Document = dict[str, Any]
@@ -141,6 +142,19 @@ def start(result: Start) -> Document:
         "checks": plain(result.checks),
         "notes": list(result.notes),
     }
+
+
+def occupancy(grid: OccupancyGrid) -> Document:
+    """Return what ``energyplan start --json`` prints of the image of a map."""
+    unknown = np.zeros_like(grid.occupied) if grid.unknown is None else grid.unknown
+    shares = {
+        "free": ~(grid.occupied | unknown), "occupied": grid.occupied,
+        "unknown": unknown & ~grid.occupied,
+    }  # fmt: skip
+    return {
+        "rows": grid.shape[0], "columns": grid.shape[1], "resolution": grid.resolution,
+        "size": plain(grid.size), **{name: float(cells.mean()) for name, cells in shares.items()},
+    }  # fmt: skip
 
 
 def diagnosis(report: Diagnosis) -> Document:
