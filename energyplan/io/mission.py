@@ -128,7 +128,8 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
     places = document.check(dict[str, Place], ("places",)) if "places" in document.data else {}
     site, notes, known = None, tuple[str, ...](), set[str]()
     if "map" in data:
-        names = SiteFile(map=data["map"], **{key: data.pop(key) for key in PARTS if key in data})
+        of_site = {key: data.pop(key) for key in ("resolution", *PARTS) if key in data}
+        names = replace(document, data={"map": data["map"], **of_site}).check(SiteFile)
         data["map"] = site = load_site(names, part, inside=not anywhere)
         known = {one.model.name for one in (site.surfaces.surfaces if site.surfaces else ())}
     read_named = named(read_model, PowerModel.preset)

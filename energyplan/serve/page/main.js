@@ -143,7 +143,7 @@ async function replan() {
   const mine = asked = new AbortController();
   say("Planning…");
   try {
-    const told = await post("compare", {
+    const told = await ask("compare", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
       start: start.pose, goal: goal.pose, time_limit: 0.3,
     }, mine.signal);
@@ -196,7 +196,7 @@ async function range() {
   const spread = form.spread.value / 100;
   say("Searching for all places in reach…");
   try {
-    const told = await post("range", {
+    const told = await ask("range", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
       start: start.pose, back: $("back").checked ? start.pose : null,
       pack: form.pack.value || mission?.document.battery || null,
@@ -211,6 +211,11 @@ async function range() {
       told.contours.map((line) => [energy(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
   } catch (error) { say(error.message, true); }
 }
+
+// Ask the service, and say how far it is where it must compile first.
+const ask = (path, body, signal) => post(path, body, ({ event, done, total, left }) => {
+  if (event === "compiling") say(`Compiling, once: ${done} of ${total}${left == null ? "" : `, about ${Math.round(left)} s left`}…`);
+}, signal);
 
 // missions
 
@@ -319,7 +324,7 @@ async function evaluate(event) {
   if (!$("battery").reportValidity()) return null;
   say("Evaluating the mission…");
   try {
-    verdicts(await post("mission", { mission: mission?.name ?? null, document: written() }));
+    verdicts(await ask("mission", { mission: mission?.name ?? null, document: written() }));
   } catch (error) { say(error.message, true); }
 }
 
@@ -408,7 +413,7 @@ async function learn() {
     whose.robot = { track: number("track"), wheelbase: number("wheelbase"), mass: number("mass"),
       wheel_radius: number("radius"), columns: form.columns.value || null };
     if (!whose.robot.track || !whose.robot.mass) return say("Which robot is this? Give a vehicle, or track and mass of your own.", true);
-    const read = await post("start", { log: names[0], robot: whose.robot });
+    const read = await ask("start", { log: names[0], robot: whose.robot });
     parts.push(element("h2", "Read as"), table(["channel", "column"],
       Object.entries(read.columns).map(([channel, column]) => [channel, `${column} [${read.units[channel]}]`])),
       ...read.checks.filter((check) => !check.ok).map((check) => element("p", `${check.what}. ${check.remedy}`, "bad")));
@@ -416,13 +421,13 @@ async function learn() {
     if (!read.sound) return say("The log contradicts itself or the robot: see below.", true);
   }
   say("Looking for the robot's parameters…");
-  const found = await post("identify", { logs: names, ...whose });
+  const found = await ask("identify", { logs: names, ...whose });
   const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`}${unit(t.unit)}`]);
   parts.push(element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
     ...found.warnings.map((text) => element("p", text, "hint")), keeper(found.model_file));
   if (names.length > 1) {
     say("Tracing what the model does not explain…");
-    const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
+    const told = await ask("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
     parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
       table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
       element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
