@@ -321,7 +321,8 @@ def energy_map(
         raise InvalidInputError("a coefficient spread needs a confidence; give both")
     if problem.objective != "energy":
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
-    problem = replace(problem, goal=problem.start, costmap=None)
+    surfaces = None if problem.surfaces is None else problem.surfaces.unpriced
+    problem = replace(problem, goal=problem.start, costmap=None, surfaces=surfaces)
     there = compiled(problem)
     upper = None
     if confidence is not None:

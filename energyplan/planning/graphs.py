@@ -392,7 +392,7 @@ class Roadmap:
         path = self._drive(source, states, start_yaw, goal_yaw)
         nodes = (source, *(state.target for state in states))
         price = path_price(path, self.cost, self.surfaces)
-        value = self._prices.value(price.energy, path.length, price.duration)
+        value = self._prices.value(price.energy, path.length, price.duration) + price.seconds
         return Route(nodes, tuple(states), path, price.energy, value)
 
     def _nearest(self, source: Hashable, target: Hashable) -> str:

@@ -91,6 +91,7 @@ class Piece(NamedTuple):
     path: Path  # segments at their length on the slope
     slope: FloatArray  # (n,): slope along the heading of each segment [rad]
     yaw: FloatArray  # (n,): heading in the middle of each segment [rad]
+    second: float = 0.0  # price of a second there, in the unit of the objective
 
     @property
     def energy(self) -> float:
@@ -104,6 +105,7 @@ class PathPrice(NamedTuple):
     energy: float  # energy, priced by the models themselves [J]
     by_term: Mapping[str, float]  # the same by term of the power models [J]
     duration: float  # time at the speeds of the costs [s]
+    seconds: float = 0.0  # what seconds on priced ground add, in the unit of the objective
 
 
 def path_pieces(
@@ -126,8 +128,14 @@ def path_pieces(
     if surfaces is None or not (surfaces.surfaces or slow.areas):
         return (Piece(cost, driven, slope, yaw),)
     return tuple(
-        Piece(c, replace(driven, ds=driven.ds * share, dtheta=driven.dtheta * share), slope, yaw)
-        for c, share in zip(costs, surfaces.shares(cut, slow).T, strict=True)
+        Piece(
+            c,
+            replace(driven, ds=driven.ds * share, dtheta=driven.dtheta * share),
+            slope,
+            yaw,
+            surfaces.seconds[k % len(surfaces.seconds)],
+        )
+        for k, (c, share) in enumerate(zip(costs, surfaces.shares(cut, slow).T, strict=True))
         if np.any(share > 0)
     )
 
@@ -151,6 +159,7 @@ def path_price(
         energy=float(sum(p.energy for p in pieces)),
         by_term=by_term,
         duration=float(sum(p.cost.duration(p.path) for p in pieces)) if timed else np.nan,
+        seconds=float(sum(p.second * p.cost.duration(p.path) for p in pieces if p.second)),
     )
 
 

@@ -266,12 +266,21 @@ class CompiledProblem:
             return np.zeros(self.grid.shape, np.uint8)
         return surface
 
-    def soft_cost(self, path: Path) -> float:
-        """Return what the costmap adds to the cost of a path, in the unit of the objective."""
-        problem = self.problem
-        if problem.costmap is None or not problem.softened:
-            return 0.0
-        return problem.costmap_weight * problem.costmap.along(path)
+    def soft_cost(self, path: Path, seconds: float | None = None) -> float:
+        """Return what the costmap and priced seconds add to the cost of a path.
+
+        It is in the unit of the objective. The seconds are priced at steady speeds where what they
+        add is not given.
+        """
+        problem, surfaces = self.problem, self.problem.surfaces
+        soft = 0.0
+        if problem.costmap is not None and problem.softened:
+            soft = problem.costmap_weight * problem.costmap.along(path)
+        if surfaces is None or not any(surfaces.seconds):
+            return soft
+        if seconds is None:
+            seconds = self.terrain.price(path, problem.cost).seconds
+        return soft + seconds
 
     @cached_property
     def setting(self) -> KernelProblem:

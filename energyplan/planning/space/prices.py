@@ -207,7 +207,8 @@ class Prices:
         if self.surfaces is None or not self.surfaces.speed_limits:
             return NOT_SLOW
         regions = self.surfaces.costs(self.cost)[: len(self.surfaces.surfaces) + 1]
-        if not self._weights[2] and all(cost.same_at_any_speed for cost in regions):
+        timed = self._weights[2] or any(self.surfaces.seconds)
+        if not timed and all(cost.same_at_any_speed for cost in regions):
             return NOT_SLOW
         return self.surfaces.slow_areas(self.cost)
 
@@ -218,6 +219,11 @@ class Prices:
             return (self.cost,)
         count = (len(self.surfaces.surfaces) + 1) * (len(self.slow.speeds) + 1)
         return self.surfaces.costs(self.cost)[:count]
+
+    def of_time(self, region: int) -> float:
+        """Price of a second in one class of ground."""
+        seconds = (0.0,) if self.surfaces is None else self.surfaces.seconds
+        return self._weights[2] + seconds[region % len(seconds)]
 
     def class_at(self, points: ArrayLike) -> NDArray[np.intp]:
         """Return the class of ground at each world point (..., 2) [m]."""
@@ -248,7 +254,8 @@ class Prices:
         Where it depends on the heading and none is given, it is a lower bound.
         """
         cost = self.costs[region]
-        energy, length, time = self._weights
+        energy, length, _ = self._weights
+        time = self.of_time(region)
         slope: ArrayLike | None = 0.0 if exact else None
         along = np.asarray(ds, float)
         if steep is not None:
@@ -278,7 +285,8 @@ class Prices:
         one direction to the next, so that the fastest admissible speed is used instead.
         """
         cost = self.costs[region]
-        energy, length, time = self._weights
+        energy, length, _ = self._weights
+        time = self.of_time(region)
         if time <= energy * cost.time_value * (1.0 + 1e-9):
             return self.motion(ds, dtheta, region, steep)
         along = np.asarray(ds, float) * np.hypot(1.0, steep)
@@ -287,7 +295,10 @@ class Prices:
         return np.asarray(total + length * np.abs(ds) + time * least)
 
     def value(self, energy: float, length: float, duration: float) -> float:
-        """Return the price of a whole path, given its energy [J], length [m] and duration [s]."""
+        """Return the price of a whole path, given its energy [J], length [m] and duration [s].
+
+        What seconds on priced ground add comes on top.
+        """
         weights = self._weights
         timed = weights[2] * duration if weights[2] else 0.0
         return weights[0] * energy + weights[1] * length + timed
