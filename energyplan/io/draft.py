@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from math import isfinite, pi
+from math import isfinite, nan, pi
+from types import MappingProxyType
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -53,6 +54,7 @@ from energyplan.logs.mapping import (
     is_unit,
     scale_of,
     split_unit,
+    time_units,
     unit_in,
 )
 from energyplan.logs.tables import Recording, counts_rows, find_clock, quaternions
@@ -122,17 +124,15 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
             f"t={number or ROW}[*0.05] for 50 ms"
         )
     used = [
-        (name, channel, unit)
+        (name, channel)
         for name, values in columns.items() if grows(values)
-        for channel, unit in (("current", "mAh"), ("power", "Wh"))
-        if _CONSUMED[channel] & set(words(name))
+        for channel in ("current", "power") if _CONSUMED[channel] & set(words(name))
     ]  # fmt: skip
     if "power" in needed and used:
-        name, channel, unit = used[0]
-        unit = unit_in(channel, name).unit or unit
+        name, channel = used[0]
         hint += (
             f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
-            f"{channel}={name}[{unit}]"
+            f"{' or '.join(_counter_ways(recording, name, (channel,)))}"
         )
     amps = guess(columns).get("current")
     if "power" in needed and amps is not None:
@@ -147,6 +147,32 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         f"{', '.join([*recording.columns, *recording.text][:30])}; say which it is with --columns "
         f"{needed[0]}=NAME"
     )
+
+
+_COUNTED = {"current": ("mAh", "Ah", "C"), "power": ("Wh", "J", "kJ")}
+_DRAWN = (0.2, 2e4)  # what robots draw in the mean, and more [W]
+_VOLTAGE = 24.0  # a usual voltage of a robot's battery [V]
+
+
+def _counter_ways(recording: Recording, name: str, channels: Sequence[str]) -> list[str]:
+    """Return how to map what counts charge or energy, in units in which it is a robot's."""
+    found = guess(recording.columns)
+    t = recording.clock(name)
+    if t is None and "t" in found:
+        t = recording.series(found["t"]).values
+        t = t * scale_of("t", time_units(t)[0]).factor if not found["t"].unit else t
+    values = recording.column(name)
+    span = nan if t is None or len(t) < 2 else float(np.nanmax(t) - np.nanmin(t))
+    rate = float(np.nanmax(values) - np.nanmin(values)) / span if span > 0 else nan
+    ways = []
+    for channel in channels:
+        stated = unit_in(channel, name).unit
+        volts = _VOLTAGE if channel == "current" else 1.0
+        for unit in (stated,) if stated else _COUNTED[channel]:
+            drawn = rate * scale_of(channel, unit).factor * volts
+            if stated or not isfinite(drawn) or _DRAWN[0] <= drawn <= _DRAWN[1]:
+                ways.append(f"{channel}={name}[{unit}]")
+    return ways or [f"{channel}={name}[UNIT]" for channel in channels]
 
 
 _TORQUES = {"effort", "torque"}
@@ -195,6 +221,8 @@ class Draft(NamedTuple):
     columns: dict[str, Column]
     free: dict[str, Column]  # by channel, as they were guessed
     notes: list[str]
+    given: Mapping[str, Column] = MappingProxyType({})  # those that are named by hand
+    named: tuple[str, ...] = ()  # columns whose names alone say what they are
 
 
 _ELEMENT = re.compile(r"\.\d+$")  # of an array, of which some elements are named by hand
@@ -202,7 +230,8 @@ _ELEMENT = re.compile(r"\.\d+$")  # of an array, of which some elements are name
 
 def draft(recording: Recording, known: Given) -> Draft:
     """Guess by names, and by types of messages, which series serve as which channels."""
-    columns = named_columns(recording, known.columns)
+    given = named_columns(recording, known.columns)
+    columns = dict(given)
     if not columns and tasks_of(recording, 1.0) is not None:
         raise DriveLogError(
             f"{recording.source}: a row is a task, not an instant of a drive: energyplan identify "
@@ -219,7 +248,7 @@ def draft(recording: Recording, known: Given) -> Draft:
         if isfinite(known.wheel_radius):
             rate = f"rad/s*{known.wheel_radius:.6g}"
             stock |= {channel: stock[channel].changed(unit=rate) for channel in SPEEDS}
-        return Draft(stock | columns, {}, [f"the topics are those of the topic map {own!r}"])
+        return Draft(stock | columns, {}, [f"the topics are those of the topic map {own!r}"], given)
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
     arrays = {_ELEMENT.sub("", name) for one in columns.values() for name in one.names
@@ -276,7 +305,7 @@ def draft(recording: Recording, known: Given) -> Draft:
         if channel in recording.columns and channel not in columns:
             columns[channel] = Column(field=channel, channel=channel)
     notes += _of_compass(recording, columns, found)
-    return Draft(columns, found, notes)
+    return Draft(columns, found, notes, given, tuple(there))
 
 
 def _of_compass(
@@ -377,14 +406,16 @@ def _guesses(
         else:
             grown = one.field
         names = [name for name in names if name not in one.names]
-    ways = (*POWER_WAYS, ("current_left", "current_right"))
-    if not any(set(way) <= {*found, *columns} for way in ways):
+    every = (*POWER_WAYS, ("current_left", "current_right"))
+    if not any(set(way) <= {*found, *columns} for way in every):
         found |= {c: one for c, one in kept.items() if c not in columns}
         if grown and not kept:
+            ways = _counter_ways(recording, grown, ("current", "power"))
+            listed = " or ".join(f"--columns '{way}'" for way in ways)
             raise DriveLogError(
                 f"{recording.source}: {grown!r} only ever grows or falls: it counts energy or "
-                "charge, and is no power and no current; map its rate of change by its unit, as in "
-                f"--columns 'current={grown}[mAh]' or --columns 'power={grown}[Wh]'"
+                "charge, and is no power and no current; map its rate of change by its unit, which "
+                f"nobody but you knows, as in {listed}"
             )
     return found
 
