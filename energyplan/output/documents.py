@@ -218,9 +218,16 @@ def mission(report: MissionReport, trajectories: bool = False) -> Document:
 
     Of several robots each has the same keys, but for its own name.
     """
-    poses = {task.name: task.pose for task in report.mission.tasks}
+    places, rows = {task.name: task.options[0] for task in report.mission.tasks}, report.rows
+
+    def where(name: str) -> Document:
+        row = rows.get(name)
+        if row is None:
+            return {"pose": plain(places[name].entry), "path": plain(places[name].points)}
+        return {"pose": plain(row.start), "path": plain(row.vertices)}
+
     found = {
-        "tasks": [{**plain(task), "pose": plain(poses[task.name])} for task in report.tasks],
+        "tasks": [{**plain(task), **where(task.name)} for task in report.tasks],
         **(_of_robots(report, trajectories) if report.robots else plain(report)),
     }
     if not report.robots:
