@@ -112,7 +112,7 @@ class Supply:
         """Charge at a charger from a state of charge until another, or until it rises no more."""
         battery = at_charger(self.battery, charger)
         t, soc, joules = [0.0], [charge], [0.0]
-        steps = CHARGING.step * np.arange(int(3600 / CHARGING.step) + 1)
+        steps: FloatArray = CHARGING.step * np.arange(int(3600 / CHARGING.step) + 1.0)
         for _ in range(CHARGING.hours):
             begun, hour, before = soc[-1], t[-1], joules[-1]
             if begun >= until:

@@ -461,7 +461,7 @@ class Charger:
         if not isinstance(self.power, tuple):
             return np.full(np.shape(soc), self.power)
         levels, power = np.array(self.power).T
-        return np.asarray(np.interp(soc, levels, power))
+        return np.asarray(np.interp(np.asarray(soc, float), levels, power))
 
 
 def at_charger(battery: BatteryModel, charger: Charger) -> BatteryModel:
