@@ -117,10 +117,16 @@ class Scene(ByValue):
         angle = np.linspace(0.0, np.pi, 65)
         ds, turn = np.cos(angle), np.sin(angle)
         costs = (self.cost,) if self.surfaces is None else self.surfaces.costs(self.cost)
-        return all(
-            np.allclose(c.segment_energy(ds, turn), c.segment_energy(-ds, -turn), rtol=1e-6)
-            for c in costs
-        )
+        yaw = np.linspace(-np.pi, np.pi, 65)[:, None]
+
+        def alike(one: EnergyCost) -> bool:
+            there, back = (
+                one.segment_energy(way * ds, way * turn, yaw=yaw if one.of_heading else None)
+                for way in (1.0, -1.0)
+            )
+            return np.allclose(there, back, rtol=1e-6)
+
+        return all(map(alike, costs))
 
     def plan(self, start: Pose, goal: Pose, hurried: bool) -> PlannedRoute:
         """Plan the route of least energy from pose to pose; in a hurry that of least time."""
