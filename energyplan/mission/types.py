@@ -908,7 +908,12 @@ class Mission(ReadOnly, html.Readable):
                 path = task.options[0].path(self.vehicle.icr.longitudinal)
             except PathError as problem:
                 raise MissionError(f"task {task.name!r}: {problem}", ("tasks", k, "path")) from None
-            if task.required and (fault := blocked(self.free_map, self.vehicle, path)):
+            beyond = [point for point in task.path if not self.map.inside(point[:2])]
+            if beyond:
+                x, y, *_ = beyond[0]
+                fault = f"({x:g}, {y:g}) of its path lies outside the map"
+                faults.append((f"task {task.name!r}: {fault}", ("tasks", k, "path")))
+            elif task.required and (fault := blocked(self.free_map, self.vehicle, path)):
                 faults.append((f"task {task.name!r}: {fault}", ("tasks", k, "path")))
         if faults:
             raise MissionError("; ".join(fault for fault, _ in faults), faults[0][1])

@@ -47,7 +47,7 @@ SHOWN = {
     "ICREstimate": "turning source",
     "Identification": "residual adequacy foretold set_aside warnings",
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
-    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty",
+    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty alternatives",
     "NoPathError": "certainty resolution",
     "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady "
     "planning_time planner potential effort "
