@@ -317,7 +317,7 @@ def energy_map(
         raise InvalidInputError("a coefficient spread needs a confidence; give both")
     if problem.objective != "energy":
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
-    problem = replace(problem, goal=problem.start, costmap=None)
+    problem = replace(problem, goal=problem.start, goals=(), costmap=None)
     there = compiled(problem)
     upper = None
     if confidence is not None:
