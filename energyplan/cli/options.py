@@ -213,7 +213,8 @@ class GoalOptions:
             raise InvalidInputError(
                 "--goal is missing; give X,Y,YAW, or X,Y for any heading at a place"
             )
-        return as_goals(self.goal, self.goal_heading or "", self.goal_radius)
+        heading, radius = self.goal_heading or "", self.goal_radius
+        return tuple(goal for text in self.goal for goal in as_goals(text, heading, radius))
 
 
 @dataclass(frozen=True)

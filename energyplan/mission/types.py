@@ -18,9 +18,10 @@ from pydantic_core import ArgsKwargs
 from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
-from energyplan.errors import MissionError
+from energyplan.errors import InvalidInputError, MissionError
 from energyplan.mission._order_kernel import GRAM
 from energyplan.path import Pose, as_pose, parse_pose
+from energyplan.planning.goal import Goal, as_goals, only_pose
 from energyplan.planning.problem import free_beside, where_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
@@ -152,6 +153,18 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
 Place = Annotated[Pose, PlainValidator(_pose)]
 
 
+def _goals(value: Any, info: ValidationInfo, heading: str, radius: float) -> tuple[Goal, ...]:
+    """Read where a task may be done: what `_pose` reads, a place, a `Goal`, or a list of these."""
+    places: Mapping[str, Any] = (info.context or {}).get("places", {})
+
+    def placed(one: Any) -> Any:
+        return places.get(one, one) if isinstance(one, str) else one
+
+    found = [placed(one) for one in value] if isinstance(value, list) else placed(value)
+    return as_goals(found, heading, radius)
+
+
+_HEADINGS, _AROUND = 16, 8  # poses of a goal that are tried until one is free, on circles more
 LARGEST = 1e12  # largest instant [s] or prize of a task
 
 Name = Annotated[str, Field(min_length=1)]
@@ -164,6 +177,24 @@ def _share(greatest: float, usual: float) -> Within:
     return Within((0, greatest), (0, usual), "", PERCENT)
 
 
+def _part_goal(values: dict[str, Any], info: ValidationInfo) -> None:
+    """Part where a task may be done into one pose of it, and the goals if there is a choice."""
+    heading, radius = values.pop("heading", None), values.pop("radius", None)
+    if isinstance(values["pose"], Pose) and heading is None and radius is None:
+        return  # with the goals that it was chosen from, if any
+    try:
+        wanted = 0.0 if radius is None else float(amount("length", radius))
+        goals = _goals(values["pose"], info, "" if heading is None else str(heading), wanted)
+    except (*NO_NUMBER, InvalidInputError):
+        if heading is None and radius is None and not isinstance(values["pose"], Goal):
+            return  # what is wrong with a pose is said where it is read
+        raise
+    pose = only_pose(goals)
+    if pose is None:
+        values["goals"], pose = goals, Pose(goals[0].x, goals[0].y, goals[0].yaw or 0.0)
+    values["pose"] = pose
+
+
 @record(MissionError)
 class Task:
     """Something to be done at a place.
@@ -172,8 +203,9 @@ class Task:
     ----------
     name : str
         Name, unique in the mission.
-    pose : Pose
-        Where it is done.
+    pose : Pose, Goal or a list of these
+        Where it is done; as a place ``(x, y)`` at any heading. Where there is a choice, the poses
+        of all such tasks are those that cost least together; see `Goal`.
     dwell : float
         How long it takes there [s].
     power : float
@@ -191,6 +223,8 @@ class Task:
         `Mission.spreads` where not given. Tasks with the same power and spread share a tool.
     needs : tuple of str
         Of several robots only those that have all these skills can do it.
+    goals : tuple of Goal
+        What `pose` was given as; empty where that is a single pose.
 
     Raises
     ------
@@ -214,14 +248,22 @@ class Task:
     power_spread: ToolPower | None = None
     dwell_spread: Duration | None = None
     needs: tuple[str, ...] = ()
+    goals: tuple[Goal, ...] = ()
 
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _distributions(cls, given: Any) -> Any:
-        """Part what is given as a distribution into its mean and its standard deviation."""
+    def _distributions(cls, given: Any, info: ValidationInfo) -> Any:
+        """Part a distribution into mean and standard deviation, and a goal into poses."""
         if not isinstance(given, dict | ArgsKwargs):
             return given  # pydantic refuses it by its kind
         values = dict(given if isinstance(given, dict) else given.kwargs or {})
+        if isinstance(given, ArgsKwargs) and len(given.args) > 1:
+            named = {"pose": given.args[1], **values}
+            _part_goal(named, info)
+            given = ArgsKwargs((given.args[0], named.pop("pose"), *given.args[2:]))
+            values = named
+        elif "pose" in values:
+            _part_goal(values, info)
         for key, kind in (("dwell", "time"), ("power", "power")):
             spread = _part(values, key, kind)
             if spread is not None:
@@ -611,6 +653,7 @@ class Mission(ReadOnly, html.Readable):
         self._check_numbers()
         self._check_models()
         self._move_start()
+        self._free_goals()
         self._check_poses()
 
     def _lay_ground(self) -> None:
@@ -697,6 +740,17 @@ class Mission(ReadOnly, html.Readable):
                 object.__setattr__(self, "home", moved.pose)
             object.__setattr__(self, "start", moved.pose)
             object.__setattr__(self, "notes", (*self.notes, moved.note))
+
+    def _free_goals(self) -> None:
+        """Give each task with a choice of poses one at which the robot is free, if there is one."""
+        tasks = list(self.tasks)
+        for k, task in enumerate(tasks):
+            if task.goals and not self.free_map.footprint_free(task.pose, self.vehicle):
+                poses = np.concatenate([goal.samples(_HEADINGS, _AROUND) for goal in task.goals])
+                free = poses[self.free_map.footprint_free(poses, self.vehicle)]
+                if len(free):
+                    tasks[k] = replace(task, pose=Pose(*free[0].tolist()))
+        object.__setattr__(self, "tasks", tuple(tasks))
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]

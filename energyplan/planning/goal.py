@@ -160,7 +160,7 @@ def as_goals(value: Any, heading: str = "", radius: float = 0.0) -> tuple[Goal, 
     """
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
         texts = [one for one in value if isinstance(one, str)]
-        pose = len(texts) == len(value) and not any("," in text for text in texts)
+        pose = len(texts) == len(value) in (2, 3) and not any("," in text for text in texts)
         if not pose and all(isinstance(one, Goal | str | Mapping) or np.ndim(one) for one in value):
             return tuple(goal for one in value for goal in as_goals(one, heading, radius))
     if isinstance(value, Goal):
