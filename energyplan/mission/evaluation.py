@@ -197,8 +197,9 @@ class Evaluation:
                 else sim.visit(state, found.stops[at:], found.hurried[at:])
             )  # fmt: skip
             if visit.attempt is not None:
-                state = self._done(state, stop - 1, visit.attempt)
-                turns[stop:] = [state] * len(turns[stop:])
+                task = self.legs.task_at(stop)
+                state = self._done(state, task, visit.attempt)
+                turns[task + 1 :] = [state] * len(turns[task + 1 :])
             elif visit.after is not None:
                 state = visit.after
         for k in self.tasks:
@@ -206,7 +207,7 @@ class Evaluation:
                 earlier = tuple(d for d in self.done if d < k)
                 self.attempts[k] = _Try(turns[k], attempt(sim, turns[k], k), earlier)
             elif k not in self.attempts:
-                state = self._done(state, k, sim.attempt(state, k))
+                state = self._done(state, k, sim.nearest(state, k))
         self.end = state
 
     def _done(self, state: Status, task: int, tried: Attempt) -> Status:
@@ -255,7 +256,7 @@ class Evaluation:
             if k in self.done:
                 stop = stops(after.trip)[-1]
                 return replace(
-                    found, start=after.time - task.dwell, arrival=stop.arrival,
+                    found, start=after.trip[-1].departure, arrival=stop.arrival,
                     departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
                 )  # fmt: skip
             # it could be done, but a later one could then not be
@@ -415,7 +416,8 @@ class Evaluation:
         found, most = self.found, end.total.mean + ROUNDING * abs(end.total.mean)
         visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
         levels = [one.until for one in self.mission.chargers if one.name in visited]
-        if not levels or self.done != [s - 1 for s in found.stops if s <= len(self.mission.tasks)]:
+        tasks = [self.legs.task_at(s) for s in found.stops if s in self.legs.options]
+        if not levels or self.done != tasks:
             return (), 0.0
 
         def last(remedy: Remedy) -> Status | None:

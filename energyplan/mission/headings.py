@@ -18,7 +18,7 @@ import numpy as np
 
 from energyplan.errors import PlanningError
 from energyplan.mission.routes import Legs, Scene
-from energyplan.mission.types import Mission, Task
+from energyplan.mission.types import Mission, Option, Task
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning import Goal, PlanningProblem, plan
 from energyplan.planning.search.lattice import joined
@@ -36,23 +36,25 @@ class Choosing(NamedTuple):
     exact: int = 8  # tasks up to which orders and poses are chosen together
     near: int = 6  # other places of a task whose ways are planned, where there are more
     effort: int = 1000  # units of work for the path between two places
+    patience: tuple[int, ...] = (1, 10)  # times that, where it is not enough
     poses: int = 24  # of a path at each end, from which it is steered anew
     reach: float = 6.0  # distance from its ends in which they lie [reaches of the body]
-    tries: int = 4  # of these that are tried for each pose at the end
+    tries: int = 12  # of these that are tried for each pose at the end
 
 
 CHOOSING = Choosing()
 
 
-def choices(mission: Mission, task: Task) -> list[Pose]:
-    """Return the poses at which a task may be done and the robot is free."""
+def choices(mission: Mission, task: Task) -> Sequence[Option]:
+    """Return the ways of doing a task at which the robot is free."""
     if not task.goals:
-        return [task.pose]
+        return task.options
     poses = np.concatenate(
         [goal.samples(CHOOSING.headings, CHOOSING.around) for goal in task.goals]
     )
     free = mission.free_map.footprint_free(poses, mission.vehicle)
-    return [Pose(*pose) for pose in poses[free].tolist()] or [task.pose]
+    found = [Pose(*pose) for pose in poses[free].tolist()]
+    return [Option(pose, pose) for pose in found] or task.options
 
 
 def with_poses(mission: Mission, legs: Legs, order: Sequence[int] = ()) -> Mission:
@@ -69,7 +71,7 @@ def with_poses(mission: Mission, legs: Legs, order: Sequence[int] = ()) -> Missi
     else:
         chosen = _along(ways, _nearest_first(ways))
     tasks = tuple(
-        replace(task, pose=ways.poses[k + 1][chosen[k]]) if k in chosen else task
+        replace(task, pose=ways.entries[k + 1][chosen[k]]) if task.goals and k in chosen else task
         for k, task in enumerate(mission.tasks)
     )
     return replace(mission, tasks=tasks)
@@ -84,23 +86,26 @@ class _Ways:
         if mission.return_to != "start":
             ends += [charger.pose for charger in mission.chargers]
         # the start, the tasks, and where the mission may end
-        self.poses = [[mission.start], *(choices(mission, task) for task in mission.tasks), ends]
+        ways = [choices(mission, task) for task in mission.tasks]
+        self.entries = [[mission.start], *([one.entry for one in each] for each in ways), ends]
+        self.exits = [[mission.start], *([one.exit for one in each] for each in ways), ends]
         self._known: dict[tuple[int, int], FloatArray] = {}
 
     @property
     def end(self) -> int:
         """Number of where the mission may end."""
-        return len(self.poses) - 1
+        return len(self.entries) - 1
 
     def between(self, a: int, b: int) -> FloatArray:
         """Return the costs from the poses of a place to those of another, shape (n, m)."""
         if (a, b) not in self._known:
-            if (b, a) in self._known and self.scene.symmetric:
+            stays = self.entries[a] == self.exits[a] and self.entries[b] == self.exits[b]
+            if (b, a) in self._known and self.scene.symmetric and stays:
                 self._known[a, b] = self._known[b, a].T
             else:
                 goals = self.mission.tasks[b - 1].goals if b < self.end else ()
-                goals = goals or tuple(Goal(*pose) for pose in self.poses[b])
-                self._known[a, b] = self._found(self.poses[a], self.poses[b], goals)
+                goals = goals or tuple(Goal(*pose) for pose in self.entries[b])
+                self._known[a, b] = self._found(self.exits[a], self.entries[b], goals)
         return self._known[a, b]
 
     def _found(
@@ -108,13 +113,17 @@ class _Ways:
     ) -> FloatArray:
         scene = self.scene
         best = np.full((len(starts), len(ends)), inf)
-        try:
-            problem = PlanningProblem(
-                scene.map, scene.cost, starts[0], goals[0].nearest(ends[0]), goals=goals,
-                surfaces=scene.surfaces, heights=scene.heights, objective=scene.objective,
-            )  # fmt: skip
-            found = plan(problem, effort=CHOOSING.effort * min(len(goals), 4))
-        except PlanningError:
+        problem = PlanningProblem(
+            scene.map, scene.cost, starts[0], goals[0].nearest(ends[0]), goals=goals,
+            surfaces=scene.surfaces, heights=scene.heights, objective=scene.objective,
+        )  # fmt: skip
+        for patience in CHOOSING.patience:
+            try:
+                found = plan(problem, effort=patience * CHOOSING.effort * min(len(goals), 4))
+                break
+            except PlanningError:
+                continue
+        else:
             return best
         query = compiled(problem.toward(found.path.end))
         paths = [found.path]
@@ -192,7 +201,7 @@ def _ends(
 def _along(ways: _Ways, order: Sequence[int]) -> dict[int, int]:
     """Return which pose each task of an order has where they cost least together."""
     places = [0, *(task + 1 for task in order), ways.end]
-    cost, before = np.zeros(len(ways.poses[0])), []
+    cost, before = np.zeros(1), []
     for a, b in pairwise(places):
         totals = cost[:, None] + ways.between(a, b)
         before.append(totals.argmin(axis=0))
@@ -245,14 +254,14 @@ def _together(ways: _Ways) -> dict[int, int]:
 
 def _nearest_first(ways: _Ways) -> list[int]:
     """Return an order of many tasks: each time the nearest of those that are left."""
-    left, here, order = set(range(ways.end - 1)), ways.poses[0][0], []
+    left, here, order = set(range(ways.end - 1)), ways.exits[0][0], []
     while left:
         away = {
-            k: float(np.hypot(ways.poses[k + 1][0].x - here.x, ways.poses[k + 1][0].y - here.y))
+            k: float(np.hypot(ways.entries[k + 1][0].x - here.x, ways.entries[k + 1][0].y - here.y))
             for k in left
         }
         k = min(left, key=lambda k: (away[k], k))
         order.append(k)
         left.remove(k)
-        here = ways.poses[k + 1][0]
+        here = ways.entries[k + 1][0]
     return order

@@ -188,13 +188,18 @@ class MissionReport(html.Readable):
 
     @property
     def legs(self) -> tuple[Segment, ...]:
-        """The drives from stop to stop."""
-        return self._parts("drive")
+        """The drives from stop to stop, and along the paths of tasks."""
+        return tuple(part for part in self._parts("drive", "work") if part.leg is not None)
 
     @property
     def charges(self) -> tuple[Segment, ...]:
         """The charges."""
         return self._parts("charge")
+
+    @property
+    def rows(self) -> dict[str, Path]:
+        """The paths of tasks that are driven, in the direction of the drive, by task."""
+        return {one.goal: one.leg.path for one in self._parts("work") if one.leg is not None}
 
     @property
     def paths(self) -> tuple[Path, ...]:
