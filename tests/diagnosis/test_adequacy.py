@@ -16,7 +16,7 @@ from energyplan.fit.estimate import Problem, problem_of
 from energyplan.output import documents
 from energyplan.path import FloatArray
 from energyplan.power import HOTEL, TABLE_II
-from energyplan.power.effects import COPPER_LOSS, LINEAR_INERTIA, catalogue
+from energyplan.power.effects import COPPER_LOSS, catalogue
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 CLEAN = simulate.drive(ROBOT, simulate.IDENTIFICATION, rate=10.0, measured="total")
@@ -145,22 +145,3 @@ def test_an_effect_is_found_where_runs_differ() -> None:
     assert [one.name for one in found.effects] == ["hotel_load"]
     assert found.verdict == "effect_found"
     assert found.no_probability is None
-
-
-def test_the_verdict_is_of_what_was_found_and_not_of_the_average() -> None:
-    """A mass that no run's energy shows is seen within runs, whatever its weight in an average."""
-    rng, heavy = np.random.default_rng(5), ROBOT.with_term(LINEAR_INERTIA, ROBOT.vehicle.mass)
-    logs = []
-    for k in range(5):
-        factor = 1.0 + 0.02 * float(rng.normal())
-        log = simulate.drive(
-            heavy, "survey", duration=80.0, rate=10.0, power_noise=4.0, speed_noise=0.002,
-            measured="total", without={"accel_x", "x", "y", "yaw"}, accel_limit=0.6, seed=50 + k,
-            name=f"run {k}",
-        )  # fmt: skip
-        logs.append(DriveLog({**log.channels, "power": factor * log.power}, log.name))
-    found = diagnose(logs[:-1], logs[-1], ROBOT.vehicle)
-    assert "linear_inertia" in [one.name for one in found.effects]
-    assert found.average is not None
-    assert found.holds
-    assert found.verdict == "effect_found"
