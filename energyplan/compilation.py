@@ -20,6 +20,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import version
@@ -75,6 +76,7 @@ FOLDER_VARIABLE = "ENERGYPLAN_CACHE_DIR"
 KERNELS: dict[str, Kernel] = {}  # all kernels of the modules imported so far, by module and name
 SELDOM = 100_000  # objects created between two garbage collections while kernels are compiled
 FEW = 4  # kernels up to which another process does not pay
+LOOK = 0.5  # time between two looks at what the other process has compiled [s]
 
 _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 _OPTIONS = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
@@ -370,6 +372,56 @@ def kernel_modules() -> list[str]:
     return [module_of(file) for file in sources() if kernels_of(file)]
 
 
+class Compiling(NamedTuple):
+    """How far kernels are compiled that are not on disk yet."""
+
+    done: int  # kernels of this time
+    total: int  # kernels to compile
+    left: float | None  # time that the others will take, at the same pace [s]; None at first
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        left = "" if self.left is None else f", about {self.left:.0f} s left"
+        return f"compiling kernels, once: {self.done} of {self.total}{left}"
+
+
+_show: ContextVar[Callable[[Compiling], object] | None] = ContextVar("show", default=None)
+"""Whom to show how far compiling is."""
+
+
+@contextmanager
+def compiling_shown(show: Callable[[Compiling], object]) -> Iterator[None]:
+    """Show how far compiling is, each time that kernels are compiled ahead during a block.
+
+    Parameters
+    ----------
+    show : callable
+        Called with a `Compiling` before the first kernel and after each; ``print`` will do.
+    """
+    token = _show.set(show)
+    try:
+        yield
+    finally:
+        _show.reset(token)
+
+
+class _Count:
+    """Counts kernels that are compiled, by this process or the other one, and shows it."""
+
+    def __init__(self, kernels: list[Kernel]) -> None:
+        self.kernels, self.begun, self.shown = kernels, time.perf_counter(), -1
+
+    def show(self) -> None:
+        """Show how many there are by now, where that has changed."""
+        if (show := _show.get()) is None or not self.kernels:
+            return
+        done, total = sum(kernel.kept for kernel in self.kernels), len(self.kernels)
+        if done != self.shown:
+            took = time.perf_counter() - self.begun
+            show(Compiling(done, total, took / done * (total - done) if done > FEW else None))
+            self.shown = done
+
+
 class Preparation(NamedTuple):
     """What was compiled ahead."""
 
@@ -393,8 +445,10 @@ def compile_kernels(*modules: str, processes: int = 2, load: bool = False) -> Pr
     kept = not missing or _can_be_kept()
     processes = min(processes, 2, processors()) if kept and len(missing) > FEW else 1
     names = [kernel.name for kernel in missing]
-    with _helping(names[::-1]) if processes > 1 else nullcontext():
-        _compile_missing(missing)
+    count = _Count(missing)
+    count.show()
+    with _helping(names[::-1], count.show) if processes > 1 else nullcontext():
+        _compile_missing(missing, count.show)
     for kernel in wanted if load else ():
         if not (isinstance(kernel, InnerKernel) or kernel.overloads):
             kernel.compile()
@@ -408,7 +462,7 @@ def processors() -> int:
 
 
 @contextmanager
-def _helping(names: list[str]) -> Iterator[None]:
+def _helping(names: list[str], show: Callable[[], None]) -> Iterator[None]:
     """Have another process compile kernels during a block, and wait for it at the end."""
     code = "import sys; from energyplan.compilation import work; work(sys.argv[1:])"
     path = os.pathsep.join(map(os.path.abspath, sys.path))
@@ -422,8 +476,11 @@ def _helping(names: list[str]) -> Iterator[None]:
         )
     try:
         yield
-        if process:
-            process.wait()
+        while process and process.poll() is None:
+            show()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(LOOK)
+        show()
     finally:
         if process:
             process.kill()
@@ -437,14 +494,15 @@ def work(names: list[str]) -> None:
     _compile_missing([KERNELS[name] for name in names])
 
 
-def _compile_missing(kernels: list[Kernel]) -> None:
-    """Compile those kernels that nobody has compiled yet."""
+def _compile_missing(kernels: list[Kernel], show: Callable[[], None] = lambda: None) -> None:
+    """Compile those kernels that nobody has compiled yet, and show it after each."""
     pace = gc.get_threshold()
     gc.set_threshold(max(pace[0], SELDOM) if pace[0] else 0, *pace[1:])
     try:
         for kernel in kernels:
             if not kernel.kept:
                 kernel.compile()
+                show()
     finally:
         gc.set_threshold(*pace)
 

@@ -14,7 +14,7 @@ from shapely import box
 
 from energyplan import simulate
 from energyplan.comparison import Comparison, compare
-from energyplan.compilation import compile_kernels
+from energyplan.compilation import compile_kernels, compiling_shown
 from energyplan.cost import EnergyCost
 from energyplan.diagnosis import diagnose
 from energyplan.errors import MissingDependencyError
@@ -90,8 +90,8 @@ def run(out: Path, say: Callable[[str], None]) -> list[Path]:
         "be compared with the truth.",
         "lead",
     )
-    say("compiling kernels (the first time takes a minute)")
-    compile_kernels(*kernels(surfaces=True), "energyplan.fit", "energyplan.battery")
+    with compiling_shown(lambda how_far: say(str(how_far)) if how_far.done % 20 == 0 else None):
+        compile_kernels(*kernels(surfaces=True), "energyplan.fit", "energyplan.battery")
     with ThreadPoolExecutor(1) as beside:
         say("1/7 identifying Quadriga on four grounds")
         _identification(demo)

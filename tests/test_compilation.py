@@ -335,6 +335,20 @@ def test_kernels_are_compiled_ahead_side_by_side(many: Path, tmp_path: Path) -> 
     assert again[0] == "0 7 1 True 20.0"
 
 
+def test_how_far_compiling_is_can_be_shown(many: Path, tmp_path: Path) -> None:
+    code = MANY.replace("with telling(lambda name: None):", "with compiling_shown(print):")
+    code = code.replace("compile_kernels, telling", "compile_kernels, compiling_shown")
+    kept = str(tmp_path / "kept")
+    lines = run(code, path=many, ENERGYPLAN_CACHE_DIR=kept).stdout.splitlines()
+    shown = [line for line in lines if line.startswith("compiling kernels, once: ")]
+    counts = [int(line.split()[3]) for line in shown]
+    assert shown[0] == "compiling kernels, once: 0 of 7"
+    assert shown[-1] == "compiling kernels, once: 7 of 7, about 0 s left"
+    assert counts == sorted(set(counts))
+    again = run(code, path=many, ENERGYPLAN_CACHE_DIR=kept).stdout
+    assert "compiling" not in again
+
+
 def test_without_a_second_process_the_first_does_it_all(many: Path, tmp_path: Path) -> None:
     for nobody in ("/nowhere/python", "/bin/false"):
         code = f"import sys\nsys.executable = {nobody!r}\n" + MANY

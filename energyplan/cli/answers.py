@@ -50,8 +50,11 @@ def warn(text: str) -> None:
     sys.stderr.write(printable(text) + "\n")
 
 
-def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
-    """Print the answer, as JSON or as text, of which a list holds parts; JSON names presets."""
+def answer(document: dict[str, Any], text: object, *, json: bool, then: str = "") -> None:
+    """Print the answer, as JSON or as text, of which a list holds parts; JSON names presets.
+
+    Text ends with the command that one would give next.
+    """
     warn_with_answer()
     if json:
         if presets_used.get():
@@ -61,6 +64,8 @@ def answer(document: dict[str, Any], text: object, *, json: bool) -> None:
         say(jsonlib.dumps(document, indent=1, allow_nan=False))
     else:
         say("\n".join(map(str, text)) if isinstance(text, list) else str(text))
+        if then:
+            say(f"next: {then}")
 
 
 def warn_with_answer() -> None:
@@ -86,37 +91,59 @@ def progress(text: str) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from energyplan.compilation import telling
+    from energyplan.compilation import Compiling, compiling_shown, telling
 
     # A bar without a total moves to and fro, until the work reports its progress.
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=None)
 
-        def compiling(name: str) -> None:
-            note = name.removeprefix("energyplan.")
-            bar.update(task, description=f"preparing, once: {note}" if note else text)
+        def compiling(how_far: Compiling) -> None:
+            bar.update(task, description=str(how_far), total=how_far.total, completed=how_far.done)
+            if how_far.done == how_far.total:
+                bar.update(task, description=text, total=None, completed=0)
 
-        with telling(compiling):
+        def late(name: str) -> None:
+            note = name.removeprefix("energyplan.")
+            if note and not bar.tasks[task].total:
+                bar.update(task, description=f"compiling, once: {note}")
+
+        with compiling_shown(compiling), telling(late):
             yield lambda fraction, note="": bar.update(
                 task, total=1.0, completed=fraction, description=printable(note or text)
             )
 
 
-_command: ContextVar[tuple[str, tuple[str | Path, ...]]] = ContextVar("command", default=("", ()))
-"""The command in hand as a shell takes it, and what it was given to read."""
+_command: ContextVar[tuple[tuple[str, ...], tuple[str | Path, ...]]] = ContextVar(
+    "command", default=((), ())
+)
+"""The words of the command in hand, and what it was given to read."""
 
 
 def remember_command(words: Sequence[str], inputs: Sequence[str | Path]) -> None:
-    """Keep the command in hand, and what it was given to read, for its report."""
-    _command.set((shlex.join(words), tuple(inputs)))
+    """Keep the command in hand, and what it was given to read."""
+    _command.set((tuple(words), tuple(inputs)))
+
+
+FLAGS = "--at-battery", "--unsigned"
+"""Options without a value, of those that the next command takes too."""
+
+
+def following(command: str, *words: str | Path, keep: str) -> str:
+    """Return a command as a shell takes it, with some options of the one in hand."""
+    given, kept, known = _command.get()[0], list[str](), keep.split()
+    for k, word in enumerate(given):
+        name, joined, _ = word.partition("=")
+        if name in known:
+            kept += [word] if joined or name in FLAGS else [word, *given[k + 1 : k + 2]]
+    return f"energyplan {command} {shlex.join([*map(str, words), *kept])}"
 
 
 def write_report(page: Page, file: Path) -> None:
     """Write a report, with the command and the files read at its end."""
     from energyplan.io.files import atomic_write, files_behind
 
-    call, inputs = _command.get()
+    words, inputs = _command.get()
     read = dict.fromkeys(source for value in inputs for source in files_behind(value))
-    page.made_from(call=call, files=read)
+    page.made_from(call=shlex.join(words), files=read)
     atomic_write(file, page.html())

@@ -20,6 +20,7 @@ from typer import Argument, Option
 from energyplan.cli import options as opt
 from energyplan.cli.answers import (
     answer,
+    following,
     give_up_stdout,
     progress,
     say,
@@ -78,20 +79,40 @@ def start(
     ] = None,
     columns: opt.Columns = None,
     unsigned: opt.Unsigned = False,
+    reverse: Annotated[
+        Literal["yes", "no"] | None,
+        Option(help="Whether plans may drive this robot backwards. Default: yes, with a note."),
+    ] = None,
     accept: Annotated[
         bool, Option("--accept", help="Accept a log with a check that is WRONG.")
     ] = False,
+    resolution: Annotated[
+        float | None, Option(help="Size of a pixel, of the image of a map in place of a log [m].")
+    ] = None,
+    plot: Annotated[
+        Path | None, opt.output("Draw the map of an image: .png, .svg or .pdf.", *opt.IMAGES)
+    ] = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
-    """Write a project from drive logs of one robot.
+    """Write a project from drive logs of one robot, or the YAML of the image of a map.
 
     Guesses columns, topics and units, and checks the log against the robot. What it cannot know it
     takes from the options, or asks for on a terminal. A log that contradicts itself or the robot
     makes no project, unless you accept that. Other commands read the project with --project.
     """
+    from energyplan.io.maps import IMAGES
+
+    if len(logs) == 1 and logs[0].suffix.lower() in IMAGES:
+        _start_map(logs[0], resolution, out, plot, json=json)
+        return
+    for option, value in (("--resolution", resolution), ("--plot", plot)):
+        if value is not None:
+            raise InvalidInputError(f"{option} is for the image of a map; leave it out with logs")
+
     from energyplan.io.config import write_project
-    from energyplan.io.start import Given, read_like, start_all
+    from energyplan.io.given import Given, read_like
+    from energyplan.io.start import start_all
     from energyplan.output import documents, text
 
     numbers = {
@@ -114,6 +135,12 @@ def start(
         if asked:  # so that nobody need type it again
             warn("typed: " + " ".join(f"--{k.replace('_', '-')} {v:g}" for k, v in asked.items()))
         raise
+    if reverse is not None:
+        robot = replace(result.project.vehicle, reverse=reverse == "yes")
+        result = replace(result, project=replace(result.project, vehicle=robot))
+    elif like is None:
+        note = "plans may drive the robot backwards; give --reverse no where it must not"
+        result = replace(result, notes=(*result.notes, note))
     written = result.sound or accept
     done = "give --out PROJECT.yaml to write it as a project"
     if out is not None and written:
@@ -125,6 +152,30 @@ def start(
         done = f"not written: {where}; mend what is WRONG, or write it all the same with --accept"
     answer(documents.start(result), [*text.start(result), done], json=json)
     verdict(result.sound, strict or not written)
+
+
+def _start_map(
+    image: Path, resolution: float | None, out: Path | None, plot: Path | None, *, json: bool
+) -> None:
+    """Read the image of a map, say what is in it, and write its YAML."""
+    from energyplan.io.files import atomic_write
+    from energyplan.io.maps import read_map, write_map_of_image
+    from energyplan.output import documents, text
+
+    if resolution is None and out is not None:
+        raise InvalidInputError("give --resolution, the size of a pixel of the image in m")
+    if resolution is None or out is None:
+        grid = read_map(image, resolution=resolution)
+        done = "give --out MAP.yaml to write its YAML"
+    else:
+        grid = write_map_of_image(image, resolution, out)
+        done = f"written: {out}; next: energyplan compare --map {out} --model MODEL --start X,Y,YAW"
+        done += " --goal X,Y,YAW"
+    if plot is not None:
+        from energyplan.output import plots
+
+        atomic_write(plot, plots.image(plots.routes(grid, {}), plot.suffix))
+    answer(documents.occupancy(grid), [*text.occupancy(grid), done], json=json)
 
 
 def _ask(question: str) -> float | None:
@@ -242,7 +293,8 @@ def identify(
         found = replace(found, warnings=(*doubts, *found.warnings))
         if out:
             write_model(found.model, out)
-        answer(documents.identification(found), found, json=json)
+        then = following("diagnose", *logs, "--out", "diagnosed.yaml", keep=opt.OF_ROBOT)
+        answer(documents.identification(found), found, json=json, then=then)
 
 
 def _table(path: Path) -> Any:
@@ -383,7 +435,9 @@ def diagnose(
         page.heading("Drives")
         page.bullets(lines)
         write_report(page, report)
-    answer({**parts, **documents.diagnosis(result)}, [*lines, result], json=json)
+    ends = ("--start", "X,Y,YAW", "--goal", "X,Y,YAW")
+    then = following("compare", "--map", "MAP.yaml", "--model", out, *ends, keep="") if out else ""
+    answer({**parts, **documents.diagnosis(result)}, [*lines, result], json=json, then=then)
     verdict(result.verdict != "unexplained", strict)
 
 

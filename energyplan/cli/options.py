@@ -141,7 +141,9 @@ Reverse = Annotated[
     Literal["yes", "no"] | None,
     Option(help="Whether it may drive backwards. Default: as the vehicle's key 'reverse' says."),
 ]
-MapFile = Annotated[Path, Option("--map", help="YAML file of a map, or of a site.")]
+MapFile = Annotated[
+    Path, Option("--map", help="YAML file of a map, or of a site; or an image with --resolution.")
+]
 MaybeSite = Annotated[
     Path | None, Option("--map", help="A map's or a site's file, whose ground is driven on.")
 ]
@@ -161,12 +163,22 @@ class SiteOptions:
     """The place: its map, and what lies on it or closes parts of it."""
 
     map_file: MapFile
+    resolution: Annotated[
+        float | None, Option(help="Size of a pixel, where the map is an image alone [m].")
+    ] = None
     surfaces: Annotated[
         Path | None, Option(help="GeoJSON of areas, each with a model, a speed or both.")
     ] = None
     keepout: Annotated[Path | None, Option(help="A map whose occupied cells are closed.")] = None
     clearance: Annotated[float | None, Option(help="Distance to keep from obstacles [m].")] = None
 
+
+OF_ROBOT = "--project --vehicle --columns --topics --unsigned"
+OF_ROUTE = (
+    "--map --resolution --surfaces --keepout --clearance --model --at-battery --speed --start "
+    "--goal --effort --turning --reverse --planner"
+)
+"""Options that the command which one gives next takes as they are."""
 
 Work = Annotated[
     int | None,

@@ -16,7 +16,16 @@ import typer
 from typer import Argument, Option
 
 from energyplan.cli import options as opt
-from energyplan.cli.answers import NO, answer, progress, say, verdict, warn, write_report
+from energyplan.cli.answers import (
+    NO,
+    answer,
+    following,
+    progress,
+    say,
+    verdict,
+    warn,
+    write_report,
+)
 from energyplan.cli.app import app
 from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number
 from energyplan.errors import InvalidInputError, NoPathError
@@ -69,6 +78,13 @@ class Routing:
         with suppress(ValueError):
             turning = float(turning)
         return problem_of(site, drive, start, goal, self.reverse, turning=turning, **more)
+
+    def next(self, site: SiteOptions) -> str:
+        """Return the command after a plan: the check of its trajectory, or what writes one."""
+        if self.trajectory is None:
+            return following("plan", "--trajectory", "drive.csv", keep=opt.OF_ROUTE)
+        ground = "--map " if site.resolution is None else ""
+        return following("check", self.trajectory, keep=f"{ground}--model")
 
     def write(self, problem: PlanningProblem, plans: dict[str, Plan]) -> None:
         """Write the first of some plans as a table, or all as a recording; draw them all."""
@@ -130,8 +146,9 @@ def problem_of(
     names: dict[str, Any] = {
         key: str(value) for key, value in vars(site).items() if isinstance(value, Path)
     }
-    named = SiteFile(map=names.pop("map_file"), **names)
-    named = named.model_copy(update={"clearance": site.clearance or 0.0})
+    named = SiteFile(map=names.pop("map_file"), **names).model_copy(
+        update={"clearance": site.clearance or 0.0, "resolution": site.resolution}
+    )
     place = load_site(named, lambda key, name, read: read(Path(name)))
     asked = problem_from(
         place, read_model(drive.model), (start, goal), battery=drive.at_battery, speed=drive.speed,
@@ -233,7 +250,8 @@ def plan(
             result = replan(replace(problem, goal=path.end), path, start=here, **spent)
     drive_to(routing.trajectory, result)
     routing.write(problem, {"plan": result})
-    answer(documents.plan(result), result, json=json)
+    then = routing.next(site) if former is None else ""
+    answer(documents.plan(result), result, json=json, then=then)
 
 
 @app.command(
@@ -270,7 +288,7 @@ def compare(
         from energyplan.output.pages import comparison_page
 
         write_report(comparison_page(result, problem), report)
-    answer(documents.comparison(result), result, json=json)
+    answer(documents.comparison(result), result, json=json, then=routing.next(site))
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
@@ -338,7 +356,12 @@ def check(
         lines.append(f"{out}: {figure(slowed.duration)} s, at {percent(share)} of these speeds")
     elif out:
         warn(f"{out} is not written: the motors drive this trajectory at no speed")
-    answer(document, lines, json=json)
+    then = following("mission", "MISSION.yaml", keep="")
+    if not report.feasible:
+        kept = "--map --model --at-battery --speed --vehicle"
+        slower = following("check", trajectory, "--out", "slower.csv", keep=kept)
+        then = "" if out or report.max_speed_scale <= 0 else slower
+    answer(document, lines, json=json, then=then)
     verdict(report.feasible, strict)
 
 
@@ -548,7 +571,9 @@ def mission(
     if after is not None:
         document["after_failure"] = {"robot": name, "time": instant, **documents.mission(after)}
         lines += [f"if {failure}:", *text.mission(after)]
-    answer(document, lines, json=json)
+    shown = following("mission", files[0], "--report", "mission.html", keep="")
+    then = following("serve", files[0].parent, keep="") if report else shown
+    answer(document, lines, json=json, then=then)
     verdict(result.feasible and (after is None or after.feasible), strict)
 
 

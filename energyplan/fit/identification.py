@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -625,8 +626,15 @@ def _check_level(level: float) -> None:
         raise InvalidInputError(f"level is {level}; give a probability such as 0.95")
 
 
+_CALENDAR = 1e9, 4e9  # seconds since 1970 that are days of this century: 2001 to 2096
+
+
 def name_of(vehicle: Vehicle, logs: Sequence[DriveLog]) -> str:
-    """Return the name of a model: its robot and the drives that it is of, which show the ground."""
+    """Return the name of a model: its robot, and the days of its drives or the first's name."""
+    begun = [log.t[0] if log.began is None else log.began for log in logs]
+    if all(_CALENDAR[0] < time < _CALENDAR[1] for time in begun):
+        days = sorted({f"{datetime.fromtimestamp(time, UTC):%Y-%m-%d}" for time in begun})
+        return f"{vehicle.name}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"
     more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
     return f"{vehicle.name}, {Path(logs[0].name).stem}{more}"
 

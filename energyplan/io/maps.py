@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+import math
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
@@ -25,7 +26,7 @@ from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file, is_folder
 from energyplan.io.geojson import read_obstacles
 from energyplan.path import Pose, as_pose
-from energyplan.records import checked
+from energyplan.records import checked, warn
 from energyplan.terrain import CostMap, SpeedLimit
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid, from_raster
 
@@ -46,6 +47,12 @@ LETHAL = 100
 
 LUMA = (0.212656, 0.715158, 0.072186)
 """Weights of red, green and blue in the brightness of a pixel (ITU-R BT.709)."""
+
+WIDE = 2e4
+"""Size of a map beyond which its resolution is doubted [m]."""
+
+IMAGES = (".png", ".pgm", ".bmp")
+"""Endings of the images that a map may be."""
 
 MOVINGAI_FREE = b".GS"
 """Characters of passable cells in a MovingAI map: ground, ground too, swamp."""
@@ -141,16 +148,22 @@ def _header(file: Path, kind: type[Header], *, costs: bool = False) -> Header:
 
 
 @checked(MapError)
-def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGrid:
-    """Read a map: map_server YAML (``.yaml``, ``.yml``), MovingAI (``.map``) or GeoJSON.
+def read_map(
+    path: str | Path, *, unknown_is_free: bool = False, resolution: float | None = None
+) -> OccupancyGrid:
+    """Read a map: map_server YAML (``.yaml``, ``.yml``), an image, MovingAI or GeoJSON.
 
     Parameters
     ----------
     path : str or Path
         The file. The image that a YAML names must lie in its folder or below. GeoJSON
-        (``.geojson``) holds obstacles, see `read_obstacles`, and is read in cells of 5 cm.
+        (``.geojson``) holds obstacles, see `read_obstacles`, and is read in cells of 5 cm. Of an
+        image alone (``.png``, ``.pgm``, ``.bmp``), dark pixels are obstacles and bright ones are
+        free; its lower left corner is the origin.
     unknown_is_free : bool
         Whether the robot may enter cells of which the map knows nothing.
+    resolution : float, optional
+        Size of a pixel of an image alone, which does not know it [m].
 
     Returns
     -------
@@ -175,6 +188,11 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
     0.05
     """
     file = Path(path)
+    if file.suffix.lower() in IMAGES:
+        header = _header_of_image(file, resolution)
+        return _grid(file, header, _values(file, header), unknown_is_free)
+    if resolution is not None:
+        raise MapError(f"{file} has a resolution of its own; give one with an image alone")
     if file.suffix == ".map":
         return _read_movingai(file)
     if file.suffix == ".geojson":
@@ -185,11 +203,67 @@ def read_map(path: str | Path, *, unknown_is_free: bool = False) -> OccupancyGri
         raise MapError(f"{str(file)!r} is a folder; give the map's .yaml in it")
     if file.suffix not in {".yaml", ".yml"}:
         raise MapError(
-            f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml, a MovingAI "
-            ".map or a .geojson"
+            f"{file}: unknown kind of map {file.suffix!r}; give a map_server .yaml, an image with "
+            "its resolution, a MovingAI .map or a .geojson"
         )
     header = _header(file, _MapHeader)
-    values = _values(file, header)
+    return _grid(file, header, _values(file, header), unknown_is_free)
+
+
+def _header_of_image(file: Path, resolution: float | None) -> _MapHeader:
+    """Return what the YAML of an image says that has none."""
+    if resolution is None:
+        beside = [one for end in (".yaml", ".yml") if is_file(one := file.with_suffix(end))]
+        raise MapError(
+            f"{file} is an image without its resolution; give {beside[0]}, which names it"
+            if beside
+            else f"{file} is an image without its resolution; give the size of a pixel in m, as in "
+            f"--resolution 0.05, or write its YAML: energyplan start {file} --resolution 0.05 "
+            f"--out {file.with_suffix('.yaml').name}"
+        )
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise MapError(f"the resolution of {file} is {resolution:g} m; give a positive size")
+    return _MapHeader(**_usual_header(file, resolution, (0.0, 0.0, 0.0)))
+
+
+def _usual_header(image: Path, resolution: float, origin: Iterable[float]) -> dict[str, Any]:
+    """Return the YAML of an image whose dark pixels are obstacles."""
+    return {
+        "image": image.name,
+        "mode": "trinary",
+        "resolution": float(resolution),
+        "origin": [float(v) for v in origin],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+
+
+def write_map_of_image(image: str | Path, resolution: float, path: str | Path) -> OccupancyGrid:
+    """Write the map_server YAML of an image that has none, beside it, and return the map."""
+    picture, file = Path(image), Path(path)
+    if file.resolve().parent != picture.resolve().parent:
+        raise MapError(f"{file}: write the YAML of {picture.name} in its folder, {picture.parent}")
+    grid = read_map(picture, resolution=resolution)
+    _write_header(file, _usual_header(picture, resolution, grid.origin))
+    return grid
+
+
+def _write_header(file: Path, header: dict[str, Any]) -> None:
+    atomic_write(file, yaml.safe_dump(header, sort_keys=False, default_flow_style=None))
+
+
+def _grid(
+    file: Path, header: _MapHeader, values: NDArray[np.int8], unknown_is_free: bool
+) -> OccupancyGrid:
+    """Return the map that values of cells are."""
+    rows, columns = values.shape
+    if max(rows, columns) * header.resolution > WIDE:
+        warn(
+            f"{file}: the map is {columns * header.resolution / 1e3:.3g} x "
+            f"{rows * header.resolution / 1e3:.3g} km; check that its resolution, "
+            f"{header.resolution:g}, is in m"
+        )
     # between free and occupied nothing is certain
     free = values <= LETHAL * header.free_thresh if header.mode == "raw" else values == 0
     try:
@@ -395,14 +469,6 @@ def write_map(grid: OccupancyGrid, path: str | Path) -> None:
         pixels[grid.unknown & ~grid.occupied] = 205
     image = io.BytesIO()
     Image.fromarray(pixels[::-1]).save(image, format="PNG", optimize=True)
-    header = {
-        "image": file.with_suffix(".png").name,
-        "mode": "trinary",
-        "resolution": float(grid.resolution),
-        "origin": [float(v) for v in grid.origin],
-        "negate": 0,
-        "occupied_thresh": 0.65,
-        "free_thresh": 0.196,
-    }
+    header = _usual_header(file.with_suffix(".png"), grid.resolution, grid.origin)
     atomic_write(file.with_suffix(".png"), image.getvalue())
-    atomic_write(file, yaml.safe_dump(header, sort_keys=False, default_flow_style=None))
+    _write_header(file, header)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import parse_speed
@@ -44,6 +44,7 @@ class SiteFile(Checked, BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     map: str  # the map: whatever `read_map` takes
+    resolution: Annotated[Length, Field(gt=0)] | None = None  # of a map that is an image alone [m]
     surfaces: str | None = None  # areas of other ground: GeoJSON
     heights: str | None = None  # heights of the ground: whatever `read_heights` takes
     keepout: str | None = None  # a second map: the robot stays out of its occupied cells
@@ -67,18 +68,21 @@ class Read(Protocol):
 
 
 @checked(MapError)
-def read_site(path: str | Path, *, inside: bool = False) -> Site:
+def read_site(path: str | Path, *, inside: bool = False, resolution: float | None = None) -> Site:
     """Read a site: a YAML file that names its map and what else there is; or a map alone.
 
     The keys are ``map`` (required), ``surfaces``, ``heights``, ``keepout``, ``costmap`` and
-    ``speed_mask``, names of files relative to this one, and ``clearance``, a distance such as
-    ``0.2`` or ``20 cm``. As a service asks, no file is read that is not `inside` the site's
-    folder. Errors name the line.
+    ``speed_mask``, names of files relative to this one, ``resolution``, the size of a pixel where
+    the map is an image alone, and ``clearance``; both are distances such as ``0.2`` or ``20 cm``.
+    As a service asks, no file is read that is not `inside` the site's folder. Errors name the
+    line.
     """
     file = Path(path)
     document = load(file, MapError) if file.suffix in {".yaml", ".yml"} and is_file(file) else None
     if document is None or "map" not in document.data or {"tasks", "image"} & {*document.data}:
-        return Site(read_map(file))
+        return Site(read_map(file, resolution=resolution))
+    if resolution is not None:
+        raise MapError(f"{file} is a site; write its map's resolution there, as in resolution: 0.1")
     spec, place = document.check(SiteFile), document
 
     def part(key: str, name: str, read: Callable[[Path], T]) -> T:
@@ -87,15 +91,18 @@ def read_site(path: str | Path, *, inside: bool = False) -> Site:
         except EnergyPlanError as problem:
             raise place.fail((key,), str(problem)) from None
 
-    return _with_parts(Site(part("map", spec.map, read_map)), spec, part)
+    of_map = partial(read_map, resolution=spec.resolution)
+    return _with_parts(Site(part("map", spec.map, of_map)), spec, part)
 
 
-_INSIDE = partial(read_site, inside=True)  # one object: readers are compared where files are kept
+@cache  # one object: readers are compared where files are kept
+def _reader(inside: bool, resolution: float | None) -> Callable[[Path], Site]:
+    return partial(read_site, inside=inside, resolution=resolution)
 
 
 def load_site(named: SiteFile, read: Read, inside: bool = False) -> Site:
     """Return the named site or map, with the parts that are named with it."""
-    return _with_parts(read("map", named.map, _INSIDE if inside else read_site), named, read)
+    return _with_parts(read("map", named.map, _reader(inside, named.resolution)), named, read)
 
 
 def _with_parts(site: Site, named: SiteFile, read: Read) -> Site:

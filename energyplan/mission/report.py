@@ -17,6 +17,7 @@ from energyplan.mission.types import Mission, Remedy, RobotState
 from energyplan.path import FloatArray, Path, Pose
 
 StopKind = Literal["start", "task", "charge", "end"]
+OrderKind = Literal["given", "row after row"]
 Verdict = Literal["reachable", "unreachable"]
 Reason = Literal[
     "none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit", "payload"
@@ -110,6 +111,15 @@ class Contribution:
     saving: float  # margin that would be freed if it were known [J]
 
 
+@dataclass(frozen=True)
+class Alternative:
+    """The same tasks in another order, to compare with."""
+
+    order: OrderKind
+    energy: float  # energy that it takes, expected [J]; nan where not all can be done in it
+    saving: float  # fraction of this energy that the order found saves
+
+
 @dataclass(frozen=True, eq=False)
 class MissionReport(html.Readable):
     """Which tasks can be done, in which order, with what energy."""
@@ -128,6 +138,7 @@ class MissionReport(html.Readable):
     warnings: tuple[str, ...] = ()  # what to know before trusting the figures
     remedies: tuple[Remedy, ...] = ()  # changes with which the same is done in less time
     time_saved: float = 0.0  # by the remedies [s]
+    alternatives: tuple[Alternative, ...] = ()  # of a free order with rows
     # Of several robots, what each does; its tasks are those that it does, in this order. The whole
     # has no trip of its own.
     robots: tuple[MissionReport, ...] = ()
@@ -188,13 +199,18 @@ class MissionReport(html.Readable):
 
     @property
     def legs(self) -> tuple[Segment, ...]:
-        """The drives from stop to stop."""
-        return self._parts("drive")
+        """The drives from stop to stop, and along the paths of tasks."""
+        return tuple(part for part in self._parts("drive", "work") if part.leg is not None)
 
     @property
     def charges(self) -> tuple[Segment, ...]:
         """The charges."""
         return self._parts("charge")
+
+    @property
+    def rows(self) -> dict[str, Path]:
+        """The paths of tasks that are driven, in the direction of the drive, by task."""
+        return {one.goal: one.leg.path for one in self._parts("work") if one.leg is not None}
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -294,6 +310,19 @@ class MissionReport(html.Readable):
         return f"{self.headline};{subject} {text}" if self.duration else self.headline
 
     @property
+    def compared(self) -> str:
+        """How the order found compares with others; empty where none was looked at."""
+        names = {"given": "in the order given", "row after row": "row after row"}
+        parts = []
+        for one in self.alternatives:
+            if np.isnan(one.energy):
+                parts.append(f"{names[one.order]} not all of it can be done")
+                continue
+            percent = f"{100 * one.saving:.1f} % less than"
+            parts.append(f"{'as much as' if one.saving < 5e-4 else percent} {names[one.order]}")
+        return f"energy of the order found: {'; '.join(parts)}" if parts else ""
+
+    @property
     def tables(self) -> tuple[html.Summary, ...]:
         """The report as titled rows: tasks, timetable, and what is uncertain."""
         if self.robots:
@@ -365,7 +394,7 @@ class MissionReport(html.Readable):
 
     def _summaries(self) -> list[html.Summary]:
         title = f"{self.mission.name}: {self.sentence}"
-        notes = () if self.robots else self.obstacles
+        notes = () if self.robots else (*filter(None, (self.compared,)), *self.obstacles)
         return [html.Summary(title, (), (), (*notes, *self.warnings)), *self.tables]
 
     def task(self, name: str) -> TaskReport:

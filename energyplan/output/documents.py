@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from energyplan.planning import Plan
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
+    from energyplan.terrain import OccupancyGrid
     from energyplan.vehicle import TreadICR
 
 Document = dict[str, Any]
@@ -46,7 +47,7 @@ SHOWN = {
     "ICREstimate": "turning source",
     "Identification": "residual adequacy foretold set_aside warnings",
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
-    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty",
+    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty alternatives",
     "NoPathError": "certainty resolution",
     "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady "
     "planning_time planner potential effort "
@@ -143,6 +144,19 @@ def start(result: Start) -> Document:
     }
 
 
+def occupancy(grid: OccupancyGrid) -> Document:
+    """Return what ``energyplan start --json`` prints of the image of a map."""
+    unknown = np.zeros_like(grid.occupied) if grid.unknown is None else grid.unknown
+    shares = {
+        "free": ~(grid.occupied | unknown), "occupied": grid.occupied,
+        "unknown": unknown & ~grid.occupied,
+    }  # fmt: skip
+    return {
+        "rows": grid.shape[0], "columns": grid.shape[1], "resolution": grid.resolution,
+        "size": plain(grid.size), **{name: float(cells.mean()) for name, cells in shares.items()},
+    }  # fmt: skip
+
+
 def diagnosis(report: Diagnosis) -> Document:
     """Return what ``energyplan diagnose --json`` prints."""
     if report.no_probability is not None:
@@ -204,9 +218,16 @@ def mission(report: MissionReport, trajectories: bool = False) -> Document:
 
     Of several robots each has the same keys, but for its own name.
     """
-    poses = {task.name: task.pose for task in report.mission.tasks}
+    places, rows = {task.name: task.options[0] for task in report.mission.tasks}, report.rows
+
+    def where(name: str) -> Document:
+        row = rows.get(name)
+        if row is None:
+            return {"pose": plain(places[name].entry), "path": plain(places[name].points)}
+        return {"pose": plain(row.start), "path": plain(row.vertices)}
+
     found = {
-        "tasks": [{**plain(task), "pose": plain(poses[task.name])} for task in report.tasks],
+        "tasks": [{**plain(task), **where(task.name)} for task in report.tasks],
         **(_of_robots(report, trajectories) if report.robots else plain(report)),
     }
     if not report.robots:

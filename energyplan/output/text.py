@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from energyplan.html import clock, number, unit
+from energyplan.output.documents import occupancy as shares
 from energyplan.output.documents import terms
+
+GREY = 0.01
+"""Share of a map's pixels that may be unknown without a word."""
 
 if TYPE_CHECKING:
     from energyplan.diagnosis.design import Design
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
     from energyplan.path import FloatArray
     from energyplan.power import PowerModel
     from energyplan.reach import Contour, EnergyMap
+    from energyplan.terrain import OccupancyGrid
 
 
 def hoisted(sides: Sequence[InternalFriction]) -> list[str]:
@@ -57,6 +62,23 @@ def start(result: Start) -> list[str]:
     for check in result.checks:
         lines.append(f"{'ok' if check.ok else 'WRONG'}: {check}")
     return [*lines, *(f"note: {note}" for note in result.notes)]
+
+
+def occupancy(grid: OccupancyGrid) -> list[str]:
+    """Return what ``energyplan start`` prints of the image of a map."""
+    found = shares(grid)
+    width, height = (number(side, 4) for side in found["size"])
+    lines = [
+        f"{found['columns']} x {found['rows']} pixels of {number(grid.resolution)} m: {width} x "
+        f"{height} m; {100 * found['free']:.1f} % free, {100 * found['occupied']:.1f} % occupied, "
+        f"{100 * found['unknown']:.1f} % unknown"
+    ]
+    if found["unknown"] > GREY:
+        lines.append(
+            "note: pixels between dark and bright are unknown, where the robot does not drive; "
+            "paint them black or white, or move the thresholds in the YAML"
+        )
+    return lines
 
 
 def tasks(found: TaskFit, history: Mapping[str, FloatArray]) -> list[str]:
@@ -149,7 +171,8 @@ def mission(report: MissionReport) -> list[str]:
     tables = [line for one in report.tables for line in one.text().splitlines()]
     why = () if report.robots else report.obstacles  # of several robots a table has them
     warnings = (f"warning: {warning}" for warning in report.warnings)
-    return [report.sentence, *why, *warnings, *tables]
+    compared = filter(None, (report.compared,))
+    return [report.sentence, *compared, *why, *warnings, *tables]
 
 
 def failure(report: MissionReport, name: str, time: float) -> str:

@@ -44,6 +44,7 @@ from energyplan.io.bags import topic_map_of
 from energyplan.io.config import Project, model_text, read_model, read_vehicle
 from energyplan.io.documents import load
 from energyplan.io.geojson import read_surfaces
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
 from energyplan.io.mission import mission_from, read_battery, read_mission
 from energyplan.io.sites import (
@@ -54,7 +55,7 @@ from energyplan.io.sites import (
     problem_from,
     with_presets,
 )
-from energyplan.io.start import Given, Start
+from energyplan.io.start import Start
 from energyplan.io.start import start as start_of
 from energyplan.io.tables import contours_document
 from energyplan.limits.feasibility import check

@@ -17,6 +17,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from energyplan.compilation import compiling_shown
 from energyplan.errors import (
     CancelledError,
     EnergyPlanError,
@@ -322,7 +323,7 @@ class Pool:
             job.say("started")
             with (
                 cancellable(job.unwanted), at_most(_CELLS), unpacked_at_most(_UNPACKED, _TABLE),
-                parsed_once(),
+                parsed_once(), compiling_shown(lambda far: job.say("compiling", **far._asdict())),
             ):  # fmt: skip
                 job.future.set_result(work(job))
         except BaseException as error:  # noqa: BLE001  for whoever waits

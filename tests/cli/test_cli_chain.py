@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +12,11 @@ import pytest
 from commands import Run
 from limits.fine_integral import fine_energy
 
-from energyplan import PowerModel, write_model
+import energyplan as ep
+from energyplan import PowerModel, simulate, write_model
 from energyplan.io.config import write_vehicle
-from energyplan.io.tables import read_trajectory
+from energyplan.io.files import bundled
+from energyplan.io.tables import read_trajectory, write_log
 from energyplan.power.effects import term
 
 pytestmark = pytest.mark.usefixtures("little_effort")
@@ -141,3 +144,48 @@ def test_inputs_that_say_nothing_are_refused(
     report = ask("check", tmp_path / "t.csv", "--model", tmp_path / "own.yaml",
                  "--vehicle", tmp_path / "robot.yaml")  # fmt: skip
     assert report["feasible"]
+
+
+def after(said: str) -> list[str]:
+    """Return the words of the command that an answer ends with."""
+    program, *words = shlex.split(said.splitlines()[-1].removeprefix("next: "))
+    assert program == "energyplan"
+    return words
+
+
+def test_an_answer_ends_with_the_command_that_follows(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    write_log(simulate.identification_drive(model, seed=1, power_noise=5.0), tmp_path / "a b.csv")
+    diagnose = after(run("identify", "a b.csv", "--vehicle", "quadriga:full").out)
+    assert diagnose == shlex.split(
+        "diagnose 'a b.csv' --out diagnosed.yaml --vehicle quadriga:full"
+    )
+    compare = after(run(*diagnose).out)
+    office = str(bundled("office.yaml"))
+    values = iter((office, "1.2,2,90deg", "3.9,2,90deg"))
+    compare = [next(values) if word in ("MAP.yaml", "X,Y,YAW") else word for word in compare]
+    plan = after(run(*compare, "--clearance=0.01").out)
+    assert plan[:3] == ["plan", "--trajectory", "drive.csv"]
+    assert "--clearance=0.01" in plan
+    check = after(run(*plan).out)
+    assert check == ["check", "drive.csv", "--map", office, "--model", "diagnosed.yaml"]
+    assert after(run(*check).out) == ["mission", "MISSION.yaml"]
+    assert (tmp_path / "drive.csv").exists()
+
+
+def test_a_model_is_named_after_the_days_of_its_drives() -> None:
+    model = ep.PowerModel.preset("quadriga:full:concrete")
+    drives = [simulate.identification_drive(model, seed=k, power_noise=5.0) for k in (1, 2)]
+    day = 1_795_867_200.0  # 2026-11-28
+    first, second = (
+        replace(drive, channels={**drive.channels, "t": drive.t + day + 3 * 86_400.0 * k})
+        for k, drive in enumerate(drives)
+    )
+    robot = model.vehicle
+    assert ep.identify(first, robot).model.name == f"{robot.name}, 2026-11-28"
+    both = ep.identify([first, second], robot).model.name
+    assert both == f"{robot.name}, 2026-11-28 to 2026-12-01"
+    assert "2026" not in ep.identify(drives[0], robot).model.name

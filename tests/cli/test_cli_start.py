@@ -11,12 +11,15 @@ import pandas as pd
 import pytest
 from commands import Run
 from own_robot import MODEL, RADIUS, ROBOT, bag, drive
+from PIL import Image
 
 import energyplan as ep
 from energyplan import simulate
 from energyplan.io.config import read_project, write_project, write_vehicle
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.maps import read_map
+from energyplan.io.start import start
 from energyplan.io.tables import write_log
 from energyplan.power.presets import MODEL_PRESETS
 
@@ -272,3 +275,53 @@ def test_a_topic_map_says_that_sensors_see_no_sign(tmp_path: Path) -> None:
         made = start(file, replace(given, unsigned=unsigned))
         assert made.project.topics is not None
         assert read_log(file, topics=made.project.topics).signed is signed
+
+
+def test_the_image_of_a_map_becomes_its_yaml(tmp_path: Path, run: Run) -> None:
+    pixels = np.full((40, 60), 255, np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = 0
+    pixels[10:16, 10:20] = 120
+    image, out, seen = (tmp_path / name for name in ("yard.png", "yard.yaml", "seen.png"))
+    Image.fromarray(pixels).save(image)
+    text = run("start", image, "--resolution", 0.1, "--out", out, "--plot", seen).out
+    assert "60 x 40 pixels of 0.1 m: 6 x 4 m; 89.3 % free, 8.2 % occupied, 2.5 % unknown" in text
+    assert "paint them black or white" in text
+    assert f"next: energyplan compare --map {out}" in text
+    assert read_map(out).size == pytest.approx((6.0, 4.0))
+    assert seen.read_bytes().startswith(b"\x89PNG")
+    found = json.loads(run("start", image, "--resolution", 0.1, "--json").out)
+    assert found["size"] == pytest.approx([6.0, 4.0])
+    assert found["free"] + found["occupied"] + found["unknown"] == pytest.approx(1.0)
+    path = "--start", "1,1,0", "--goal", "5,3,0", "--model", "husky_a200:flooring"
+    plans = [
+        json.loads(run("plan", "--map", *place, *path, "--json").out)
+        for place in ((out,), (image, "--resolution", 0.1))
+    ]
+    assert plans[0]["path"] == plans[1]["path"]
+    assert plans[0]["cost"] == plans[1]["cost"]
+
+
+def test_what_is_wrong_with_the_image_of_a_map_is_said(tmp_path: Path, run: Run) -> None:
+    image = tmp_path / "yard.png"
+    Image.fromarray(np.full((40, 60), 255, np.uint8)).save(image)
+    out = tmp_path / "yard.yaml"
+    write_log(drive(), tmp_path / "drive.csv")
+    for words, message in (
+        ((image, "--out", out), "give --resolution"),
+        ((image,), "--resolution 0.05"),
+        ((tmp_path / "drive.csv", "--resolution", 0.1), "--resolution is for the image of a map"),
+    ):
+        refused = run("start", *words)
+        assert refused.code == 2
+        assert message in refused.err
+    assert not out.exists()
+
+
+def test_a_robot_that_must_not_reverse_says_so_from_the_start(tmp_path: Path, run: Run) -> None:
+    write_log(drive(), tmp_path / "drive.csv")
+    project = tmp_path / "robot.yaml"
+    asked = ("start", tmp_path / "drive.csv", *MEASURES, "--out", project)
+    assert "--reverse no where it must not" in run(*asked).out
+    assert read_project(project).vehicle.reverse
+    assert "--reverse no" not in run(*asked, "--reverse", "no").out
+    assert not read_project(project).vehicle.reverse

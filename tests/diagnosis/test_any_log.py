@@ -17,7 +17,8 @@ from made_drives import pair, sized
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan.errors import EnergyPlanError, InvalidInputError, NotIdentifiableError
 from energyplan.fit.drive import quiet
-from energyplan.io.start import Given, start
+from energyplan.io.given import Given
+from energyplan.io.start import start
 from energyplan.live import lines_of, watch
 from energyplan.output import documents
 from energyplan.path import FloatArray

@@ -44,7 +44,8 @@ def test_delay_and_lag_are_found_beside_each_other(late_by: tuple[float, float])
 @pytest.mark.shared
 @pytest.mark.nightly
 def test_a_warthog_on_grass_tells_its_mass_and_the_delay_of_its_power(shared_data: Path) -> None:
-    from energyplan.io.start import Given, start
+    from energyplan.io.given import Given
+    from energyplan.io.start import start
 
     file = shared_data / "drive" / "warthog_grass.csv"
     vehicle = Vehicle.preset("warthog")

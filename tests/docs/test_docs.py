@@ -145,6 +145,7 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("examples", "maps"):
         shutil.copytree(ROOT / name, place / name)
     shutil.copy(ROOT / "examples" / "mission_warehouse.yaml", place)
+    shutil.copy(ROOT / "maps" / "office.png", place / "yard.png")
     (place / "mission.yaml").write_text(
         "model: model.yaml\nmap: office.yaml\nbattery: quadriga\nstart: [1.2, 2.0, 90deg]\n"
         "tasks: [{name: look, pose: [3.9, 2.0, 90deg]}]\n"

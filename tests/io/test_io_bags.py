@@ -13,8 +13,9 @@ from small_bags import record as record_joints
 
 from energyplan.errors import DriveLogError, UnknownNameError
 from energyplan.io.bags import is_bag
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.start import start
 from energyplan.io.tables import write_log
 from energyplan.logs.align import Series, align
 from energyplan.power import PowerModel

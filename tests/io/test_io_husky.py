@@ -15,9 +15,10 @@ from numpy.testing import assert_allclose
 from energyplan.errors import DriveLogError
 from energyplan.fit import identify
 from energyplan.fit.estimate import problem_of
+from energyplan.io.given import Given
 from energyplan.io.husky import HuskyDrive, read_husky
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.start import start
 from energyplan.logs import DriveLog
 from energyplan.power import PowerModel
 from energyplan.simulate import drive, identification_drive

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import math
 import os
 import struct
 import tracemalloc
@@ -30,7 +31,7 @@ from energyplan.io.documents import read_json
 from energyplan.io.geojson import read_surfaces, write_surfaces
 from energyplan.io.heights import read_heights
 from energyplan.io.logs import read_log
-from energyplan.io.maps import at_most, read_map, write_map
+from energyplan.io.maps import at_most, read_map, write_map, write_map_of_image
 from energyplan.io.sites import read_site
 from energyplan.mission import Mission, Task
 from energyplan.path import Pose
@@ -314,7 +315,7 @@ def test_missing_and_strange_files(tmp_path):
     with pytest.raises(MapError, match="cannot be read"):
         read_map(tmp_path / "none.yaml")
     with pytest.raises(MapError, match="unknown kind"):
-        read_map(tmp_path / "map.bmp")
+        read_map(tmp_path / "map.gif")
     (tmp_path / "folder.yaml").mkdir()
     with pytest.raises(MapError, match=r"is a folder; give the map's \.yaml in it"):
         read_map(tmp_path / "folder.yaml")
@@ -509,3 +510,63 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(tmp_path, name):
     found.join(60)
     assert said, "it waits"
     assert "regular file" in said[0] or "there is no 'm.png'" in said[0]
+
+
+def drawn_yard(folder):
+    """Write the image of a walled yard with a grey spot, 60 x 40 pixels."""
+    pixels = np.full((40, 60, 3), 255, np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = 0
+    pixels[30:, 20:24] = 0
+    pixels[5:10, 40:50] = 120
+    Image.fromarray(pixels).save(folder / "yard.png")
+    return folder / "yard.png"
+
+
+def test_an_image_alone_is_a_map_by_the_size_of_its_pixels(tmp_path):
+    image = drawn_yard(tmp_path)
+    grid = read_map(image, resolution=0.1)
+    assert grid.size == pytest.approx((6.0, 4.0))
+    assert tuple(grid.origin) == (0.0, 0.0, 0.0)
+    assert grid.occupied[5, 21]
+    assert not grid.occupied[15, 21]
+    assert grid.unknown is not None
+    assert grid.unknown.sum() == 50
+    cells = write_map_of_image(image, 0.1, tmp_path / "yard.yaml")
+    for other in (cells, read_map(tmp_path / "yard.yaml")):
+        assert_array_equal(other.occupied, grid.occupied)
+        assert_array_equal(other.unknown, grid.unknown)
+        assert (other.resolution, other.origin) == (grid.resolution, grid.origin)
+    site = tmp_path / "site.yaml"
+    site.write_text("map: yard.png\nresolution: 10 cm\nclearance: 0.1\n")
+    assert_array_equal(read_site(site).grid.occupied, grid.occupied)
+
+
+def test_an_image_alone_is_refused_with_what_is_missing(tmp_path):
+    image = drawn_yard(tmp_path)
+    with pytest.raises(MapError, match=r"give the size of a pixel .* energyplan start .*yard.png"):
+        read_map(image)
+    for size in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(MapError, match="give a positive size"):
+            read_map(image, resolution=size)
+    with pytest.raises(MapError, match=r"write the YAML of yard.png in its folder"):
+        write_map_of_image(image, 0.1, tmp_path / "maps" / "yard.yaml")
+    written = tmp_path / "yard.yaml"
+    write_map_of_image(image, 0.1, written)
+    with pytest.raises(MapError, match=r"give .*yard.yaml, which names it"):
+        read_map(image)
+    with pytest.raises(MapError, match="has a resolution of its own"):
+        read_site(written, resolution=0.1)
+    site = tmp_path / "site.yaml"
+    site.write_text("map: yard.yaml\n")
+    with pytest.raises(MapError, match="is a site; write its map's resolution there"):
+        read_site(site, resolution=0.1)
+    site.write_text("map: yard.png\nresolution: -1\n")
+    with pytest.raises(MapError, match="line 2"):
+        read_site(site)
+
+
+def test_a_map_of_sixty_kilometres_is_doubted(tmp_path):
+    image = drawn_yard(tmp_path)
+    with pytest.warns(UnusualValueWarning, match=r"60 x 40 km") as found:
+        read_map(image, resolution=1000.0)
+    assert "check that its resolution, 1000, is in m" in str(found[0].message)

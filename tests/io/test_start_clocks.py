@@ -13,8 +13,9 @@ from small_bags import JOINTS, Recorder
 
 import energyplan as ep
 from energyplan.errors import DriveLogError
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, Start, start
+from energyplan.io.start import Start, start
 
 SLIP, K, MU, MASS = 1.24, 10.5, 0.62, 62.0
 """Slip track [m], resistance of a side [N], friction coefficient and mass [kg] of the robot."""

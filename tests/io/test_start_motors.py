@@ -13,8 +13,9 @@ import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
 from energyplan.io.bags import TopicMap, columns_of, topics_of
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.start import start
 from energyplan.logs.tables import Recording
 
 VEHICLE = ep.Vehicle.from_geometry(

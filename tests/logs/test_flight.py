@@ -17,8 +17,9 @@ from foreign_logs import ROVER, At, drive
 
 import energyplan as ep
 from energyplan.errors import DriveLogError, MissingDependencyError
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.start import start
 
 BOOT = 12.5  # the clocks begin when the autopilot boots, or with the calendar [s]
 EPOCH = 1_770_000_000

@@ -16,7 +16,8 @@ from foreign_logs import LOADER, READ, REFUSED, ROBOTS, ROVER, TOY, At, Robot, d
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
-from energyplan.io.start import Given, start
+from energyplan.io.given import Given
+from energyplan.io.start import start
 
 
 @cache

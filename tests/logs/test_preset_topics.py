@@ -10,8 +10,9 @@ import pytest
 
 import energyplan as ep
 from energyplan import simulate
+from energyplan.io.given import Given
 from energyplan.io.logs import read_log
-from energyplan.io.start import Given, start
+from energyplan.io.start import start
 from energyplan.logs.consistency import Measures
 from energyplan.logs.guess import guess
 from energyplan.vehicle import Vehicle

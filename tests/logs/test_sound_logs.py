@@ -12,7 +12,8 @@ from made_drives import sized
 import energyplan as ep
 from energyplan import simulate
 from energyplan.errors import DriveLogError
-from energyplan.io.start import Given, start
+from energyplan.io.given import Given
+from energyplan.io.start import start
 from energyplan.logs.checks import find_lost_sign
 from energyplan.power import PowerModel
 from energyplan.power.effects import ANGULAR_INERTIA, LINEAR_INERTIA

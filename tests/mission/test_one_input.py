@@ -118,6 +118,12 @@ def charging() -> Mission:
     )  # fmt: skip
 
 
+def along() -> Mission:
+    """A path whose near end comes last."""
+    row = Task("row", path=((3.0, 3.6), (1.2, 3.6)), power=30.0)
+    return replace(mission(), tasks=(row,), surfaces=None, payload=0.0)
+
+
 def shared() -> Mission:
     """Two robots, the nearer one without the skill; both have to charge at one place."""
     robots = (
@@ -200,6 +206,9 @@ PARTS = [
         required=False, window=(41.0, 500.0), power_spread=30.0, dwell_spread=30.0,
     ), {"prize": "all tasks fit", "required": "all tasks fit"}),
     Part(shared, ("tasks", 1), Task, like(needs=())),
+    Part(along, ("tasks", 0), Task, like(
+        path=((2.8, 3.6), (1.2, 3.6)), direction="given", speed=0.3, payload_per_metre=0.1,
+    )),
     Part(shared, ("robots", 0), Robot, like(
         name="other", skills=("arm",), changes={"start": (2.6, 3.5, 0.0), "soc": 0.8},
     )),

@@ -14,11 +14,23 @@ export async function get(path) {
   return answered(await fetch(`api/${path}`, { headers }));
 }
 
-export async function post(path, body, signal) {
-  const sent = { ...headers, "Content-Type": "application/json" };
-  return answered(await fetch(`api/${path}`, {
-    method: "POST", headers: sent, body: JSON.stringify(body), signal,
-  }));
+// Ask; `told` is called with what the service says on the way, such as how far it has compiled.
+export async function post(path, body, told = () => {}, signal = undefined) {
+  const sent = { ...headers, "Content-Type": "application/json", Accept: "text/event-stream" };
+  const response = await fetch(`api/${path}`, { method: "POST", headers: sent, body: JSON.stringify(body), signal });
+  if (!response.ok) return answered(response);
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  for (let text = "", part; !(part = await reader.read()).done;) {
+    const events = (text + part.value).split("\n\n");
+    text = events.pop();
+    for (const event of events) {
+      const [, kind, data] = /^event: (\w+)\ndata: (.*)$/s.exec(event), document = JSON.parse(data);
+      if (kind === "answer") return document;
+      if (kind === "problem") throw new Error(document.detail);
+      told(document);
+    }
+  }
+  throw new Error("The service ended before it answered.");
 }
 
 export async function upload(name, file) {

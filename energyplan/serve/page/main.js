@@ -8,7 +8,7 @@ const scene = $("scene");
 const status = $("status");
 let start = null, goal = null, robots = [], tasks = [], chargers = [], mode = "route", asked = null, plot = null;
 const TINTS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];  // of robots, in their order
-let files = {}, mission = null, logs = [];  // what the folder holds, the mission that is open, the logs sent
+let files = {}, mission = null, logs = [], playing = 0;  // what the folder holds, the mission that is open, the logs sent, the frame of the animation
 
 const chart = new Chart("map", place);
 
@@ -96,6 +96,7 @@ function reset() {
   [start, goal, robots, tasks, chargers, mission] = [null, null, [], [], [], null];
   $("battery").file.value = "";
   for (const name of ["charger", "soc"]) $("battery")[name].parentElement.hidden = false;
+  $("docks").replaceChildren();
   clearRoutes();
   for (const id of ["verdicts", "charge", "tasks"]) $(id).replaceChildren();
   $("tasks").hidden = true;
@@ -108,6 +109,8 @@ function stale() {
   for (const id of ["verdicts", "charge"]) $(id).classList.add("stale");
   for (const task of tasks) task.mark("");
   chart.routes.clearLayers();
+  chart.where([]);
+  cancelAnimationFrame(playing);
   say("The mission has changed: ask again whether the battery lasts.");
 }
 
@@ -121,6 +124,7 @@ function begins(each) {
 }
 
 function place(x, y) {
+  if (chart.blocked(x, y)) return say("There is a wall, or no map: click on free ground.", true);
   if (!start) {
     begins([{ start: [x, y, 0] }]);
     say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
@@ -143,7 +147,7 @@ async function replan() {
   const mine = asked = new AbortController();
   say("Planning…");
   try {
-    const told = await post("compare", {
+    const told = await ask("compare", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
       start: start.pose, goal: goal.pose, time_limit: 0.3,
     }, mine.signal);
@@ -157,6 +161,7 @@ async function replan() {
 function clearRoutes() {
   chart.routes.clearLayers();
   chart.reach.clearLayers();
+  chart.where([]);
   $("answer").replaceChildren();
 }
 
@@ -196,7 +201,7 @@ async function range() {
   const spread = form.spread.value / 100;
   say("Searching for all places in reach…");
   try {
-    const told = await post("range", {
+    const told = await ask("range", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
       start: start.pose, back: $("back").checked ? start.pose : null,
       pack: form.pack.value || mission?.document.battery || null,
@@ -211,6 +216,11 @@ async function range() {
       told.contours.map((line) => [energy(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
   } catch (error) { say(error.message, true); }
 }
+
+// Ask the service, and say how far it is where it must compile first.
+const ask = (path, body, signal) => post(path, body, ({ event, done, total, left }) => {
+  if (event === "compiling") say(`Compiling, once: ${done} of ${total}${left == null ? "" : `, about ${Math.round(left)} s left`}…`);
+}, signal);
 
 // missions
 
@@ -229,7 +239,14 @@ async function open(name) {
   form.file.value = name;
   const own = typeof document.battery === "string";
   fill(form.pack, own ? document.battery : "");
-  form.pack.placeholder = own ? "24 V 20 Ah lead-acid" : "as in the file";
+  const pack = Object.entries(document.battery ?? {}).map(([key, value]) => `${key.replaceAll("_", " ")} ${value?.mean ?? value}`);
+  form.pack.placeholder = own ? "24 V 20 Ah lead-acid" : `as in the file: ${pack.join(", ")}`;
+  form.pack.title = form.pack.value || form.pack.placeholder;
+  $("docks").textContent = told.chargers.map((one) => {
+    const power = typeof one.power === "number" ? `${one.power} W` : "a power curve";
+    return `${one.name}: ${power}${one.until == null ? "" : `, until ${Math.round(100 * one.until)} %`}`;
+  }).join("; ");
+  if (told.chargers.length) $("docks").prepend("Chargers: ");
   for (const [key, value] of [["soc", told.soc], ["reserve", told.reserve], ["spread", told.coefficient_spread]]) fill(form[key], round(100 * value));
   form.charger.parentElement.hidden = told.chargers.length > 0;
   form.soc.parentElement.hidden = told.robots.length > 0;  // each has its own
@@ -319,8 +336,65 @@ async function evaluate(event) {
   if (!$("battery").reportValidity()) return null;
   say("Evaluating the mission…");
   try {
-    verdicts(await post("mission", { mission: mission?.name ?? null, document: written() }));
+    verdicts(await ask("mission", { mission: mission?.name ?? null, document: written() }));
   } catch (error) { say(error.message, true); }
+}
+
+// Keep what the page shows as a mission's file of the folder. JSON is YAML too.
+async function save() {
+  const name = window.prompt("Name of the mission's file", "mission_new.yaml");
+  if (!name) return;
+  const file = `${mission?.folder ?? ""}${/\.ya?ml$/.test(name) ? name : `${name}.yaml`}`;
+  try {
+    await upload(file, new Blob([`${JSON.stringify(written(), null, 1)}\n`]));
+    files.missions.push(file);
+    options($("battery").file, files.missions, "none");
+    await open(file);
+    say(`Kept as ${file}, and opened.`);
+  } catch (error) { say(error.message, true); }
+}
+
+// Show where each robot is at a moment of the timetable; `moment` is its time [s].
+function follow(each, moment) {
+  chart.where(each.map((one) => {
+    const leg = one.legs.findLast(({ departure }) => departure <= moment) ?? one.legs[0];
+    if (!leg) return null;
+    const { t, x, y } = leg.trajectory, since = t[0] + moment - leg.departure;
+    const k = Math.max(0, Math.min(t.length - 1, t.findIndex((time) => time > since) - 1 + (t.at(-1) <= since ? t.length + 1 : 0)));
+    const next = Math.min(k + 1, t.length - 1), part = next === k ? 0 : Math.max(0, Math.min(1, (since - t[k]) / (t[next] - t[k])));
+    return [x[k] + part * (x[next] - x[k]), y[k] + part * (y[next] - y[k]), one.tint];
+  }).filter(Boolean));
+}
+
+// A slider over the time of a mission, which can play by itself in about half a minute.
+function player(each) {
+  const begin = Math.min(...each.flatMap(({ legs }) => legs.slice(0, 1).map(({ departure }) => departure)));
+  const end = Math.max(...each.map(({ route }) => route.at(-1).arrival));
+  if (!(begin < end)) return element("p");  // nobody drives
+  const made = element("p", "", "player"), button = element("button", "Play"), slider = element("input"), time = element("span");
+  Object.assign(button, { type: "button" });
+  Object.assign(slider, { type: "range", min: begin, max: end, step: "any", value: begin, ariaLabel: "time of the mission" });
+  const show = () => { follow(each, Number(slider.value)); time.textContent = `${clock(Number(slider.value))} h`; };
+  const stop = () => { cancelAnimationFrame(playing); playing = 0; button.textContent = "Play"; };
+  stop();
+  slider.addEventListener("input", () => { stop(); show(); });
+  button.addEventListener("click", () => {
+    if (playing) return stop();
+    if (Number(slider.value) >= end - 1e-6) slider.value = begin;
+    let last = performance.now(), at = Number(slider.value);
+    const step = (now) => {
+      at = Math.min(end, at + (now - last) * (end - begin) / 30000);
+      last = now;
+      slider.value = at;
+      show();
+      if (at < end && made.isConnected) playing = requestAnimationFrame(step); else stop();
+    };
+    button.textContent = "Stop";
+    playing = requestAnimationFrame(step);
+  });
+  made.append(button, slider, time);
+  show();
+  return made;
 }
 
 const clock = (t) => {
@@ -364,7 +438,8 @@ function verdicts(told) {
     `${task.name}: out of reach; ${why(task)}.${task.detail ? ` ${task.detail[0].toUpperCase()}${task.detail.slice(1)}.` : ""}${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
   const shares = several ? `${each.map((one) => `${one.name} takes ${energy(one.energy)}`).join(", ")}. ` : "";
   const most = `${shares}The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`;
-  $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows), element("p", most, "hint"),
+  $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows),
+    player(each), element("p", most, "hint"),
     ...told.warnings.map((text) => element("p", text, "hint")));
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
@@ -408,7 +483,7 @@ async function learn() {
     whose.robot = { track: number("track"), wheelbase: number("wheelbase"), mass: number("mass"),
       wheel_radius: number("radius"), columns: form.columns.value || null };
     if (!whose.robot.track || !whose.robot.mass) return say("Which robot is this? Give a vehicle, or track and mass of your own.", true);
-    const read = await post("start", { log: names[0], robot: whose.robot });
+    const read = await ask("start", { log: names[0], robot: whose.robot });
     parts.push(element("h2", "Read as"), table(["channel", "column"],
       Object.entries(read.columns).map(([channel, column]) => [channel, `${column} [${read.units[channel]}]`])),
       ...read.checks.filter((check) => !check.ok).map((check) => element("p", `${check.what}. ${check.remedy}`, "bad")));
@@ -416,13 +491,13 @@ async function learn() {
     if (!read.sound) return say("The log contradicts itself or the robot: see below.", true);
   }
   say("Looking for the robot's parameters…");
-  const found = await post("identify", { logs: names, ...whose });
+  const found = await ask("identify", { logs: names, ...whose });
   const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`}${unit(t.unit)}`]);
   parts.push(element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
     ...found.warnings.map((text) => element("p", text, "hint")), keeper(found.model_file));
   if (names.length > 1) {
     say("Tracing what the model does not explain…");
-    const told = await post("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
+    const told = await ask("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
     parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
       table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
       element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
@@ -472,6 +547,8 @@ scene.addEventListener("submit", (event) => event.preventDefault());
 $("again").addEventListener("click", reset);
 $("far").addEventListener("click", range);
 $("battery").addEventListener("submit", evaluate);
+$("save").addEventListener("click", save);
+$("battery").pack.addEventListener("input", ({ target }) => { target.title = target.value || target.placeholder; });
 $("battery").file.addEventListener("change", ({ target }) => (target.value ? open(target.value) : load()).catch((error) => say(error.message, true)));
 for (const input of $("battery").querySelectorAll("input")) input.addEventListener("change", stale);
 $("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; $("tasks").replaceChildren(); $("tasks").hidden = true; stale(); });
