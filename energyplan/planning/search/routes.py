@@ -86,15 +86,6 @@ def cheapest_routes(
     ways: list[Segments] = []
     places, reach, penalties = to_go.places, setting.reach, np.ones(1)
     blocked = [place_of(places, setting.space, one.x, one.y) for one in stuck]
-    known = none = np.empty(0, np.int64)
-    for turns in ROUTES.turns:
-        found = straight_route(to_go, setting, turns, int(budget.left / UNITS.step))
-        budget.spend(UNITS.step * found.looked)
-        if not any(np.array_equal(found.chain, one) for one in (known, none)):
-            tracked = track_route(setting, to_go, budget, found.chain)
-            ways += [] if tracked.motions is None else [tracked.motions]
-        known = found.chain
-    straight = len(ways)
     for _ in range(ROUTES.most):
         most = int(min(SHARES.stage * budget.left / UNITS.state, ROUTES.states))
         if most < 1:
@@ -110,12 +101,27 @@ def cheapest_routes(
             ways.append(tracked.motions)
             homes = places.home[found.chain]
             penalties = _penalised(penalties, places, homes, reach, ROUTES.again)
-        elif len(ways) > straight:
+        elif ways:
             break
         else:
             blocked.append(place_of(places, setting.space, tracked.x, tracked.y))
         if UNITS.state * found.looked > SHARES.aside * budget.left:
             break
+    return ways
+
+
+def straight_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[Segments]:
+    """Return motions along ways of long straight steps, the later ones with fewer turns."""
+    ways: list[Segments] = []
+    known: list[Ints] = []
+    for turns in ROUTES.turns:
+        found = straight_route(to_go, setting, turns, int(budget.left / UNITS.step))
+        budget.spend(UNITS.step * found.looked)
+        if len(found.chain) == 0 or any(np.array_equal(found.chain, one) for one in known):
+            break
+        known.append(found.chain)
+        tracked = track_route(setting, to_go, budget, found.chain)
+        ways += [] if tracked.motions is None else [tracked.motions]
     return ways
 
 
@@ -129,6 +135,7 @@ def cheapest_route(
     spacing = places.spacing
     turn = 2.0 * pi / FACINGS
     per_metre = setting.least_metre
+    weighed = ROUTES.weight * per_metre
     turning = turn_prices(setting)
     per_turn = here_turn = turning[0]
     for each in turning:
@@ -174,7 +181,7 @@ def cheapest_route(
             if not even:
                 here_turn = turning[surface_at(setting, setting.start)]
             g[count] = here_turn * off
-            h[count] = _rest(to_go, start, b * turn, goal_yaw, per_metre, per_turn)
+            h[count] = _rest(to_go, start, b * turn, goal_yaw, weighed, per_turn)
             key[count] = _key(places, setting, start, b)
             table[slot_of(table, key, key[count])] = count
             size = push(heap_f, heap_state, size, g[count] + h[count], count)
@@ -251,7 +258,7 @@ def cheapest_route(
                 known = int(table[slot])
                 if known >= 0 and gg >= g[known] - 1e-9:
                     continue
-                hh = _rest(to_go, other, bb * turn, goal_yaw, per_metre, per_turn)
+                hh = _rest(to_go, other, bb * turn, goal_yaw, weighed, per_turn)
                 if gg + hh >= least:
                     continue
                 if known >= 0:
@@ -279,6 +286,7 @@ def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: 
     """
     places = to_go.places
     space = setting.space
+    weighed = ROUTES.weight * setting.least_metre
     across = places.columns + 2 * RIM
     rows = len(places.masks) // across
     wide = (across - 1) // STRIDE + 1
@@ -331,7 +339,8 @@ def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: 
         node = _node_with(places, place, b)
         to_goal = angle_between(b * eighth, goal_yaw)
         far = float(to_go.distance[node])
-        if f > g[state] + per_metre * far + per_turn * to_goal + 1e-9 and parent[state] >= 0:
+        rest = weighed * far + per_turn * to_goal
+        if parent[state] >= 0 and f > g[state] + rest + 1e-9:
             continue
         looked += 1
         if not even:
@@ -356,7 +365,7 @@ def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: 
             else:
                 ahead = n == 2
                 k = int(_STEP_OF_EIGHTH[b if ahead else (b + EIGHTHS // 2) % EIGHTHS])
-                if not ahead and setting.gear > 0 or ahead and setting.gear < 0:
+                if (1 if ahead else -1) * setting.gear < 0:
                     continue
                 new_row = row + STRIDE * STEP_ROWS[k]
                 new_column = column + STRIDE * STEP_COLUMNS[k]
@@ -378,8 +387,9 @@ def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: 
             other = (there // across // STRIDE * wide + there % across // STRIDE) * EIGHTHS + bb
             if gg >= g[other] - 1e-9:
                 continue
-            distance = float(to_go.distance[_node_with(places, there, bb)])
-            ff = gg + per_metre * distance + per_turn * angle_between(bb * eighth, goal_yaw)
+            beyond = _node_with(places, there, bb)
+            ff = gg + weighed * float(to_go.distance[beyond])
+            ff += per_turn * angle_between(bb * eighth, goal_yaw)
             if ff >= least:
                 continue
             g[other] = gg
@@ -388,28 +398,39 @@ def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: 
             size = push(heap_f, heap_state, size, ff, other)
     if best < 0:
         return PricedRoute(none, inf, looked)
-    chain = [np.int64(0) for _ in range(0)]
-    state = best
+    chain = _straight_chain(places, parent, best, first_row, first_column)
+    rest = chain_from(to_go, int(to_go.after[chain[-1]]))
+    return PricedRoute(np.concatenate((chain, rest)), least, looked)
+
+
+@inner
+def _straight_chain(
+    places: Places, parent: ShortInts, best: int, first_row: int, first_column: int
+) -> Ints:
+    """Return the nodes on the way of straight steps that leads to a state."""
+    across = places.columns + 2 * RIM
+    wide = (across - 1) // STRIDE + 1
+    steps = 0
+    state = int(parent[best])
     while state >= 0:
-        row = state // EIGHTHS // wide * STRIDE + first_row
-        column = state // EIGHTHS % wide * STRIDE + first_column
-        b = state % EIGHTHS
-        before = int(parent[state])
-        chain.append(np.int64(_node_with(places, row * across + column, b)))
-        if before >= 0:
-            up = row - (before // EIGHTHS // wide * STRIDE + first_row)
-            along = column - (before // EIGHTHS % wide * STRIDE + first_column)
-            for part in range(1, STRIDE if up != 0 or along != 0 else 0):
-                there = (row - part * up // STRIDE) * across + column - part * along // STRIDE
-                chain.append(np.int64(_node_with(places, there, b)))
-        state = before
-    rest = chain_from(to_go, int(to_go.after[chain[0]]))
-    out = np.empty(len(chain) + len(rest), np.int64)
-    for k in range(len(chain)):
-        out[k] = chain[len(chain) - 1 - k]
-    for k in range(len(rest)):
-        out[len(chain) + k] = rest[k]
-    return PricedRoute(out, least, looked)
+        steps += 1
+        state = int(parent[state])
+    chain = np.empty(STRIDE * steps + 1, np.int64)
+    state = best
+    row = state // EIGHTHS // wide * STRIDE + first_row
+    column = state // EIGHTHS % wide * STRIDE + first_column
+    at = len(chain) - 1
+    chain[at] = _node_with(places, row * across + column, state % EIGHTHS)
+    while at > 0:
+        state = int(parent[state])
+        up = (state // EIGHTHS // wide * STRIDE + first_row - row) // STRIDE
+        along = (state // EIGHTHS % wide * STRIDE + first_column - column) // STRIDE
+        for _ in range(STRIDE):
+            row += up
+            column += along
+            at -= 1
+            chain[at] = _node_with(places, row * across + column, state % EIGHTHS)
+    return chain
 
 
 @inner
@@ -534,4 +555,4 @@ def _rest(
     turn = angle_between(yaw, goal_yaw)
     if far > to_go.far:
         turn = max(turn, turning_by(yaw, float(to_go.direction[node]), goal_yaw))
-    return ROUTES.weight * per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)
+    return per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)
