@@ -33,7 +33,7 @@ def problems(robots: int, tasks: int, unlike: bool, seed: int = 0) -> list[Order
         safe = energy[:, [0, 1 + tasks, 2 + tasks]].min(axis=1)
         made.append(
             OrderProblem(
-                np.zeros(1), energy[None, None], safe[None],
+                np.arange(tasks), np.zeros(1), energy[None, None], safe[None],
                 floor=np.zeros_like(energy)[None, None], time=apart[None] / 0.8,
                 finish_time=apart[:, 0] / 0.8, service=work, service_time=np.full(tasks, 60.0),
                 window=np.tile([0.0, np.inf], (tasks, 1)), idle=np.zeros(tasks),

@@ -42,6 +42,7 @@ def problem(seed: int, tasks: int, chargers: int, windows: bool) -> OrderProblem
     prize = rng.integers(1, 6, tasks).astype(float)
     required = rng.random(tasks) < 0.3
     return OrderProblem(
+        option=np.arange(tasks),
         loads=np.zeros(1),
         energy=energy[None, None],
         floor=np.zeros((1, 1, size, size)),

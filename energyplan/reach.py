@@ -64,11 +64,13 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
     if query.steepest > prices.FLAT:
         steep = np.linspace(-query.steepest, query.steepest, prices.BINS)[:, None]
     along, slope = ds * np.hypot(1.0, steep), np.arctan(steep)
+    yaw = None if query.yaws is None else query.yaws[:, None]
+    rows = np.zeros((1 if yaw is None else len(yaw), *np.broadcast_shapes(along.shape, ds.shape)))
     extra, noise = [], 0.0
     for cost in query.costs:
         if reason := unfounded(cost.model, confidence, spread):
             raise InvalidInputError(reason)
-        mean = cost.segment_energy(along, dtheta, slope)
+        mean = cost.segment_energy(along, dtheta, slope, yaw=yaw) + rows
         run = RunEffect.known(cost.model.residual)
         square = (run.error**2 + run.deviation**2) * mean**2
         for step in _directions(cost, spread).T:
@@ -78,7 +80,7 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
                     model=cost.model.with_coefficients(
                         cost.model.coefficients + sign * STEP * step
                     ),
-                ).segment_energy(along, dtheta, slope)
+                ).segment_energy(along, dtheta, slope, yaw=yaw)
                 for sign in (1.0, -1.0)
             )
             square = square + (0.5 * (more - less) / STEP) ** 2
@@ -125,7 +127,9 @@ def most_power(cost: EnergyCost) -> float:
     """Return the largest power that steady motion on level ground takes [W]."""
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     ds, dtheta = np.cos(angle), np.sin(angle) / cost.half_track
-    return float(np.max(cost.segment_energy(ds, dtheta) / cost.segment_duration(ds, dtheta)))
+    yaw = np.linspace(-np.pi, np.pi, 65)[:, None] if cost.of_heading else None
+    joules = cost.segment_energy(ds, dtheta, yaw=yaw)
+    return float(np.max(joules / cost.segment_duration(ds, dtheta)))
 
 
 def _directions(cost: EnergyCost, spread: float) -> FloatArray:
@@ -317,7 +321,8 @@ def energy_map(
         raise InvalidInputError("a coefficient spread needs a confidence; give both")
     if problem.objective != "energy":
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
-    problem = replace(problem, goal=problem.start, costmap=None)
+    surfaces = None if problem.surfaces is None else problem.surfaces.unpriced
+    problem = replace(problem, goal=problem.start, costmap=None, surfaces=surfaces)
     there = compiled(problem)
     upper = None
     if confidence is not None:

@@ -286,13 +286,15 @@ def rows_in_bursts(at: At) -> Files:
     return csv(at.house().assign(t=arrival))
 
 
-def files_of_controllers(at: At) -> Files:
+def files_of_controllers(at: At, speed_of: str = "speed_rad_s") -> Files:
     """A file for each side's motor controller, and one for the battery."""
     sides = {"left": (at.t, at.left, at.p_left), "right": (at.t + 0.003, at.right, at.p_right)}
     files: Files = {}
     for name, (t, speed, power) in sides.items():
         amps = np.round(10 * power / at.volts, 3)
-        files |= csv({"t": t, "speed": speed / at.robot.radius, "current_dA": amps}, f"-{name}.csv")
+        files |= csv(
+            {"t": t, speed_of: speed / at.robot.radius, "current_dA": amps}, f"-{name}.csv"
+        )
     return files | csv({"t": at.t[::5], "voltage": at.volts[::5]}, "-pack.csv")
 
 
@@ -624,6 +626,12 @@ REFUSED: dict[str, Refused] = {
     "current_alone": Refused(
         lambda at: csv({**at.house().drop(columns="power"), "bus_current": at.amps}),
         r"the battery's usual one, as in power=bus_current\[\*25.6\]"),
+    # nothing else shows how far the wheels roll: these may be kilometres an hour
+    "speeds_of_controllers": Refused(
+        lambda at: files_of_controllers(at, "speed"),
+        r"left.speed could be in rad/s\*0.11 or km/h",
+        {"columns": "v_left=speeds_of_controllers-left.speed[rad/s*0.11],"
+                    "v_right=speeds_of_controllers-right.speed[rad/s*0.11]"}),
     "power_in_percent": Refused(
         lambda at: csv({**at.house().drop(columns="power"),
                         "power_pct": 100.0 * at.power / np.max(at.power)}),

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from energyplan.cost import direction_table, speeds, steering
-from energyplan.cost.bounds import SLACK, Infimum, LowerBound, lower_bound
+from energyplan.cost.bounds import SLACK, Infimum, LowerBound, least_between, lower_bound
 from energyplan.cost.direction_table import Corners, DirectionTable
 from energyplan.cost.driving import SteadyDriving
 from energyplan.errors import InvalidInputError, ModelError
@@ -30,6 +30,7 @@ from energyplan.power import SLIP, TRACTION, PowerModel
 from energyplan.records import checked
 from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, layout, wheel_loads
 
+_ALL_ROUND = -np.pi, np.pi  # headings [rad]
 _STANDSTILL, _SCAN = 1e-7, 97  # slowest speed tried, over the largest, and how many are tried
 
 
@@ -41,7 +42,9 @@ class EnergyCost(SteadyDriving):
     ----------
     model : PowerModel
         The power model with its vehicle. No term may read a channel that a cost cannot know, such
-        as the heading or the place, unless `channels` gives it a constant value.
+        as the place, unless `channels` gives it a constant value. A term may read the heading
+        ``yaw``, as across the rows of a field; the speeds of such a cost are those that suit the
+        mean over all headings.
         What it contains of the ground of some place, such as a slope that a diagnosis found, is
         left out, for a cost knows no map: problems and missions put it on theirs.
     battery : bool
@@ -133,13 +136,23 @@ class EnergyCost(SteadyDriving):
     # -- energy ---------------------------------------------------------------------------------
 
     def _element_energy(
-        self, x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0, rate: FloatArray | None = None
-    ) -> FloatArray:
-        """Energy of elements [J], evaluated through the model; they must not vanish."""
+        self, x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0, yaw: ArrayLike | None = None,
+        rate: FloatArray | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """Energy of elements [J], evaluated through the model; they must not vanish.
+
+        Where it depends on the heading and none is given, that of the heading with the least.
+        """
+        if yaw is None and self.of_heading:
+            x, y, slope = np.broadcast_arrays(x, y, slope)
+            return least_between(
+                lambda at: self._element_energy(x, y, slope, at, rate), *_ALL_ROUND, x.shape
+            )
         if rate is None:
-            return self._as_driven(self._element_energy, x, y, slope)
+            return self._as_driven(self._element_energy, x, y, slope, 0.0 if yaw is None else yaw)
         safe = np.where(np.isfinite(rate), rate, 1.0 / (np.abs(x) + np.abs(y)))
-        return np.asarray(self._drawn.power(self._motion(x, y, safe, slope)) / safe)
+        motion = self._motion(x, y, safe, slope, 0.0 if yaw is None else yaw)
+        return np.asarray(self._drawn.power(motion) / safe)
 
     @cached_property
     def gauge(self) -> DirectionTable:
@@ -153,6 +166,7 @@ class EnergyCost(SteadyDriving):
         slope: ArrayLike | None = None,
         *,
         exact: bool = True,
+        yaw: ArrayLike | None = None,
     ) -> FloatArray:
         """Return the energy of arcs, as they are driven.
 
@@ -169,6 +183,9 @@ class EnergyCost(SteadyDriving):
         exact : bool
             Whether the speeds on slopes are searched again; else they come from a table, which is
             quicker where energy depends on speed.
+        yaw : array_like, shape (...), optional
+            Heading all along [rad], for a model that reads it. Where it is not given, the energy is
+            that at the heading of each arc that takes the least: a lower bound.
 
         Returns
         -------
@@ -177,34 +194,40 @@ class EnergyCost(SteadyDriving):
             which is of the order of rounding for piecewise linear energies.
         """
         x, y = self._element(ds, dtheta)
-        if slope is None:
+        if not self.of_heading:
+            yaw = None
+        if slope is None and yaw is None:
             return self.gauge(x, y)
         x, y = np.broadcast_arrays(x, y)
         moves = (x != 0) | (y != 0)
         x = np.where(moves, x, 1.0)
         rate = None if exact or self._static or self.tread_speed else 1.0 / self._clock(x, y)
-        return np.where(moves, self._element_energy(x, y, slope, rate), 0.0)
+        tilt = 0.0 if slope is None else slope
+        return np.where(moves, self._element_energy(x, y, tilt, yaw, rate), 0.0)
 
     @checked()
-    def energy(self, path: Path, slope: ArrayLike = 0.0) -> float:
+    def energy(self, path: Path, slope: ArrayLike = 0.0, yaw: ArrayLike | None = None) -> float:
         """Return the energy of a path [J], evaluated through the model.
 
-        The slope along the heading of each segment may be given [rad].
+        The slope along the heading of each segment may be given [rad]. Where the model reads the
+        heading it is the path's own, unless that of each segment is given [rad].
 
         Raises
         ------
         InvalidInputError
             If the path belongs to a vehicle with tread ICRs elsewhere along its x axis.
         """
-        return float(self._element_energy(*self._moving(path, slope)).sum())
+        return float(self._element_energy(*self._moving(path, slope, yaw)).sum())
 
     @checked()
-    def breakdown(self, path: Path, slope: ArrayLike = 0.0) -> dict[str, float]:
+    def breakdown(
+        self, path: Path, slope: ArrayLike = 0.0, yaw: ArrayLike | None = None
+    ) -> dict[str, float]:
         """Return the energy of a path by term [J]; the values add up to `energy`."""
-        x, y, tilt = self._moving(path, slope)
+        x, y, tilt, ahead = self._moving(path, slope, yaw)
         rate = self._rate(x, y)
         rate = np.where(np.isfinite(rate), rate, 1.0 / (np.abs(x) + np.abs(y)))
-        parts = self._drawn.breakdown(self._motion(x, y, rate, tilt))
+        parts = self._drawn.breakdown(self._motion(x, y, rate, tilt, ahead))
         return {name: float((power / rate).sum()) for name, power in parts.items()}
 
     @checked()
@@ -231,6 +254,7 @@ class EnergyCost(SteadyDriving):
         if not np.all(speed > 0):
             raise InvalidInputError("a speed is not positive; give magnitudes, and signs in arcs")
         x, y = self._element(ds, dtheta)
+        self.check_any_heading("the energy at a given speed")
         return np.asarray(self._drawn.power(self._motion(x, y, speed)) / speed)
 
     # -- what searches need -----------------------------------------------------------------------
@@ -260,9 +284,17 @@ class EnergyCost(SteadyDriving):
             )
 
         def share(x: FloatArray, y: FloatArray, prices: FloatArray) -> FloatArray:
+            def least(rate: FloatArray) -> FloatArray:
+                def power(yaw: ArrayLike) -> FloatArray:
+                    return self._least_drawn.power(self._motion(x, y, rate, yaw=yaw))
+
+                if not self.of_heading:
+                    return power(0.0)
+                shape = np.broadcast_shapes(x.shape, np.shape(rate))
+                return least_between(power, *_ALL_ROUND, shape)
+
             def value(rate: FloatArray) -> FloatArray:
-                power = self._least_drawn.power(self._motion(x, y, rate)) if energy else 0.0
-                return np.asarray((energy * power + time) / rate)
+                return np.asarray((energy * (least(rate) if energy else 0.0) + time) / rate)
 
             with np.errstate(divide="ignore"):
                 turns = self.vehicle.max_yaw_rate * self.half_track / np.abs(y)

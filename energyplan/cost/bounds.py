@@ -23,6 +23,7 @@ SLACK = 1e-6
 _DIFFERENCE = 1e-13  # part by which a price may be off by rounding, where differences are taken
 _BASINS = 8  # local minima of the scan that are followed
 _ZOOMS, _CUTS = 7, 9  # rounds in which a minimum is enclosed, and places tried in each
+_PLACES, _DIPS = 48, 3  # places of an interval that are scanned, and minima that are followed
 _WINDING = 0.1  # turn of a typical path, for each half slip track of its length [rad]
 _ARCS = 0.5  # the most that a typical path turns, for each least radius of its length [rad]
 
@@ -44,6 +45,34 @@ class LowerBound:
             self.per_metre * np.abs(np.asarray(length, float))
             + self.per_radian * np.abs(np.asarray(turn, float))
         )
+
+
+def least_between(
+    value: Callable[[FloatArray], FloatArray], low: float, high: float, shape: tuple[int, ...]
+) -> FloatArray:
+    """Return the least values of functions on an interval, found like an `Infimum`.
+
+    `value` takes places of shape (n, ...), where (...) is `shape`, and returns as many values.
+    """
+    wide = (-1, *[1] * len(shape))
+    at = np.linspace(low, high, _PLACES + 1)
+    scanned = value(np.broadcast_to(at.reshape(wide), (len(at), *shape)))
+    best = scanned.min(axis=0)
+    beside = np.full((1, *shape), np.inf)
+    lowest = (scanned <= np.concatenate([beside, scanned[:-1]])) & (
+        scanned <= np.concatenate([scanned[1:], beside])
+    )
+    place = np.argsort(np.where(lowest, scanned, np.inf), axis=0, kind="stable")[:_DIPS]
+    begin, end = at[np.maximum(place - 1, 0)], at[np.minimum(place + 1, _PLACES)]
+    part = (np.arange(1, _CUTS + 1) / (_CUTS + 1)).reshape(-1, *[1] * place.ndim)
+    for _ in range(_ZOOMS):
+        cuts = begin + (end - begin) * part
+        found = value(cuts.reshape(-1, *shape)).reshape(cuts.shape)
+        best = np.minimum(best, found.min(axis=(0, 1)))
+        k = found.argmin(axis=0)[None]
+        edges = np.concatenate([begin[None], cuts, end[None]])
+        begin, end = (np.take_along_axis(edges, k + side, axis=0)[0] for side in (0, 2))
+    return np.asarray(best)
 
 
 @dataclass(frozen=True)

@@ -25,16 +25,15 @@ STEADY = {"t": 1e9, "since_start": 1e9, **dict.fromkeys(_STILL, 0.0)}
 """Channels of steady motion on level ground, long after the start."""
 
 _FAR = np.geomspace(1e-3, 1e3, 13)
-_PLACES = {
-    "x": np.concatenate([-_FAR, _FAR]),
-    "y": np.concatenate([-_FAR, _FAR]),
-    "yaw": np.linspace(-3.0, 3.1, 26),
-}
+_PLACES = {"x": np.concatenate([-_FAR, _FAR]), "y": np.concatenate([-_FAR, _FAR])}
 """Channels that every drive has and no cost can know, and values at which they are tried."""
+_YAWS = np.linspace(-3.0, 3.1, 26)  # headings at which it is tried whether power depends on them
+_ROUND = np.arange(16) * (np.pi / 8)  # headings that the speeds of a motion have to suit
 
 
 _PROBES = np.array([[0.5, 0.0], [0.0, 0.5], [0.7, 0.4], [-0.3, 0.8], [-0.6, -0.2]]).T
 """Speeds [m/s] and yaw rates [rad/s] at which it is tried what accelerations add."""
+_CUT = 0.02  # turn that is priced at the heading in its middle [rad]
 _ACCELERATIONS = ((1.0, 0.0), (0.0, 1.0), (-2.0, 3.0), (50.0, -40.0))  # [m/s^2], [rad/s^2]
 _TIMES = (0.0, *np.geomspace(1e-2, 1e6, 33))  # times since the start that are tried [s]
 
@@ -43,9 +42,12 @@ def _power_at(
     model: PowerModel, channels: Mapping[str, float], accel: float, yaw_accel: float,
     t: float = STEADY["t"],
 ) -> FloatArray:  # fmt: skip
-    now = {**STEADY, **channels, "t": t, "accel": accel, "yaw_accel": yaw_accel}
-    known = {name: np.full(_PROBES.shape[1:], value) for name, value in now.items()}
-    return model.power(Motion.from_twist(_PROBES[0], _PROBES[1], model.vehicle.icr, **known))
+    now: dict[str, ArrayLike] = {**STEADY, "yaw": _ROUND[:, None], **channels}
+    now |= {"t": t, "accel": accel, "yaw_accel": yaw_accel}
+    every = np.zeros((len(_ROUND), len(_PROBES.T)))
+    known = {name: np.asarray(value, float) + every for name, value in now.items()}
+    v, omega = (probe + np.zeros((len(_ROUND), 1)) for probe in _PROBES)
+    return model.power(Motion.from_twist(v, omega, model.vehicle.icr, **known))
 
 
 def _masses(model: PowerModel, channels: Mapping[str, float]) -> FloatArray | None:
@@ -55,13 +57,13 @@ def _masses(model: PowerModel, channels: Mapping[str, float]) -> FloatArray | No
         return None
     masses = np.array(
         [
-            (_power_at(model, channels, *now) - steady)[k] / _PROBES[k, k]
+            (_power_at(model, channels, *now) - steady)[0, k] / _PROBES[k, k]
             for k, now in enumerate(_ACCELERATIONS[:2])
         ]
     )
     for accel, yaw_accel in _ACCELERATIONS:
         added = masses @ (_PROBES * np.array([[accel], [yaw_accel]]))
-        small = 1e-9 * float(np.abs([steady, added]).max())
+        small = 1e-9 * float(max(np.abs(steady).max(), np.abs(added).max()))
         gained = _power_at(model, channels, accel, yaw_accel) - steady
         if not np.allclose(gained, added, rtol=1e-9, atol=small):
             return None
@@ -111,20 +113,38 @@ class SteadyDriving:
                 if name not in known:
                     raise MissingChannelError(self._unknown(term.name, name))
         for name, places in _PLACES.items():
-            if name in self.channels:
-                continue
-            x, y = (np.repeat(part, len(places)) for part in 0.5 * SPECIAL.T)
-            here = self._motion(x, y, np.ones(len(x)))
-            there = here.with_channels(**{name: np.tile(places, len(SPECIAL))})
-            powers = (self._anywhere.regressors(motion) for motion in (here, there))
-            differ = [
-                term
-                for term, *values in zip(self._anywhere.terms, *powers, strict=True)
-                if not np.array_equal(_both_sides(values[0]), _both_sides(values[1]), True)
-            ]
-            # a loss differs with the forces, so the force is named
-            for term in sorted(differ, key=lambda term: term.kind == "loss"):
-                raise MissingChannelError(self._unknown(term.name, name))
+            for of in self._readers(name, places):
+                raise MissingChannelError(self._unknown(of, name))
+
+    def _readers(self, channel: str, values: FloatArray) -> list[str]:
+        """Return the terms whose power differs between some values of a channel."""
+        if channel in self.channels:
+            return []
+        x, y = (np.repeat(part, len(values)) for part in 0.5 * SPECIAL.T)
+        here = self._motion(x, y, np.ones(len(x)))
+        there = here.with_channels(**{channel: np.tile(values, len(SPECIAL))})
+        powers = (self._anywhere.regressors(motion) for motion in (here, there))
+        differ = [
+            term
+            for term, *both in zip(self._anywhere.terms, *powers, strict=True)
+            if not np.array_equal(_both_sides(both[0]), _both_sides(both[1]), True)
+        ]
+        # a loss differs with the forces, so the force is named first
+        return [term.name for term in sorted(differ, key=lambda term: term.kind == "loss")]
+
+    @cached_property
+    def of_heading(self) -> tuple[str, ...]:
+        """Names of the terms whose power depends on the heading; none of most models."""
+        return tuple(self._readers("yaw", _YAWS))
+
+    def check_any_heading(self, what: str) -> None:
+        """Refuse a cost that depends on the heading, where `what` holds for any."""
+        if self.of_heading:
+            raise MissingChannelError(
+                f"the term {self.of_heading[0]!r} of the model {self.model.name!r} depends on the "
+                f"heading, and {what} holds for any heading; leave the term out of the model, or "
+                "give one heading with EnergyCost(model, channels={'yaw': VALUE})"
+            )
 
     def _unknown(self, term: str, channel: str) -> str:
         """Say that a term reads a channel that a cost does not know, and what to do."""
@@ -133,7 +153,7 @@ class SteadyDriving:
             f"the term {term!r} of the model {self.model.name!r} reads the channel {channel!r} "
             f"({CHANNELS.get(channel, 'a channel of its own')}), which a cost of motions does not "
             "know: "
-            + "it holds for any place and heading; "
+            + "it holds for any place; "
             * place
             + "leave the term out of the model, or give the channel a constant value with "
             f"EnergyCost(model, channels={{{channel!r}: VALUE}})"
@@ -169,14 +189,31 @@ class SteadyDriving:
             ) from None
         return way - self.icr.centre[1] * turn, self.half_track * turn
 
-    def _moving(self, path: Path, slope: ArrayLike = 0.0) -> list[FloatArray]:
-        """Elements of a path that do not vanish, rid of rounding in pivots, and their slopes."""
+    def cut_turns(self, path: Path) -> Path:
+        """Return a path cut into segments of one heading each, as far as that matters."""
+        return path.subdivide(np.inf, _CUT) if self.of_heading else path
+
+    def _moving(
+        self, path: Path, slope: ArrayLike = 0.0, yaw: ArrayLike | None = None
+    ) -> list[FloatArray]:
+        """Elements of a path that do not vanish, rid of rounding in pivots; slopes and headings.
+
+        Where headings matter and are not given, the path is cut first.
+        """
         if path.longitudinal != self.icr.longitudinal:
             raise InvalidInputError(
                 f"the path's reference point is at x = {path.longitudinal} m, the tread ICRs are "
                 f"at {self.icr.longitudinal} m; build the path with "
                 "longitudinal=cost.icr.longitudinal"
             )
+        if self.of_heading and yaw is None:
+            count, path = len(path), self.cut_turns(path)
+            if np.size(slope) > 1 and len(path) != count:
+                raise InvalidInputError(
+                    "slopes of a path whose turns have to be cut; give the headings too, or cut it "
+                    "first: path = cost.cut_turns(path)"
+                )
+            yaw = 0.5 * (path.vertices[1:, 2] + path.vertices[:-1, 2])
         x, y = self._element(path.ds, path.dtheta)
         pivot = np.abs(np.abs(x) - np.abs(y)) <= ROUNDING * np.abs(y)
         x = np.where(pivot, np.copysign(y, x), x)
@@ -185,15 +222,18 @@ class SteadyDriving:
             raise InvalidInputError(
                 f"slope has shape {tilt.shape}; give one for each of {len(x)} segments"
             )
-        tilt = np.broadcast_to(tilt, x.shape)
+        tilt, ahead = (np.broadcast_to(at, x.shape) for at in (tilt, 0.0 if yaw is None else yaw))
         if np.any(stuck := self._stuck(x, y)):
             parts = _pivot_and_rest(x[stuck], y[stuck])
-            x, y, tilt = (
+            x, y, tilt, ahead = (
                 np.concatenate([whole[~stuck], *split])
-                for whole, split in ((x, parts[:, 0]), (y, parts[:, 1]), (tilt, [tilt[stuck]] * 2))
-            )
+                for whole, split in (
+                    (x, parts[:, 0]), (y, parts[:, 1]),
+                    (tilt, [tilt[stuck]] * 2), (ahead, [ahead[stuck]] * 2),
+                )
+            )  # fmt: skip
         moves = (x != 0) | (y != 0)
-        return [v[moves] for v in (x, y, tilt)]
+        return [v[moves] for v in (x, y, tilt, ahead)]
 
     # -- speed ----------------------------------------------------------------------------------
 
@@ -214,12 +254,14 @@ class SteadyDriving:
         return self._anywhere.battery_side() if self.battery else self._anywhere
 
     def _motion(
-        self, x: FloatArray, y: FloatArray, rate: ArrayLike, slope: ArrayLike = 0.0
-    ) -> Motion:
+        self, x: FloatArray, y: FloatArray, rate: ArrayLike, slope: ArrayLike = 0.0,
+        yaw: ArrayLike = 0.0,
+    ) -> Motion:  # fmt: skip
         """Steady motion through elements ``(x, y)`` at `rate` of them per second."""
         speed = np.asarray(rate, float)
         steady = {
             **STEADY,
+            "yaw": yaw,
             **self.channels,
             "slope": slope,
             "yaw_rate": speed * y / self.half_track,
@@ -231,7 +273,10 @@ class SteadyDriving:
     def _static(self) -> bool:
         """Whether speed makes no difference to the energy."""
         x, y = np.concatenate([SPECIAL, SPECIAL + np.array([0.3, 0.1])]).T
-        slow, fast = (self._drawn.power(self._motion(x, y, rate)) / rate for rate in (0.1, 0.7))
+        slow, fast = (
+            self._drawn.power(self._motion(x, y, rate, yaw=_ROUND[:, None] + 0.0 * x)) / rate
+            for rate in (0.1, 0.7)
+        )
         return bool(np.allclose(slow, fast, rtol=ROUNDING, atol=0.0))
 
     @property
@@ -267,7 +312,13 @@ class SteadyDriving:
         return _masses(self._least_drawn, self.channels)
 
     def _forces(self, x: FloatArray, y: FloatArray, rate: FloatArray) -> Sides:
-        return self._anywhere.forces(self._motion(x, y, rate))
+        if not self.of_heading:
+            return self._anywhere.forces(self._motion(x, y, rate))
+        every = [self._anywhere.forces(self._motion(x, y, rate, yaw=yaw)) for yaw in _ROUND]
+        left, right = (
+            np.mean([getattr(one, side) for one in every], axis=0) for side in ("left", "right")
+        )
+        return Sides(left, right)
 
     def _admissible_rate(self, x: FloatArray, y: FloatArray, fastest: float = np.inf) -> FloatArray:
         rate = speeds.admissible_rate(x, y, self.vehicle, self._forces, fastest)
@@ -301,7 +352,10 @@ class SteadyDriving:
         slowest = speeds.slowest_rate(x, y, limit, self.vehicle)
 
         def energy(rate: FloatArray) -> FloatArray:
-            return (self._drawn.power(self._motion(x, y, rate)) + self.time_value) / rate
+            yaws = _ROUND if self.of_heading else _ROUND[:1]
+            powers = [self._drawn.power(self._motion(x, y, rate, yaw=yaw)) for yaw in yaws]
+            mean = np.mean(powers, axis=0) if self.of_heading else powers[0]
+            return (mean + self.time_value) / rate
 
         return speeds.cheapest_rate(slowest, limit, energy)
 
@@ -315,8 +369,9 @@ class SteadyDriving:
         return np.asarray(moves & (rate == 0))
 
     def _as_driven(
-        self, of: Callable[..., FloatArray], x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0
-    ) -> FloatArray:
+        self, of: Callable[..., FloatArray], x: FloatArray, y: FloatArray, slope: ArrayLike = 0.0,
+        yaw: ArrayLike = 0.0,
+    ) -> FloatArray:  # fmt: skip
         """Return what elements take as they are driven; they must not vanish.
 
         The inner side of an arc may be dragged along. If its motor takes no power back, no speed
@@ -324,14 +379,15 @@ class SteadyDriving:
         """
         stuck = self._stuck(x, y)
         if not np.any(stuck):
-            return of(x, y, slope, self._rate(x, y))
-        x, y, slope, stuck = np.broadcast_arrays(x, y, slope, stuck)
+            return of(x, y, slope, yaw, self._rate(x, y))
+        x, y, slope, yaw, stuck = np.broadcast_arrays(x, y, slope, yaw, stuck)
         total = np.zeros(x.shape)
         free = ~stuck
-        total[free] = of(x[free], y[free], slope[free], self._rate(x[free], y[free]))
+        rate = self._rate(x[free], y[free])
+        total[free] = of(x[free], y[free], slope[free], yaw[free], rate)
         for a, b in _pivot_and_rest(x[stuck], y[stuck]):
             moves = (a != 0) | (b != 0)
-            a, b, tilt = np.where(moves, a, 1.0), np.where(moves, b, 0.0), slope[stuck]
+            a, b, at = np.where(moves, a, 1.0), np.where(moves, b, 0.0), (slope[stuck], yaw[stuck])
             if np.any(moves & self._stuck(a, b)):
                 k = int(np.argmax(moves & self._stuck(a, b)))
                 raise ModelError(
@@ -341,7 +397,7 @@ class SteadyDriving:
                     f"{self.vehicle.motor.regeneration:g} W; correct these limits, or leave them "
                     "out"
                 )
-            total[stuck] += np.where(moves, of(a, b, tilt, self._rate(a, b)), 0.0)
+            total[stuck] += np.where(moves, of(a, b, *at, self._rate(a, b)), 0.0)
         return total
 
     def admissible_speed(self, curvature: ArrayLike) -> FloatArray:
@@ -364,7 +420,7 @@ class SteadyDriving:
     def _element_duration(self, x: FloatArray, y: FloatArray) -> FloatArray:
 
         def duration(
-            x: FloatArray, y: FloatArray, slope: ArrayLike, rate: FloatArray
+            x: FloatArray, y: FloatArray, slope: ArrayLike, yaw: ArrayLike, rate: FloatArray
         ) -> FloatArray:
             return np.asarray(1.0 / rate)
 

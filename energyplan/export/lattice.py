@@ -115,6 +115,7 @@ def control_set(
     cost: EnergyCost, resolution: float, *, headings: int = 16, radius: float | None = None
 ) -> ControlSet:
     """Return a control set (Pivtoraiko and Kelly 2005): per turn the primitive of least energy."""
+    cost.check_any_heading("a control set")
     least = cost.half_track if radius is None else radius
     if not (0 < resolution < np.inf and 0 < least < np.inf):
         raise InvalidInputError(

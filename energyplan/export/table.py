@@ -41,6 +41,7 @@ def tabulate(
     """Return the table of a cost, as fine as it must be."""
     if not tolerance > 0:
         raise InvalidInputError(f"tolerance is {tolerance}; give a positive number")
+    cost.check_any_heading("a table of costs")
     wanted = [cost.tread_speed] if speeds is None else sorted(set(map(float, speeds)))
     if not wanted or any(v is not None and not 0 < v <= FASTEST for v in wanted):
         raise InvalidInputError(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from math import isfinite, pi
+from math import isfinite, nan, pi
+from types import MappingProxyType
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -53,9 +54,26 @@ from energyplan.logs.mapping import (
     is_unit,
     scale_of,
     split_unit,
+    time_units,
     unit_in,
 )
-from energyplan.logs.tables import Recording, counts_rows, find_clock, quaternions
+from energyplan.logs.tables import Recording, counts_rows, find_clock, find_stamp, quaternions
+from energyplan.path import FloatArray
+
+
+def _refuse_blank(recording: Recording, needed: Sequence[str]) -> None:
+    """Refuse a log whose column for what is needed holds no reading at all."""
+    for channel in needed:
+        ways = (channel,) if channel != "power" else ("power", "current", "p_left", "voltage")
+        found = guess(recording.columns)
+        for one in (found[way] for way in ways if way in found):
+            if not np.isfinite(recording.column(one.field)).any():
+                raise DriveLogError(
+                    f"{recording.source}: {one.field} is never measured: it is nan in all rows, as "
+                    "of a driver without that sensor; log one that measures it, or map another "
+                    f"column, as in --columns {one.channel}=NAME"
+                )
+
 
 _CONSUMED = {
     "current": {"ah", "mah", "charge", "amphours"},
@@ -66,6 +84,7 @@ _CONSUMED = {
 
 def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
     """Say what is missing, and why what could be it is not."""
+    _refuse_blank(recording, needed)
     text = guess(recording.text)
     for channel in needed:
         ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
@@ -122,17 +141,15 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
             f"t={number or ROW}[*0.05] for 50 ms"
         )
     used = [
-        (name, channel, unit)
+        (name, channel)
         for name, values in columns.items() if grows(values)
-        for channel, unit in (("current", "mAh"), ("power", "Wh"))
-        if _CONSUMED[channel] & set(words(name))
+        for channel in ("current", "power") if _CONSUMED[channel] & set(words(name))
     ]  # fmt: skip
     if "power" in needed and used:
-        name, channel, unit = used[0]
-        unit = unit_in(channel, name).unit or unit
+        name, channel = used[0]
         hint += (
             f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
-            f"{channel}={name}[{unit}]"
+            f"{' or '.join(_counter_ways(recording, name, (channel,)))}"
         )
     amps = guess(columns).get("current")
     if "power" in needed and amps is not None:
@@ -147,6 +164,32 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         f"{', '.join([*recording.columns, *recording.text][:30])}; say which it is with --columns "
         f"{needed[0]}=NAME"
     )
+
+
+_COUNTED = {"current": ("mAh", "Ah", "C"), "power": ("Wh", "J", "kJ")}
+_DRAWN = (0.2, 2e4)  # what robots draw in the mean, and more [W]
+_VOLTAGE = 24.0  # a usual voltage of a robot's battery [V]
+
+
+def _counter_ways(recording: Recording, name: str, channels: Sequence[str]) -> list[str]:
+    """Return how to map what counts charge or energy, in units in which it is a robot's."""
+    found = guess(recording.columns)
+    t = recording.clock(name)
+    if t is None and "t" in found:
+        t = recording.series(found["t"]).values
+        t = t * scale_of("t", time_units(t)[0]).factor if not found["t"].unit else t
+    values = recording.column(name)
+    span = nan if t is None or len(t) < 2 else float(np.nanmax(t) - np.nanmin(t))
+    rate = float(np.nanmax(values) - np.nanmin(values)) / span if span > 0 else nan
+    ways = []
+    for channel in channels:
+        stated = unit_in(channel, name).unit
+        volts = _VOLTAGE if channel == "current" else 1.0
+        for unit in (stated,) if stated else _COUNTED[channel]:
+            drawn = rate * scale_of(channel, unit).factor * volts
+            if stated or not isfinite(drawn) or _DRAWN[0] <= drawn <= _DRAWN[1]:
+                ways.append(f"{channel}={name}[{unit}]")
+    return ways or [f"{channel}={name}[UNIT]" for channel in channels]
 
 
 _TORQUES = {"effort", "torque"}
@@ -195,6 +238,8 @@ class Draft(NamedTuple):
     columns: dict[str, Column]
     free: dict[str, Column]  # by channel, as they were guessed
     notes: list[str]
+    given: Mapping[str, Column] = MappingProxyType({})  # those that are named by hand
+    named: tuple[str, ...] = ()  # columns whose names alone say what they are
 
 
 _ELEMENT = re.compile(r"\.\d+$")  # of an array, of which some elements are named by hand
@@ -202,7 +247,8 @@ _ELEMENT = re.compile(r"\.\d+$")  # of an array, of which some elements are name
 
 def draft(recording: Recording, known: Given) -> Draft:
     """Guess by names, and by types of messages, which series serve as which channels."""
-    columns = named_columns(recording, known.columns)
+    given = named_columns(recording, known.columns)
+    columns = dict(given)
     if not columns and tasks_of(recording, 1.0) is not None:
         raise DriveLogError(
             f"{recording.source}: a row is a task, not an instant of a drive: energyplan identify "
@@ -219,7 +265,7 @@ def draft(recording: Recording, known: Given) -> Draft:
         if isfinite(known.wheel_radius):
             rate = f"rad/s*{known.wheel_radius:.6g}"
             stock |= {channel: stock[channel].changed(unit=rate) for channel in SPEEDS}
-        return Draft(stock | columns, {}, [f"the topics are those of the topic map {own!r}"])
+        return Draft(stock | columns, {}, [f"the topics are those of the topic map {own!r}"], given)
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
     arrays = {_ELEMENT.sub("", name) for one in columns.values() for name in one.names
@@ -240,6 +286,9 @@ def draft(recording: Recording, known: Given) -> Draft:
     found = _guesses(recording, there, taken, columns)
     if {"voltage", "current"} <= {*typed.sources}:  # surer than a name
         found.pop("power", None)
+    stamp = None if recording.times else find_stamp(recording.columns)
+    if stamp is not None and not taken & {*stamp.names}:
+        found["t"] = stamp
     if recording.times:
         found.pop("t", None)
     found |= {channel: one for channel, one in typed.rates.items() if channel not in columns}
@@ -276,7 +325,7 @@ def draft(recording: Recording, known: Given) -> Draft:
         if channel in recording.columns and channel not in columns:
             columns[channel] = Column(field=channel, channel=channel)
     notes += _of_compass(recording, columns, found)
-    return Draft(columns, found, notes)
+    return Draft(columns, found, notes, given, tuple(there))
 
 
 def _of_compass(
@@ -327,6 +376,13 @@ def _counted(
     recording: Recording, encoders: Mapping[str, Column], known: Given
 ) -> dict[str, Column]:
     """Return the speeds of encoders whose way of counting and metres per count are known."""
+    lengths = {c: unit_in("x", one.field).unit for c, one in encoders.items()}
+    ways = {_way_of_counting(recording.column(one.field)) for one in encoders.values()}
+    if all(lengths.values()) and len(ways) == 1 and "" not in ways:
+        return {
+            c: one.changed(unit=f"{next(iter(ways))}*{scale_of('x', lengths[c]).factor:g}").mean()
+            for c, one in encoders.items()
+        }
     metres = 2 * pi * known.wheel_radius / known.counts_per_revolution
     if isfinite(metres) and all(one.unit for one in encoders.values()):
         return {
@@ -337,7 +393,7 @@ def _counted(
     stated = ",".join(
         f"{channel}={one.written}[{one.unit or TOTAL}*{size}]" for channel, one in encoders.items()
     )
-    ways = "" if encoders["v_left"].unit else (
+    how = "" if encoders["v_left"].unit else (
         f" where they count on, {SINCE} where they count from row to row, {RATE} where they count "
         "in a second"
     )  # fmt: skip
@@ -345,8 +401,18 @@ def _counted(
         f"{recording.source}: {encoders['v_left'].field!r} is an encoder's, and how far a count "
         f"goes is not known: give --counts-per-revolution with --wheel-radius, or the metres per "
         "count (1 if it counts metres) and, in brackets, how it counts, as in "
-        f'--columns "{stated}"{ways}'
+        f'--columns "{stated}"{how}'
     )
+
+
+def _way_of_counting(values: FloatArray) -> str:
+    """Return whether a distance counts on, or from row to row; empty where that is not clear."""
+    known = values[np.isfinite(values)]
+    steps = np.abs(np.diff(known))
+    if not np.any(steps):
+        return ""
+    far = float(np.ptp(known) / np.quantile(steps, 0.99))
+    return TOTAL if far > 20.0 else SINCE if far < 5.0 else ""
 
 
 _ELECTRIC = ("power", "p_left", "p_right", "current", "current_left", "current_right")
@@ -357,7 +423,10 @@ def _guesses(
     columns: Mapping[str, Column],
 ) -> dict[str, Column]:  # fmt: skip
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
-    names = [name for name in there if name not in taken]
+    names = [
+        name for name in there
+        if name not in taken and np.isfinite(recording.columns[name]).any()
+    ]  # fmt: skip
     counters = {name for name in names if grows(recording.columns[name][:SOME])}
     names += [name for name in quaternions(recording.columns) if np.ptp(
         recording.column(name)) > 0.0]  # fmt: skip
@@ -377,14 +446,16 @@ def _guesses(
         else:
             grown = one.field
         names = [name for name in names if name not in one.names]
-    ways = (*POWER_WAYS, ("current_left", "current_right"))
-    if not any(set(way) <= {*found, *columns} for way in ways):
+    every = (*POWER_WAYS, ("current_left", "current_right"))
+    if not any(set(way) <= {*found, *columns} for way in every):
         found |= {c: one for c, one in kept.items() if c not in columns}
         if grown and not kept:
+            ways = _counter_ways(recording, grown, ("current", "power"))
+            listed = " or ".join(f"--columns '{way}'" for way in ways)
             raise DriveLogError(
                 f"{recording.source}: {grown!r} only ever grows or falls: it counts energy or "
-                "charge, and is no power and no current; map its rate of change by its unit, as in "
-                f"--columns 'current={grown}[mAh]' or --columns 'power={grown}[Wh]'"
+                "charge, and is no power and no current; map its rate of change by its unit, which "
+                f"nobody but you knows, as in {listed}"
             )
     return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -43,7 +43,8 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     GeoJSON's folder, or a key of `models`; ``keep_out`` stands for an area that the robot
     must not enter. ``surface`` or ``name`` labels it. Where surfaces overlap, the last one counts.
     ``speed`` limits the robot's speed there, in m/s or as ``"50 %"`` of its top speed; a feature
-    with a speed needs no model.
+    with a speed needs no model. ``second`` is a price of each second on the surface, in the unit of
+    the objective (for energy [J/s]).
 
     Parameters
     ----------
@@ -102,7 +103,11 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
         if name not in known:
             known[name] = _model(file, k, name)
         label = properties.get("surface", properties.get("name", name))
-        surfaces.append(Surface(area, known[name], str(label)))
+        ground = _numbers(properties, ("second",), place)
+        try:
+            surfaces.append(Surface(area, known[name], str(label), **ground))
+        except MapError as error:
+            raise MapError(f"{place}: {error}") from None
     areas = [surface.area for surface in surfaces] + [limit.area for limit in limits]
     check_metres(file, areas + keep_out)
     return SurfaceMap(tuple(surfaces), tuple(keep_out), tuple(limits))
@@ -146,6 +151,32 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
         raise MapError(f"{file}: {error}") from None
 
 
+class Line(NamedTuple):
+    """A line of a file of shapes."""
+
+    points: list[list[float]]  # x, y [m]
+    properties: dict[str, Any]
+
+
+def read_lines(path: str | Path) -> list[Line]:
+    """Return the lines of a GeoJSON FeatureCollection; the parts of a MultiLineString one by one.
+
+    Each is a LineString or MultiLineString in the map's frame [m].
+    """
+    file, found = Path(path), list[Line]()
+    _, features = read_features(file)
+    shapes = [_shape(one["geometry"], f"{file}: feature {k}", LINES)
+              for k, one in enumerate(features)]  # fmt: skip
+    if not shapes:
+        raise MapError(f"{file}: no features; draw a line for each row")
+    check_metres(file, shapes)
+    for shape, feature in zip(shapes, features, strict=True):
+        for part in shapely.get_parts(shape):
+            points = shapely.get_coordinates(part).tolist()
+            found.append(Line(points, feature["properties"]))
+    return found
+
+
 def check_metres(file: Path, shapes: Sequence[BaseGeometry]) -> None:
     """Refuse shapes that reach over so little that they count in degrees."""
     left, low, right, high = shapely.total_bounds(np.array(shapes, object))
@@ -169,6 +200,15 @@ def _speed_limit(area: BaseGeometry, value: object, place: str) -> SpeedLimit:
         raise MapError(f"{place}: {error}") from None
     except NO_NUMBER:
         raise MapError(f"{place}: speed is {value!r}; give m/s, such as 0.4, or '50 %'") from None
+
+
+def _numbers(properties: Mapping[str, Any], names: Sequence[str], place: str) -> dict[str, float]:
+    """Return those of the named properties that a feature has, as numbers."""
+    found = {name: properties[name] for name in names if properties.get(name) is not None}
+    for name, value in found.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise MapError(f"{place}: {name} is {value!r}; give a number, such as 20")
+    return {name: float(value) for name, value in found.items()}
 
 
 def _shape(geometry: Mapping[str, Any], place: str, kinds: Sequence[str]) -> BaseGeometry:
@@ -206,7 +246,15 @@ def _model(file: Path, feature: int, name: str) -> PowerModel:
 def write_surfaces(surfaces: SurfaceMap, path: str | Path) -> None:
     """Write surfaces as GeoJSON; each model is named, not written."""
     features = [
-        _feature(s.area, {"model": s.model.name, "surface": s.name}) for s in surfaces.surfaces
+        _feature(
+            s.area,
+            {
+                "model": s.model.name,
+                "surface": s.name,
+                **({"second": s.second} if s.second else {}),
+            },
+        )
+        for s in surfaces.surfaces
     ]
     features += [_feature(area, {"surface": KEEP_OUT[0]}) for area in surfaces.keep_out]
     features += [

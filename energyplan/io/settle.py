@@ -17,7 +17,7 @@ from energyplan.io.draft import FULL_TURN, SOME, SPEEDS, Draft, size_of
 from energyplan.io.given import Given, known_measures
 from energyplan.logs import DriveLog
 from energyplan.logs.align import Series, find_runs
-from energyplan.logs.checks import mirrored_side
+from energyplan.logs.checks import grows, mirrored_side
 from energyplan.logs.clean import RECORDING, join_rows, possible, total_power
 from energyplan.logs.consistency import (
     POWERS,
@@ -28,17 +28,26 @@ from energyplan.logs.consistency import (
     strain,
 )
 from energyplan.logs.guess import (
+    electric,
+    feeds,
     halves,
-    of_batteries,
+    of_motor,
     of_one_wheel,
+    plainer,
+    rank,
+    same_reading,
     siblings,
+    side_of,
+    words,
 )
 from energyplan.logs.mapping import (
     COUNTS,
     RATES,
     Column,
+    known_unit,
     scale_of,
     time_units,
+    unit_in,
 )
 from energyplan.logs.tables import Recording
 from energyplan.path import FloatArray
@@ -46,7 +55,6 @@ from energyplan.vehicle import GRAVITY
 
 _ALIKE = 0.9  # correlation from which two columns carry the same quantity
 _ONE_SIDE = 0.7  # correlation through the origin of the speeds of one side's wheels, at least
-_HALF = 0.2  # of the larger, that powers or currents of two sides are at least
 
 
 def _left_out(recording: Recording, columns: Mapping[str, Column]) -> list[Check]:
@@ -74,59 +82,165 @@ def _left_out(recording: Recording, columns: Mapping[str, Column]) -> list[Check
     return found
 
 
-_PART = 0.05  # of a power, that another one of its kind is at least
+class Rival(NamedTuple):
+    """A column beside the one that serves, of the same quantity, and readings of both."""
+
+    own: Column
+    name: str
+    sizes: tuple[float, float]  # mean sizes of the two
+    alike: float  # their correlation
 
 
-def _refuse_halves(recording: Recording, draft: Draft) -> None:
-    """Refuse to take one of two columns that are named alike, and differ, for the whole power."""
+def _ask_for_rivals(recording: Recording, draft: Draft) -> None:
+    """Ask where beside what serves a column of the same quantity differs, and nothing decides."""
     found, channels = draft.free, {*draft.columns}
-    one = found.get("power" if "power" in channels else "current")
-    if one is None or {"p_left", "p_right"} <= channels:
+    _ask_for_wheels(recording, draft)
+    if {"p_left", "p_right"} <= channels:
         return
+    used = {name for one in draft.columns.values() for name in one.names}
+    there = [name for name in draft.named if name not in used]
+    one = found.get("power" if "power" in channels else "current")
+    if one is not None and one.field in draft.named:
+        kind = "current" if one.channel == "current" or one.each or one.times else "power"
+        rivals = [
+            rival for name in there if electric(name, there) == kind and not side_of(name, there)
+            if (rival := _rival(recording, one, name)) is not None and not _decided(rival)
+        ]  # fmt: skip
+        if rivals:
+            _ask_for_the_whole(recording, draft, one, rivals, kind)
     volts = found.get("voltage")
-    if "power" not in channels and volts is not None and not one.plus:
-        _refuse_packs(recording, volts.field)
-    used = {name for other in found.values() for name in other.names}
-    for name in halves(one.field, [other for other in recording.columns if other not in used]):
-        pair = recording.together(one.field, name)
-        if not len(pair[0]) or min(map(np.ptp, pair)) == 0.0:
-            continue
-        alike = np.corrcoef(*pair)[0, 1]
-        sizes = np.abs(pair).mean(axis=1)
-        twins = of_batteries(one.field)  # which share what is drawn
-        if (alike < _ALIKE or twins) and sizes.min() > _HALF * sizes.max():
-            raise DriveLogError(
-                f"{recording.source}: {one.field} and {name} could each be the power or current of "
-                "the whole robot, and differ; where they are those of two sides say so, as in "
-                f"--columns 'p_left={one.field},p_right={name}' for powers, where they add up, as "
-                f"those of two batteries do, as in --columns '{one.channel}={one.field}+{name}', "
-                f"else name the whole, as in --columns '{one.channel}={one.field}'"
-            )
-
-
-def _refuse_packs(recording: Recording, name: str) -> None:
-    """Refuse several numbered battery voltages where one current is that of the whole."""
-    alike = re.sub(r"\d+", "0", name)
-    packs = [other for other in recording.columns if re.sub(r"\d+", "0", other) == alike]
-    usual = [float(np.nanmedian(recording.columns[pack])) for pack in packs]
-    if len(packs) > 1 and min(usual) > _ALIKE * max(usual):
+    if volts is None or "power" in channels or volts.field not in draft.named:
+        return
+    packs = [
+        name for name in there if electric(name, there) == "voltage" and not side_of(name, there)
+        if (rival := _rival(recording, volts, name)) is not None and not _one_circuit(rival)
+    ]  # fmt: skip
+    if packs:
+        several = [volts.field, *packs]
+        usual = ", ".join(
+            f"{float(np.nanmedian(recording.column(name))):.4g}" for name in several[:4]
+        )
         raise DriveLogError(
-            f"{recording.source}: {' and '.join(packs[:3])} are several voltages beside one "
-            "current; where they are in series say so, as in --columns "
-            f"'voltage={'+'.join(packs)}', else as in --columns 'voltage={name}'"
+            f"{recording.source}: {' and '.join(several[:4])} are several voltages beside one "
+            f"current (in the middle {usual}), and nothing tells which it flows at: where they are "
+            f"in series say so, as in --columns 'voltage={'+'.join(several)}', else name the one "
+            f"that counts, as in --columns 'voltage={volts.field}'"
         )
 
 
-_CLOSE = 0.005  # time between them below which they do not [s]
-_FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
-_TURNS = 3 * FULL_TURN  # beyond, they are rather degrees
-_VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # typical ranges [V]
-_HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
-_USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
-_NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
-_ROLLING = {**RATES, **COUNTS}  # units of wheels, that take a radius
-_SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
-_RADIUS = 0.15  # radius of wheels of which it is not known yet [m]
+def _rival(recording: Recording, own: Column, name: str) -> Rival | None:
+    """Compare what serves with another column; None where that shows next to nothing."""
+    one, other = recording.together(own.field, name)
+    if not len(one) or not np.any(other) or grows(recording.columns[name][:SOME]):
+        return None
+    one = one * (1.0 + len(own.plus))  # of a sum, the others are about as large
+    sizes = float(np.mean(np.abs(one))), float(np.mean(np.abs(other)))
+    if sizes[1] <= _PART * sizes[0]:
+        return None
+    varies = min(float(np.ptp(one)), float(np.ptp(other))) > 0.0
+    return Rival(own, name, sizes, float(np.corrcoef(one, other)[0, 1]) if varies else 0.0)
+
+
+def _decided(rival: Rival) -> bool:
+    """Return whether names say that a rival of the whole robot's power or current is none."""
+    own, other = rank(rival.own.field, rival.own.channel), rank(rival.name)
+    if feeds(rival.name):  # then the battery's is not all that is drawn
+        return False
+    smaller = rival.sizes[0] < _WHOLE * rival.sizes[1]  # as no whole is than its part
+    if same_reading(rival.own.field, rival.name):
+        return rival.alike > _ALIKE and not smaller
+    if own > other or plainer(rival.own.field, rival.name):
+        return not smaller or of_motor(rival.name)
+    return False
+
+
+def _one_circuit(rival: Rival) -> bool:
+    """Return whether a rival voltage is not that of another battery, or not the one that counts."""
+    own, other = rank(rival.own.field, rival.own.channel), rank(rival.name)
+    if same_reading(rival.own.field, rival.name):
+        return True
+    if own > other or plainer(rival.own.field, rival.name):
+        return True
+    alike = abs(rival.sizes[0] - rival.sizes[1]) <= _ONE_VOLTAGE * max(rival.sizes)
+    return alike and not halves(rival.own.field, [rival.name])
+
+
+_PART = 0.05  # of a power, that another one of its kind is at least
+_WHOLE = 0.9  # of a part, that the whole is at least
+_ONE_VOLTAGE = 0.02  # by how much voltages of one circuit differ, as a share
+
+
+def _ask_for_the_whole(
+    recording: Recording, draft: Draft, one: Column, rivals: Sequence[Rival], kind: str
+) -> NoReturn:
+    """Ask which of several powers, or currents, is the whole robot's."""
+    names = [rival.name for rival in rivals[:3]]
+    factor = f"*{one.times}" if one.times else ""
+    volts = draft.free.get("voltage")
+    sided = factor or (f"*{volts.field}" if kind == "current" and volts is not None else "")
+    given = "power" if factor else one.channel
+    every = [one.field, *one.plus, *names]
+    summed = f"({'+'.join(every)}){factor}" if factor else "+".join(every)
+    which = " or ".join(f"{given}={name}{factor}" for name in names)
+    if source := [name for name in names if feeds(name)]:
+        loads = [name for name in every if name not in source and not rank(name)]
+        added = "+".join(name for name in every if name not in loads)
+        text = f"{loads[0]}{factor}" if loads else f"({added}){factor}" if factor else added
+        how = (
+            f"{' and '.join(source)} feeds the robot too, so that no battery's {kind} is all that "
+            f"it draws: name what it draws, as in --columns '{given}={text}'"
+        )
+    else:
+        how = (
+            "where they are those of two sides say so, as in --columns "
+            f"'p_left={one.field}{sided},p_right={names[0]}{sided}', where they add up, as those "
+            f"of two batteries do, as in --columns '{given}={summed}', else name the whole, as in "
+            f"{which} or in --columns '{given}={one.written}'"
+        )
+    raise DriveLogError(
+        f"{recording.source}: {' and '.join((one.field, *names))} could each be the {kind} of the "
+        f"whole robot, and differ; {how}"
+    )
+
+
+def _ask_for_wheels(recording: Recording, draft: Draft) -> None:
+    """Ask where the powers of the sides count another number of wheels each, or one of several."""
+    left, right = (draft.columns.get(f"p_{side}") for side in ("left", "right"))
+    if left is None or right is None or not {left.field, right.field} <= {*draft.named}:
+        return
+    if {"p_left", "p_right"} & {*draft.given}:
+        return
+    if len(left.plus) != len(right.plus):
+        less, more = sorted((left, right), key=lambda one: len(one.plus))
+        raise DriveLogError(
+            f"{recording.source}: {more.channel} counts {' and '.join((more.field, *more.plus))}, "
+            f"and {less.channel} {' and '.join((less.field, *less.plus))} alone: a wheel's is "
+            f"missing; log it, or the battery's, or say that the missing one draws as much, as in "
+            f"--columns '{more.channel}={more.written},"
+            f"{less.channel}={_times(less, (1 + len(more.plus)) / (1 + len(less.plus)))}'"
+        )
+    of_one = [one for one in (left, right) if not one.plus and of_one_wheel(one.field)]
+    if len(of_one) == 2 and not any(
+        of_one_wheel(one.field) for c, one in draft.columns.items() if c in SPEEDS
+    ):
+        stated = ",".join(f"{one.channel}={_times(one, 2)}" for one in (left, right))
+        alone = ",".join(f"{one.channel}={one.written}" for one in (left, right))
+        raise DriveLogError(
+            f"{recording.source}: {left.field} and {right.field} are of one wheel a side by their "
+            "names, and no other's is there: log the others', or the battery's, or say that they "
+            f"draw as much, as in --columns '{stated}', or that no other wheel is driven, as in "
+            f"--columns '{alone}'"
+        )
+
+
+def _times(one: Column, factor: float) -> str:
+    """Write a power of some wheels as that of more of them."""
+    names = (one.field, *one.plus)
+    each = one.each or ((one.times or "",) * len(names))
+    return "+".join(
+        f"{factor:g}*{name}{'*' + other if other else ''}"
+        for name, other in zip(names, each, strict=True)
+    )
 
 
 def _refuse_unlike(recording: Recording, found: Mapping[str, Column]) -> None:
@@ -157,6 +271,18 @@ def _refuse_unlike(recording: Recording, found: Mapping[str, Column]) -> None:
                 )
 
 
+_CLOSE = 0.005  # time between them below which they do not [s]
+_FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
+_TURNS = 3 * FULL_TURN  # beyond, they are rather degrees
+_VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # typical ranges [V]
+_HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
+_USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
+_NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
+_ROLLING = {**RATES, **COUNTS}  # units of wheels, that take a radius
+_SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
+_RADIUS = 0.15  # radius of wheels of which it is not known yet [m]
+
+
 class _Choice(NamedTuple):
     """Channels that share a unit that is not given, and what it may be, the likeliest first."""
 
@@ -174,7 +300,7 @@ def _choices(
     }  # fmt: skip
     size = {c: size_of(recording, columns[c]) for c in ("yaw_rate", "yaw", "voltage") if c in free}
     rates = [found[name].unit for name in SPEEDS if name in found and found[name].unit in _ROLLING]
-    wheels = ("rad/s*", "rpm*", "rev/s*") if isfinite(known.wheel_radius) else ()
+    wheels = ("rad/s*", "rpm*", "rev/s*", "deg/s*") if isfinite(known.wheel_radius) else ()
     result = []
     if rates:
         result.append(_Choice(SPEEDS, (f"{rates[0]}*",)))
@@ -314,22 +440,49 @@ _SURE = 0.1  # relative error of a distance up to which its unit is sure
 _NEAR = 1.35  # ratio of two units up to which turning does not distinguish them
 
 
+_USUAL_SPEED = (0.1, 5.0)  # largest speed of a robot that does not surprise [m/s]
+_OF_RATES = {"motor", "motors", "omega", "rotor", "rotation", "angvel"}
+"""Words of what may be a rate in radians or turns as well as a speed."""
+
+
 def _sure_of_speeds(
     recording: Recording, columns: Mapping[str, Column], units: Sequence[str],
     chosen: Mapping[str, str], drive: Observed, known: Given,
 ) -> None:  # fmt: skip
-    """Refuse a unit of speeds where another one is as likely: near it, or, by the pose, too."""
+    """Ask for a unit of speeds where another one is as likely, by pose and turning, if they are."""
     way = abs(np.log(drive.distance)) if isfinite(drive.distance) else np.log(_NEAR)
     if len(units) < 2 or way < _SURE:
         return
     size = {unit: _factor("v_left", unit, known) / _factor("v_left", chosen["v_left"], known)
             for unit in units}  # fmt: skip
     gone = drive.distance if isfinite(drive.distance) else 1.0
-    near = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u
-            for u in units if abs(np.log(gone * size[u])) < np.log(_NEAR)]  # fmt: skip
+    near = [u for u in units if abs(np.log(gone * size[u])) < np.log(_NEAR)]
+    measures = known_measures(known)
+    if not isfinite(drive.distance) and not (
+        isfinite(drive.slip_track) and isfinite(measures.track)
+    ):
+        joined = recording.times and not recording.kinds  # names begin with the file's
+        name = columns["v_left"].field.partition(".")[2 if joined else 0]
+        named = {*words(name)} & _OF_RATES
+        if chosen["v_left"] == "m/s" and not named:
+            return
+        weight = measures.mass * GRAVITY
+        near = [
+            u for u in units
+            if _USUAL_SPEED[0] <= drive.top_speed * size[u] <= _USUAL_SPEED[1]
+            and not abs(np.log(drive.force / weight / size[u] / _MIDDLE_FORCE)) > np.log(10.0)
+        ]  # fmt: skip
     if len(near) > 1:
-        why = f"could be in {' or '.join(near)}, of which nothing tells the one from the other"
-        _ask_unit(recording, columns["v_left"], why, near[:1])
+        told = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u for u in near]
+        left, right = (columns[name].field for name in SPEEDS)
+        ways = " or ".join(f"'v_left={left}[{u}],v_right={right}[{u}]'" for u in told)
+        raise DriveLogError(
+            f"{recording.source}: {left} could be in {' or '.join(told)}, of which nothing tells "
+            f"the one from the other; give its unit, as in --columns {ways}"
+        )
+
+
+_MIDDLE_FORCE = 0.2  # power over weight times speed, ten times less to ten times more of which does
 
 
 def _sure_of_current(
@@ -389,13 +542,17 @@ def _no_radius(channels: Collection[str]) -> str:
 
 
 def named_in(remedy: str, columns: Mapping[str, Column]) -> str:
-    """Name the columns that a remedy is about, in the units that they are read in."""
+    """Name the columns that a remedy is about; a unit that is the mapped one is no remedy."""
 
     def named(stated: re.Match[str]) -> str:
         channel, unit = stated.groups()
         one = columns.get(channel)
-        if one is None or (one.unit and unit[0] != "-"):
+        if one is None:
             return stated[0]
+        if one.unit and unit[0] != "-":
+            bare = one.unit.partition("*")[0]
+            same = known_unit(channel, unit) == known_unit(channel, bare)
+            return f"{channel}={one.written}[{f'{bare}*FACTOR' if same else unit}]"
         return f"{channel}={one.written}[{one.negative().unit if unit[0] == '-' else unit}]"
 
     return re.sub(r"(\w+)=NAME\[([^]]+)\]", named, remedy)
@@ -414,7 +571,10 @@ def _turned_round(recording: Recording, columns: Mapping[str, Column]) -> _Signe
     notes: list[str] = []
     result, done = dict(columns), set[str]()
     while True:
-        log = DriveLog.of(recording, result, refuse=False)
+        try:
+            log = DriveLog.of(recording, result, refuse=False)
+        except DriveLogError as error:
+            raise DriveLogError(named_in(str(error), result)) from None
         wrong = next((one for one in log.checks if one.refuses == "reading"), None)
         if wrong is None:
             side = mirrored_side(log.observed)
@@ -440,9 +600,63 @@ class Settled(NamedTuple):
     notes: tuple[str, ...]
 
 
+def _ask_for_given(recording: Recording, draft: Draft, known: Given) -> None:
+    """Ask about what is mapped by hand against what its name says, or as a sum that is a mean."""
+    for channel, one in draft.given.items():
+        bare = one.unit.lstrip("-").partition("*")[0]
+        stated = unit_in(channel, one.field).unit.partition("*")[0]
+        named = known_unit(channel, bare) or ""
+        if (
+            stated
+            and named
+            and abs(np.log(_size_of(channel, named) / _size_of(channel, stated))) > 0.01
+        ):
+            size = one.conversion.factor / _size_of(channel, stated)
+            raise DriveLogError(
+                f"{recording.source}: the name of {one.field} says [{stated}], and it is mapped as "
+                f"[{one.unit}]: map it in [{stated}], or, if its name is wrong, by a factor, as in "
+                f"--columns '{channel}={one.field}[{stated}*{size:.6g}]'"
+            )
+        if channel in SPEEDS and one.plus and not one.weights and _one_speed(recording, one):
+            count = 1 + len(one.plus)
+            size = one.conversion.factor / _size_of(channel, named)
+            if isfinite(known.wheel_radius) and named in _ROLLING:
+                added = size > (0.5 + 0.5 / count) * known.wheel_radius
+            else:
+                added = size > 0.75 or (named in _ROLLING and not isfinite(known.wheel_radius))
+            if added:
+                mean = ",".join(
+                    f"{c}={'+'.join(f'{1 / count:.4g}*{name}' for name in (it.field, *it.plus))}"
+                    f"[{it.unit or 'm/s'}]"
+                    for c, it in draft.given.items()
+                    if c in SPEEDS and it.plus and not it.weights
+                )
+                raise DriveLogError(
+                    f"{recording.source}: {channel} is mapped as the sum of "
+                    f"{' and '.join((one.field, *one.plus))}, which are each a speed of that side: "
+                    f"write their mean, as in --columns '{mean}'"
+                )
+
+
+def _size_of(channel: str, unit: str) -> float:
+    """Return the factor of a unit; of a wheel's rate, without its radius."""
+    return scale_of(channel, f"{unit}*1" if unit in _ROLLING else unit).factor if unit else 1.0
+
+
+def _one_speed(recording: Recording, one: Column) -> bool:
+    """Return whether columns that are added each show about the same speed."""
+    for name in one.plus:
+        first, second = recording.together(one.field, name)
+        size = float(np.linalg.norm(second)) / max(float(np.linalg.norm(first)), 1e-300)
+        if correlation(first, second) < _ONE_SIDE or not 0.6 < size < 1.6:
+            return False
+    return True
+
+
 def settle(recording: Recording, draft: Draft, known: Given) -> Settled:
     """Choose units and signs by what must hold; where nothing decides, ask."""
-    _refuse_halves(recording, draft)
+    _ask_for_given(recording, draft, known)
+    _ask_for_rivals(recording, draft)
     _refuse_unlike(recording, draft.free)
     columns, assumed = _with_units(recording, draft, known)
     log, columns, turned = _turned_round(recording, columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +29,9 @@ from energyplan.logs.consistency import (
 from energyplan.logs.mapping import (
     Column,
 )
+
+_MAPPED = re.compile(r"(\w+)=NAME\[([^]]+)\]")  # what a remedy says to map
+_NO_REMEDY = "no unit that is known mends it: give its factor to SI, as in NAME[*0.01]"
 
 
 @dataclass(frozen=True)
@@ -78,19 +82,40 @@ def _started(file: Path, known: Given) -> tuple[Start, DriveLog]:
     log, columns, assumed, wrong, turned = settle(recording, drafted, known)
     topics = topics_of(recording, columns, file.stem) if recording.kinds else None
 
+    def changed(units: Mapping[str, str]) -> DriveLog | None:
+        """Return the log read in other units; None where that is impossible."""
+        other = {c: columns[c].changed(unit=unit) for c, unit in units.items() if c in columns}
+        try:
+            return DriveLog.of(recording, columns | other, refuse=False)
+        except DriveLogError:  # impossible readings, as others than glitches are
+            return None
+
     def holds(units: Mapping[str, str]) -> bool:
         """Return whether a log that is read in other units contradicts nothing."""
-        changed = {c: columns[c].changed(unit=unit) for c, unit in units.items() if c in columns}
-        try:
-            other = DriveLog.of(recording, columns | changed, refuse=False)
-        except DriveLogError:  # impossible readings, as others than glitches are
+        other = changed(units)
+        if other is None:
             return False
         compared = check_consistency(other.observed, known_measures(known))
         return not any(one.refuses == "reading" for one in other.checks) and all(
             one.ok or one.value is None for one in compared
         )
 
-    result = _finish(file, log, known, columns, topics, assumed, holds)
+    def mends(check: Check) -> bool:
+        """Return whether a log that is read as a check's remedy says breaks its rule no more."""
+        stated = _MAPPED.findall(check.remedy)
+        if not stated or not check.rule:
+            return True
+        ways = (
+            [dict(stated)] if len({c for c, _ in stated}) == len(stated) else map(dict, zip(stated))
+        )
+        others = [changed(way) for way in ways if {*way} <= {*columns}]
+        return not others or any(
+            other is not None
+            and check.rule not in {one.rule for one in other.checks if one.refuses}
+            for other in others
+        )
+
+    result = _finish(file, log, known, columns, topics, assumed, holds, mends)
     checks = (*result.checks, *wrong)
     notes = [*drafted.notes, *turned, *result.notes]
     used = {name for one in columns.values() for name in one.names}
@@ -108,6 +133,7 @@ def _finish(
     topics: TopicMap | None,
     assumed: dict[str, str],
     holds: Callable[[Mapping[str, str]], bool] = lambda units: True,
+    mends: Callable[[Check], bool] = lambda check: True,
 ) -> Start:
     """Build the vehicle, and hold the log against it."""
     drive = log.observed
@@ -116,7 +142,10 @@ def _finish(
     rules = {one.rule for one in compared}  # with the measures, which show more
     doubts = [one for one in compared if not one.ok and one.value is None]
     checks = [one for one in compared if one not in doubts]
-    checks += [one for one in log.checks if one.refuses and one.rule not in rules]
+    checks += [
+        one if mends(one) else replace(one, remedy=_NO_REMEDY)
+        for one in log.checks if one.refuses and one.rule not in rules
+    ]  # fmt: skip
     project = Project(
         name=robot.vehicle.name, vehicle=robot.vehicle, topics=topics,
         columns={} if topics else columns,

@@ -305,6 +305,21 @@ class Traversal:
             pieces, mean, share = halves.take(again), finer[again], np.repeat(share[open_], 2)
         yield pieces, mean
 
+    def time_by_region(self) -> FloatArray:
+        """Return the time spent on the ground of each of the models [s]."""
+        out = np.zeros(len(self.ground.models))
+        for k in range(self.block_count):
+            pieces = self.pieces(k)
+            for _ in range(HALVINGS):
+                regions = self.ground.regions(self._poses(pieces))
+                crossing = (regions != regions[:, 1:2]).any(axis=1)
+                np.add.at(out, regions[~crossing, 1], self.widths(pieces.take(~crossing)))
+                pieces = pieces.take(crossing).halved()
+                if not len(pieces.interval):
+                    break
+            np.add.at(out, self.ground.regions(self._poses(pieces))[:, 1], self.widths(pieces))
+        return out
+
     def interval_energies(self, scale: float = 1.0) -> FloatArray:
         """Return the energy of each interval between samples [J], shape (n - 1,)."""
         out = np.zeros(len(self.trajectory) - 1)

@@ -27,8 +27,9 @@ from energyplan.limits.drive import Ground, Traversal
 from energyplan.limits.feasibility import LimitedDrive, Survey
 from energyplan.limits.motor import Limits, Room, largest_within
 from energyplan.motion import Motion
-from energyplan.path import ROUNDING, FloatArray
+from energyplan.path import ROUNDING, FloatArray, wrap_angle
 from energyplan.power import PowerModel
+from energyplan.power.effects import reads_heading
 
 UNLIMITED = 1e6  # tread acceleration where no limit is known [m/s^2]: in effect a step
 UNBOUND = 1e9  # rate of change of the rate that no limit of power or force has lowered yet [m/s^2]
@@ -168,6 +169,9 @@ class Reach:
         region, slope = self.ground.regions(poses), self.ground.slopes(poses)
         known = {"slope": slope}
         known |= {name: value[points.run] for name, value in self.channels.items()}
+        given = {name: float(value[0]) for name, value in known.items()}
+        if "yaw" not in known and any(reads_heading(one, given) for one in self.ground.models):
+            known["yaw"] = wrap_angle(poses[:, 2])
         forward = points.forward / np.cos(slope) if self.ground.heights else points.forward
         table = np.column_stack([region, forward, points.turn, *known.values()])
         _, first, kind = np.unique(table.round(9), axis=0, return_index=True, return_inverse=True)

@@ -47,6 +47,7 @@ _CHECKED = 60.0  # time driven after which what was read so far is checked as a 
 
 _STILL = 0.02  # speed of the treads below which a robot stands [m/s]
 
+_AHEAD = 10  # poses of a path, as far apart as is near, that a drive may pass between samples
 _FACING = 0.6  # largest difference of heading at which a robot is at a task's pose [rad]
 
 
@@ -223,6 +224,13 @@ class _Watch:
         self._back: list[Sample] = []
         self._told_at = self._looked_at = -inf
         self._stood: dict[str, float] = {}
+        self._rows: dict[tuple[str, int], FloatArray] = {}  # poses along paths, in each direction
+        self._passed: Counter[tuple[str, int]] = Counter()  # how many of them were passed
+        if mission is not None:
+            for task in mission.tasks:
+                for k, one in enumerate(task.options if task.path else ()):
+                    path = one.path(mission.vehicle.icr.longitudinal)
+                    self._rows[task.name, k] = path.poses(settings.near, _FACING)
         self._polarisation = 0.0
         self._soc = settings.soc
         if mission is not None and self._soc is None:
@@ -234,7 +242,7 @@ class _Watch:
         self._here: _GroundLearner | None = None
         self._samples, self._unchecked = 0, list[Sample]()
         self._carries = mission is not None and (
-            mission.payload > 0 or any(task.payload for task in mission.tasks)
+            mission.payload > 0 or any(task.change for task in mission.tasks)
         )
 
     def run(
@@ -457,21 +465,40 @@ class _Watch:
             yield from self._look()
 
     def _finished(self, sample: Sample, step: float) -> Iterator[str]:
-        """Yield the tasks that have just been done: the robot has stood there for their dwell."""
+        """Yield the tasks that have just been done.
+
+        The robot has stood at their pose for their dwell, or has driven along their path.
+        """
         if self._mission is None or self._pose is None:
             return
-        if max(abs(sample.v_left), abs(sample.v_right)) > _STILL:
-            return
+        standing = max(abs(sample.v_left), abs(sample.v_right)) <= _STILL
         for task in self._mission.tasks:
-            here = self._pose
-            away = hypot(task.pose.x - here.x, task.pose.y - here.y)
-            turned = abs(float(wrap_angle(task.pose.yaw - here.yaw)))
-            if task.name in self._known or away > self._settings.near or turned > _FACING:
+            if task.name in self._known:
                 continue
-            stood = self._stood[task.name] = self._stood.get(task.name, 0.0) + step
-            if stood >= task.dwell:
-                self._known.add(task.name)
-                yield task.name
+            if task.pose is None:
+                if any(self._drove(one) for one in self._rows if one[0] == task.name):
+                    self._known.add(task.name)
+                    yield task.name
+            elif standing and self._at(task.pose):
+                stood = self._stood[task.name] = self._stood.get(task.name, 0.0) + step
+                if stood >= task.dwell:
+                    self._known.add(task.name)
+                    yield task.name
+
+    def _at(self, pose: Sequence[float] | FloatArray) -> bool:
+        """Return whether the robot is near a pose, and faces as it does."""
+        assert self._pose is not None
+        away = hypot(pose[0] - self._pose.x, pose[1] - self._pose.y)
+        turned = abs(float(wrap_angle(pose[2] - self._pose.yaw)))
+        return away <= self._settings.near and turned <= _FACING
+
+    def _drove(self, row: tuple[str, int]) -> bool:
+        """Follow the robot along a path in one direction; return whether it is at its end."""
+        poses, passed = self._rows[row], self._passed[row]
+        for k in range(passed, min(passed + _AHEAD, len(poses))):
+            if self._at(poses[k]):
+                self._passed[row] = k + 1
+        return self._passed[row] == len(poses)
 
     def _charge(self) -> float:
         """Return the state of charge now, by the energy that was drawn since it was last known."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Sequence
+from typing import NamedTuple
 
-from energyplan.logs.mapping import Column, split_unit, split_words, unit_in
+from energyplan.logs.mapping import Column, counting, split_unit, split_words, unit_in
 
 _WORDS = {
     "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm"},
@@ -29,8 +30,9 @@ _NOT_MEASURED = {
     "cmd", "command", "commanded", "set", "setpoint", "target", "desired", "ref", "reference",
     "goal", "request", "requested", "cov", "covariance", "std", "error", "err", "torque", "effort",
     "ticks", "count", "encoder", "position", "temp", "temperature", "limit", "max", "min",
-    "raw", "supply", "health", "technology", "capacity", "charge", "percentage", "percent", "pct",
-    "present",
+    "raw", "health", "technology", "capacity", "charge", "percentage", "percent", "pct",
+    "present", "adc", "lsb", "norm", "normalized", "normalised", "duty", "dutycycle", "pwm", "erpm",
+    "throttle", "fraction",
 }  # fmt: skip
 """Words of commands, and of what is no speed and no power."""
 
@@ -38,6 +40,8 @@ _NOT_MEASURED = {
 ENCODER = {"enc", "encoder", "encoders", "tick", "ticks", "count", "counts", "counter", "pulses",
             "odometer", "odo", "distance", "dist"}  # fmt: skip
 """Words of what counts the turns of a wheel."""
+_GONE = {"odom", "odometry", "travel", "travelled", "traveled", "path", "rolled", "way", "mileage"}
+"""The same of what is a distance where its unit is a length."""
 
 
 _PLACES = {
@@ -121,25 +125,42 @@ def _groups(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     return {name: tuple(group) for group in alike.values() for name in group}
 
 
-def _score(channel: str, name: str) -> float:
-    """How well a name fits a channel; 0 if not at all."""
+_OWN = 10.0  # score of a name that is the channel's own
+
+
+def _quantities(name: str) -> dict[str, bool]:
+    """Return of which quantities, and of which side, a name speaks."""
     stated = words(name)
     said = set(stated)
     has = {kind: bool(said & names) for kind, names in _WORDS.items()}
-    last = stated[-1:]
+    last, units = stated[-1:], []
     for quantity, kind in _TOLD_BY_UNIT.items():
         unit = unit_in(quantity, name).unit
-        has[kind] = has[kind] or unit != ""
+        units += [kind] if unit else []
         last = stated[-2:-1] if [unit.lower()] == stated[-1:] else last
+    spoken = [kind for kind in _ELECTRIC if has[kind]]
+    has |= dict.fromkeys(units, True)
     if "v" in said and said & _BATTERY:
         has["voltage"], has["speed"] = True, bool(said & (_WORDS["speed"] - {"v", "w"}))
     # Of several quantities, as where topics are named for one, the name ends with its own.
     ends = [kind for kind in ("speed", *_ELECTRIC) if _WORDS[kind] & {*last} - _ROLLING]
     if len(ends) == 1 and len(last[0]) > 1:
         has |= {kind: kind in ends for kind in ("speed", *_ELECTRIC)}
+    stating = [kind for kind in units if kind in _ELECTRIC]
+    if len(stating) == 1 and spoken and stating[0] not in spoken:  # power_v holds volts
+        has |= {kind: kind in stating for kind in ("speed", *_ELECTRIC)}
+    return has
+
+
+def _score(channel: str, name: str) -> float:
+    """How well a name fits a channel; 0 if not at all."""
+    stated = words(name)
+    said, has = set(stated), _quantities(name)
     if name.strip() == channel:
-        return 10.0
+        return _OWN
     other = _NOT_MEASURED - {"position"} if channel in ("x", "y") else _NOT_MEASURED
+    if counting(channel, unit_in(channel, name).unit):  # of charge or energy, which its unit says
+        other = other - {"charge", "capacity", "count"}
     wanted = bool(said & other) or stated[-1:] == ["status"]
     wanted = wanted or ("input" in said and not (has["voltage"] or has["current"]))
     quantity, _, side = channel.partition("_")
@@ -200,7 +221,11 @@ def guess_encoders(names: Iterable[str]) -> dict[str, Column]:
     """Guess which names are encoders' of the left and right wheels; none where one is missing."""
     wanted = {"cmd", "command", "set", "setpoint", "target", "desired", "ref", "goal", "err",
              "error", "cov", "covariance", "temp"}  # fmt: skip
-    counted = [n for n in names if ENCODER & set(words(n)) and not wanted & set(words(n))]
+    every = list(names)
+    counted = [
+        n for n in every if not wanted & set(words(n))
+        and (ENCODER & set(words(n)) or (_GONE & set(words(n)) and unit_in("x", n).unit))
+    ]  # fmt: skip
     groups = _groups(counted)
     found: dict[str, Column] = {}
     for side in ("left", "right"):
@@ -230,25 +255,67 @@ def of_one_wheel(name: str) -> bool:
 
 
 def halves(name: str, others: Iterable[str]) -> list[str]:
-    """Return powers or currents named like one but for a word: of another side, it may be."""
+    """Return names that differ from one in a single word alone: of another side, it may be."""
     stated = _tokens(name)
-    if "total" in stated:
-        return []
     found = []
     for other in others:
         pairs = list(zip(stated, _tokens(other), strict=False))
         same = {one for one, twin in pairs if one == twin}
         alike = len(stated) == len(_tokens(other)) == len(pairs) == len(same) + 1
-        # A battery's is the whole of what is no battery's.
-        packs = bool(set(stated) & _BATTERY) == bool({*_tokens(other)} & _BATTERY)
-        if alike and packs and same & (_WORDS["power"] | _WORDS["current"]):
+        if alike and same:
             found.append(other)
     return found
 
 
-def of_batteries(name: str) -> bool:
-    """Return whether a name is of a battery."""
-    return bool(set(_tokens(name)) & _BATTERY)
+_OF_ALL = {"total", "sum", "overall", "whole", "combined"}
+_OF_SUPPLY = {*_BATTERY, "main", "vbus", "ibus", "vbat", "vbatt", "ibat", "ibatt", "ubat", "input",
+              "in", "supply", "system", "psu", "dc"}  # fmt: skip
+_OF_FEEDS = {
+    "solar", "pv", "panel", "panels", "photovoltaic", "mppt", "charger", "charging", "charge",
+    "dock", "docking", "generator", "genset", "alternator", "dynamo", "fuelcell", "harvester",
+    "shore", "grid", "mains",
+}  # fmt: skip
+_OF_MOTORS = {"motor", "motors", "phase", "iq", "esc", "winding", "stator", "armature"}
+_PROCESSED = {
+    "filtered", "filt", "filter", "avg", "average", "averaged", "mean", "smooth", "smoothed",
+    "raw", "lp", "lowpass", "median", "rms", "inst", "instant", "instantaneous", "est", "estimated",
+}  # fmt: skip
+_SECOND = {
+    "aux", "auxiliary", "second", "secondary", "backup", "spare", "upper", "lower", "top", "bottom",
+    "front", "rear", "back", "mid", "middle", "centre", "center", "slave", "inner", "outer", "b",
+}  # fmt: skip
+"""Words for one of several of a kind."""
+
+
+def rank(name: str, channel: str = "") -> int:
+    """Return how surely a name is that of the whole robot: of all, of its supply, of any."""
+    said = set(_tokens(name)) | set(words(name))
+    if name.strip() == channel or said & _OF_ALL:
+        return 2
+    return 1 if said & _OF_SUPPLY else 0
+
+
+def feeds(name: str) -> bool:
+    """Return whether a name is of what feeds a robot beside its battery."""
+    return bool(set(_tokens(name)) & _OF_FEEDS)
+
+
+def of_motor(name: str) -> bool:
+    """Return whether a name is of a motor's own current or power."""
+    return bool(set(_tokens(name)) & _OF_MOTORS)
+
+
+def same_reading(name: str, other: str) -> bool:
+    """Return whether two names differ in how a reading was processed alone."""
+    one, two = ({*_tokens(part)} for part in (name, other))
+    return one != two and one - _PROCESSED == two - _PROCESSED
+
+
+def plainer(name: str, other: str) -> bool:
+    """Return whether a name says less than another one, which is thus of a part."""
+    one, two = ({*_tokens(part)} for part in (name, other))
+    more = two - one
+    return one < two and not more & _SECOND and not any(part.isdecimal() for part in more)
 
 
 def siblings(one: Column, names: Iterable[str]) -> list[str]:
@@ -309,27 +376,50 @@ CHANNELS = (
 )  # fmt: skip
 
 
-def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column]:
-    """Guess which name is which channel, and in which unit if it says so."""
+class Candidate(NamedTuple):
+    """A name that may serve as a channel, how well it fits, and why."""
+
+    column: Column
+    score: float
+    reason: str
+
+
+def candidates(
+    names: Iterable[str], taken: Collection[str] = ()
+) -> dict[str, tuple[Candidate, ...]]:
+    """Return which names may be which channel, the best first, with their units if they say so."""
     every = list(names)
-    there = {*every}
-    alias = {name: spelled(name, there) for name in every}
+    alias = {name: _lettered(spelled(name, every), every) for name in every}
     others = {*taken, *_quaternions(every)}
     left = [name for name in every if name not in others]
-    groups = _groups(left)
-    rated = []
+    found: dict[str, tuple[Candidate, ...]] = {}
     for channel in CHANNELS:
         quantity = channel.partition("_")[0]
         quantity = quantity if quantity in ("current", "voltage") else channel
-        for place, name in enumerate(left):
+        rated = []
+        for name in left:
             score, unit = _score(channel, alias[name]), unit_in(quantity, name).unit
+            why = "its name is the channel's" if score >= _OWN else "by its name"
             if unit:
                 score += 1.0 * (score > 0.0)
+                why = f"by its name, in [{unit}]"
             elif split_unit(name)[1] and channel != "t":
                 score = min(score, 0.5)  # it says that it is something else
             if score >= 1.0:
-                rated.append((-score, place, Column(field=name, unit=unit, channel=channel)))
-    found = _stamp(left)
+                rated.append(Candidate(Column(field=name, unit=unit, channel=channel), score, why))
+        found[channel] = tuple(sorted(rated, key=lambda one: -one.score))
+    return found
+
+
+def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column]:
+    """Guess which name is which channel, and in which unit if it says so."""
+    every = list(names)
+    groups = _groups([name for name in every if name not in {*taken, *_quaternions(every)}])
+    rated = [
+        (-one.score, every.index(one.column.field), one.column)
+        for several in candidates(every, taken).values() for one in several
+    ]  # fmt: skip
+    found = _stamp([name for name in every if name not in taken])
     used: set[str] = {name for one in found.values() for name in one.names}
     for _, _, one in sorted(rated, key=lambda item: item[:2]):
         if one.channel in found or one.field in used:
@@ -340,6 +430,30 @@ def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column
         found[one.channel] = one
         used |= set(one.names)
     return {channel: found[channel] for channel in CHANNELS if channel in found}
+
+
+_LETTER = re.compile(r"(.*[a-z0-9][\W_])([a-f])", re.IGNORECASE)
+
+
+def _lettered(name: str, names: Collection[str]) -> str:
+    """Return a name whose last letter counts, as of ``power_a`` beside ``power_b``, without it."""
+    match = _LETTER.fullmatch(name)
+    if match is None:
+        return name
+    letters = "abcdef" if match[2].islower() else "ABCDEF"
+    twins = [letter for letter in letters if f"{match[1]}{letter}" in names]
+    counts = len(twins) > 1 and twins == [*letters[: len(twins)]]
+    return f"{match[1]}{letters.index(match[2]) + 1}" if counts else name
+
+
+def electric(name: str, names: Collection[str] = ()) -> str:
+    """Return the quantity of a name that is no command: power, voltage or current; else empty."""
+    alias = _lettered(spelled(name, names), names)
+    said = set(words(alias))
+    if said & (_NOT_MEASURED - {"charge"}) or said & ENCODER:
+        return ""
+    has = _quantities(alias)
+    return next((kind for kind in _ELECTRIC if has[kind]), "") if not has["speed"] else ""
 
 
 def _stamp(names: Sequence[str]) -> dict[str, Column]:

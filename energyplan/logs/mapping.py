@@ -29,16 +29,29 @@ class Scale(NamedTuple):
     offset: float = 0.0
 
 
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "k": 1e3, "M": 1e6}
+
+
+def _prefixed(unit: str, size: float = 1.0, prefixes: str = "m c d k u") -> dict[str, float]:
+    """Return a unit, and the same with prefixes, as ``mV`` of ``V``."""
+    return {unit: size} | {f"{one}{unit}": size * _PREFIXES[one] for one in prefixes.split()}
+
+
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254}
+_LENGTH = {**_prefixed("m", 1.0, "c m d k"), "ft": 0.3048, "in": 0.0254, "yd": 0.9144}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048,
-          "in/s": 0.0254, "kn": 0.514444, "m/min": 1 / 60, "ft/min": 0.3048 / 60}  # fmt: skip
-_ANGLE = {"rad": 1.0, "deg": pi / 180, "mrad": 1e-3, "rev": 2 * pi}
-RATES = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
+          "in/s": 0.0254, "kn": 0.514444, "m/min": 1 / 60, "ft/min": 0.3048 / 60, "dm/s": 0.1,
+          "cm/min": 1 / 6000, "mm/min": 1 / 60_000, "m/h": 1 / 3600}  # fmt: skip
+_ANGLE = {**_prefixed("rad", 1.0, "m u"), **_prefixed("deg", pi / 180, "c m"), "rev": 2 * pi}
+RATES = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3,
+         "mdps": pi / 180_000, "cdeg/s": pi / 18_000, "urad/s": 1e-6, "rad/min": 1 / 60,
+         "deg/min": pi / 10_800}  # fmt: skip
 COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
-_ENERGY = {"J": 1.0, "kJ": 1e3, "mWh": 3.6, "Wh": 3.6e3, "kWh": 3.6e6}
-_CHARGE = {"mAh": 3.6, "Ah": 3.6e3}
-_POWER = {"W": 1.0, "kW": 1e3, "mW": 1e-3, "hp": 745.69987, "PS": 735.49875, **_ENERGY}
+_ENERGY = {**_prefixed("J", 1.0, "k M m"), **_prefixed("Wh", 3.6e3, "m k"),
+           **_prefixed("Ws", 1.0, "m k")}  # fmt: skip
+_CHARGE = {**_prefixed("Ah", 3.6e3, "m u"), **_prefixed("C", 1.0, "m u k"),
+           **_prefixed("As", 1.0, "m")}  # fmt: skip
+_POWER = {**_prefixed("W", 1.0, "k m u"), "hp": 745.69987, "PS": 735.49875, **_ENERGY}
 
 UNITS: dict[str, dict[str, float]] = {
     "t": _TIME,
@@ -51,8 +64,8 @@ UNITS: dict[str, dict[str, float]] = {
     "p_left": _POWER,
     "p_right": _POWER,
     "power": _POWER,
-    "voltage": {"V": 1.0, "mV": 1e-3, "cV": 1e-2, "dV": 0.1},
-    "current": {"A": 1.0, "mA": 1e-3, "cA": 1e-2, "dA": 0.1, **_CHARGE},
+    "voltage": _prefixed("V"),
+    "current": {**_prefixed("A"), **_CHARGE},
     "yaw": _ANGLE,
     "slope": _ANGLE,
     "yaw_rate": RATES,
@@ -75,24 +88,42 @@ _ALIASES = {
     "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "\u00b0": "deg",
     "rads": "rad/s", "radps": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",
     "radians/s": "rad/s", "rad/sec": "rad/s", "\u00b0/s": "deg/s", "dps": "deg/s",
-    "degrees/s": "deg/s", "deg/sec": "deg/s", "1/min": "rpm", "r/min": "rpm", "min-1": "rpm",
+    "degrees/s": "deg/s", "deg/sec": "deg/s", "mdeg/s": "mdps", "millidps": "mdps",
+    "millideg/s": "mdps", "millidegrees/s": "mdps", "cdps": "cdeg/s", "centideg/s": "cdeg/s",
+    "centidegrees/s": "cdeg/s", "millirad/s": "mrad/s", "mradps": "mrad/s", "mrads": "mrad/s",
+    "centideg": "cdeg", "centidegree": "cdeg", "centidegrees": "cdeg", "millidegrees": "mdeg",
+    "milliradians": "mrad", "rev/min": "rpm", "turns/min": "rpm", "revs/min": "rpm",
+    "rotations/min": "rpm", "turns/s": "rev/s", "rotations/s": "rev/s", "revs/s": "rev/s",
+    "1/min": "rpm", "r/min": "rpm", "min-1": "rpm",
     "min^-1": "rpm", "rps": "rev/s",
     "watt": "W", "watts": "W", "kilowatt": "kW", "horsepower": "hp",
     "watthours": "Wh", "watt/hours": "Wh", "watt/hour": "Wh", "w/h": "Wh", "amphours": "Ah",
     "amp/hours": "Ah", "amp/hour": "Ah", "ampere/hours": "Ah", "milliamp/hours": "mAh",
-    "kilowatt/hours": "kWh", "joule": "J", "joules": "J",
+    "kilowatt/hours": "kWh", "joule": "J", "joules": "J", "kilojoule": "kJ", "kilojoules": "kJ",
+    "megajoules": "MJ", "millijoules": "mJ", "watt/seconds": "Ws", "watt/second": "Ws",
+    "w/s": "Ws", "wattseconds": "Ws", "milliwatt/hours": "mWh",
+    "coulomb": "C", "coulombs": "C", "amp/seconds": "As", "ampere/seconds": "As",
+    "ampseconds": "As", "millicoulombs": "mC", "microamp/hours": "uAh",
+    "millivolt": "mV", "millivolts": "mV", "centivolts": "cV", "decivolts": "dV",
+    "kilowatts": "kW", "milliwatts": "mW", "milliamp": "mA", "milliamps": "mA",
+    "milliamperes": "mA", "centiamps": "cA", "deciamps": "dA", "microamps": "uA",
     "milliwatt": "mW", "volt": "V", "volts": "V",
     "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "milliampere": "mA",
     "m/s2": "m/s^2", "m/s\u00b2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2",
     "\u00b0c": "degC", "celsius": "degC", "\u00b0f": "degF", "fahrenheit": "degF",
     "tick": "ticks", "counts": "ticks", "count": "ticks", "cts": "ticks", "pulses": "ticks",
     "tps": "ticks/s", "counts/s": "ticks/s", "cps": "ticks/s", "pulses/s": "ticks/s",
-    "tick/s": "ticks/s", "ticks/sec": "ticks/s", "counts/sample": "ticks/sample",
+    "tick/s": "ticks/s", "ticks/sec": "ticks/s", "qpps": "ticks/s", "pps": "ticks/s",
+    "counts/sample": "ticks/sample",
     "kelvin": "K", "kilogram": "kg", "lbs": "lb", "pounds": "lb",
 }  # fmt: skip
 """Other ways to write a unit, in small letters."""
 _WHEEL_CHANNELS = ("v_left", "v_right", "cmd_left", "cmd_right")
 _OF_WHEELS = {**RATES, **COUNTS}
+
+
+_EXACT = {"mW", "mWh", "MJ", "mJ", "mWs", *(one for one in _CHARGE if not one.endswith("Ah"))}
+"""Units whose capitals count: M is a million, and small letters may be an index or a word."""
 
 
 def known_unit(channel: str, unit: str) -> str | None:
@@ -101,7 +132,7 @@ def known_unit(channel: str, unit: str) -> str | None:
     bare = unit.strip()
     if bare in known:
         return bare
-    folded = {name.lower(): name for name in known if name not in ("mW", "mWh")}  # M: a million
+    folded = {name.lower(): name for name in known if name not in _EXACT}
     spelt = _ALIASES.get(bare.lower(), folded.get(bare.lower()))
     return spelt if spelt in known else None
 
@@ -172,12 +203,13 @@ _SCALED = re.compile(r"(.*[^\W\d])[\W_]+(10+|0\.0*1)([A-Za-z/]+)")
 """A name that ends with the size of its steps, such as ``current_10mA``."""
 _ANYWHERE = {
     "ms", "us", "ns", "kmh", "kph", "mps", "mph", "rpm", "dps", "radps", "rads", "deg", "degrees",
-    "kw", "mv", "ma", "mm", "cm", "hp", "ips", "wh", "kwh", "mwh", "ah", "mah",
+    "kw", "mv", "ma", "mm", "cm", "hp", "ips", "wh", "kwh", "mwh", "ah", "mah", "mdps", "cdeg",
+    "mrad", "kj",
 }  # fmt: skip
 """Words that are units wherever in a name they stand; others are only at its end."""
 
 
-_CAPITALS = re.compile("[kmcdnu\u00b5][VAW]h?|deg[CF]")
+_CAPITALS = re.compile("[kmcdnuM\u00b5](?:[VAWJC]h?|As|Ws)|deg[CF]")
 """Units that hold a capital after a small letter."""
 
 

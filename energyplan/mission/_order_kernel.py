@@ -51,23 +51,29 @@ _FAR = 1e15  # rank of labels that do not lead to the prize that is known, beyon
 
 
 class OrderProblem(NamedTuple):
-    """Which tasks to do in which order; n tasks, m chargers, L payloads, M ways of driving."""
+    """Which tasks to do in which order, and how each.
 
+    There are n tasks with K options in all, m chargers, L payloads, M ways of driving. Places are
+    the start, the options and the chargers: N = 1 + K + m. A way leads from where one option leaves
+    the robot to where the next one begins.
+    """
+
+    option: Ints  # (K,): task of each option, ascending
     loads: Floats  # (L,): payloads that energies are known for, ascending [kg]
     energy: WideBlock  # (L, M, N, N): energies from place to place [J]
     finish: FloatTable  # (L, N): energy to where the mission may end [J]
     time: FloatBlock  # (M, N, N): travel times [s]
     finish_time: Floats  # (N,): time to where the mission may end [s]
-    service: Floats  # (n,): energy of each task [J]
-    service_time: Floats  # (n,): time of each task [s]
+    service: Floats  # (K,): energy of each option [J]
+    service_time: Floats  # (K,): time of each option [s]
     window: FloatTable  # (n, 2): earliest and latest begin [s]
-    idle: Floats  # (n,): power of waiting at each task [W]
+    idle: Floats  # (K,): power of waiting at each option [W]
     prize: Floats  # (n,): prize of each task; any required one exceeds all optional ones together
     change: Floats  # (n,): change of the payload by each task [kg]
     capacity: Floats  # (m,): energy on leaving each charger when full, the reserve taken off [J]
     charge_power: Floats  # (m,): energy stored per second at each charger [W]
     budget: float  # energy at the start, the reserve taken off [J]
-    # (L, M, N, N): charge that must be left after each way, and the task at its end, for the
+    # (L, M, N, N): charge that must be left after each way, and the option at its end, for the
     # battery to deliver their power, the reserve taken off [J]
     floor: WideBlock
     payload: float = 0.0  # payload at the start [kg]
@@ -85,16 +91,22 @@ class OrderProblem(NamedTuple):
         found = np.searchsorted(self.loads, np.asarray(load) - _MILLIGRAM)
         return np.minimum(found, len(self.loads) - 1)
 
+    def options(self, tasks: Sequence[int]) -> Any:
+        """Return the options of some tasks, in their sequence, shape (k,)."""
+        found = [np.flatnonzero(self.option == task) for task in tasks]
+        return np.concatenate([np.zeros(0, int), *found])
+
     def some(self, tasks: Sequence[int]) -> OrderProblem:
         """Return the problem of some of the tasks, in another sequence."""
-        n, mine = self.tasks, np.asarray(tasks, int)
-        nodes = np.array([0, *(mine + 1), *range(1 + n, self.time.shape[1])])
+        mine, ways = np.asarray(tasks, int), self.options(tasks)
+        nodes = np.array([0, *(ways + 1), *range(1 + len(self.option), self.time.shape[1])])
         return self._replace(
+            option=np.repeat(np.arange(len(mine)), [int((self.option == k).sum()) for k in mine]),
             energy=self.energy[..., nodes[:, None], nodes], finish=self.finish[:, nodes],
             floor=self.floor[..., nodes[:, None], nodes],
             time=self.time[..., nodes[:, None], nodes], finish_time=self.finish_time[nodes],
-            service=self.service[mine], service_time=self.service_time[mine],
-            window=self.window[mine], idle=self.idle[mine], prize=self.prize[mine],
+            service=self.service[ways], service_time=self.service_time[ways],
+            window=self.window[mine], idle=self.idle[ways], prize=self.prize[mine],
             change=self.change[mine],
         )  # fmt: skip
 
@@ -147,7 +159,7 @@ def energy_left(rest: Rest, bucket: int, charge: float) -> float:
 @njit
 def completions(problem: OrderProblem, stages: Stages, prize: float) -> Rest:
     """Bound what is left to do from each bucket on."""
-    n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
+    n, m, ways = len(problem.option), len(problem.capacity), problem.energy.shape[1]
     places, count = 1 + n + m, len(stages.after)
     visits = stages.visits if m > 0 else 0
     least = np.full((count * places, visits + 1), np.inf)
@@ -168,22 +180,23 @@ def completions(problem: OrderProblem, stages: Stages, prize: float) -> Rest:
             if enough and np.isfinite(finish[p]):
                 least[bucket, 0] = finish[p]
                 latest[bucket] = np.inf
-            for t in range(n):
+            for o in range(n):
+                t = problem.option[o]
                 then = stages.after[stage, t]
                 if then < 0 or stages.load[stage] + problem.change[t] < -GRAM:
                     continue
-                way = energy[0, p, 1 + t]
+                way = energy[0, p, 1 + o]
                 for other in range(1, ways):
-                    way = min(way, energy[other, p, 1 + t])
+                    way = min(way, energy[other, p, 1 + o])
                 if not np.isfinite(way):
                     continue
-                after = then * places + 1 + t
+                after = then * places + 1 + o
                 for k in range(visits + 1):
-                    through = way + problem.service[t] + least[after, k]
+                    through = way + problem.service[o] + least[after, k]
                     least[bucket, k] = min(least[bucket, k], through)
-                begin = min(problem.window[t, 1], latest[after] - problem.service_time[t])
+                begin = min(problem.window[t, 1], latest[after] - problem.service_time[o])
                 if begin >= problem.window[t, 0]:
-                    latest[bucket] = max(latest[bucket], begin - quickest[p, 1 + t])
+                    latest[bucket] = max(latest[bucket], begin - quickest[p, 1 + o])
         # over chargers, which may lead to chargers
         for turn in range(m + 1 if m > 0 else 0):
             last = turn == m
@@ -451,7 +464,7 @@ def _priced(problem: OrderProblem, load: float) -> int:
 @njit
 def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
     """Find an order of greater prize than the one known, or of the same and less energy or time."""
-    n, m, ways = len(problem.prize), len(problem.capacity), problem.energy.shape[1]
+    n, m, ways = len(problem.option), len(problem.capacity), problem.energy.shape[1]
     places = 1 + n + m
     store = LabelStore(
         np.empty((min(_FEW, stages.most), _FIELDS)),
@@ -534,36 +547,37 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
                             best_prize, best_energy, best_time, known.same, known.more,
                             known.beyond,
                         )  # fmt: skip
-                for t in range(n):
+                for o in range(n):
+                    t = problem.option[o]
                     after, carried = stages.after[stage, t], here.load + problem.change[t]
                     if after < 0 or carried < -GRAM:
                         continue
                     opens, closes = problem.window[t, 0], problem.window[t, 1]
                     for way in range(ways):
-                        spent = energy[way, place, 1 + t]
+                        spent = energy[way, place, 1 + o]
                         if not np.isfinite(spent):
                             continue
-                        lasts = problem.time[way, place, 1 + t]
+                        lasts = problem.time[way, place, 1 + o]
                         there = _spend(here, spent, lasts, problem.full, 0.0)
                         if there.left < 0.0 or there.time > closes + _EPSILON:
                             continue
-                        begun = _begin(there, opens, closes, problem.idle[t])
-                        floor = problem.floor[load, way, place, 1 + t]
-                        done = _spend(begun, problem.service[t], 0.0, problem.full, floor)
+                        begun = _begin(there, opens, closes, problem.idle[o])
+                        floor = problem.floor[load, way, place, 1 + o]
+                        done = _spend(begun, problem.service[o], 0.0, problem.full, floor)
                         if done.left < floor or done.time > closes + _EPSILON:
                             continue
                         done = Label(
-                            done.energy, done.left, done.time + problem.service_time[t], done.rate,
+                            done.energy, done.left, done.time + problem.service_time[o], done.rate,
                             done.slack, done.prize + problem.prize[t], carried,
                         )  # fmt: skip
                         if not stages.pressing[after]:
                             done = _charged(done)
-                        if done.left + done.rate * done.slack < stages.need[1 + t] - _EPSILON:
+                        if done.left + done.rate * done.slack < stages.need[1 + o] - _EPSILON:
                             continue
                         store = _with_room(store, count, stages.most)
-                        if _keep(store, stages, known, after, 1 + t, done, count):
+                        if _keep(store, stages, known, after, 1 + o, done, count):
                             link = store.link
-                            link[count, 0], link[count, 1], link[count, 2] = k, 1 + t, way
+                            link[count, 0], link[count, 1], link[count, 2] = k, 1 + o, way
                             count += 1
                 k = store.link[k, 3]
     length, k = 0, best
@@ -585,14 +599,15 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
 
 
 class Tours(NamedTuple):
-    """Robots that share n tasks, as arrays; R robots, N places: start, tasks, chargers."""
+    """Robots that share n tasks, as arrays; R robots, N places: start, K options, chargers."""
 
-    energy: FloatBlock  # (R, N, N): energies from place to place, the task at the end included [J]
+    option: Ints  # (K,): task of each option, ascending
+    energy: FloatBlock  # (R, N, N): energies from place to place, the option at the end too [J]
     time: FloatBlock  # (R, N, N): travel times [s]
     finish: FloatTable  # (R, N): energy to where a robot may end [J]
-    service_time: FloatTable  # (R, n): time of each task [s]
+    service_time: FloatTable  # (R, K): time of each option [s]
     window: FloatTable  # (n, 2): earliest and latest begin [s]
-    idle: FloatTable  # (R, n): power of waiting at each task [W]
+    idle: FloatTable  # (R, K): power of waiting at each option [W]
     change: Floats  # (n,): change of the payload by each task [kg]
     prize: Floats  # (n,): prize of each task as an energy, above that of any sequence [J]
     budget: Floats  # (R,): energy at the start [J]
@@ -603,8 +618,8 @@ class Tours(NamedTuple):
 
 @inner
 def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: int) -> float:
-    """Return the energy of a robot's tasks in a sequence, with an extra one put in [J]."""
-    n, places = len(tours.prize), tours.energy.shape[1]
+    """Return the energy of a robot's options in a sequence, with an extra one put in [J]."""
+    n, places = len(tours.option), tours.energy.shape[1]
     energy, time, load, here = 0.0, tours.start_time[r], tours.payload[r], 0
     detour = np.inf if places > 1 + n else 0.0
     length = count + (1 if extra >= 0 else 0)
@@ -619,12 +634,13 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
         if goal < 0:
             energy += tours.finish[r, here]
             break
+        task = tours.option[goal - 1]
         energy += tours.energy[r, here, goal]
         time += tours.time[r, here, goal]
-        wait = max(tours.window[goal - 1, 0] - time, 0.0)
+        wait = max(tours.window[task, 0] - time, 0.0)
         energy, time = energy + tours.idle[r, goal - 1] * wait, time + wait
-        load += tours.change[goal - 1]
-        if time > tours.window[goal - 1, 1] + _EPSILON or load < -GRAM:
+        load += tours.change[task]
+        if time > tours.window[task, 1] + _EPSILON or load < -GRAM:
             return np.inf
         time += tours.service_time[r, goal - 1]
         here = goal
@@ -637,11 +653,11 @@ def tour_energy(tours: Tours, r: int, stops: Ints, count: int, extra: int, at: i
 
 
 @inner
-def _best_place(tours: Tours, r: int, stops: Ints, count: int, task: int) -> tuple[float, int]:
-    """Return where a task adds least to a robot's sequence, and the energy of the sequence then."""
+def _best_place(tours: Tours, r: int, stops: Ints, count: int, option: int) -> tuple[float, int]:
+    """Return the energy of a robot's sequence with an option where it adds least, and where."""
     least, at = np.inf, 0
     for k in range(count + 1):
-        energy = tour_energy(tours, r, stops, count, task, k)
+        energy = tour_energy(tours, r, stops, count, option, k)
         if energy < least:
             least, at = energy, k
     return least, at
@@ -652,14 +668,21 @@ def _insert_all(
     tours: Tours, stops: IntTable, counts: Ints, energies: Floats, open_tasks: Flags, closed: Flags
 ) -> None:
     """Insert the tasks left out where it pays, in the order of regret, at open robots."""
-    robots, n = len(counts), len(open_tasks)
-    total, place = np.full((robots, n), np.inf), np.zeros((robots, n), np.int64)
+    robots, n, options = len(counts), len(open_tasks), len(tours.option)
+    # of each robot and task, the sequence's energy with its best option, which, and where
+    total = np.full((robots, n), np.inf)
+    way, place = np.zeros((robots, n), np.int64), np.zeros((robots, n), np.int64)
     stale = np.ones(robots, np.bool_)
     while True:
         for r in range(robots):
-            for t in range(n if stale[r] else 0):
+            if stale[r]:
+                total[r] = np.inf
+            for o in range(options if stale[r] else 0):
+                t = tours.option[o]
                 if open_tasks[t]:
-                    total[r, t], place[r, t] = _best_place(tours, r, stops[r], counts[r], t)
+                    energy, at = _best_place(tours, r, stops[r], counts[r], o)
+                    if energy < total[r, t]:
+                        total[r, t], way[r, t], place[r, t] = energy, o, at
             stale[r] = False
         chosen, robot, most = -1, -1, -np.inf
         for t in range(n):
@@ -684,7 +707,7 @@ def _insert_all(
         at = place[robot, chosen]
         for k in range(counts[robot], at, -1):
             stops[robot, k] = stops[robot, k - 1]
-        stops[robot, at] = chosen
+        stops[robot, at] = way[robot, chosen]
         counts[robot] += 1
         energies[robot] = total[robot, chosen]
         open_tasks[chosen] = False
@@ -693,7 +716,7 @@ def _insert_all(
 
 @njit
 def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
-    """Give tasks to robots: insert with regret, then take some out again and again.
+    """Give tasks to robots, as options: insert with regret, then take some out again and again.
 
     In each round, which reads a row of chances in [0, 1), a task and its neighbours are taken out
     and put in anew, now and then first at some of the robots only: else insertion ends the same
@@ -707,8 +730,13 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
     energies = np.array([tour_energy(tours, r, stops[r], 0, -1, 0) for r in range(robots)])
     energies[~np.isfinite(energies)] = 0.0  # who cannot even end from its start does nothing
     near = np.zeros((n, n), np.int64)
+    apart = np.full((n, n), np.inf)
+    for o in range(len(tours.option)):
+        for other in range(len(tours.option)):
+            t, u = tours.option[o], tours.option[other]
+            apart[t, u] = min(apart[t, u], tours.energy[:, 1 + o, 1 + other].sum())
     for t in range(n):
-        near[t] = np.argsort(tours.energy[:, 1 + t, 1 : 1 + n].sum(axis=0))
+        near[t] = np.argsort(apart[t])
     nobody = np.zeros(robots, np.bool_)
     _insert_all(tours, stops, counts, energies, open_tasks, nobody)
     now = energies.sum() + tours.prize[open_tasks].sum()
@@ -727,7 +755,7 @@ def share(tours: Tours, chances: FloatTable) -> tuple[IntTable, Ints]:
         for r in range(robots):
             kept = 0
             for k in range(counts[r]):
-                if not out[stops[r, k]]:
+                if not out[tours.option[stops[r, k]]]:
                     new_stops[r, kept] = stops[r, k]
                     kept += 1
             if kept < counts[r]:

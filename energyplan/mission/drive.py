@@ -42,7 +42,7 @@ class Segment:
     power: FloatArray  # (n,): power at the battery from each time to the next [W]
     soc: FloatArray  # (n,): state of charge, as expected
     soc_lower: FloatArray  # (n,): the same at the bound
-    leg: Leg | None = None  # the drive
+    leg: Leg | None = None  # the drive; of work along a path, too
 
     @property
     def departure(self) -> float:
@@ -165,7 +165,7 @@ class Simulation:
     ) -> Status:
         """Add a segment that ends at a state's place: rows of time, power, charge and its bound."""
         here, names = state.node, self.legs.names
-        begin, pose = names[here if leg is None else start], self.legs.poses[here]
+        begin, pose = names[here if leg is None else start], self.legs.exits[here]
         t, power, soc, soc_lower = samples
         one = Segment(kind, begin, names[here], pose, t, power, soc, soc_lower, leg)
         return replace(state, trip=(*state.trip, one))
@@ -286,9 +286,15 @@ class Simulation:
 
     # -- tasks ------------------------------------------------------------------------------------
 
-    def attempt(self, state: Status, task: int, hurried: bool = False) -> Attempt:
-        """Try a task without charging before it."""
-        job, node = self.mission.tasks[task], task + 1
+    def nearest(self, state: Status, task: int, hurried: bool = False) -> Attempt:
+        """Try a task without charging before it, with the option that takes least."""
+        tried = (self.attempt(state, node, hurried) for node in self.legs.ways(task))
+        return min(tried, key=self.missing)
+
+    def attempt(self, state: Status, node: int, hurried: bool = False) -> Attempt:
+        """Try an option of a task without charging before it."""
+        task = self.legs.task_at(node)
+        job = self.mission.tasks[task]
         there = self.drive(state, node, hurried)
         if there is None:
             leg = self.legs.leg(state.node, node, state.payload, hurried)
@@ -304,12 +310,19 @@ class Simulation:
             detail = f"{begin}, and the robot is there at {latest:.0f} s{expected}"
             return Attempt("late", there, there, detail)
         begun = self.wait_until(there, job.window[0])
-        work = models.work(region, task, begun.payload)
-        done = self._stay(begun, "work", job.dwell, work)
-        done = replace(done, lateness=done.lateness + models.dwell_time(task))
-        carried = done.payload + job.payload
+        row = self.legs.row(node, begun.payload)
+        if row is None:
+            work = models.work(region, task, begun.payload)
+            done = self._stay(begun, "work", job.dwell, work)
+        elif row.trajectory is None:
+            return Attempt(row.trouble, begun, begun, row.detail)
+        else:
+            samples, done = self._draw(begun, row.trajectory.t, row.consumption)
+            done = self._add(done, "work", samples, row, node)
+        done = replace(done, lateness=done.lateness + self.legs.lasting(node, begun.payload)[1])
+        carried = done.payload + job.change
         if carried < -GRAM:
-            detail = f"it leaves {-job.payload:g} kg, and {done.payload:g} kg are on board"
+            detail = f"it leaves {-job.change:g} kg, and {done.payload:g} kg are on board"
             return Attempt("payload", done, done, detail)
         done = replace(done, payload=max(carried, 0.0))
         safe, trouble = self.refuge(done)
@@ -343,13 +356,14 @@ class Simulation:
             if leg.trouble:
                 return -np.inf
             spent, late = spent + leg.duration, late + models.driving_time(leg.duration)
-            if stop <= len(tasks):
-                task = tasks[stop - 1]
-                spent, late = spent + self.mission.waiting, late + models.waiting_time(stop - 1)
+            if stop in self.legs.options:
+                k = self.legs.task_at(stop)
+                task, (seconds, more) = tasks[k], self.legs.lasting(stop, payload)
+                spent, late = spent + self.mission.waiting, late + models.waiting_time(k)
                 margin = self.quantile * float(np.linalg.norm(late))
                 latest = min(latest, task.window[1] - margin - spent)
-                spent, late = spent + task.dwell, late + models.dwell_time(stop - 1)
-                payload = max(payload + task.payload, 0.0)
+                spent, late = spent + seconds, late + more
+                payload = max(payload + task.change, 0.0)
             node = stop
         return float(latest)
 
@@ -362,7 +376,7 @@ class Simulation:
                 return Visit(None, None)
             leave_by = self.leave_by(docked, stops[1:], hurried[1:])
             return Visit(None, self.charge(docked, leave_by))
-        attempt = self.attempt(state, stop - 1, quick)
+        attempt = self.attempt(state, stop, quick)
         return Visit(attempt, attempt.after if attempt.reason == "none" else None)
 
     def follow(

@@ -23,7 +23,7 @@ from energyplan.limits.drive import Ground, Traversal
 from energyplan.mission.supply import Gauge
 from energyplan.mission.types import Mission, Spreads, Task
 from energyplan.motion import Motion
-from energyplan.path import FloatArray, Trajectory
+from energyplan.path import PLACE, FloatArray, Trajectory
 from energyplan.power import PowerModel
 from energyplan.power.effects import GRADE
 from energyplan.records import ByValue
@@ -235,18 +235,61 @@ class Models(ByValue):
         ground = Ground(first, self.surfaces, self.heights, tuple(others))
         return Traversal(trajectory, ground)
 
-    def priced(self, trajectory: Trajectory, payload: float) -> Consumption:
-        """Return what a trajectory takes with a payload [kg], at the battery."""
+    def priced(
+        self, trajectory: Trajectory, payload: float, after: float | None = None
+    ) -> Consumption:
+        """Return what a trajectory takes with a payload [kg], at the battery.
+
+        Where another payload is on board `after` it, the payload changes in proportion to the
+        distance, and the power is interpolated between payloads as the models are.
+        """
+        if after is None or after == payload:
+            return self._with(trajectory, payload, np.ones(len(trajectory) - 1))
+        steps = np.hypot(np.diff(trajectory.x), np.diff(trajectory.y))
+        middle = (np.cumsum(steps) - 0.5 * steps) / max(float(steps.sum()), PLACE)
+        known = {float(load) for source in self._sources for load in source.payloads}
+        low, high = sorted((payload, after))
+        loads = sorted({low, high, *(load for load in known if low < load < high)})
+        now = payload + (after - payload) * middle
+        shares = [np.interp(now, loads, unit) for unit in np.eye(len(loads))]
+        parts = [
+            self._with(trajectory, load, share) for load, share in zip(loads, shares, strict=True)
+        ]
+        return Consumption(
+            sum((part.power for part in parts), np.zeros(len(steps))),
+            sum((part.spread for part in parts), np.zeros(len(steps))),
+            sum((part.energy for part in parts), self.nothing),
+        )
+
+    def _with(self, trajectory: Trajectory, payload: float, share: FloatArray) -> Consumption:
+        """Return so large a share of what each interval takes with a payload [kg]."""
         total, joules = self.nothing, np.zeros(len(trajectory) - 1)
         drive = self.drive(trajectory, payload)
         for part in drive.quadrature():
-            energy, squares = self._one(part.region, part.motion, part.weight, payload)
+            weight = part.weight * share[part.interval][:, None]
+            energy, squares = self._one(part.region, part.motion, weight, payload)
             run = self._run(part.region, payload).deviation * energy.mean
             total = total + energy + self._unknown(_RUN, run)
-            np.add.at(joules, part.interval, (part.weight * np.sqrt(squares)).sum(axis=-1))
+            np.add.at(joules, part.interval, (weight * np.sqrt(squares)).sum(axis=-1))
         duration = np.diff(trajectory.t)
-        power = np.asarray(drive.interval_energies() / duration)
+        power = np.asarray(share * drive.interval_energies() / duration)
         return Consumption(power, np.asarray(joules / duration), total)
+
+    def with_tool(self, drive: Consumption, t: FloatArray, task: int) -> Consumption:
+        """Return what a drive at times [s] takes with the tool of a task running."""
+        job, lasting = self.tasks[task], float(t[-1] - t[0])
+        energy = replace(drive.energy, mean=drive.energy.mean + job.power * lasting)
+        tool = self._tool(task)
+        return Consumption(
+            drive.power + job.power,
+            np.hypot(drive.spread, tool),
+            energy + self._unknown(_TOOLS, tool * lasting, (job.power, job.power_spread)),
+        )
+
+    def _tool(self, task: int) -> float:
+        """Return the standard deviation of the power of a task's tool [W]."""
+        job = self.tasks[task]
+        return self.spreads.power * job.power if job.power_spread is None else job.power_spread
 
     def _run(self, region: int, payload: float) -> RunEffect:
         """Return how a run differs from its model; models between payloads are weighed."""
@@ -276,10 +319,10 @@ class Models(ByValue):
 
     def work(self, region: int, task: int, payload: float) -> Estimate:
         """Return the energy of doing a task, standing still with its tool."""
-        job, spreads = self.tasks[task], self.spreads
+        job = self.tasks[task]
         idle = self.idle(region, job.dwell, payload)
         drawn = job.power + self.idle(region, 1.0, payload).mean
-        tool = spreads.power * job.power if job.power_spread is None else job.power_spread
+        tool = self._tool(task)
         done = replace(idle, mean=idle.mean + job.power * job.dwell)
         done = done + self._unknown(_TOOLS, tool * job.dwell, (job.power, job.power_spread))
         return done + self._unknown(_DWELLS, self._dwell_spread(task) * drawn, task)

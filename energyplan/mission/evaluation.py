@@ -22,8 +22,17 @@ from energyplan.battery import SAGS, Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.mission.drive import Attempt, Simulation, Status
 from energyplan.mission.order import Order, attempt, best_stops, finish
-from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport, stops
+from energyplan.mission.report import (
+    Alternative,
+    Contribution,
+    MissionReport,
+    OrderKind,
+    Reason,
+    TaskReport,
+    stops,
+)  # fmt: skip
 from energyplan.mission.routes import Legs, Progress, Routes, Scene
+from energyplan.mission.rows import row_after_row
 from energyplan.mission.types import Mission, Remedy
 from energyplan.path import ROUNDING
 from energyplan.records import checked
@@ -131,13 +140,14 @@ class Evaluation:
         self.go()
         last = finish(self.sim, self.end)
         self.end = self.end if last is None else last
+        alternatives = () if last is None else self._compared(last)
         # a robot's share has no remedies: what it cannot do is offered to the others
         shown = self.done if self.shared else self.tasks
         tasks = tuple(self._task(k) for k in shown)
         required = {task.name for task in self.mission.tasks if task.required}
         missed = [one for one in tasks if one.verdict == "unreachable" and one.name in required]
         end = self.end
-        remedies, time_saved = ((), 0.0) if last is None or self.shared else self._less_charge(last)
+        remedies, time_saved = ((), 0.0) if last is None or self.shared else self._less_charge(end)
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
@@ -151,7 +161,36 @@ class Evaluation:
             warnings=self._warnings(),
             remedies=remedies,
             time_saved=time_saved,
+            alternatives=alternatives,
         )
+
+    def _compared(self, end: Status) -> tuple[Alternative, ...]:
+        """Return what the same tasks take in the order given, and row after row.
+
+        Where one of these takes less than what the search found, it is the answer.
+        """
+        rows = [k for k in sorted(self.done) if self.mission.tasks[k].path]
+        if self.mission.order == "given" or self.shared or len(rows) < 2:
+            return ()
+        orders: dict[OrderKind, list[int]] = {"given": sorted(self.done)}
+        if len(rows) == len(self.done):
+            orders["row after row"] = row_after_row(self.legs, rows)
+        energies, best = dict[OrderKind, float](), end.total.mean
+        legs = self.legs.under(replace(self.mission, order="given"))
+        for name, tasks in orders.items():
+            again = Evaluation(legs.mission, self.progress, legs, self.sim.occupied, tasks)
+            again.go()
+            last = finish(again.sim, again.end)
+            energies[name] = np.nan
+            if last is None or len(again.done) < len(self.done):
+                continue
+            energies[name] = last.total.mean
+            if last.total.mean < best - ROUNDING * abs(best):
+                self.attempts |= again.attempts
+                self.done, self.end, best = again.done, last, last.total.mean
+                gap = max(1.0 - self.found.bound / best, 0.0) if best > 0 else np.nan
+                self.found = replace(again.found, bound=self.found.bound).answer(gap)
+        return tuple(Alternative(name, one, 1.0 - best / one) for name, one in energies.items())
 
     # -- the way ----------------------------------------------------------------------------------
 
@@ -168,8 +207,9 @@ class Evaluation:
                 else sim.visit(state, found.stops[at:], found.hurried[at:])
             )  # fmt: skip
             if visit.attempt is not None:
-                state = self._done(state, stop - 1, visit.attempt)
-                turns[stop:] = [state] * len(turns[stop:])
+                task = self.legs.task_at(stop)
+                state = self._done(state, task, visit.attempt)
+                turns[task + 1 :] = [state] * len(turns[task + 1 :])
             elif visit.after is not None:
                 state = visit.after
         for k in self.tasks:
@@ -177,7 +217,7 @@ class Evaluation:
                 earlier = tuple(d for d in self.done if d < k)
                 self.attempts[k] = _Try(turns[k], attempt(sim, turns[k], k), earlier)
             elif k not in self.attempts:
-                state = self._done(state, k, sim.attempt(state, k))
+                state = self._done(state, k, sim.nearest(state, k))
         self.end = state
 
     def _done(self, state: Status, task: int, tried: Attempt) -> Status:
@@ -226,7 +266,7 @@ class Evaluation:
             if k in self.done:
                 stop = stops(after.trip)[-1]
                 return replace(
-                    found, start=after.time - task.dwell, arrival=stop.arrival,
+                    found, start=after.trip[-1].departure, arrival=stop.arrival,
                     departure=after.time, soc_lower=after.worst.soc, start_upper=tried.begin,
                 )  # fmt: skip
             # it could be done, but a later one could then not be
@@ -386,7 +426,8 @@ class Evaluation:
         found, most = self.found, end.total.mean + ROUNDING * abs(end.total.mean)
         visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
         levels = [one.until for one in self.mission.chargers if one.name in visited]
-        if not levels or self.done != [s - 1 for s in found.stops if s <= len(self.mission.tasks)]:
+        tasks = [self.legs.task_at(s) for s in found.stops if s in self.legs.options]
+        if not levels or self.done != tasks:
             return (), 0.0
 
         def last(remedy: Remedy) -> Status | None:

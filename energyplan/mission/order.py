@@ -49,7 +49,7 @@ class Ordering(NamedTuple):
 
     most_labels: int = 2**22  # labels of a stage and place that a search keeps at most
     narrow: tuple[int, int] = (1, 8)  # the same of each search beyond `EXACT` tasks
-    stages: int = 2**19  # most stages times tasks squared, beyond `EXACT` tasks
+    stages: int = 2**19  # most stages times options squared, beyond `EXACT` tasks
     visits: int = 6  # visits to chargers that bounds distinguish
     least: float = 1e-8  # least difference of prizes
     earlier: float = 1e-5  # prize that the first task of a given order has beyond the last one
@@ -107,14 +107,15 @@ def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
     n = problem.tasks
     if problem.given or n <= EXACT:
         return _searched(problem, widths, 1 if problem.given else n)
-    reach = max(int(np.log2(ORDERING.stages / n**2)), 1) + 1
+    reach = max(int(np.log2(ORDERING.stages / len(problem.option) ** 2)), 1) + 1
     (sequence,), left = shared([problem], problem.prize)
     best, prize = Order(), -1.0
     while True:
         turn = _with_left(problem, sequence, left)
         found = _searched(problem.some(turn), ORDERING.narrow, reach)
-        stops = tuple(turn[s - 1] + 1 if s <= n else s for s in found.stops)
-        done = [s - 1 for s in stops if s <= n]
+        options = problem.options(turn)
+        stops = tuple(int(options[s - 1]) + 1 if s <= len(options) else s for s in found.stops)
+        done = _tasks(problem, stops)
         gained = float(problem.prize[done].sum())
         if gained < prize - ORDERING.least or (
             gained < prize + ORDERING.least and found.energy >= best.energy * (1 - ORDERING.same)
@@ -124,6 +125,11 @@ def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
         sequence, left = done, sorted(set(range(n)) - set(done))
 
 
+def _tasks(problem: OrderProblem, stops: Sequence[int]) -> list[int]:
+    """Return the tasks among stops, in their order."""
+    return [int(problem.option[s - 1]) for s in stops if s <= len(problem.option)]
+
+
 def shared(
     problems: Sequence[OrderProblem], prize: FloatArray, own: Sequence[Sequence[int]] | None = None
 ) -> tuple[list[list[int]], list[int]]:
@@ -131,6 +137,7 @@ def shared(
     n = len(prize)
     own = [range(n)] * len(problems) if own is None else own
     tours = _tours(problems, prize, own)
+    task = tours.option
     chances = np.random.default_rng(0).random((ORDERING.shares, 3 + n + len(problems)))
     open_to_all = chances.copy()
     open_to_all[:, 3 + n :] = 1.0
@@ -142,11 +149,11 @@ def shared(
             part = problem.some([list(tasks).index(task) for task in mine])
             found = solve(part._replace(given=len(mine) > EXACT), ORDERING.narrow)
             energy += found.energy
-            done += float(sum(prize[mine[stop - 1]] for stop in found.stops if stop <= len(mine)))
+            done += float(sum(prize[mine[task]] for task in _tasks(part, found.stops)))
         return round(-done, 6), energy
 
     tried = [
-        [list(map(int, row[:k])) for row, k in zip(*share(tours, drawn), strict=True)]
+        [list(map(int, task[row[:k]])) for row, k in zip(*share(tours, drawn), strict=True)]
         for drawn in ((open_to_all, chances) if len(problems) > 1 else (open_to_all,))
     ]
     best = min(tried, key=price)
@@ -158,24 +165,30 @@ def _tours(
 ) -> Tours:
     """Return robots as the insertion reads them; payloads are priced as at the start."""
     n, m, robots = len(prize), len(problems[0].capacity), len(problems)
-    size = 1 + n + m
+    each = np.ones(n, int)  # options of each task
+    for one, numbers in zip(problems, own, strict=True):
+        each[np.array(numbers, int)] = np.bincount(one.option, minlength=one.tasks)
+    option = np.repeat(np.arange(n), each)
+    size = 1 + len(option) + m
     energy, time = np.full((2, robots, size, size), np.inf)
     finish = np.full((robots, size), np.inf)
-    service, idle = np.zeros((2, robots, n))
+    service, idle = np.zeros((2, robots, len(option)))
     window, change = np.tile([0.0, np.inf], (n, 1)), np.zeros(n)
     for r, (one, numbers) in enumerate(zip(problems, own, strict=True)):
         mine = np.array(numbers, int)
-        nodes = np.array([0, *(mine + 1), *range(1 + n, size)])
+        ways = np.concatenate([np.zeros(0, int), *(np.flatnonzero(option == k) for k in mine)])
+        nodes = np.array([0, *(ways + 1), *range(1 + len(option), size)])
         load, between = one.at(one.payload), np.ix_(nodes, nodes)
         energy[r][between], time[r][between] = one.energy[load, 0], one.time[0]
-        energy[r][:, mine + 1] += one.service
+        energy[r][:, ways + 1] += one.service
         finish[r, nodes] = one.finish[load]
-        service[r, mine], idle[r, mine] = one.service_time, one.idle
+        service[r, ways], idle[r, ways] = one.service_time, one.idle
         window[mine], change[mine] = one.window, one.change
     # the prize of a task is more than all that any sequence takes
     largest = np.where(np.isfinite(energy), np.abs(energy), 0.0).max(axis=(0, 1)).sum()
     least = float(prize[prize > 0].min()) if np.any(prize > 0) else 1.0
     return Tours(
+        option=option,
         energy=energy,
         time=time,
         finish=finish,
@@ -193,7 +206,7 @@ def _tours(
 
 def _with_left(problem: OrderProblem, sequence: Sequence[int], left: Sequence[int]) -> list[int]:
     """Return a sequence with the tasks that are left out put in where they add least."""
-    energy = problem.energy[problem.at(problem.payload), 0]
+    energy = _between_tasks(problem)
     whole = list(sequence)
     for task in left:
         nodes = np.array([0, *(k + 1 for k in whole)])
@@ -205,11 +218,20 @@ def _with_left(problem: OrderProblem, sequence: Sequence[int], left: Sequence[in
     return whole
 
 
+def _between_tasks(problem: OrderProblem) -> FloatArray:
+    """Return the least energies from start and tasks to each other, over their options."""
+    first = 1 + np.searchsorted(problem.option, np.arange(problem.tasks))
+    starts, inside = [0, *first], 1 + len(problem.option)
+    energy = problem.energy[problem.at(problem.payload), 0, :inside, :inside]
+    least = np.minimum.reduceat(np.minimum.reduceat(energy, starts, axis=0), starts, axis=1)
+    return np.asarray(least)
+
+
 def _searched(problem: OrderProblem, widths: Sequence[int], reach: int) -> Order:
     """Find the best order in which a task overtakes fewer than `reach` others."""
     problem, stages = _staged(problem, reach)
-    nearest = stages.energy.min(axis=(0, 1))[1 : 1 + problem.tasks]
-    whole = float(problem.prize[np.isfinite(nearest)].sum())
+    nearest = stages.energy.min(axis=(0, 1))[1 : 1 + len(problem.option)]
+    whole = float(problem.prize[np.unique(problem.option[np.isfinite(nearest)])].sum())
     # the first search looks for an order that does everything, and takes what it finds
     more = completions(problem, stages, -1.0)
     known = Known(-1.0, np.inf, np.inf, completions(problem, stages, whole), more, -1.0)
@@ -265,7 +287,7 @@ def _near(n: int, reach: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
     """Return the problem without ways that no battery lasts for, and its stages."""
-    n, m = problem.tasks, len(problem.capacity)
+    n, m, options = problem.tasks, len(problem.capacity), len(problem.option)
     free = reach >= n and not problem.given
     after, there, done = _sets(n) if free else _near(n, reach)
     prize, change, service = problem.prize, problem.change, problem.service
@@ -277,18 +299,22 @@ def _staged(problem: OrderProblem, reach: int) -> tuple[OrderProblem, Stages]:
         loads = problem.payload + done @ change
         index = problem.at(loads)
     energy = np.where(np.isinf(problem.floor), np.inf, problem.energy)
-    places = np.arange(1 + n + m)
+    places = np.arange(1 + options + m)
     energy[..., places, places] = np.inf
     least = energy.min(axis=(0, 1))
     closed = _closed(least)
-    need, left = _need(closed, problem.finish.min(axis=0), n), _most_left(problem, closed)
+    need, left = _need(closed, problem.finish.min(axis=0), options), _most_left(problem, closed)
     # no battery lasts for a way from which nothing can be reached
     needed = least + (need + np.concatenate([[0.0], service, np.zeros(m)]))[None, :]
     room = ROUNDING * np.where(np.isfinite(left), np.maximum(np.abs(left), 1.0), 0.0)
     energy[:, :, needed > (left + room)[:, None]] = np.inf
     ends = np.isfinite(problem.window[:, 1])
-    opens = np.where(problem.idle > 0, problem.window[:, 0], -np.inf)
-    reached = np.column_stack([np.arange(len(after)) == 0, there, np.ones((len(after), m), bool)])
+    idle = np.zeros(n)
+    np.maximum.at(idle, problem.option, problem.idle)
+    opens = np.where(idle > 0, problem.window[:, 0], -np.inf)
+    reached = np.column_stack(
+        [np.arange(len(after)) == 0, there[:, problem.option], np.ones((len(after), m), bool)]
+    )
     stages = Stages(
         after=after.reshape(len(after), n),
         there=reached,
@@ -341,11 +367,11 @@ def _closed(energy: FloatArray) -> FloatArray | None:
     return None if np.any(np.diag(ways) < 0) else np.asarray(ways)
 
 
-def _need(ways: FloatArray | None, finish: FloatArray, tasks: int) -> FloatArray:
+def _need(ways: FloatArray | None, finish: FloatArray, options: int) -> FloatArray:
     """Return the charge without which no charger and no end is reached from each place [J]."""
     if ways is None:
         return np.zeros(len(finish))
-    last = np.concatenate([finish[: 1 + tasks], np.zeros(len(finish) - 1 - tasks)])
+    last = np.concatenate([finish[: 1 + options], np.zeros(len(finish) - 1 - options)])
     return np.asarray(np.maximum((ways + last[None, :]).min(axis=1), 0.0))
 
 
@@ -355,8 +381,9 @@ def _most_left(problem: OrderProblem, ways: FloatArray | None) -> FloatArray:
     if ways is None:
         return np.full(size, np.inf)
     full = np.concatenate([[problem.budget], problem.capacity])
-    most = (full[:, None] - ways[[0, *range(1 + problem.tasks, size)]]).max(axis=0)
-    most[1 : 1 + problem.tasks] -= problem.service
+    options = len(problem.option)
+    most = (full[:, None] - ways[[0, *range(1 + options, size)]]).max(axis=0)
+    most[1 : 1 + options] -= problem.service
     return np.asarray(most)
 
 
@@ -370,8 +397,8 @@ def best_stops(
     """Find which of some tasks to do in which order from a state on, and where to charge."""
     state = sim.start if state is None else state
     tasks = range(len(sim.mission.tasks)) if tasks is None else tasks
-    if sim.mission.order == "given":
-        stops = tuple(task + 1 for task in tasks)
+    stops = tuple(node for task in tasks for node in sim.legs.ways(task))
+    if sim.mission.order == "given" and len(stops) == len(tasks):
         straight = (False,) * len(stops)
         last, visits = sim.follow(state, stops, straight)
         if sim.arrives(last):
@@ -410,7 +437,11 @@ class OrderSearch:
         given = sim.mission.order == "given"
         self.exact = given or len(tasks) <= EXACT
         prize = prizes([sim.mission.tasks[k] for k in tasks])
-        self._prizes = {k + 1: float(one) for k, one in zip(tasks, prize, strict=True)}
+        self._prizes = {
+            node: float(one)
+            for k, one in zip(tasks, prize, strict=True)
+            for node in sim.legs.ways(k)
+        }
 
     def tried(
         self,
@@ -479,10 +510,13 @@ class Matrix:
         self._sim, self._state, self._tasks = sim, state, tuple(tasks)
         self._caution, self._scale, self._ideal = caution, scale, ideal
         self._late = caution if late is None else late
-        self.nodes = [state.node, *(task + 1 for task in tasks), *sim.stations]
+        each = [sim.legs.ways(task) for task in tasks]
+        self._option = np.repeat(np.arange(len(each)), [len(ways) for ways in each])
+        self._ways = [node for ways in each for node in ways]  # nodes of the options
+        self.nodes = [state.node, *self._ways, *sim.stations]
         self._ends = sim.ends
         mission = sim.mission
-        change = np.array([mission.tasks[task].payload for task in tasks])
+        change = np.array([mission.tasks[task].change for task in tasks])
         low = max(state.payload + float(change[change < 0].sum()), 0.0)
         high = state.payload + float(change[change > 0].sum())
         self.exact = mission.order == "given" or len(tasks) <= EXACT
@@ -505,7 +539,8 @@ class Matrix:
     def _known(self, payload: float, hurried: bool) -> tuple[FloatArray, FloatArray]:
         """Energies with one payload: those of the legs where planned, from below where not.
 
-        Beside them is the charge that must be left after each, for its largest power.
+        Those of a way to a path include the drive along it. Beside them is the charge that must be
+        left after each, for its largest power.
         """
         if (payload, hurried) not in self._cache:
             legs = self._sim.legs
@@ -520,6 +555,13 @@ class Matrix:
                             matrix[i, j] = self._priced(leg.energy)
                             peak[i, j], later[i, j] = self._peak(leg)
             floor = self._floor(peak) - later
+            for j, service in zip(self._ways, self._fixed["service"], strict=True):
+                if (row := legs.row(j, payload)) is not None:
+                    energy, (most, rest) = self._priced(row.energy), self._peak(row)
+                    matrix[:, j] += energy
+                    if np.isfinite(energy):
+                        last = float(self._floor(np.array([most]))[0]) - rest + service
+                        floor[:, j] = np.maximum(floor[:, j] - energy, last)
             matrix[np.isinf(floor)] = np.inf
             self._cache[payload, hurried] = matrix, np.maximum(floor, 0.0)
         return self._cache[payload, hurried]
@@ -560,7 +602,7 @@ class Matrix:
         else:
             known = [self._known(float(level), hurried)[1] for level in self._levels]
             ways = np.min(known, axis=0) if self._ideal else np.max(known, axis=0)
-        floor, n = ways[np.ix_(self.nodes, self.nodes)], len(self._tasks)
+        floor, n = ways[np.ix_(self.nodes, self.nodes)], len(self._ways)
         done = floor[:, 1 : 1 + n] - self._fixed["service"]
         floor[:, 1 : 1 + n] = np.maximum(done, self._of_tasks)
         return np.asarray(floor)
@@ -591,8 +633,8 @@ class Matrix:
         """Return the times between places: straight on at full speed where no route is planned."""
         legs, payload = self._sim.legs, self._state.payload
         speed = legs.scene(payload).cost.admissible_speed(0.0)
-        poses = np.array(legs.poses)[:, :2]
-        distance = np.linalg.norm(poses[:, None] - poses[None], axis=-1)
+        starts, goals = np.array(legs.exits)[:, :2], np.array(legs.poses)[:, :2]
+        distance = np.linalg.norm(starts[:, None] - goals[None], axis=-1)
         times: FloatArray = np.asarray(distance / float(speed), float)
         for i in {*self.nodes}:
             for j in {*self.nodes, *self._ends}:
@@ -605,28 +647,30 @@ class Matrix:
 
     @cached_property
     def _fixed(self) -> dict[str, FloatArray]:
-        """What no route changes: energies and times of the tasks."""
+        """What no route and no payload changes: energies and times of the options."""
         sim, mission, payload = self._sim, self._sim.mission, self._state.payload
         models, service, lasting, idle = sim.legs.models, [], [], []
-        for k in self._tasks:
-            region = sim.legs.region(k + 1)
+        for node in self._ways:
+            region, k = sim.legs.region(node), sim.legs.task_at(node)
             done = models.waited(region, k, payload) + models.work(region, k, payload)
             service.append(self._priced(done))
-            spread = np.linalg.norm(models.waiting_time(k) + models.dwell_time(k))
+            seconds, late = sim.legs.lasting(node, payload)
+            spread = np.linalg.norm(models.waiting_time(k) + late)
             more = self._late * sim.quantile * float(spread)
-            lasting.append(mission.waiting + mission.tasks[k].dwell + more)
+            lasting.append(mission.waiting + seconds + more)
             idle.append(0.0 if self._ideal else self._priced(models.idle(region, 1.0, payload)))
         return {"service": np.array(service, float), "service_time": np.array(lasting, float),
                 "idle": np.array(idle, float)}  # fmt: skip
 
     @cached_property
     def _of_tasks(self) -> FloatArray:
-        """Charge with which each task must end for the battery to deliver its power [J]."""
+        """Charge with which each option must end for the battery to deliver its power [J]."""
         sim, power, lasting = self._sim, [], []
         models, upper = sim.legs.models, self._caution * sim.quantile
-        for k in self._tasks:
+        for node in self._ways:
+            k = sim.legs.task_at(node)
             dwell = sim.mission.tasks[k].dwell
-            work = models.work(sim.legs.region(k + 1), k, self._state.payload)
+            work = models.work(sim.legs.region(node), k, self._state.payload)
             power.append(work.upper(upper) / dwell if dwell > 0 else 0.0)
             lasting.append(dwell)
         return self._floor(np.array(power, float), np.array(lasting, float))
@@ -661,12 +705,13 @@ class Matrix:
         reserve = self._stored(mission.reserve, mission.reserve)
         inner = np.ix_(self.nodes, self.nodes)
         late = self._late * sim.quantile * state.time_spread
-        change = np.array([task.payload for task in tasks], float)
+        change = np.array([task.change for task in tasks], float)
         loads = loads_of(state.payload, change)
         # what cannot be carried is never reached
         able = np.maximum(loads, 0.0).tolist()
         return OrderProblem(
             **self._fixed,
+            option=self._option,
             loads=loads,
             energy=np.array([[self._energy(load, way) for way in sim.ways] for load in able]),
             finish=np.array([self._finish(load) for load in able]),
@@ -698,9 +743,9 @@ class Matrix:
 
     def used(self, order: Order) -> list[tuple[int, int, bool]]:
         """Routes that an order uses and whether in a hurry, the way to its end included."""
-        here, n = [0, *order.stops], len(self._tasks)
-        carried = sum(self._sim.mission.tasks[self._tasks[s - 1]].payload
-                      for s in order.stops if s <= n)  # fmt: skip
+        here, tasks = [0, *order.stops], self._sim.mission.tasks
+        done = (self._tasks[self._option[s - 1]] for s in order.stops if s <= len(self._ways))
+        carried = sum(tasks[k].change for k in done)
         payload = float(np.clip(self._state.payload + carried, *self._levels[[0, -1]]))
         finish = self._all(payload)[self.nodes[here[-1]], self._ends]
         places = [self.nodes[k] for k in here]
@@ -749,24 +794,24 @@ class Matrix:
 
 def attempt(sim: Simulation, state: Status, task: int) -> Attempt:
     """Try a task, in a hurry or after charging where it cannot be done otherwise."""
-    best = sim.attempt(state, task)
+    best = sim.nearest(state, task)
     if best.reason == "late":
-        hurried = sim.attempt(state, task, hurried=True)
+        hurried = sim.nearest(state, task, hurried=True)
         best = best if hurried.reason == "late" else hurried
     if best.reason != "battery" or not sim.stations:
         return best
     found = best_stops(sim, state, (task,))
-    if task + 1 in found.stops:
-        at = found.stops.index(task + 1)
-        ready, _ = sim.follow(state, found.stops[:at], found.hurried[:at], task + 1)
-        done = best if ready is None else sim.attempt(ready, task, found.hurried[at])
+    ways = sim.legs.ways(task)
+    for at in (k for k, stop in enumerate(found.stops) if stop in ways):
+        ready, _ = sim.follow(state, found.stops[:at], found.hurried[:at], found.stops[at])
+        done = best if ready is None else sim.attempt(ready, found.stops[at], found.hurried[at])
         if done.reason == "none":
             return done
     # what is missing is reported from where the least is
     for charger in sim.stations:
         docked = sim.dock(state, charger)
         if docked is not None:
-            tried = sim.attempt(sim.charge(docked), task)
+            tried = sim.nearest(sim.charge(docked), task)
             best = min(best, tried, key=sim.missing)
     return best
 

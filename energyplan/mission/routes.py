@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from statistics import NormalDist
 from threading import Lock
 from typing import Any, TypeVar
@@ -20,7 +21,7 @@ from energyplan.cost.speeds import CHEAPEST
 from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
 from energyplan.mission.energy import Consumption, Estimate, Models
 from energyplan.mission.supply import Gauge, Supply
-from energyplan.mission.types import Charger, Mission, Task
+from energyplan.mission.types import Mission, Option, blocked
 from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, find, plan
 from energyplan.planning.budget import EFFORT
@@ -116,10 +117,16 @@ class Scene(ByValue):
         angle = np.linspace(0.0, np.pi, 65)
         ds, turn = np.cos(angle), np.sin(angle)
         costs = (self.cost,) if self.surfaces is None else self.surfaces.costs(self.cost)
-        return all(
-            np.allclose(c.segment_energy(ds, turn), c.segment_energy(-ds, -turn), rtol=1e-6)
-            for c in costs
-        )
+        yaw = np.linspace(-np.pi, np.pi, 65)[:, None]
+
+        def alike(one: EnergyCost) -> bool:
+            there, back = (
+                one.segment_energy(way * ds, way * turn, yaw=yaw if one.of_heading else None)
+                for way in (1.0, -1.0)
+            )
+            return np.allclose(there, back, rtol=1e-6)
+
+        return all(map(alike, costs))
 
     def plan(self, start: Pose, goal: Pose, hurried: bool) -> PlannedRoute:
         """Plan the route of least energy from pose to pose; in a hurry that of least time."""
@@ -151,21 +158,23 @@ class Scene(ByValue):
             path, cost, self.surfaces, self.heights, grid=self.map, period=_PERIOD
         ).trajectory
 
-    def lower_bounds(self, poses: Sequence[Pose], ways: FloatArray) -> FloatArray:
-        """Return what it takes at least from pose to pose [J], shape (n, n).
+    def lower_bounds(
+        self, starts: Sequence[Pose], goals: Sequence[Pose], ways: FloatArray
+    ) -> FloatArray:
+        """Return what it takes at least from poses to poses [J], shape (n, n).
 
         The greater of the least energy without obstacles and that of the shortest way round them;
         infinite where there is no way. On slopes that is the least price on any slope, and what
         the height costs.
         """
         cost, surfaces = self.slower
-        at = np.array(poses)
-        turn = wrap_angle(at[:, None, 2] - at[None, :, 2])
+        here, there = np.array(starts), np.array(goals)
+        turn = wrap_angle(here[:, None, 2] - there[None, :, 2])
         if self.heights is None:
             costs = (cost,) if surfaces is None else surfaces.costs(cost)
             bounds = [
                 np.maximum(
-                    steering.energy(at[:, None], at[None, :], c),
+                    steering.energy(here[:, None], there[None, :], c),
                     c.lower_bound().energy(ways, turn),
                 )
                 for c in costs
@@ -173,16 +182,16 @@ class Scene(ByValue):
             return np.asarray(np.min(bounds, axis=0))
         query = compiled(
             PlanningProblem(
-                self.map, cost, poses[0], poses[0], surfaces=surfaces, heights=self.heights
+                self.map, cost, starts[0], starts[0], surfaces=surfaces, heights=self.heights
             )
         )
         # the prices hold for the centre of the tread ICRs, the ways for the vehicle's origin
         ways = np.maximum(ways - 2.0 * np.hypot(*cost.icr.centre), 0.0)
-        height = np.array([query.height_potential(pose) for pose in poses])
-        least, turns = query.least, np.abs(turn)
-        return np.asarray(
-            least.metre * ways + least.radian * turns + height[None, :] - height[:, None]
+        low, high = (
+            np.array([query.height_potential(pose) for pose in poses]) for poses in (starts, goals)
         )
+        least, turns = query.least, np.abs(turn)
+        return np.asarray(least.metre * ways + least.radian * turns + high[None, :] - low[:, None])
 
 
 _SHARED = 2**25
@@ -273,15 +282,25 @@ class Legs:
         self.models: Models = self._cache.setdefault(models, models)
         self._progress = progress
         home = mission.start if mission.home is None else mission.home
-        places: list[Task | Charger] = [*mission.tasks, *mission.chargers]
-        self.poses: list[Pose] = [mission.start, *(place.pose for place in places)]
-        self.names = ["start", *(place.name for place in places)]
+        found = [(k, option) for k, task in enumerate(mission.tasks) for option in task.options]
+        self._options = found  # task and option of each node after the start
+        first = np.searchsorted([k for k, _ in found], np.arange(len(mission.tasks) + 1)) + 1
+        self._ways = [range(a, b) for a, b in pairwise(first.tolist())]
+        places = [Option(one.pose, one.pose) for one in mission.chargers]
+        self.names = ["start", *(mission.tasks[k].name for k, _ in found),
+                      *(one.name for one in mission.chargers)]  # fmt: skip
         self.home = 0
         if home != mission.start:
-            self.home = len(self.poses)
-            self.poses.append(home)
+            self.home = 1 + len(found) + len(places)
+            places.append(Option(home, home))
             self.names.append("home")
+        nodes = [Option(mission.start, mission.start), *(one for _, one in found), *places]
+        self.poses: list[Pose] = [one.entry for one in nodes]
+        """Where the robot comes to at each node."""
+        self.exits: list[Pose] = [one.exit for one in nodes]
+        """Where it leaves each node from."""
         self._legs: dict[tuple[int, int, float, bool], Leg] = {}
+        self._rows: dict[tuple[int, float], Leg] = {}
         self._bounds: dict[float, FloatArray] = {}
         self._scenes: dict[float, Scene] = {}
         self.planned_in = self.scene(mission.payload)  # decides the routes
@@ -298,8 +317,21 @@ class Legs:
     @property
     def chargers(self) -> range:
         """Nodes of the chargers."""
-        first = 1 + len(self.mission.tasks)
+        first = 1 + len(self._options)
         return range(first, first + len(self.mission.chargers))
+
+    @property
+    def options(self) -> range:
+        """Nodes of the options of all tasks."""
+        return range(1, 1 + len(self._options))
+
+    def ways(self, task: int) -> range:
+        """Return the nodes of a task's options."""
+        return self._ways[task]
+
+    def task_at(self, node: int) -> int:
+        """Return the task that is done at a node of an option."""
+        return self._options[node - 1][0]
 
     def region(self, node: int) -> int:
         """Return the surface under a place."""
@@ -372,19 +404,21 @@ class Legs:
     def lower_bounds(self, payload: float) -> FloatArray:
         """Return what it takes at least from node to node [J], shape (n, n)."""
         if payload not in self._bounds:
-            scene, poses = self.scene(payload), tuple(self.poses)
-            vehicle, points = self.mission.vehicle, np.array(poses)[:, :2]
+            scene, poses, exits = self.scene(payload), tuple(self.poses), tuple(self.exits)
+            vehicle = self.mission.vehicle
+            ends = (np.array(exits)[:, :2], np.array(poses)[:, :2])
             ways = self._once(
-                (scene.map, vehicle, poses), lambda: shortest_ways(scene.map, vehicle, points)
+                (scene.map, vehicle, exits, poses),
+                lambda: shortest_ways(scene.map, vehicle, *ends),
             )
             self._bounds[payload] = self._once(
-                (scene, poses), lambda: scene.lower_bounds(poses, ways)
+                (scene, exits, poses), lambda: scene.lower_bounds(exits, poses, ways)
             )
         return self._bounds[payload]
 
     def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
         """Return whether the route from node to node is known."""
-        scene, here, there = self.planned_in, self.poses[start], self.poses[goal]
+        scene, here, there = self.planned_in, self.exits[start], self.poses[goal]
         known = (scene, here, there, hurried) in self._cache
         return known or (scene.symmetric and (scene, there, here, hurried) in self._cache)
 
@@ -415,23 +449,70 @@ class Legs:
 
     def _route(self, start: int, goal: int, hurried: bool) -> PlannedRoute:
         """Plan from node to node, for the payload at the start of the mission."""
-        here, there, scene = self.poses[start], self.poses[goal], self.planned_in
+        names = self.names[start], self.names[goal]
+        route = self._between(self.exits[start], self.poses[goal], names, hurried)
+        if route.stopped:
+            self.stopped.add(frozenset((start, goal)))
+        return route
+
+    def _between(
+        self, here: Pose, there: Pose, names: tuple[str, str], hurried: bool
+    ) -> PlannedRoute:
+        """Plan from pose to pose."""
+        scene = self.planned_in
 
         def planned() -> PlannedRoute:
             if here != there and scene.symmetric and there < here:
                 # one plan serves both ways; which one it is depends on the poses alone, so that a
                 # mission is the same whatever was planned on its map before
-                back = self._route(goal, start, hurried)
+                back = self._between(there, here, names[::-1], hurried)
                 return replace(back, path=back.path.reversed())
             if self._progress is not None and here != there:
                 quickly = ", in a hurry" if hurried else ""
-                self._progress(f"planning from {self.names[start]} to {self.names[goal]}{quickly}")
+                self._progress(f"planning from {names[0]} to {names[1]}{quickly}")
             return scene.plan(here, there, hurried)
 
-        route = self._shared(scene, (here, there, hurried), planned)
-        if route.stopped:
-            self.stopped.add(frozenset((start, goal)))
-        return route
+        return self._shared(scene, (here, there, hurried), planned)
+
+    def row(self, node: int, payload: float) -> Leg | None:
+        """Return the drive along a path at a node, its tool running, begun with a payload [kg].
+
+        None where the task is done standing still.
+        """
+        task, option = self._options[node - 1]
+        if not option.points:
+            return None
+        key = (node, payload)
+        if key not in self._rows:
+            self._rows[key] = self._along(task, option, payload)
+        return self._rows[key]
+
+    def _along(self, task: int, option: Option, payload: float) -> Leg:
+        job, left = self.mission.tasks[task], payload
+        left += job.payload_per_metre * job.length
+        # the drive is timed once, for the larger load
+        scene = self.scene(max(payload, left, 0.0))
+        scene = scene if job.speed is None else replace(scene, speed=job.speed)
+        path = option.path(self.planned_in.cost.icr.longitudinal)
+        trouble, detail = "no_path", blocked(self.mission.free_map, self.mission.vehicle, path)
+        if not detail:
+            try:
+                trajectory = self._shared(scene, (path, False), lambda: scene.drive(path, False))
+                driven = self.models.priced(trajectory, payload, max(left, 0.0))
+                return Leg(path, trajectory, self.models.with_tool(driven, trajectory.t, task))
+            except InfeasibleMotionError as error:
+                trouble, detail = "motor", str(error)
+        return _no_drive(path, trouble, detail, self.models)
+
+    def lasting(self, node: int, payload: float) -> tuple[float, FloatArray]:
+        """Return how long an option lasts once begun [s], and how that changes with each unknown.
+
+        The payload is that at its beginning [kg].
+        """
+        task, row = self.task_at(node), self.row(node, payload)
+        if row is None:
+            return self.mission.tasks[task].dwell, self.models.dwell_time(task)
+        return row.duration, self.models.driving_time(row.duration)
 
     def _priced(self, route: PlannedRoute, payload: float, hurried: bool) -> Leg:
         path, trouble, detail = route.path, route.trouble, route.detail
@@ -446,18 +527,26 @@ class Legs:
                 return Leg(path, trajectory, priced)
             except InfeasibleMotionError as error:
                 trouble, detail = "motor", str(error)
-        energy = replace(self.models.nothing, mean=np.inf if trouble else 0.0)
-        nothing = Consumption(np.zeros(0), np.zeros(0), energy)
-        return Leg(path, None, nothing, trouble, detail)
+        return _no_drive(path, trouble, detail, self.models)
 
 
-def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> FloatArray:
-    """Return how far the robot's origin travels at least from point to point.
+def _no_drive(path: Path, trouble: str, detail: str, models: Models) -> Leg:
+    """Return a leg that is not driven: one of no length, or one with a trouble."""
+    energy = replace(models.nothing, mean=np.inf if trouble else 0.0)
+    nothing = Consumption(np.zeros(0), np.zeros(0), energy)
+    return Leg(path, None, nothing, trouble, detail)
+
+
+def shortest_ways(
+    grid: OccupancyGrid, vehicle: Vehicle, starts: FloatArray, goals: FloatArray | None = None
+) -> FloatArray:
+    """Return how far the robot's origin travels at least from points to points, or to each other.
 
     The largest disc about the origin inside the footprint moves over cells that are coarse enough
     for a quick search; a coarse cell is open if the disc fits at any place in it. The way along
     eight directions is at most 1.08 times the shortest; what the cells blur is taken off.
     """
+    goals = starts if goals is None else goals
     rows, columns = grid.shape
     stride = max(int(np.ceil(np.sqrt(rows * columns / _CELLS))), 1)
     (x_min, y_min), (x_max, y_max) = vehicle.footprint.tolist()
@@ -466,16 +555,16 @@ def shortest_ways(grid: OccupancyGrid, vehicle: Vehicle, points: FloatArray) -> 
     padded = np.pad(grid.clearance + slack >= radius, ((0, -rows % stride), (0, -columns % stride)))
     shape = (padded.shape[0] // stride, stride, padded.shape[1] // stride, stride)
     open_cells = np.any(padded.reshape(shape), axis=(1, 3))
-    cells = np.floor(grid.to_cells(points) / stride).astype(int)
-    index = cells[:, 1] * open_cells.shape[1] + cells[:, 0]
+    at = (np.floor(grid.to_cells(points) / stride).astype(int) for points in (starts, goals))
+    index, ends = (cells[:, 1] * open_cells.shape[1] + cells[:, 0] for cells in at)
     spacing = stride * grid.resolution
     graph = _graph(open_cells)
     few = range(0, len(index), _TOGETHER)  # SciPy holds Python's lock all the while
     found = [
-        dijkstra(graph, directed=False, indices=index[k : k + _TOGETHER])[:, index] for k in few
+        dijkstra(graph, directed=False, indices=index[k : k + _TOGETHER])[:, ends] for k in few
     ]
     ways = np.concatenate(found) * spacing
-    straight = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    straight = np.linalg.norm(starts[:, None] - goals[None], axis=-1)
     return np.asarray(np.maximum(_OCTILE * ways - 2 * np.sqrt(2) * spacing, straight))
 
 

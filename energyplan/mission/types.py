@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import pairwise
 from math import inf, isfinite, sqrt
 from types import MappingProxyType, NoneType
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pydantic
@@ -18,9 +19,9 @@ from pydantic_core import ArgsKwargs
 from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
-from energyplan.errors import MissionError
+from energyplan.errors import MissionError, PathError
 from energyplan.mission._order_kernel import GRAM
-from energyplan.path import Pose, as_pose, parse_pose
+from energyplan.path import PLACE, FloatArray, Path, Pose, as_pose, parse_pose, wrap_angle
 from energyplan.planning.problem import free_beside, where_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
@@ -152,6 +153,90 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
 Place = Annotated[Pose, PlainValidator(_pose)]
 
 
+Row = tuple[float, ...]
+"""A point of a path: x, y [m], and where all have one the yaw [rad]."""
+
+
+def _points(value: Any, info: ValidationInfo) -> tuple[Row, ...]:
+    """Read a path: points x, y, or poses, or the names of places."""
+    words = "a list of points [x, y], or of poses [x, y, yaw]"
+    if isinstance(value, tuple) and not value:
+        return ()  # none
+    if isinstance(value, str) or not hasattr(value, "__len__"):
+        raise ValueError(f"a path is {described(value)}; give {words}")
+    rows: list[Row] = []
+    for k, one in enumerate(value):
+        if isinstance(one, str):
+            rows.append(_pose(one, info))
+            continue
+        if not hasattr(one, "__len__") or len(one) not in (2, 3):
+            raise ValueError(f"point {k + 1} is {described(one)}; give {words}")
+        try:
+            rows.append(as_pose([*one, 0.0], "it")[:2] if len(one) == 2 else _pose(one, info))
+        except ValueError as problem:
+            raise ValueError(f"point {k + 1}: {problem}") from None
+    if len(rows) < 2 or len(rows) > _MOST_POINTS:
+        raise ValueError(f"a path of {len(rows)} points; give {words}, 2 to {_MOST_POINTS}")
+    if len({len(row) for row in rows}) > 1:
+        raise ValueError("some points have a yaw and some have none; give it for all, or for none")
+    for k, (one, other) in enumerate(pairwise(rows), 1):
+        if one[-1] == other[-1] and np.hypot(one[0] - other[0], one[1] - other[1]) < PLACE:
+            raise ValueError(f"points {k} and {k + 1} are the same; leave one out")
+    return tuple(rows)
+
+
+class Option(NamedTuple):
+    """One way of doing a task; a search picks one of them."""
+
+    entry: Pose  # where the robot comes to
+    exit: Pose  # where it is afterwards
+    points: tuple[Row, ...] = ()  # the path that is driven in between; none where it stays
+
+    @classmethod
+    def along(cls, points: tuple[Row, ...]) -> Option:
+        """Return the option of driving along points or poses."""
+        if len(points[0]) == 3:
+            return cls(Pose(*points[0]), Pose(*points[-1]), points)
+        yaw = _headings(points)
+        (x, y), (x_end, y_end) = points[0], points[-1]
+        return cls(Pose(x, y, yaw[0]), Pose(x_end, y_end, yaw[-1]), points)
+
+    def path(self, longitudinal: float) -> Path:
+        """Return the path that is driven.
+
+        Poses are joined by arcs. Points are joined by straight lines, and at each the robot turns
+        on the spot; what follows the lines is the point level with its tread ICRs.
+        """
+        if len(self.points[0]) == 3:
+            return Path.from_poses(self.points, longitudinal)
+        yaw = np.unwrap(_headings(self.points))
+        ds = np.hypot(*np.diff(np.array(self.points), axis=0).T)
+        ds[0] -= longitudinal
+        ds[-1] += longitudinal
+        moves, turns = np.zeros((2, 2 * len(ds) - 1))
+        moves[::2], turns[1::2] = ds, np.diff(yaw)
+        return Path(self.entry, moves, turns, longitudinal)
+
+
+def _headings(points: Sequence[Row]) -> list[float]:
+    """Return the headings from each point to the next one [rad]."""
+    steps = np.diff(np.array(points)[:, :2], axis=0)
+    return [float(yaw) for yaw in np.arctan2(steps[:, 1], steps[:, 0])]
+
+
+def blocked(grid: OccupancyGrid, vehicle: Vehicle, path: Path) -> str:
+    """Return where a robot that drives along a path touches an obstacle; empty where it is free."""
+    poses = path.poses(0.5 * grid.resolution, _TURN)
+    free = grid.footprint_free(poses, vehicle)
+    if np.all(free):
+        return ""
+    x, y, yaw = poses[int(np.argmin(free))]
+    where = f"({x:g}, {y:g}, {np.degrees(yaw):.0f} deg)"
+    return f"on its path the robot at {where} touches an obstacle; move the path"
+
+
+_MOST_POINTS = 10_000  # of a path
+_TURN = 0.02  # angle between poses at which a path is tested [rad]
 LARGEST = 1e12  # largest instant [s] or prize of a task
 
 Name = Annotated[str, Field(min_length=1)]
@@ -166,16 +251,16 @@ def _share(greatest: float, usual: float) -> Within:
 
 @record(MissionError)
 class Task:
-    """Something to be done at a place.
+    """Something to be done at a place, or along a path.
 
     Parameters
     ----------
     name : str
         Name, unique in the mission.
-    pose : Pose
-        Where it is done.
+    pose : Pose, optional
+        Where it is done; a task has a pose or a path.
     dwell : float
-        How long it takes there [s].
+        How long it takes there [s]; a path takes as long as its drive.
     power : float
         Power of the tool meanwhile [W].
     payload : float
@@ -191,6 +276,15 @@ class Task:
         `Mission.spreads` where not given. Tasks with the same power and spread share a tool.
     needs : tuple of str
         Of several robots only those that have all these skills can do it.
+    path : sequence of points
+        What is driven to do it. Points x, y [m] are joined by straight lines, with a turn on the
+        spot at each in between; poses x, y, yaw [m, rad] are joined by arcs.
+    direction : {"either", "given"}
+        Whether the path may be driven from its last point to its first one, too.
+    speed : float, optional
+        Tread speed along the path [m/s]; that of the mission where not given.
+    payload_per_metre : float
+        What each metre of the path takes on board (positive) or leaves behind (negative) [kg/m].
 
     Raises
     ------
@@ -201,10 +295,13 @@ class Task:
     --------
     >>> Task("wash the hall", (4.0, 2.0, 0.0), dwell=600.0, power=300.0).required
     True
+    >>> row = Task("first row", path=[(1.0, 2.0), (9.0, 2.0)], power=80.0, payload_per_metre=-0.5)
+    >>> row.length, row.change, len(row.options)
+    (8.0, -4.0, 2)
     """
 
     name: Name
-    pose: Place
+    pose: Place | None = None
     dwell: Duration = 0.0
     power: ToolPower = 0.0
     payload: Annotated[Mass, Within((-1e5, 1e5), (-1e3, 1e3), "kg", "not grams")] = 0.0
@@ -214,6 +311,10 @@ class Task:
     power_spread: ToolPower | None = None
     dwell_spread: Duration | None = None
     needs: tuple[str, ...] = ()
+    path: Annotated[tuple[Row, ...], PlainValidator(_points)] = ()
+    direction: Literal["either", "given"] = "either"
+    speed: Speed | None = None
+    payload_per_metre: Annotated[Number, Within((-1e4, 1e4), (-100, 100), "kg/m")] = 0.0
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -235,6 +336,77 @@ class Task:
             "start [s]",
             "window",
         )
+        given = self.pose is not None, bool(self.path)
+        both = "both a pose and a path" if all(given) else "neither a pose nor a path"
+        require(sum(given) == 1, f"task {self.name!r} has {both}; give one of them", "pose")
+        if not self.path:
+            for key, usual in (("direction", "either"), ("speed", None), ("payload_per_metre", 0)):
+                message = f"task {self.name!r}: {key} is for tasks with a path; leave it out"
+                require(getattr(self, key) == usual, message, key)
+            return
+        require(
+            self.dwell == 0 and not self.dwell_spread,
+            f"task {self.name!r}: a path takes as long as its drive; leave dwell out",
+            "dwell",
+        )
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """The ways of doing it, of which one is enough."""
+        if self.pose is not None:
+            return (Option(self.pose, self.pose),)
+        points = self.path[::-1]
+        if len(points[0]) == 3:
+            points = tuple((x, y, float(wrap_angle(yaw + np.pi))) for x, y, yaw in points)
+        ways = (Option.along(self.path), Option.along(points))
+        return ways if self.direction == "either" else ways[:1]
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return self.options[0].path(0.0).length if self.path else 0.0
+
+    @property
+    def change(self) -> float:
+        """What doing it changes the payload by [kg]."""
+        return self.payload + self.payload_per_metre * self.length
+
+
+class _OfCurve(Within):
+    """What a power may be, also each of a curve."""
+
+    def _beyond(self, ends: tuple[float, float], value: ArrayLike) -> tuple[tuple[int, ...], str]:
+        given = np.asarray(value, float)
+        if not given.ndim:
+            return super()._beyond(ends, given)
+        at, wanted = super()._beyond(ends, given[:, 1])
+        return (*at, *(1 for _ in at)), wanted
+
+
+def _offered(value: Any) -> float | tuple[tuple[float, float], ...]:
+    """Read the power of a charger: a number, or pairs of a state of charge and a power."""
+    words = "a power, or pairs [state of charge, power], as [[0, 400], [0.8, 400], [1, 50]]"
+    if isinstance(value, str | int | float | np.number):
+        return float(_read("power", value, words))
+    if not hasattr(value, "__len__") or hasattr(value, "keys") or len(value) < 2:
+        raise ValueError(f"give {words}")
+    pairs = []
+    for k, pair in enumerate(value):
+        if isinstance(pair, str) or not hasattr(pair, "__len__") or len(pair) != 2:
+            raise ValueError(f"pair {k + 1} is {described(pair)}; give {words}")
+        pairs.append((_read("fraction", pair[0], words), _read("power", pair[1], words)))
+    levels = np.array([soc for soc, _ in pairs])
+    if not (np.all(np.diff(levels) > 0) and levels[0] >= 0 and levels[-1] <= 1):
+        raise ValueError("its states of charge must ascend and lie in [0, 1]; sort them")
+    return tuple(pairs)
+
+
+def _read(kind: str, value: Any, words: str) -> float:
+    """Read a number that may carry a unit of a kind."""
+    try:
+        return float(amount(kind, value))
+    except NO_NUMBER:
+        raise ValueError(f"give {words}") from None
 
 
 @record(MissionError)
@@ -247,8 +419,9 @@ class Charger:
         Name, unique in the mission.
     pose : Pose
         Where the robot docks.
-    power : float
-        Power at the battery's terminals [W].
+    power : float or sequence of pairs
+        Power that it offers at the battery's terminals [W]; or pairs of a state of charge and the
+        power there, between which it changes evenly.
     until : float
         State of charge at which the robot leaves, earlier where a window presses. Less saves time
         where the rest of the mission needs less; `MissionReport.remedies` says how much.
@@ -256,6 +429,8 @@ class Charger:
         Temperature of the battery while it charges there [degC]; that on the way where not given.
     places : int
         Of several robots, how many can charge there at a time.
+    efficiency : float
+        Energy that it gives over the energy that it draws from the mains.
 
     Raises
     ------
@@ -266,14 +441,27 @@ class Charger:
     --------
     >>> Charger("dock", (1.0, 2.0, 0.0), power=240.0).until
     0.95
+    >>> float(Charger("dock", (1, 2, 0), [(0.0, 400), (0.8, 400), (1.0, 50)]).offers(0.9))
+    225.0
     """
 
     name: Name
     pose: Place
-    power: Annotated[Power, Within((0.1, 1e6), (5, 5e4), "W")]
+    power: Annotated[
+        float | tuple[tuple[float, float], ...],
+        PlainValidator(_offered), _OfCurve((0.1, 1e6), (5, 5e4), "W"),
+    ]  # fmt: skip
     until: Annotated[Fraction, Within((0.01, 1), (0.3, 1), "", PERCENT)] = 0.95
     temperature: Temperature | None = None
     places: Annotated[int, amount_of("number"), Within((1, 1000), (1, 20))] = 1
+    efficiency: Annotated[Fraction, Within((0.01, 1), (0.5, 1), "", PERCENT)] = 1.0
+
+    def offers(self, soc: ArrayLike) -> FloatArray:
+        """Return the power that it offers at states of charge [W]."""
+        if not isinstance(self.power, tuple):
+            return np.full(np.shape(soc), self.power)
+        levels, power = np.array(self.power).T
+        return np.asarray(np.interp(np.asarray(soc, float), levels, power))
 
 
 def at_charger(battery: BatteryModel, charger: Charger) -> BatteryModel:
@@ -634,7 +822,7 @@ class Mission(ReadOnly, html.Readable):
     def _stops(self) -> Iterator[tuple[str, str, Pose, tuple[str | int, ...]]]:
         """What each task and charger is, its name, where it is, and its place in the mission."""
         for k, task in enumerate(self.tasks):
-            yield "task", task.name, task.pose, ("tasks", k)
+            yield "task", task.name, task.options[0].entry, ("tasks", k)
         for k, charger in enumerate(self.chargers):
             yield "charger", charger.name, charger.pose, ("chargers", k)
 
@@ -713,13 +901,27 @@ class Mission(ReadOnly, html.Readable):
             elif not good and (place[0] != "tasks" or self.tasks[int(place[1])].required):
                 near = where_free(self.free_map, self.vehicle, pose)
                 faults.append((f"{label}: the robot at {where} touches an obstacle; {near}", place))
+        for k, task in enumerate(self.tasks):
+            if not task.path or any(place[:2] == ("tasks", k) for _, place in faults):
+                continue
+            try:
+                path = task.options[0].path(self.vehicle.icr.longitudinal)
+            except PathError as problem:
+                raise MissionError(f"task {task.name!r}: {problem}", ("tasks", k, "path")) from None
+            beyond = [point for point in task.path if not self.map.inside(point[:2])]
+            if beyond:
+                x, y, *_ = beyond[0]
+                fault = f"({x:g}, {y:g}) of its path lies outside the map"
+                faults.append((f"task {task.name!r}: {fault}", ("tasks", k, "path")))
+            elif task.required and (fault := blocked(self.free_map, self.vehicle, path)):
+                faults.append((f"task {task.name!r}: {fault}", ("tasks", k, "path")))
         if faults:
             raise MissionError("; ".join(fault for fault, _ in faults), faults[0][1])
 
     def _summaries(self) -> list[html.Summary]:
         rows = [
-            (task.name, ", ".join(html.number(v) for v in task.pose), task.dwell, task.power,
-             "yes" if task.required else "no")
+            (task.name, ", ".join(html.number(v) for v in task.options[0].entry), task.dwell,
+             task.power, "yes" if task.required else "no")
             for task in self.tasks
         ]  # fmt: skip
         title = (
@@ -780,19 +982,20 @@ class Mission(ReadOnly, html.Readable):
         """Places of tasks that leave more than any robot can have on board by then, and why."""
         found = []
         for k, task in enumerate(self.tasks):
-            if task.payload >= -GRAM:
+            if task.change >= -GRAM:
                 continue
             loads = []
             for part in self.parts if self.robots else (self,):
                 names = [one.name for one in part.tasks]
                 if task.name in names:
                     last = names.index(task.name) if part.order == "given" else None
-                    taken = (max(one.payload, 0.0) for one in part.tasks[:last])
+                    taken = (max(one.change, 0.0) for one in part.tasks[:last])
                     loads.append(part.payload + sum(taken))
             most = max(loads, default=0.0)
-            if -task.payload > most + GRAM:
-                note = f"it leaves {-task.payload:g} kg, and at most {most:g} kg can be on board"
-                found.append((("tasks", k, "payload"), note))
+            if -task.change > most + GRAM:
+                note = f"it leaves {-task.change:g} kg, and at most {most:g} kg can be on board"
+                key = "payload_per_metre" if task.payload_per_metre else "payload"
+                found.append((("tasks", k, key), note))
         return tuple(found)
 
     @checked(MissionError)
@@ -865,7 +1068,7 @@ class Mission(ReadOnly, html.Readable):
 
     def _carried(self, done: set[str]) -> float:
         """Return the payload after some tasks [kg]; they leave no more than was on board."""
-        carried = self.payload + sum(task.payload for task in self.tasks if task.name in done)
+        carried = self.payload + sum(task.change for task in self.tasks if task.name in done)
         require(
             carried >= -GRAM,
             f"the tasks that are done leave {-carried:g} kg more than was ever on board; give as "

@@ -47,7 +47,7 @@ SHOWN = {
     "ICREstimate": "turning source",
     "Identification": "residual adequacy foretold set_aside warnings",
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
-    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty",
+    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty alternatives",
     "NoPathError": "certainty resolution",
     "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady "
     "planning_time planner potential effort "
@@ -62,7 +62,7 @@ SHOWN = {
 """What is shown of a type, where that is not all of its fields."""
 DEPRECATED = {"energy": "energy at steady speeds; use energy_driven, or energy_steady for this one"}
 """Keys of a plan that go with the next release, and what to use instead."""
-TOGETHER = "headline energy energy_upper duration feasible proven gap warnings"
+TOGETHER = "headline energy energy_upper duration feasible chargers proven gap warnings"
 """What is shown of a mission of several robots as a whole."""
 
 
@@ -218,9 +218,16 @@ def mission(report: MissionReport, trajectories: bool = False) -> Document:
 
     Of several robots each has the same keys, but for its own name.
     """
-    poses = {task.name: task.pose for task in report.mission.tasks}
+    places, rows = {task.name: task.options[0] for task in report.mission.tasks}, report.rows
+
+    def where(name: str) -> Document:
+        row = rows.get(name)
+        if row is None:
+            return {"pose": plain(places[name].entry), "path": plain(places[name].points)}
+        return {"pose": plain(row.start), "path": plain(row.vertices)}
+
     found = {
-        "tasks": [{**plain(task), "pose": plain(poses[task.name])} for task in report.tasks],
+        "tasks": [{**plain(task), **where(task.name)} for task in report.tasks],
         **(_of_robots(report, trajectories) if report.robots else plain(report)),
     }
     if not report.robots:

@@ -41,6 +41,7 @@ class DrivenPath:
     energy_since_start: FloatArray  # at each sample of the trajectory [J]
     speed: float  # largest tread speed of the drive [m/s]
     speed_priced: float  # tread speed that straight driving was priced at [m/s]
+    seconds: float = 0.0  # what seconds on priced ground add, in the unit of the objective
 
     @property
     def duration(self) -> float:
@@ -85,6 +86,7 @@ def drive_path(
             energy_since_start=np.append(0.0, np.cumsum(energies)),
             speed=drive.largest_speed(),
             speed_priced=float(np.min(np.atleast_1d(cost.cheapest_speed(0.0)))),
+            seconds=_price_of_seconds(drive, surfaces),
         )
 
     if cost.tread_speed is not None:
@@ -108,6 +110,13 @@ def drive_path(
     enough = min(one.energy for one in found)
     enough += SAME * abs(enough)
     return min((one for one in found if one.energy <= enough), key=lambda one: one.duration)
+
+
+def _price_of_seconds(drive: Traversal, surfaces: SurfaceMap | None) -> float:
+    """Return what the seconds of a drive on priced ground add, in the unit of the objective."""
+    if surfaces is None or not any(surfaces.seconds):
+        return 0.0
+    return float(np.dot(surfaces.seconds, drive.time_by_region()))
 
 
 def _free_about(
@@ -178,7 +187,8 @@ def stops_count(problem: PlanningProblem) -> bool:
     """Return whether paths are compared by the energy that driving them takes."""
     weights = {name for name, weight in problem.weights.items() if weight > 0}
     speed = float(problem.cost.cheapest_speed(0.0))
-    if weights != {"energy"} or problem.softened or not np.isfinite(speed):
+    priced = problem.surfaces is not None and any(problem.surfaces.seconds)
+    if weights != {"energy"} or problem.softened or priced or not np.isfinite(speed):
         return False
     found = priced_models(problem.cost, problem.surfaces)
     models = [found.model]
@@ -204,7 +214,8 @@ def driven_share(problem: PlanningProblem) -> float | None:
     """
     weights = problem.weights
     energy, time = weights.get("energy", 0.0), weights.get("time", 0.0)
-    costs = Prices(problem.cost, problem.surfaces, problem.objective).costs
+    prices = Prices(problem.cost, problem.surfaces, problem.objective)
+    costs = prices.costs
     if energy:
         masses = [cost.kinetic_masses() for cost in costs]
         known = [one for one in masses if one is not None]
@@ -214,7 +225,7 @@ def driven_share(problem: PlanningProblem) -> float | None:
             time or np.any(known[0]) or not all(cost.same_at_any_speed for cost in costs)
         ):
             return None
-    return min(cost.driven_share(energy, time) for cost in costs)
+    return min(cost.driven_share(energy, prices.of_time(k)) for k, cost in enumerate(costs))
 
 
 def _feels_stops(model: PowerModel, speed: float) -> bool:

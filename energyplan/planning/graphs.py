@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import networkx as nx
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
@@ -119,11 +119,13 @@ def _straight_prices(edges: Edges, prices: Prices) -> FloatArray:
     """Return the price of driving each edge straight."""
     ds = edges.gear * edges.length
     if prices.surfaces is None:
-        return prices.motion(ds, 0.0)
+        return prices.motion(ds, 0.0, yaw=edges.yaw)
     heading = np.column_stack([np.cos(edges.heading), np.sin(edges.heading)])
     ends = edges.start + edges.length[:, None] * heading
     shares = prices.surfaces.line_shares(edges.start, ends, prices.slow)
-    return np.asarray(sum(prices.motion(ds * part, 0.0, k) for k, part in enumerate(shares.T)))
+    return np.asarray(
+        sum(prices.motion(ds * part, 0.0, k, yaw=edges.yaw) for k, part in enumerate(shares.T))
+    )
 
 
 def _with_costs(graph: Graph, costs: Mapping[DrivenEdge, float]) -> Graph:
@@ -161,7 +163,8 @@ class Corner:
 
 
 def round_corner(
-    price: Callable[[ArrayLike, ArrayLike], FloatArray],
+    arc: Callable[[FloatArray, FloatArray], FloatArray],
+    lines: Callable[[FloatArray], FloatArray],
     half_track: float,
     turn: FloatArray,
     limit: FloatArray,
@@ -170,10 +173,11 @@ def round_corner(
     """Return the best way round corners.
 
     Both lines that meet at a corner are left at the same distance before it and joined by an
-    arc. Of all radii up to `limit` the cheapest is chosen. Where energy counts and every joule of
-    an inner, generating motor comes back, that is the largest one, which cuts off most of the way;
-    where it is lost, it is often the pivot about a tread's ICR. So nine radii and the pivot are
-    tried, then nine between the neighbours of the best.
+    arc, whose price `arc` returns; `lines` returns that of as much of both lines. Of all radii up
+    to `limit` the cheapest is chosen. Where energy counts and every joule of an inner, generating
+    motor comes back, that is the largest one, which cuts off most of the way; where it is lost, it
+    is often the pivot about a tread's ICR. So nine radii and the pivot are tried, then nine between
+    the neighbours of the best.
     """
     size = np.abs(turn)[:, None]
     way = gear[:, None]
@@ -182,8 +186,8 @@ def round_corner(
     row = np.arange(len(turn))
 
     def extra(radius: FloatArray) -> FloatArray:
-        arc = price(way * radius * size, np.broadcast_to(turn[:, None], radius.shape))
-        return np.asarray(arc - price(way * 2 * radius * tangent, np.zeros(1)))
+        whole = arc(way * radius * size, np.broadcast_to(turn[:, None], radius.shape))
+        return np.asarray(whole - lines(way * 2 * radius * tangent))
 
     pivot = np.where(limit >= half_track, half_track, 0.0)
     radius = np.concatenate([limit[:, None] * _RADII, pivot[:, None]], axis=1)
@@ -269,11 +273,23 @@ def _corners(
     for number, cost in enumerate(prices.costs):
         here = region == number
         if np.any(here):
-            charge = partial(prices.motion, region=number)
+            before, after = (edges.yaw[which][here][:, None] for which in (first, then))
+            arc = partial(prices.turning, region=number, yaw=before)
+            lines = partial(_both_lines, prices, number, before, after)
             way = edges.gear[then][here]
-            corner = round_corner(charge, cost.half_track, turn[here], limit[here], way)
+            corner = round_corner(arc, lines, cost.half_track, turn[here], limit[here], way)
             radius[here], price[here] = corner.radius, corner.price
     return Corner(radius, price)
+
+
+def _both_lines(
+    prices: Prices, region: int, before: FloatArray, after: FloatArray, ds: FloatArray
+) -> FloatArray:
+    """Return the price of lines of which one half has the one heading, one half the other."""
+    if not prices.costs[region].of_heading:
+        return prices.motion(ds, 0.0, region)
+    halves = (prices.motion(0.5 * ds, 0.0, region, yaw=yaw) for yaw in (before, after))
+    return np.asarray(sum(halves))
 
 
 def _cheapest(
@@ -350,7 +366,8 @@ class Roadmap:
         """Return the price of turning on the spot at a node; nothing where a yaw is free."""
         turn = 0.0 if before is None or after is None else float(wrap_angle(after - before))
         region = int(self._prices.class_at(self._places[node]))
-        return float(self._prices.motion(0.0, turn, region))
+        yaw = 0.0 if before is None else before
+        return float(self._prices.turning(0.0, turn, region, yaw))
 
     def route(
         self,
@@ -375,7 +392,7 @@ class Roadmap:
         path = self._drive(source, states, start_yaw, goal_yaw)
         nodes = (source, *(state.target for state in states))
         price = path_price(path, self.cost, self.surfaces)
-        value = self._prices.value(price.energy, path.length, price.duration)
+        value = self._prices.value(price.energy, path.length, price.duration) + price.seconds
         return Route(nodes, tuple(states), path, price.energy, value)
 
     def _nearest(self, source: Hashable, target: Hashable) -> str:

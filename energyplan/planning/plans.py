@@ -256,7 +256,8 @@ class Plan(html.Readable):
     stopped : bool
         Whether the clock stopped the planning before: then the plan depends on the load.
     soft_cost : float
-        What the costmap adds to the cost, in the unit of the objective; no part of the energy.
+        What the costmap, and seconds on priced ground, add to the cost at steady speeds, in the
+        unit of the objective; no part of the energy.
     notes : tuple of str
         What was done about a start that touches an obstacle, or an end that lacks the clearance,
         and that the clock stopped the planning, if it did.
@@ -387,8 +388,9 @@ class Plan(html.Readable):
         problem = self.problem
         if problem is None or self.why_not_driven or problem.weights.get("length"):
             return steady
-        drive, objective = self.driven, compiled(problem.without_clearance).objective
-        cost = objective.value(drive.energy, self.length, drive.duration) + self.soft_cost
+        drive, query = self.driven, compiled(problem.without_clearance)
+        cost = query.objective.value(drive.energy, self.length, drive.duration)
+        cost += query.soft_cost(self.path, drive.seconds)
         scale = max(abs(cost), abs(self.potential), abs(cost - self.potential))
         if abs(cost - self.cost_steady) <= ROUNDING * scale:  # stops and speeds cost nothing
             return steady._replace(driven=True)
@@ -443,7 +445,8 @@ class Plan(html.Readable):
 
     def _costs(self) -> list[tuple[str, object]]:
         """Return rows of the cost, where it is not the energy alone, and of its lower bound."""
-        objective = self.problem.objective if self.problem else "energy"
+        problem = self.problem
+        objective = problem.objective if problem else "energy"
         name = objective if isinstance(objective, str) else "weighted sum"
         unit = {"length": "m", "time": "s"}.get(name, "J")
         alone = name == "energy" and not self.soft_cost
@@ -451,7 +454,8 @@ class Plan(html.Readable):
             (f"cost: {name}{' and a little energy' * (name == 'length')} [{unit}]", self.cost)
         ]  # fmt: skip
         if self.soft_cost:
-            rows.append((f"of it the costmap [{unit}]", self.soft_cost))
+            part = "the costmap" if problem is None or problem.softened else "priced seconds"
+            rows.append((f"of it {part} [{unit}]", self.soft_cost))
         rows.append((self.bound_label, "-" if self.lower_bound is None else self.lower_bound))
         if self.potential:
             rows.append((f"of it for the height [{unit}]", self.potential))

@@ -310,8 +310,9 @@ class PlanningProblem:
 
     @property
     def shortest(self) -> PlanningProblem:
-        """The same problem with the length as its objective, and no costmap."""
-        return replace(self, objective="length", costmap=None)
+        """The same problem with the length as its objective, no costmap, and no priced seconds."""
+        surfaces = None if self.surfaces is None else self.surfaces.unpriced
+        return replace(self, objective="length", costmap=None, surfaces=surfaces)
 
     @property
     def weights(self) -> dict[str, float]:

@@ -720,6 +720,26 @@ def reads_slope(model: PowerModel) -> bool:
     return not np.allclose(level, tilted, rtol=1e-12, atol=0.0)
 
 
+def reads_heading(model: PowerModel, channels: Mapping[str, float]) -> bool:
+    """Return whether the power of steady motion on known ground depends on the heading.
+
+    `channels` are further ones that the terms read.
+    """
+    steady = dict.fromkeys((name for term in model.terms for name in term.channels), 0.0)
+    steady |= {"slope": 0.0, **channels}
+    yaw = np.linspace(-3.0, 3.1, 26)[:, None]
+    v, omega = np.array([(0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5), (0.3, 0.6)]).T
+    ahead, turned = (
+        model.power(
+            Motion.from_twist(v, omega, model.vehicle.icr, **{**steady, "yaw": 0.0}).with_channels(
+                yaw=at
+            )
+        )
+        for at in (0.0, yaw)
+    )
+    return not np.array_equal(ahead + 0.0 * yaw, turned)
+
+
 def with_weight(model: PowerModel) -> PowerModel:
     """Return the model with the vehicle's weight as its grade term, for use on slopes.
 

@@ -114,7 +114,7 @@ _Plan = _record(
 )  # fmt: skip
 _Leg = _record("Leg", shape(Segment), duration=float, trajectory=dict[str, list[Number]])
 _trip = {"legs": _list(_Leg), "timeline": dict[str, list[Number]]}
-_task = _record("TaskReport", shape(TaskReport), pose=list[float])
+_task = _record("TaskReport", shape(TaskReport), pose=list[float], path=list[list[float]])
 _robot = _record(
     "Robot", shape(MissionReport), name=str, waiting=float, tasks=_list(_task), **_trip
 )

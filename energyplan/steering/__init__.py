@@ -134,6 +134,7 @@ def path(start: ArrayLike, goal: ArrayLike, cost: EnergyCost, *, reverse: bool =
             f"start has shape {first.shape} and goal {last.shape}; a path joins one pose to one"
         )
     ds, dtheta = np.empty(MAX_SEGMENTS), np.empty(MAX_SEGMENTS)
+    cost.check_any_heading("exact steering")
     between = last[0] - first[0], last[1] - first[1], first[2], last[2]
     read = cost.steering_parameters
     if isinstance(read, StaticSteering):

@@ -45,6 +45,9 @@ class Surface:
     area: BaseGeometry  # where it lies, in the world [m]
     model: PowerModel  # power of driving there
     name: str = ""  # what to call it
+    # price of each second on it, in the unit of the objective a second (for energy [J/s]); it is
+    # added to the objective and no part of the energy
+    second: Annotated[float, Within((0, 1e9), (0, 1e5), "of the objective a second")] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, MapError, f"surface {self.name!r}: ")
@@ -146,6 +149,18 @@ class SurfaceMap:
         limits = (limit.area for limit in self.speed_limits)
         for area in (*(s.area for s in self.surfaces), *keep_out, *limits):
             shapely.prepare(area)
+
+    @cached_property
+    def seconds(self) -> tuple[float, ...]:
+        """Price of a second in each region, in the unit of the objective."""
+        return (0.0, *(surface.second for surface in self.surfaces))
+
+    @cached_property
+    def unpriced(self) -> SurfaceMap:
+        """The same map where no second has a price."""
+        if not any(self.seconds):
+            return self
+        return replace(self, surfaces=tuple(replace(s, second=0.0) for s in self.surfaces))
 
     @property
     def polygons(self) -> tuple[tuple[str, BaseGeometry], ...]:

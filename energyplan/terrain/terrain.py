@@ -90,6 +90,13 @@ class Piece(NamedTuple):
     cost: EnergyCost  # the cost
     path: Path  # segments at their length on the slope
     slope: FloatArray  # (n,): slope along the heading of each segment [rad]
+    yaw: FloatArray  # (n,): heading in the middle of each segment [rad]
+    second: float = 0.0  # price of a second there, in the unit of the objective
+
+    @property
+    def energy(self) -> float:
+        """Energy [J]."""
+        return self.cost.energy(self.path, self.slope, self.yaw)
 
 
 class PathPrice(NamedTuple):
@@ -98,6 +105,7 @@ class PathPrice(NamedTuple):
     energy: float  # energy, priced by the models themselves [J]
     by_term: Mapping[str, float]  # the same by term of the power models [J]
     duration: float  # time at the speeds of the costs [s]
+    seconds: float = 0.0  # what seconds on priced ground add, in the unit of the objective
 
 
 def path_pieces(
@@ -107,15 +115,27 @@ def path_pieces(
     heights: HeightMap | None = None,
 ) -> tuple[Piece, ...]:
     """Return what a path consists of, surface by surface and slope by slope."""
+    costs = (cost,) if surfaces is None else surfaces.costs(cost)
     cut = path if heights is None else heights.cut(path)
+    for one in costs:
+        if one.of_heading:
+            cut = one.cut_turns(cut)
+            break
     slope = np.zeros(len(cut)) if heights is None else heights.slopes(cut)
+    yaw = 0.5 * (cut.vertices[1:, 2] + cut.vertices[:-1, 2])
     driven = replace(cut, ds=cut.ds / np.cos(slope))
     slow = NOT_SLOW if surfaces is None else surfaces.slow_areas(cost)
     if surfaces is None or not (surfaces.surfaces or slow.areas):
-        return (Piece(cost, driven, slope),)
+        return (Piece(cost, driven, slope, yaw),)
     return tuple(
-        Piece(c, replace(driven, ds=driven.ds * share, dtheta=driven.dtheta * share), slope)
-        for c, share in zip(surfaces.costs(cost), surfaces.shares(cut, slow).T, strict=True)
+        Piece(
+            c,
+            replace(driven, ds=driven.ds * share, dtheta=driven.dtheta * share),
+            slope,
+            yaw,
+            surfaces.seconds[k % len(surfaces.seconds)],
+        )
+        for k, (c, share) in enumerate(zip(costs, surfaces.shares(cut, slow).T, strict=True))
         if np.any(share > 0)
     )
 
@@ -133,12 +153,13 @@ def path_price(
     )
     by_term: dict[str, float] = {}
     for piece in pieces:
-        for name, joules in piece.cost.breakdown(piece.path, piece.slope).items():
+        for name, joules in piece.cost.breakdown(piece.path, piece.slope, piece.yaw).items():
             by_term[name] = by_term.get(name, 0.0) + joules
     return PathPrice(
-        energy=float(sum(p.cost.energy(p.path, p.slope) for p in pieces)),
+        energy=float(sum(p.energy for p in pieces)),
         by_term=by_term,
         duration=float(sum(p.cost.duration(p.path) for p in pieces)) if timed else np.nan,
+        seconds=float(sum(p.second * p.cost.duration(p.path) for p in pieces if p.second)),
     )
 
 

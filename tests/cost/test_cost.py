@@ -23,7 +23,7 @@ from energyplan import (
 )
 from energyplan.cost.speeds import parse_speed
 from energyplan.errors import MissingChannelError
-from energyplan.power import HOTEL, TRACTION, Sides, Term
+from energyplan.power import HOTEL, TRACTION, Term
 from energyplan.power.effects import GRADE, VISCOUS_LOSS, catalogue, empirical_term, term
 from energyplan.terrain import Surface
 
@@ -213,16 +213,9 @@ def test_constant_channels_reach_the_terms() -> None:
     assert float(cost.per_metre(0.0)) == pytest.approx(2 * (K - 10.0))
 
 
-def _crop_rows(motion, vehicle):
-    across = np.abs(np.sin(motion.channels["yaw"]))
-    return Sides(across * np.sign(motion.v_left), across * np.sign(motion.v_right))
-
-
 @pytest.mark.parametrize(
     ("of", "channel"),
-    [(Term("crop_rows", "c", "N", "force", _crop_rows), "yaw"),
-     (Term("crop_rows", "c", "N", "force", _crop_rows, channels=("yaw",)), "yaw"),
-     (Term("mud", "c", "W", "power", lambda motion, vehicle: motion.channels["x"] ** 2), "x"),
+    [(Term("mud", "c", "W", "power", lambda motion, vehicle: motion.channels["x"] ** 2), "x"),
      (Term("mud", "c", "W", "power", lambda motion, vehicle: 1.0 * (motion.channel("y") > 9)), "y"),
      (Term("cold", "c", "W", "power", lambda motion, vehicle: motion.channel("temperature"),
            channels=("temperature",)), "temperature"),

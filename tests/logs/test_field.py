@@ -273,7 +273,7 @@ def test_efforts_of_joints_make_a_power_as_it_is_told() -> None:
 
 TENTHS = {"volts": np.round(10 * AT.volts), "amps": np.round(10 * AT.amps)}
 HUNDREDTHS = {"volts": AT.volts, "amps": np.round(100 * AT.amps)}
-USED = {"volts": AT.volts, "charge_used_Ah": np.cumsum(AT.amps) * 0.1 / 3600.0}
+USED = {"volts": AT.volts, "charge_used": np.cumsum(AT.amps) * 0.1 / 3.6}
 SPEEDS = {"left_speed": np.round(100 * AT.left), "right_speed": np.round(100 * AT.right)}
 
 
@@ -282,7 +282,7 @@ SPEEDS = {"left_speed": np.round(100 * AT.left), "right_speed": np.round(100 * A
     [
         (TENTHS, r"whole numbers, .* current=amps\[\*0.1\]"),
         (HUNDREDTHS, r"whole numbers, .* current=amps\[\*0.01\]"),
-        (USED, r"map its rate of change .* current=charge_used_Ah\[Ah\]"),
+        (USED, r"map its rate of change .* current=charge_used\[mAh\]"),
         ({**SPEEDS, "power": AT.power}, "left_speed could be in rpm.* or cm/s"),
     ],
 )

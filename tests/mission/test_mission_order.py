@@ -47,6 +47,7 @@ def problem(
     service, service_time = rng.uniform(0, 0.5, tasks), rng.uniform(0, 1.0, tasks)
     prize = rng.integers(1, 6, tasks).astype(float)
     return OrderProblem(
+        option=np.arange(tasks),
         loads=loads,
         energy=energy,
         floor=np.zeros_like(energy),

@@ -118,6 +118,12 @@ def charging() -> Mission:
     )  # fmt: skip
 
 
+def along() -> Mission:
+    """A path whose near end comes last."""
+    row = Task("row", path=((3.0, 3.6), (1.2, 3.6)), power=30.0)
+    return replace(mission(), tasks=(row,), surfaces=None, payload=0.0)
+
+
 def shared() -> Mission:
     """Two robots, the nearer one without the skill; both have to charge at one place."""
     robots = (
@@ -200,12 +206,16 @@ PARTS = [
         required=False, window=(41.0, 500.0), power_spread=30.0, dwell_spread=30.0,
     ), {"prize": "all tasks fit", "required": "all tasks fit"}),
     Part(shared, ("tasks", 1), Task, like(needs=())),
+    Part(along, ("tasks", 0), Task, like(
+        path=((2.8, 3.6), (1.2, 3.6)), direction="given", speed=0.3, payload_per_metre=0.1,
+    )),
     Part(shared, ("robots", 0), Robot, like(
         name="other", skills=("arm",), changes={"start": (2.6, 3.5, 0.0), "soc": 0.8},
     )),
     Part(shared, ("chargers", 0), Charger, like(places=2)),
     Part(charging, ("chargers", 0), Charger, like(
         name="other", pose=(1.2, 1.3, 0.0), power=300.0, until=0.8, temperature=25.0,
+        efficiency=0.9,
     )),
     Part(charging, ("spreads",), Spreads, like(
         soc=0.03, capacity=0.03, health=0.03, temperature=4.0, power=0.2, dwell=0.2, run=0.2,

@@ -169,10 +169,15 @@ def test_malformed_graphs_are_refused():
 # -- rounded corners --------------------------------------------------------------------------
 
 
+def straight_lines(cost):
+    """Return the energy of straight lines by their length."""
+    return lambda ds: cost.segment_energy(ds, 0.0)
+
+
 def test_without_losses_the_widest_corner_is_best():
     """Per radian a R costs nothing extra up to C, and beyond the shorter way still pays."""
     turn, limit = np.array([0.3, 1.5, 2.5]), np.array([0.3, 0.47, 2.0])
-    corner = round_corner(COST.segment_energy, C, turn, limit, np.ones(3))
+    corner = round_corner(COST.segment_energy, straight_lines(COST), C, turn, limit, np.ones(3))
     assert np.allclose(corner.radius, limit)
     expected = A * (np.maximum(limit, C) * turn - 2 * limit * np.tan(turn / 2)) + BETA * turn
     assert np.allclose(corner.price, expected)
@@ -183,7 +188,9 @@ def test_with_losses_the_pivot_beats_wide_arcs():
     vehicle = replace(MODEL.vehicle, regen_efficiency=0.0)
     wasteful = ep.EnergyCost(ep.PowerModel.paper(vehicle, 113.0, 0.627), battery=True)
     turn, limit = np.array([0.1, -0.3]), np.array([3.0, 3.0])
-    corner = round_corner(wasteful.segment_energy, C, turn, limit, np.array([1.0, -1.0]))
+    corner = round_corner(
+        wasteful.segment_energy, straight_lines(wasteful), C, turn, limit, np.array([1.0, -1.0])
+    )
     radii = np.linspace(0, 3, 3001)
     for k in range(2):
         size = abs(turn[k])

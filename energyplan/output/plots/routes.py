@@ -239,7 +239,12 @@ def mission_map(report: MissionReport) -> Figure:
     places = [("S", "start", mission.start, "s", style.BLACK)]
     for k, task in enumerate(ordered, start=1):
         look = ("o", style.GREEN) if good[task.name] else ("D", style.RED)
-        places.append((str(k), task.name, task.pose, *look))
+        option = task.options[0]
+        row = report.rows.get(task.name)
+        if option.points:
+            x, y, *_ = np.array(option.points if row is None else row.vertices).T
+            ax.plot(x, y, color=look[1], lw=7, alpha=0.35, zorder=2)
+        places.append((str(k), task.name, option.entry if row is None else row.start, *look))
     places += [("C", charger.name, charger.pose, "p", style.BLUE) for charger in mission.chargers]
     signs: dict[tuple[float, float], list[str]] = {}
     for sign, _, pose, *_ in places:

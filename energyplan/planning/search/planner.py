@@ -255,7 +255,12 @@ def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
     problem = query.problem
     cost = problem.cost
     even = problem.surfaces is None and problem.heights is None
-    if not even or set(objective_weights(problem.objective)) != {"energy"} or len(path) == 0:
+    if (
+        not even
+        or cost.of_heading
+        or set(objective_weights(problem.objective)) != {"energy"}
+        or len(path) == 0
+    ):
         return path
     if isinstance(cost.steering_parameters, StaticSteering):
         return path

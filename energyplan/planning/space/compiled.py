@@ -125,13 +125,24 @@ class CompiledProblem:
         ds, dtheta = self.reference(self.rays[:, 0], self.rays[:, 1] / half)
         if self.steepest > _prices.FLAT:
             travel = np.abs(self.rays[:, 0])
-            return _prices.priced(self.objective, ds, dtheta, travel, self.steepest)
-        prices = [self.objective.motion(ds, dtheta, k) for k in range(len(self.costs))]
-        return _prices.SlopeTable(np.array(prices), 0.0)
+            return _prices.priced(self.objective, ds, dtheta, travel, self.steepest, self.yaws)
+        level = np.zeros((1, 1)) if self.yaws is None else 0.0 * self.yaws
+        grounds = range(len(self.costs))
+        prices = [self.objective.motion(ds, dtheta, k, yaw=self.yaws) + level for k in grounds]
+        return _prices.SlopeTable(np.concatenate(prices), 0.0)
+
+    @cached_property
+    def yaws(self) -> FloatArray | None:
+        """Headings of the price table, shape (headings, 1); None where none matters [rad]."""
+        if not any(cost.of_heading for cost in self.costs):
+            return None
+        sloping = self.steepest > _prices.FLAT
+        count = _prices.SLOPING_HEADINGS if sloping else _prices.HEADINGS
+        return np.asarray(np.arange(count)[:, None] * (2.0 * np.pi / count))
 
     @cached_property
     def prices(self) -> FloatArray:
-        """Price of the rays, shape (classes * slopes, DIRECTIONS + 1)."""
+        """Price of the rays, shape (classes * headings * slopes, DIRECTIONS + 1)."""
         kept = self._priced.kept
         if self._levels == 1:
             return kept
@@ -169,7 +180,9 @@ class CompiledProblem:
         """The static cost that steering solves exactly: the greatest one below all prices."""
         half = self.problem.cost.half_track
         eighth, quarter = DIRECTIONS // 8, DIRECTIONS // 4
-        level = self.prices[self.hills.bins // 2]
+        hills = self.hills
+        table = self.prices[: hills.headings * hills.bins].reshape(hills.headings, hills.bins, -1)
+        level = table[:, hills.bins // 2].mean(axis=0)
         pivot, spin, straight = level[eighth] * np.sqrt(2), level[quarter], level[0]
         # where a pivot costs clearly more than a spin, turning and driving are paid separately
         track = half if pivot - spin < 0.5 * straight else SHORT_TRACK
@@ -182,10 +195,13 @@ class CompiledProblem:
     @cached_property
     def hills(self) -> Hills:
         """The heights as the kernels see them."""
-        heights = self.problem.heights
-        if heights is None or not self.steepest > _prices.FLAT:
-            return LEVEL
+        heights, yaws = self.problem.heights, self.yaws
+        headings = 1 if yaws is None else len(yaws)
         cells, several = 0.5 * self.grid.resolution, len(self.costs) > 1 or self._levels > 1
+        if heights is None or not self.steepest > _prices.FLAT:
+            if yaws is None:
+                return LEVEL
+            return LEVEL._replace(headings=headings, piece=cells if several else np.inf)
         return Hills(
             heights=heights.heights,
             x=heights.origin.x,
@@ -195,6 +211,7 @@ class CompiledProblem:
             resolution=float(heights.resolution),
             steepest=self.steepest,
             bins=_prices.BINS,
+            headings=headings,
             piece=cells if several else max(cells, 0.5 * heights.resolution),
         )
 
@@ -245,16 +262,25 @@ class CompiledProblem:
         if self._levels > 1 and self.problem.costmap is not None:
             level = np.round(self.problem.costmap.over(self.grid) * (self._levels - 1))
             return np.asarray(surface * np.uint8(self._levels) + level.astype(np.uint8), np.uint8)
-        if self.hills.bins > 1 and surface.size == 1:
+        if self.hills.bins * self.hills.headings > 1 and surface.size == 1:
             return np.zeros(self.grid.shape, np.uint8)
         return surface
 
-    def soft_cost(self, path: Path) -> float:
-        """Return what the costmap adds to the cost of a path, in the unit of the objective."""
-        problem = self.problem
-        if problem.costmap is None or not problem.softened:
-            return 0.0
-        return problem.costmap_weight * problem.costmap.along(path)
+    def soft_cost(self, path: Path, seconds: float | None = None) -> float:
+        """Return what the costmap and priced seconds add to the cost of a path.
+
+        It is in the unit of the objective. The seconds are priced at steady speeds where what they
+        add is not given.
+        """
+        problem, surfaces = self.problem, self.problem.surfaces
+        soft = 0.0
+        if problem.costmap is not None and problem.softened:
+            soft = problem.costmap_weight * problem.costmap.along(path)
+        if surfaces is None or not any(surfaces.seconds):
+            return soft
+        if seconds is None:
+            seconds = self.terrain.price(path, problem.cost).seconds
+        return soft + seconds
 
     @cached_property
     def setting(self) -> KernelProblem:
@@ -333,7 +359,7 @@ class CompiledProblem:
         """Return the objective's value of a path, by the models themselves."""
         cost, duration = self.problem.cost, 0.0
         pieces = self.terrain.pieces(path, cost)
-        energy = float(sum(piece.cost.energy(piece.path, piece.slope) for piece in pieces))
+        energy = float(sum(piece.energy for piece in pieces))
         if self.problem.weights.get("time"):
             duration = self.terrain.price(path, cost).duration
         return self.objective.value(energy, path.length, duration) + self.soft_cost(path)

@@ -8,7 +8,8 @@ A price is a positively homogeneous function of (ds, dtheta). It is held as its 
 static model, at straight motion, spin and pivot, lie on rays, so its price is exact.
 
 On slopes there is such a row for each of `Hills.bins` slopes, less the potential energy,
-so that no price is negative; between two slopes the price is linear.
+so that no price is negative; between two slopes the price is linear. Where prices depend on the
+heading, there are these rows for each of `Hills.headings` headings, and it is linear between two.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from energyplan.steering.kernels import (
 from energyplan.terrain.collision import Body, Space, in_cells, motion_free
 
 DIRECTIONS = 128  # rays of the price table; a multiple of 8
-TURN = 0.1  # turn by which the slope along the heading is looked up anew [rad]
+TURN = 0.1  # turn by which heading and slope along it are looked up anew [rad]
 
 
 class Hills(NamedTuple):
@@ -47,12 +48,13 @@ class Hills(NamedTuple):
     resolution: float  # distance between nodes [m]
     steepest: float  # steepest slope, as rise over run
     bins: int  # slopes in the price table, from ``-steepest`` to ``steepest``
+    headings: int  # headings in the price table, from 0 round to 2 pi; 1 where none matters
     piece: float  # length of the parts that motions are priced in [m]
 
 
 _FLAT = np.zeros((1, 1))
 _FLAT.setflags(write=False)  # as those of a `HeightMap`: the kernels are compiled for one kind
-LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1, 1.0)  # level ground
+LEVEL = Hills(_FLAT, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1, 1, 1.0)  # level ground
 
 
 class KernelProblem(NamedTuple):
@@ -60,7 +62,7 @@ class KernelProblem(NamedTuple):
 
     space: Space  # obstacles
     body: Body  # footprint, seen from the centre of the tread ICRs [m]
-    prices: FloatTable  # (classes * slopes, DIRECTIONS + 1)
+    prices: FloatTable  # (classes * headings * slopes, DIRECTIONS + 1)
     surface: ByteTable  # (rows, columns): class of the surface in each cell
     hills: Hills  # heights of the ground
     steering: StaticSteering  # the static cost that steering solves
@@ -101,17 +103,19 @@ def turn_prices(setting: KernelProblem) -> Floats:
     least radius both are driven on these, to and fro or ahead.
     """
     bins = setting.hills.bins
+    headings = setting.hills.headings
     half = setting.half_track
     aside = max(half, setting.least_radius)
-    found = np.empty(len(setting.prices) // bins)
+    found = np.empty(len(setting.prices) // (bins * headings))
     for k in range(len(found)):
-        row = bins * k + bins // 2
         spin = pivot = 0.0
-        for side in (-1.0, 1.0):
-            spin += 0.5 * price(setting.prices, row, half, setting.least_radius, side)
-            pivot += 0.5 * price(setting.prices, row, half, aside, side)
-        pivot -= price(setting.prices, row, half, aside, 0.0)
-        found[k] = max(0.5 * (spin + pivot), setting.least_radian)
+        for heading in range(headings):
+            row = bins * (headings * k + heading) + bins // 2
+            for side in (-1.0, 1.0):
+                spin += 0.5 * price(setting.prices, row, half, setting.least_radius, side)
+                pivot += 0.5 * price(setting.prices, row, half, aside, side)
+            pivot -= price(setting.prices, row, half, aside, 0.0)
+        found[k] = max(0.5 * (spin + pivot) / headings, setting.least_radian)
     return found
 
 
@@ -147,8 +151,8 @@ def height_at(hills: Hills, x: float, y: float) -> float:
 
 
 @inner
-def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
-    """Price of a motion on slopes, less the potential energy that its reference point gains."""
+def cost_in_parts(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
+    """Price of a motion in parts, by heading and slope, less the potential energy of the height."""
     hills = setting.hills
     across = setting.half_track * dtheta
     size = hypot(ds, across)
@@ -163,25 +167,29 @@ def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -
     before = size / pieces * sin(spread - into) / sin(spread)
     after = size / pieces * sin(into) / sin(spread)
 
-    several = len(setting.prices) > hills.bins
+    several = len(setting.prices) > hills.bins * hills.headings
+    sloping = hills.bins > 1
     travel = (ds + setting.lateral * dtheta) / pieces
     turn = dtheta / pieces
     chord = ds / pieces * chord_factor(turn)
     x, y, yaw = pose
     px = x + setting.lateral * sin(yaw)
     py = y - setting.lateral * cos(yaw)
-    height = height_at(hills, px, py)
+    height = height_at(hills, px, py) if sloping else 0.0
     total = 0.0
+    steep = 0.0
     for k in range(pieces):
         mid = yaw + (k + 0.5) * turn
         row = 0
         if several:
             mx = x + 0.5 * chord * cos(mid)
             my = y + 0.5 * chord * sin(mid)
-            row = hills.bins * surface_at(setting, Pose(mx, my, mid))
+            row = surface_at(setting, Pose(mx, my, mid)) * hills.headings
         x += chord * cos(mid)
         y += chord * sin(mid)
-        if abs(travel) > STILL:
+        if not sloping:
+            pass
+        elif abs(travel) > STILL:
             px = x + setting.lateral * sin(mid + 0.5 * turn)
             py = y - setting.lateral * cos(mid + 0.5 * turn)
             next_height = height_at(hills, px, py)
@@ -194,12 +202,22 @@ def sloping_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -
             rise = height_at(hills, px + dx, py + dy) - height_at(hills, px - dx, py - dy)
             steep = 0.5 * rise / nearby
         at = (min(max(steep / hills.steepest, -1.0), 1.0) + 1.0) * 0.5 * (hills.bins - 1)
-        low = min(int(at), hills.bins - 2)
+        low = max(min(int(at), hills.bins - 2), 0)
         part = at - low
-        row += low
+        round_ = (mid % (2.0 * pi)) / (2.0 * pi) * hills.headings
+        heading = min(int(round_), hills.headings - 1)
+        share = 1.0 if hills.headings == 1 else 1.0 - (round_ - heading)
         prices = setting.prices
-        total += (1.0 - part) * (before * prices[row, ray] + after * prices[row, ray + 1])
-        total += part * (before * prices[row + 1, ray] + after * prices[row + 1, ray + 1])
+        for beside in range(min(hills.headings, 2)):
+            at_row = (row + (heading + beside) % hills.headings) * hills.bins + low
+            total += share * (1.0 - part) * (
+                before * prices[at_row, ray] + after * prices[at_row, ray + 1]
+            )  # fmt: skip
+            if sloping:
+                total += share * part * (
+                    before * prices[at_row + 1, ray] + after * prices[at_row + 1, ray + 1]
+                )  # fmt: skip
+            share = 1.0 - share
     return total
 
 
@@ -208,8 +226,8 @@ def motion_cost(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) ->
     """Price of a motion of constant curvature that starts at a pose."""
     if setting.surface.size == 1:
         return price(setting.prices, 0, setting.half_track, ds, dtheta)
-    if setting.hills.bins > 1:
-        return sloping_cost(setting, pose, ds, dtheta)
+    if setting.hills.bins * setting.hills.headings > 1:
+        return cost_in_parts(setting, pose, ds, dtheta)
     furthest = max(abs(ds), abs(ds + setting.lateral * dtheta))
     pieces = max(ceil(2.0 * furthest / setting.space.resolution), 1)
     part_ds = ds / pieces

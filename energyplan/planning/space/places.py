@@ -217,10 +217,13 @@ def halfway(across: int) -> IntTable:
 
 
 class MetrePrices(NamedTuple):
-    """What a metre costs over the least price of one, by class of surface and slope."""
+    """What a metre costs over the least price of one, by class of surface, heading and slope."""
 
     surface: Bytes  # (places,): class of surface; a single one where all are alike
-    ratio: FloatTable  # (classes, slopes)
+    ratio: FloatTable  # (classes, headings * slopes)
+    headings: int  # directions of travel, from 0 round to 2 pi
+    yaw: float  # yaw of the map [rad]
+    across: int  # places in a row, with the rim
     height: Floats  # (places,): height of their middles; a single one on level ground [m]
     steepest: float  # steepest slope, as rise over run
 
@@ -228,9 +231,10 @@ class MetrePrices(NamedTuple):
 def ground_of(places: Places, kernel: KernelProblem) -> MetrePrices:
     """Return what a metre costs at each place, driven the cheaper way round."""
     hills, surface = kernel.hills, kernel.surface.ravel()
-    straight = kernel.prices.reshape(-1, hills.bins, DIRECTIONS + 1)
+    straight = kernel.prices.reshape(-1, hills.headings, hills.bins, DIRECTIONS + 1)
     # what is uphill forwards is downhill for one who faces the other way
-    cheapest = np.minimum(straight[..., 0], straight[:, ::-1, DIRECTIONS // 2])
+    facing = np.roll(straight[..., ::-1, DIRECTIONS // 2], hills.headings // 2, axis=1)
+    cheapest = np.minimum(straight[..., 0], facing).reshape(len(straight), -1)
     if kernel.surface.size > 1:
         rows, columns = kernel.surface.shape
         row, column = np.divmod(np.arange(len(places.masks)), places.columns + 2 * RIM)
@@ -239,7 +243,10 @@ def ground_of(places: Places, kernel: KernelProblem) -> MetrePrices:
         column = ((column - RIM + 0.5) * scale).astype(int).clip(0, columns - 1)
         surface = kernel.surface[row, column]
     height = heights_of_places(places, hills, kernel.space) if hills.bins > 1 else np.zeros(1)
-    return MetrePrices(surface, cheapest / kernel.least_metre, height, hills.steepest)
+    return MetrePrices(
+        surface, cheapest / kernel.least_metre, hills.headings, kernel.space.yaw,
+        places.columns + 2 * RIM, height, hills.steepest,
+    )  # fmt: skip
 
 
 @njit
@@ -255,11 +262,16 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
 @inner
 def ratio_between(ground: MetrePrices, place: int, to: int, length: float) -> float:
     """Return what a metre from one place to another costs over the least price of one."""
-    slopes = ground.ratio.shape[1]
+    slopes = ground.ratio.shape[1] // ground.headings
     at = 0
+    if ground.headings > 1:
+        up = to // ground.across - place // ground.across
+        right = to % ground.across - place % ground.across
+        way = (atan2(up, right) + ground.yaw) / (2.0 * pi) * ground.headings
+        at = slopes * (floor(way + 0.5) % ground.headings)
     if slopes > 1:
         steep = (ground.height[to] - ground.height[place]) / (length * ground.steepest)
-        at = int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
+        at += int((min(max(steep, -1.0), 1.0) + 1.0) * 0.5 * (slopes - 1) + 0.5)
     if ground.surface.size == 1:
         return float(ground.ratio[0, at])
     kinds = ground.surface

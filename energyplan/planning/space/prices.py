@@ -28,6 +28,9 @@ from energyplan.terrain.surfaces import NOT_SLOW, SlowAreas
 Value = TypeVar("Value")
 
 BINS = 65  # slopes in the price tables of the kernels; odd, so that level ground is one of them
+HEADINGS = 128  # headings in the price tables where prices depend on them
+SLOPING_HEADINGS = 32  # and where slopes matter too
+_TURN_PARTS = 64  # parts of a turn that are priced at the heading in their middle
 
 
 FLAT = 1e-9  # slopes below this are none
@@ -120,24 +123,31 @@ def check_models(costs: tuple[EnergyCost, ...], surfaces: SurfaceMap | None) -> 
 class SlopeTable(NamedTuple):
     """Prices less the potential energy; the rows are classes of surface and slopes."""
 
-    kept: FloatArray  # (classes * BINS, rays): what the kernels interpolate
+    kept: FloatArray  # (classes * headings * BINS, rays): what the kernels interpolate
     height_price: float  # the price of height that was taken off
 
 
 def priced(
-    objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
-) -> SlopeTable:
-    """Return the prices of motions on slopes up to the steepest."""
+    objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float,
+    yaws: FloatArray | None = None,
+) -> SlopeTable:  # fmt: skip
+    """Return the prices of motions on slopes up to the steepest, at headings where they matter."""
     key = "priced", steepest, tuple(sorted(objective_weights(objective.objective).items()))
-    make = partial(_priced, objective, ds, dtheta, travel, steepest)
+    make = partial(_priced, objective, ds, dtheta, travel, steepest, yaws)
     return remembered(objective.cost, objective.surfaces, key, make)
 
 
 def _priced(
-    objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float
-) -> SlopeTable:
+    objective: Prices, ds: FloatArray, dtheta: FloatArray, travel: FloatArray, steepest: float,
+    yaws: FloatArray | None,
+) -> SlopeTable:  # fmt: skip
     steep = np.linspace(-steepest, steepest, (BINS - 1) * SLOPES.finer + 1)[:, None]
-    fine = np.array([objective.motion(ds, dtheta, k, steep) for k in range(len(objective.costs))])
+    rows = [
+        objective.motion(ds, dtheta, k, steep, yaw=yaw)
+        for k in range(len(objective.costs))
+        for yaw in ([None] if yaws is None else yaws[:, 0])
+    ]
+    fine = np.array(rows)
     rise = np.broadcast_to(steep * ds, fine.shape)
     height_price = potential(fine, np.broadcast_to(travel, fine.shape), rise)
     fine = fine - height_price * rise
@@ -197,7 +207,8 @@ class Prices:
         if self.surfaces is None or not self.surfaces.speed_limits:
             return NOT_SLOW
         regions = self.surfaces.costs(self.cost)[: len(self.surfaces.surfaces) + 1]
-        if not self._weights[2] and all(cost.same_at_any_speed for cost in regions):
+        timed = self._weights[2] or any(self.surfaces.seconds)
+        if not timed and all(cost.same_at_any_speed for cost in regions):
             return NOT_SLOW
         return self.surfaces.slow_areas(self.cost)
 
@@ -208,6 +219,11 @@ class Prices:
             return (self.cost,)
         count = (len(self.surfaces.surfaces) + 1) * (len(self.slow.speeds) + 1)
         return self.surfaces.costs(self.cost)[:count]
+
+    def of_time(self, region: int) -> float:
+        """Price of a second in one class of ground."""
+        seconds = (0.0,) if self.surfaces is None else self.surfaces.seconds
+        return self._weights[2] + seconds[region % len(seconds)]
 
     def class_at(self, points: ArrayLike) -> NDArray[np.intp]:
         """Return the class of ground at each world point (..., 2) [m]."""
@@ -231,19 +247,36 @@ class Prices:
         steep: ArrayLike | None = None,
         *,
         exact: bool = False,
+        yaw: ArrayLike | None = None,
     ) -> FloatArray:
-        """Return the price of arcs within one class of ground."""
+        """Return the price of arcs within one class of ground.
+
+        Where it depends on the heading and none is given, it is a lower bound.
+        """
         cost = self.costs[region]
-        energy, length, time = self._weights
+        energy, length, _ = self._weights
+        time = self.of_time(region)
         slope: ArrayLike | None = 0.0 if exact else None
         along = np.asarray(ds, float)
         if steep is not None:
             slope, along = np.arctan(steep), along * np.hypot(1.0, steep)
-        total = energy * cost.segment_energy(along, dtheta, slope, exact=exact)
+        total = energy * cost.segment_energy(along, dtheta, slope, exact=exact, yaw=yaw)
         total = total + length * np.abs(ds)
         if time:  # else a vehicle needs no speed limit
             total = total + time * cost.segment_duration(along, dtheta, exact=exact)
         return np.asarray(total)
+
+    def turning(
+        self, ds: ArrayLike, dtheta: ArrayLike, region: int = 0, yaw: ArrayLike = 0.0
+    ) -> FloatArray:
+        """Return the price of arcs within one class of ground that begin at a heading [rad]."""
+        if not self.costs[region].of_heading:
+            return self.motion(ds, dtheta, region)
+        parts = (np.arange(_TURN_PARTS) + 0.5) / _TURN_PARTS
+        every = [
+            self.motion(ds, dtheta, region, yaw=yaw + part * np.asarray(dtheta)) for part in parts
+        ]
+        return np.asarray(np.mean(every, axis=0))
 
     def floor(self, ds: ArrayLike, dtheta: ArrayLike, region: int, steep: ArrayLike) -> FloatArray:
         """Return what arcs on slopes cost at least; arguments as for `motion`.
@@ -252,7 +285,8 @@ class Prices:
         one direction to the next, so that the fastest admissible speed is used instead.
         """
         cost = self.costs[region]
-        energy, length, time = self._weights
+        energy, length, _ = self._weights
+        time = self.of_time(region)
         if time <= energy * cost.time_value * (1.0 + 1e-9):
             return self.motion(ds, dtheta, region, steep)
         along = np.asarray(ds, float) * np.hypot(1.0, steep)
@@ -261,7 +295,10 @@ class Prices:
         return np.asarray(total + length * np.abs(ds) + time * least)
 
     def value(self, energy: float, length: float, duration: float) -> float:
-        """Return the price of a whole path, given its energy [J], length [m] and duration [s]."""
+        """Return the price of a whole path, given its energy [J], length [m] and duration [s].
+
+        What seconds on priced ground add comes on top.
+        """
         weights = self._weights
         timed = weights[2] * duration if weights[2] else 0.0
         return weights[0] * energy + weights[1] * length + timed
