@@ -26,6 +26,9 @@ class RouteSearch(NamedTuple):
     again: float = 1.4  # factor on the price of a step near an earlier route
     blocked: float = 8.0  # the same where tracking was stuck
     most: int = 4  # routes
+    # factors on the price of turns for routes of long straight steps [1]
+    turns: tuple[float, ...] = (1.0, 3.0)
+    hope: float = 1.03  # cost over the best path's up to which these are refined [1]
     spare: int = 1024  # room for the states that one leads to
     states: int = 100_000  # states that are expanded at most
     wide: float = 9.0  # room beyond the body's reach from which steps are four cells long [cells]

@@ -46,7 +46,7 @@ from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.search.narrow.ends import surely_has_room
 from energyplan.planning.search.narrow.passages import passage_work
 from energyplan.planning.search.optimise import Portfolio, Refiner
-from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.search.routes import cheapest_routes, straight_routes
 from energyplan.planning.search.stops import Stops, least_driven, stops_of
 from energyplan.planning.settings import LATTICE, REFINING, STOPS
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
@@ -123,8 +123,11 @@ def _find_more(paths: Paths, budget: Budget) -> float:
     setting, portfolio = paths.setting, paths.portfolio
     routes = partial(cheapest_routes, setting, paths.to_go, stuck=paths.stuck)
     routing = Work(routes, SHARES.stage * searching.left, paths.enter_between)
-    comparing = _compared(paths, SHARES.aside * searching.left)
-    do_together(searching, [*portfolio.turns(paths.enough), routing, comparing])
+    aside = 0.5 * SHARES.aside * searching.left
+    straight = partial(straight_routes, setting, paths.to_go)
+    straightening = Work(straight, aside, paths.enter_hopeful)
+    comparing = _compared(paths, aside)
+    do_together(searching, [*portfolio.turns(paths.enough), routing, straightening, comparing])
     if searching.over or paths.cost <= paths.enough:
         return kept
     works = paths.bounding.work(paths.cost, kept)
