@@ -472,6 +472,8 @@ def _sure_of_speeds(
             if _USUAL_SPEED[0] <= drive.top_speed * size[u] <= _USUAL_SPEED[1]
             and not abs(np.log(drive.force / weight / size[u] / _MIDDLE_FORCE)) > np.log(10.0)
         ]  # fmt: skip
+        if chosen["v_left"] != "m/s":  # nothing shows it but that others would surprise
+            near = [*dict.fromkeys((chosen["v_left"], *near, "m/s"))]
     if len(near) > 1:
         told = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u for u in near]
         left, right = (columns[name].field for name in SPEEDS)

@@ -98,6 +98,7 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     for row, line in enumerate(lines[:2], 1):
         if "\0" in line:
             raise error(f"{file}, line {row} holds a NUL byte; save it as text in UTF-8")
+    _refuse_pairs(lines, file, error)
     separator, place = _layout(lines)
     first_row = cut(lines[place], separator)
     try:
@@ -125,6 +126,24 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     return Dialect(
         names, separator or ",", "," if comma else ".", encoding, start + mark, first + 1, named
     )
+
+
+def _refuse_pairs(lines: Sequence[str], file: object, error: type[InvalidInputError]) -> None:
+    """Refuse text of pairs of a name and a value, of which a block is a reading."""
+    rows = [re.split(r"\t|=|: |;|,", line.strip(), maxsplit=1) for line in lines if line.strip()]
+    first = [row[0].strip() for row in rows if len(row) == 2]
+    often = Counter(first)
+    words_alone = not any(map(_is_value, often))
+    if len(rows) >= 8 and len(first) > 0.8 * len(rows) and words_alone and (
+        2 < len(often) <= len(first) / 2 and min(often.values()) > 1
+        and all(len(re.split(r"\t|,|;", line.strip())) == 2 for line in lines if line.strip())
+    ):  # fmt: skip
+        named = ", ".join(list(often)[:3])
+        raise error(
+            f"{file} holds pairs of a name and a value ({named}, ...), a block "
+            "of lines for each reading, as a battery monitor sends them: write a row for each "
+            "block, with a column for each name and one for the time"
+        )
 
 
 def _check(names: list[str], line: int, file: object, error: type[InvalidInputError]) -> None:
@@ -426,7 +445,7 @@ def _mean_of(parts: Sequence[FloatArray]) -> FloatArray:
 
 def message_series(name: str) -> str:
     """Return the name of the series of a message's field: ``/a.b.c`` of ``/a.b[c]``."""
-    return f"/{re.sub(r'[][()]+', '.', name).strip('/.')}"
+    return f"/{re.sub(r'[][().]+', '.', name).strip('/.')}"
 
 
 def of_messages(
