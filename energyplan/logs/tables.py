@@ -616,6 +616,24 @@ _OTHERS = {
                     "--format csv do"),
 }  # fmt: skip
 """What files are that are not read, and what makes a table of them, by suffix."""
+_BEGINNINGS = {
+    b"ARROW1": "a Feather file; pandas.read_feather(FILE).to_csv('log.csv') makes a table of it",
+    b"SQLite format 3": "an SQLite database; sqlite3 -header -csv FILE 'select * from TABLE' > "
+    "log.csv makes a table of it; a ROS 2 bag's is named .db3",
+    b"\x28\xb5\x2f\xfd": "compressed by zstd; unzstd FILE unpacks it; of a ROS 2 bag give the "
+    "folder with its metadata.yaml",
+    b"BZh": "compressed; bunzip2 FILE unpacks it",
+    b"\xfd7zXZ": "compressed; unxz FILE unpacks it",
+    b"\x1f\x8b": "compressed; name it with the ending .csv.gz",
+    b"PK\x03\x04": "a zip archive, as workbooks are; save the sheet that holds the log as CSV, or "
+    "unzip it",
+    b"\x89HDF": "of HDF5; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of its data sets",
+    b"\x93NUMPY": "of NumPy; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of it",
+    b"PAR1": "a Parquet file; name it with the ending .parquet",
+    b"#ROSBAG": "a ROS 1 bag; name it with the ending .bag",
+    b"\x89MCAP": "an MCAP file; name it with the ending .mcap",
+}
+"""The same by the first bytes, whatever the ending."""
 
 
 def read_table(
@@ -809,6 +827,12 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
             f"{str(file)!r} is a folder; give a .csv, .parquet, .mcap or .db3 file in it, or "
             "several as one drive, as in odom.csv+battery.csv"
         )
+    if suffix != ".parquet" and file.suffix.lower() not in (".gz", *_OTHERS) and file.is_file():
+        with file.open("rb") as stream:
+            head = stream.read(max(map(len, _BEGINNINGS)))
+        found = next((text for mark, text in _BEGINNINGS.items() if head.startswith(mark)), None)
+        if found is not None:
+            raise error(f"{file} is {found}")
     if suffix is None and file.suffix.lower() in _OTHERS:
         raise error(f"{file} is {_OTHERS[file.suffix.lower()]}")
     if suffix is None:
