@@ -33,6 +33,8 @@ _OTHER_UNITS = {
     "these are the motors', divide by the gear ratio, too, as in [rpm*0.0033",
 }  # fmt: skip
 """In which unit readings are that are impossible in the library's."""
+_TURNS = {"deg/s": 600.0, "mrad/s": 6e3, "cdeg/s": 3e4, "mdps": 6e5}
+"""In which unit turn rates are, by how large they get."""
 
 
 def possible(channels: Mapping[str, FloatArray]) -> bool:
@@ -305,6 +307,9 @@ class _Cleaner:
             value = float(values[stray][0])
             kinds = np.unique(values[stray])
             other = _OTHER_UNITS.get(unit, "*0.001")
+            if unit == "rad/s":
+                usual = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
+                other = next((u for u, high in _TURNS.items() if usual <= high), "*FACTOR")
             blank = f"; where {value:g} stands for no reading, leave the cell empty"
             raise DriveLogError(
                 f"{self.label}, {self.where(stray, name)}: {name} is {value:g} {unit}, which no "
