@@ -193,3 +193,19 @@ def test_other_planners_reach_places_too(planner):
     found = ep.plan(problem((6, 3)), planner, effort=4000)
     assert found.goal_reached[:2] == pytest.approx((6, 3), abs=1e-6)
     assert found.lower_bound <= found.cost
+
+
+def test_a_request_names_goals_as_python_does():
+    """The service reads places, objects and lists, and refuses what stands for no goal."""
+    pytest.importorskip("fastapi")
+    from energyplan.serve.requests import PlanRequest
+
+    def asked(goal: object) -> object:
+        return PlanRequest(map="a.yaml", model="m", start=[0.0, 0.0, 0.0], goal=goal).goal
+
+    assert asked([6, 3]) == (ep.Goal(6, 3),)
+    either = {"x": 6, "y": 3, "yaw": 1.0, "heading": "either"}
+    assert asked([[6, 3], either]) == (ep.Goal(6, 3), ep.Goal(6, 3, 1.0, "either"))
+    for wrong in ([6], "x", {"x": 6}, [[6, 3]] * 21):
+        with pytest.raises(ValueError, match="goal"):
+            asked(wrong)
