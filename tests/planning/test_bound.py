@@ -7,6 +7,7 @@ import pytest
 import shapely
 from by_day import by_day
 from random_models import random_model
+from scipy import ndimage
 from worlds import COST, MAPS, cluttered, free_poses, room
 
 from energyplan import steering
@@ -16,7 +17,7 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
-from energyplan.planning.bound import EFFORT, corners, line, lower_bound
+from energyplan.planning.bound import EFFORT, corners, line, lower_bound, outline
 from energyplan.planning.bound.corners import DiscEnds, ways_to_goal
 from energyplan.planning.bound.line import (
     HEADINGS,
@@ -30,6 +31,7 @@ from energyplan.planning.bound.line import (
 )
 from energyplan.planning.bound.outline import DETAILS, no_links, outline_for, sight
 from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
+from energyplan.planning.settings import OUTLINES
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import term
@@ -693,3 +695,19 @@ def test_no_plan_among_obstacles_beats_the_bound(case):
             assert float(steering.energy(start, goal, cost)) <= found.lower_bound * (1 + 1e-9)
         raised += kind == "surfaces" and least_excess(query, 0.3, found.energy) > 0
     assert raised or kind != "surfaces"
+
+
+@pytest.mark.parametrize("cells", [900, 4000])
+def test_outlines_of_a_large_map_are_those_of_the_whole(monkeypatch, cells):
+    """Contours computed a few rows at a time join to the same lines."""
+    rng = np.random.default_rng(3)
+    grid = OccupancyGrid(ndimage.binary_dilation(rng.random((150, 120)) < 0.01, iterations=3), 0.05)
+
+    def lines(limit):
+        monkeypatch.setattr(outline, "MOST_RUNS", 0)
+        monkeypatch.setattr(outline, "OUTLINES", OUTLINES._replace(cells=limit))
+        found = outline.outline_for(grid, 0.25, outline.DETAILS[0])
+        return {tuple(np.round(corner, 9)) for corner in np.hstack(found[:3]).tolist()}
+
+    assert len(lines(1 << 21)) > 10
+    assert lines(cells) == lines(1 << 21)
