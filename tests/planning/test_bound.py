@@ -17,7 +17,7 @@ from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
-from energyplan.planning.bound import EFFORT, corners, line, lower_bound, outline
+from energyplan.planning.bound import EFFORT, corners, line, lower_bound
 from energyplan.planning.bound.corners import DiscEnds, ways_to_goal
 from energyplan.planning.bound.line import (
     HEADINGS,
@@ -29,7 +29,13 @@ from energyplan.planning.bound.line import (
     gate,
     to_gate,
 )
-from energyplan.planning.bound.outline import DETAILS, no_links, outline_for, sight
+from energyplan.planning.bound.outline import (
+    DETAILS,
+    _level_set,
+    no_links,
+    outline_for,
+    sight,
+)
 from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
 from energyplan.planning.settings import OUTLINES
 from energyplan.planning.space.compiled import CompiledProblem
@@ -703,11 +709,16 @@ def test_outlines_of_a_large_map_are_those_of_the_whole(monkeypatch, cells):
     rng = np.random.default_rng(3)
     grid = OccupancyGrid(ndimage.binary_dilation(rng.random((150, 120)) < 0.01, iterations=3), 0.05)
 
-    def lines(limit):
-        monkeypatch.setattr(outline, "MOST_RUNS", 0)
-        monkeypatch.setattr(outline, "OUTLINES", OUTLINES._replace(cells=limit))
-        found = outline.outline_for(grid, 0.25, outline.DETAILS[0])
-        return {tuple(np.round(corner, 9)) for corner in np.hstack(found[:3]).tolist()}
+    def edges(limit):
+        monkeypatch.setattr(
+            "energyplan.planning.bound.outline.OUTLINES", OUTLINES._replace(cells=limit)
+        )
+        point, first = _level_set(grid, 3.3)
+        within = np.delete(np.arange(len(point) - 1), first[1:-1] - 1)
+        return len(first), {
+            (*begin, *end)
+            for begin, end in zip(point[within].tolist(), point[within + 1].tolist(), strict=True)
+        }
 
-    assert len(lines(1 << 21)) > 10
-    assert lines(cells) == lines(1 << 21)
+    assert len(edges(1 << 21)[1]) > 100
+    assert edges(cells) == edges(1 << 21)
