@@ -101,8 +101,10 @@ REFINING = Refining()
 class FewerStops(NamedTuple):
     """Constants of the search for paths with fewer stops."""
 
-    least: float = 1e-3  # part of the energy that stops take from which they are looked at
-    most: float = 0.03  # part of the energy from which other routes are searched
+    least: float = 1e-3  # part of the objective that stops take from which they are looked at
+    most: float = 0.03  # part of the objective from which other routes are searched
+    # work left, over that of a drive, with which stops are priced before paths are refined
+    drives: float = 3.0
     # prices of a stop over what one takes on the best path [1]
     prices: tuple[float, ...] = (1.0, 3.0)
     polish: int = 800  # attempts to refine a path along another route
