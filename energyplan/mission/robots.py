@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Generator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from heapq import heappop, heappush
 from itertools import count
 
@@ -48,19 +48,29 @@ class Sharing:
         self._found: dict[tuple[int, tuple[int, ...]], Order] = {}
 
     def report(self) -> MissionReport:
-        """Share the tasks until every robot can do its own."""
+        """Share the tasks until every robot can do its own; the best round is the answer."""
         able = [list(own) for own in self.own]
+        prize = {task.name: float(one) for task, one in zip(self.mission.tasks, self.prize,
+                                                            strict=True)}  # fmt: skip
+        rounds = list[list[MissionReport]]()
         while True:
             given = self._given(able)
-            robots = self._driven(given)
+            rounds.append(self._driven(given))
             lost = False
-            for own, numbers, robot in zip(able, given, robots, strict=True):
+            for own, numbers, robot in zip(able, given, rounds[-1], strict=True):
                 for number in numbers:
                     if self.mission.tasks[number].name not in {task.name for task in robot.tasks}:
                         own.remove(number)
                         lost = True
             if not lost:
                 break
+
+        def rank(found: list[MissionReport]) -> tuple[bool, float, float]:
+            gained = sum(prize[task.name] for one in found for task in one.tasks)
+            energy = sum(one.energy for one in found)
+            return not all(one.feasible for one in found), -round(gained, 6), energy
+
+        robots = min(rounds, key=rank)
         done = {task.name: task for robot in robots for task in robot.tasks}
         tasks = [done.get(task.name) or self._left_out(k, task)
                  for k, task in enumerate(self.mission.tasks)]  # fmt: skip
@@ -135,14 +145,13 @@ class Sharing:
         )  # fmt: skip
 
 
-@dataclass(eq=False)
 class Stay:
     """A robot at a charger."""
 
-    robot: int
-    docking: Docking
-    shares: list[tuple[float, float]]  # see `Shares`
-    after: Status  # when it leaves, as long as nobody comes or leaves
+    def __init__(self, robot: int, docking: Docking) -> None:
+        self.robot, self.docking = robot, docking
+        self.shares: list[tuple[float, float]] = []  # see `Shares`
+        self.after = docking.state  # when it leaves, as long as nobody comes or leaves
 
 
 class Clock:
@@ -197,7 +206,7 @@ class Clock:
             sim = self.robots[r][0].sim
             state = sim.wait_until(docking.state, time)
             if sim.holds(state):
-                stays.append(Stay(r, docking._replace(state=state), [], state))
+                stays.append(Stay(r, docking._replace(state=state)))
             else:
                 self._onward(r, None)
         part = 1.0 / len(stays) if charger.shared and stays else 1.0
