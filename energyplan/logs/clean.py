@@ -15,21 +15,14 @@ from numpy.typing import NDArray
 from energyplan.errors import DriveLogError
 from energyplan.logs.align import AS_LOGGED, Series, align, gap_limit, usable, usable_rows
 from energyplan.logs.mapping import ROW
+from energyplan.motion import LOGGED
 from energyplan.path import FloatArray
 from energyplan.records import described
 
 if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog
 
-LIMITS = {
-    "t": (-1e11, 1e11, "s"), "v_left": (-20.0, 20.0, "m/s"), "v_right": (-20.0, 20.0, "m/s"),
-    "cmd_left": (-20.0, 20.0, "m/s"), "cmd_right": (-20.0, 20.0, "m/s"),
-    "p_left": (-5e4, 5e4, "W"), "p_right": (-5e4, 5e4, "W"), "power": (-1e5, 1e5, "W"),
-    "voltage": (0.0, 1500.0, "V"), "current": (-2000.0, 2000.0, "A"), "x": (-1e8, 1e8, "m"),
-    "y": (-1e8, 1e8, "m"), "yaw": (-1e6, 1e6, "rad"), "yaw_rate": (-20.0, 20.0, "rad/s"),
-    "slope": (-1.2, 1.2, "rad"), "accel_x": (-200.0, 200.0, "m/s^2"),
-    "temperature": (-100.0, 300.0, "degC"), "payload": (0.0, 1e5, "kg"),
-}  # fmt: skip
+LIMITS = {name: (one.least, one.most, one.unit) for name, one in LOGGED.items()}
 """Range in which a reading is possible at all, by channel."""
 ANY = (-1e30, 1e30, "in its unit")
 """The same of other channels."""
