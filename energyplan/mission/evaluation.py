@@ -21,6 +21,7 @@ from energyplan import html
 from energyplan.battery import SAGS, Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.mission.drive import Attempt, Simulation, Status
+from energyplan.mission.headings import with_poses
 from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import (
     Alternative,
@@ -103,8 +104,36 @@ def evaluate(
     if mission.robots:
         from energyplan.mission.robots import Sharing
 
+        first = mission.parts[0]  # the poses suit this robot, whoever comes there
+        known = {task.name: task for task in with_poses(first, Legs(first)).tasks}
+        tasks = tuple(known.get(task.name, task) for task in mission.tasks)
+        if any(task.goals for task in tasks):
+            mission = replace(mission, tasks=tasks)
         return Sharing(mission, progress, routes).report()
-    return Evaluation(mission, progress, Legs(mission, progress, routes)).report()
+    legs = Legs(mission, progress, routes)
+    chosen = with_poses(mission, legs)
+    if chosen is mission:
+        return Evaluation(mission, progress, legs).report()
+    return _with_chosen_poses(chosen, progress, legs.routes)
+
+
+def _with_chosen_poses(mission: Mission, progress: Progress, routes: Routes) -> MissionReport:
+    """Evaluate a mission, and anew with the poses that are best for the order that was found."""
+    best = Evaluation(mission, progress, Legs(mission, progress, routes)).report()
+    for _ in range(_AGAIN):
+        names = [task.name for task in mission.tasks]
+        order = [names.index(name) for name in best.order if name in names]
+        again = with_poses(mission, Legs(mission, progress, routes), order)
+        if [task.pose for task in again.tasks] == [task.pose for task in best.mission.tasks]:
+            break
+        other = Evaluation(again, progress, Legs(again, progress, routes)).report()
+        if (not other.feasible, other.energy) >= (not best.feasible, best.energy):
+            break
+        best = other
+    return best
+
+
+_AGAIN = 2  # rounds of choosing poses for the order that was found
 
 
 class _Try(NamedTuple):

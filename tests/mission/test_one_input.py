@@ -204,6 +204,7 @@ PARTS = [
     Part(mission, ("tasks", 0), Task, like(
         name="other", pose=(6.0, 2.2, 0.0), dwell=61.0, power=51.0, payload=6.0, prize=2.0,
         required=False, window=(41.0, 500.0), power_spread=30.0, dwell_spread=30.0,
+        goals=(ep.Goal(6.0, 2.5),),
     ), {"prize": "all tasks fit", "required": "all tasks fit"}),
     Part(shared, ("tasks", 1), Task, like(needs=())),
     Part(along, ("tasks", 0), Task, like(
@@ -264,7 +265,8 @@ PARTS = [
         "map": lambda: replace(hall(), unknown=None), "surfaces": lambda: None,
         "cost": lambda: ep.EnergyCost(model(0.5), battery=True, speed=0.8),
         "vehicle": lambda: Vehicle.preset("husky_a200"), "costmap": lambda: None,
-        **like(start=(1.2, 2.2, 0.0), goal=(6.0, 2.2, 1.0), objective="time", clearance=0.2,
+        **like(start=(1.2, 2.2, 0.0), goal=(6.0, 2.2, 1.0), goals=(ep.Goal(6.0, 2.5),),
+               objective="time", clearance=0.2,
                costmap_weight=500.0, turning="forward"),
     }),
     Part(lambda: changed(problem(), (), {"cost": ep.EnergyCost(hilly().model, speed=0.8),
