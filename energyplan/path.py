@@ -51,8 +51,8 @@ def refuse_degrees(
     wide = angles[np.abs(angles) >= _TURNED]
     if wide.size and np.all(2 * angles == np.round(2 * angles)):
         raise error(
-            f"{name} is {wide[0]:g} rad, which seems to be in degrees; give radians, such as "
-            f"math.radians({wide[0]:g})"
+            f"{name} is {wide[0]:g} rad, which seems to be in degrees; write {wide[0]:g}deg in a "
+            f"file or on the command line, math.radians({wide[0]:g}) in Python"
         )
 
 

@@ -79,6 +79,10 @@ def start(
     ] = None,
     columns: opt.Columns = None,
     unsigned: opt.Unsigned = False,
+    reverse: Annotated[
+        Literal["yes", "no"] | None,
+        Option(help="Whether plans may drive this robot backwards. Default: yes, with a note."),
+    ] = None,
     accept: Annotated[
         bool, Option("--accept", help="Accept a log with a check that is WRONG.")
     ] = False,
@@ -131,6 +135,12 @@ def start(
         if asked:  # so that nobody need type it again
             warn("typed: " + " ".join(f"--{k.replace('_', '-')} {v:g}" for k, v in asked.items()))
         raise
+    if reverse is not None:
+        robot = replace(result.project.vehicle, reverse=reverse == "yes")
+        result = replace(result, project=replace(result.project, vehicle=robot))
+    elif like is None:
+        note = "plans may drive the robot backwards; give --reverse no where it must not"
+        result = replace(result, notes=(*result.notes, note))
     written = result.sound or accept
     done = "give --out PROJECT.yaml to write it as a project"
     if out is not None and written:

@@ -57,7 +57,23 @@ from energyplan.logs.mapping import (
     time_units,
     unit_in,
 )
-from energyplan.logs.tables import Recording, counts_rows, find_clock, quaternions
+from energyplan.logs.tables import Recording, counts_rows, find_clock, find_stamp, quaternions
+from energyplan.path import FloatArray
+
+
+def _refuse_blank(recording: Recording, needed: Sequence[str]) -> None:
+    """Refuse a log whose column for what is needed holds no reading at all."""
+    for channel in needed:
+        ways = (channel,) if channel != "power" else ("power", "current", "p_left", "voltage")
+        found = guess(recording.columns)
+        for one in (found[way] for way in ways if way in found):
+            if not np.isfinite(recording.column(one.field)).any():
+                raise DriveLogError(
+                    f"{recording.source}: {one.field} is never measured: it is nan in all rows, as "
+                    "of a driver without that sensor; log one that measures it, or map another "
+                    f"column, as in --columns {one.channel}=NAME"
+                )
+
 
 _CONSUMED = {
     "current": {"ah", "mah", "charge", "amphours"},
@@ -68,6 +84,7 @@ _CONSUMED = {
 
 def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
     """Say what is missing, and why what could be it is not."""
+    _refuse_blank(recording, needed)
     text = guess(recording.text)
     for channel in needed:
         ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
@@ -269,6 +286,9 @@ def draft(recording: Recording, known: Given) -> Draft:
     found = _guesses(recording, there, taken, columns)
     if {"voltage", "current"} <= {*typed.sources}:  # surer than a name
         found.pop("power", None)
+    stamp = None if recording.times else find_stamp(recording.columns)
+    if stamp is not None and not taken & {*stamp.names}:
+        found["t"] = stamp
     if recording.times:
         found.pop("t", None)
     found |= {channel: one for channel, one in typed.rates.items() if channel not in columns}
@@ -356,6 +376,13 @@ def _counted(
     recording: Recording, encoders: Mapping[str, Column], known: Given
 ) -> dict[str, Column]:
     """Return the speeds of encoders whose way of counting and metres per count are known."""
+    lengths = {c: unit_in("x", one.field).unit for c, one in encoders.items()}
+    ways = {_way_of_counting(recording.column(one.field)) for one in encoders.values()}
+    if all(lengths.values()) and len(ways) == 1 and "" not in ways:
+        return {
+            c: one.changed(unit=f"{next(iter(ways))}*{scale_of('x', lengths[c]).factor:g}").mean()
+            for c, one in encoders.items()
+        }
     metres = 2 * pi * known.wheel_radius / known.counts_per_revolution
     if isfinite(metres) and all(one.unit for one in encoders.values()):
         return {
@@ -366,7 +393,7 @@ def _counted(
     stated = ",".join(
         f"{channel}={one.written}[{one.unit or TOTAL}*{size}]" for channel, one in encoders.items()
     )
-    ways = "" if encoders["v_left"].unit else (
+    how = "" if encoders["v_left"].unit else (
         f" where they count on, {SINCE} where they count from row to row, {RATE} where they count "
         "in a second"
     )  # fmt: skip
@@ -374,8 +401,18 @@ def _counted(
         f"{recording.source}: {encoders['v_left'].field!r} is an encoder's, and how far a count "
         f"goes is not known: give --counts-per-revolution with --wheel-radius, or the metres per "
         "count (1 if it counts metres) and, in brackets, how it counts, as in "
-        f'--columns "{stated}"{ways}'
+        f'--columns "{stated}"{how}'
     )
+
+
+def _way_of_counting(values: FloatArray) -> str:
+    """Return whether a distance counts on, or from row to row; empty where that is not clear."""
+    known = values[np.isfinite(values)]
+    steps = np.abs(np.diff(known))
+    if not np.any(steps):
+        return ""
+    far = float(np.ptp(known) / np.quantile(steps, 0.99))
+    return TOTAL if far > 20.0 else SINCE if far < 5.0 else ""
 
 
 _ELECTRIC = ("power", "p_left", "p_right", "current", "current_left", "current_right")
@@ -386,7 +423,10 @@ def _guesses(
     columns: Mapping[str, Column],
 ) -> dict[str, Column]:  # fmt: skip
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
-    names = [name for name in there if name not in taken]
+    names = [
+        name for name in there
+        if name not in taken and np.isfinite(recording.columns[name]).any()
+    ]  # fmt: skip
     counters = {name for name in names if grows(recording.columns[name][:SOME])}
     names += [name for name in quaternions(recording.columns) if np.ptp(
         recording.column(name)) > 0.0]  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -149,6 +149,32 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
         return OccupancyGrid.from_polygons(obstacles, (left, low, right, high), resolution)
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
+
+
+class Line(NamedTuple):
+    """A line of a file of shapes."""
+
+    points: list[list[float]]  # x, y [m]
+    properties: dict[str, Any]
+
+
+def read_lines(path: str | Path) -> list[Line]:
+    """Return the lines of a GeoJSON FeatureCollection; the parts of a MultiLineString one by one.
+
+    Each is a LineString or MultiLineString in the map's frame [m].
+    """
+    file, found = Path(path), list[Line]()
+    _, features = read_features(file)
+    shapes = [_shape(one["geometry"], f"{file}: feature {k}", LINES)
+              for k, one in enumerate(features)]  # fmt: skip
+    if not shapes:
+        raise MapError(f"{file}: no features; draw a line for each row")
+    check_metres(file, shapes)
+    for shape, feature in zip(shapes, features, strict=True):
+        for part in shapely.get_parts(shape):
+            points = shapely.get_coordinates(part).tolist()
+            found.append(Line(points, feature["properties"]))
+    return found
 
 
 def check_metres(file: Path, shapes: Sequence[BaseGeometry]) -> None:

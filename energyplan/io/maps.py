@@ -26,7 +26,7 @@ from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
 from energyplan.io.files import atomic_write, is_file, is_folder
 from energyplan.io.geojson import read_obstacles
 from energyplan.path import Pose, as_pose
-from energyplan.records import checked
+from energyplan.records import checked, warn
 from energyplan.terrain import CostMap, SpeedLimit
 from energyplan.terrain.grid import MAX_CELLS, OccupancyGrid, from_raster
 
@@ -47,6 +47,9 @@ LETHAL = 100
 
 LUMA = (0.212656, 0.715158, 0.072186)
 """Weights of red, green and blue in the brightness of a pixel (ITU-R BT.709)."""
+
+WIDE = 2e4
+"""Size of a map beyond which its resolution is doubted [m]."""
 
 IMAGES = (".png", ".pgm", ".bmp")
 """Endings of the images that a map may be."""
@@ -254,6 +257,13 @@ def _grid(
     file: Path, header: _MapHeader, values: NDArray[np.int8], unknown_is_free: bool
 ) -> OccupancyGrid:
     """Return the map that values of cells are."""
+    rows, columns = values.shape
+    if max(rows, columns) * header.resolution > WIDE:
+        warn(
+            f"{file}: the map is {columns * header.resolution / 1e3:.3g} x "
+            f"{rows * header.resolution / 1e3:.3g} km; check that its resolution, "
+            f"{header.resolution:g}, is in m"
+        )
     # between free and occupied nothing is certain
     free = values <= LETHAL * header.free_thresh if header.mode == "raw" else values == 0
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -14,8 +15,10 @@ from energyplan.errors import EnergyPlanError, MissionError, UnknownNameError
 from energyplan.io.config import read_model, read_vehicle
 from energyplan.io.documents import Checked, Document, Loc, beside, load, parse
 from energyplan.io.files import bundled, is_file
+from energyplan.io.geojson import read_lines
 from energyplan.io.orders import TaskOrder, read_order
 from energyplan.io.sites import PARTS, SiteFile, load_site, on_site
+from energyplan.io.tables import read_points
 from energyplan.mission import Mission, Robot, Task
 from energyplan.mission.types import OWN, Name, Place
 from energyplan.power import PowerModel
@@ -36,8 +39,8 @@ def read_mission(path: str | Path, *, inside: bool = False) -> Mission:
 
     Numbers are in SI units, or carry one: ``5 min``, ``60 W``, ``36 Ah``, ``20 %``. A pose is
     ``[x, y, yaw]``, ``"x,y,90deg"`` or the name of one of the `places`. The `tasks` may be the name
-    of a file, of an order of VDA 5050 or of waypoints of Nav2. Files are looked for
-    in the mission's folder, then among the library's own. docs/missions lists the keys.
+    of a file, of an order of VDA 5050, of waypoints of Nav2 or of lines of GeoJSON. Files are
+    looked for in the mission's folder, then among the library's own. docs/missions lists the keys.
 
     Parameters
     ----------
@@ -109,6 +112,12 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
         order = at(("tasks",), lambda name: read_order(file(name)), tasks)
         document = replace(document, data={**document.data, "tasks": order.tasks})
         return _as_ordered(_build(document, folder, anywhere), order)
+    if isinstance(tasks, list):
+        read = [
+            _with_path(task, partial(at, ("tasks", k, "path"), _points, file))
+            for k, task in enumerate(tasks)
+        ]
+        document = replace(document, data={**document.data, "tasks": read})
     if "robots" in document.data:
         return _of_robots(document, folder, anywhere)
 
@@ -158,6 +167,26 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
     return replace(document, data=data).check(
         Mission, context={"places": places, "where": document.where, "notes": notes}
     )
+
+
+def _with_path(task: Any, read: Callable[[str], Any]) -> Any:
+    """Return what a file says of a task, with the points of its path where it names a file."""
+    if not (isinstance(task, dict) and isinstance(task.get("path"), str)):
+        return task
+    return {**task, "path": read(task["path"])}
+
+
+def _points(file: Callable[[str], Path], name: str) -> list[list[float]]:
+    """Return the points of a path from a file of them."""
+    path = file(name)
+    if path.suffix.lower() != ".geojson":
+        return read_points(path)
+    lines = read_lines(path)
+    if len(lines) > 1:
+        raise MissionError(
+            f"{name} has {len(lines)} lines; give one, or make each a task: tasks: {name}"
+        )
+    return lines[0].points
 
 
 def _as_ordered(mission: Mission, order: TaskOrder) -> Mission:

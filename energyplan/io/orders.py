@@ -1,4 +1,4 @@
-"""Orders of other tools as the tasks of a mission: VDA 5050, waypoints of Nav2 and of its RViz.
+"""Orders of other tools as the tasks of a mission: VDA 5050, waypoints of Nav2, lines of GeoJSON.
 
 What changes time, energy or place is used, or named in a note. Keys that say nothing of these are
 listed beside each kind with the reason; what is in neither list is named too.
@@ -7,6 +7,7 @@ listed beside each kind with the reason; what is in neither list is named too.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from math import atan2, isfinite
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -16,6 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from energyplan.errors import MissionError
 from energyplan.io.bags import heading
 from energyplan.io.documents import load
+from energyplan.io.geojson import read_lines
+from energyplan.mission import Task
 
 
 class TaskOrder(NamedTuple):
@@ -197,15 +200,22 @@ def _notes(found: _Visits, waiting: list[str], untimed: list[str]) -> list[str]:
 
 
 def read_order(file: Path) -> TaskOrder:
-    """Return the tasks of an order of VDA 5050, or of waypoints of Nav2, in their order.
+    """Return the tasks of an order of VDA 5050, of waypoints of Nav2, or of lines, in their order.
 
     A node without a heading is left as it is reached. Actions that say their duration are dwelt for
-    at the node they stand at or lead to.
+    at the node they stand at or lead to. Each line of a GeoJSON file is a path, and its properties
+    are the keys of its task.
     """
+    if file.suffix.lower() == ".geojson":
+        return _rows(file)
     document = load(file, MissionError)
+    if "features" in document.data:
+        raise document.fail((), "this seems to be GeoJSON; name the file .geojson")
     if not {"nodes", "waypoints"} & {*document.data}:
         seems = f"this seems to be {document.kind}; " if document.kind else ""
-        raise document.fail((), f"{seems}give an order of VDA 5050 or waypoints of Nav2 as tasks")
+        raise document.fail(
+            (), f"{seems}give an order of VDA 5050, waypoints of Nav2 or lines of GeoJSON as tasks"
+        )
     found = document.check(_Visits)
     nodes = [node for node in found.nodes if node.released]
     edges = [edge for edge in found.edges if edge.released]
@@ -228,3 +238,21 @@ def read_order(file: Path) -> TaskOrder:
     untimed += [one.kind for edge in edges for one in edge.actions]
     limits = [edge.fastest for edge in edges if edge.fastest is not None]
     return TaskOrder(tasks, tuple(_notes(found, waiting, untimed)), min(limits, default=None))
+
+
+_OF_TASKS = frozenset(item.name for item in fields(Task)) - {"pose", "path"}
+
+
+def _rows(file: Path) -> TaskOrder:
+    """Return a task for each line of a GeoJSON file; properties that are no keys are named."""
+    tasks: list[dict[str, Any]] = []
+    unread: list[str] = []
+    for k, line in enumerate(read_lines(file), 1):
+        given = {key: value for key, value in line.properties.items() if value is not None}
+        unread += [key for key in given if key not in _OF_TASKS]
+        task = {key: value for key, value in given.items() if key in _OF_TASKS}
+        name = str(task.pop("name", "") or f"row {k}")
+        twice = any(one["name"] == name for one in tasks)
+        tasks.append({"name": f"{name} ({k})" if twice else name, "path": line.points, **task})
+    note = f"properties of the lines that are not used: {_listed(unread)}"
+    return TaskOrder(tasks, (note,) if unread else (), None)

@@ -80,6 +80,15 @@ def read_path(file: str | File, longitudinal: float = 0.0) -> Path:
     return path
 
 
+def read_points(file: str | File) -> list[list[float]]:
+    """Return the points of a table with x, y, or its poses where it has headings."""
+    table = _with_poses(read_table(file, PathError))
+    names = [name for name in _PATH if name != "yaw" or name in table.columns]
+    _check_kind(table, names)
+    rows: list[list[float]] = np.column_stack([_complete(table, name) for name in names]).tolist()
+    return rows
+
+
 def write_path(
     path: Path, file: str | File, *, max_ds: float = 0.05, max_dtheta: float = 0.05
 ) -> File:

@@ -26,6 +26,7 @@ from energyplan.logs.consistency import (
     lasts,
     regress,
 )
+from energyplan.logs.faults import ceiling, charged, zeros_between
 from energyplan.logs.mapping import LONGEST_STEP, ROW, SHORTEST_STEP, UNITS, dated
 from energyplan.path import FloatArray
 
@@ -35,6 +36,7 @@ if TYPE_CHECKING:  # which imports this module
 _ENOUGH = 20  # samples below which nothing is concluded
 _TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
 _MOVING = 0.03  # tread speed from which it surely moves [m/s]
+_APART = 7.5  # time beyond which energies by the readings are chance [s]
 _SPARSE = 1.5  # time from row to row beyond which most of a drive lies between them [s]
 _PAUSE, _BURSTS = 10.0, 0.05  # median steps, and share of the rows, that show rows in bursts
 _EACH_SIDE = (("left", "right"), ("right", "left"))
@@ -93,6 +95,7 @@ def _time(drive: Observed) -> _Found:
         yield Check(
             f"rows are {step:g} s apart: what the robot does between them is not seen",
             "log more often, as ten times a second",
+            "trust" if step > _APART else "",
         )
     if not SHORTEST_STEP <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
@@ -939,6 +942,8 @@ def _unmoved(drive: Observed) -> _Found:
             rated.append((alike, shift))
     best, shift = max(rated, default=(0.0, 0.0))
     rise = _rise(t, drive.effort, drive.power)
+    if best <= _SHIFTED and any(True for _ in charged(drive)):
+        return
     if best <= _SHIFTED and (rise is None or rise > _BEYOND):
         return
     why = "its clock is not that of the speeds, or it is that of another consumer, or a counter"
@@ -993,6 +998,8 @@ def _motor_current(drive: Observed) -> _Found:
     flat = float(fit.means[half:].sum()) - float(drive.power[rest].mean())
     grown = float(fit.means[:half].sum())
     spread = float(np.std(fit.rest)) / max(abs(float(power.mean())), 1e-300)
+    if any(True for _ in charged(drive)):  # which lowers the power at rest
+        return
     if flat > 0.7 * float(power.mean()) > 0 and flat > 3 * abs(grown) and spread < 0.8:
         yield Check(
             "the power jumps up when the robot begins to move and then hardly depends on its "
@@ -1017,6 +1024,9 @@ RULES = (
     Rule("two powers are two, in one unit", _unlike, needs=_SIDES),
     Rule("a side that returns power has a negative one", _lost_sign, needs=_SIDES),
     Rule("a noisy power does not repeat", _repeats),
+    Rule("a speed does not fall to 0 for a moment", zeros_between),
+    Rule("no power ends where the motion asks for more", ceiling),
+    Rule("nothing feeds a robot that stands", charged),
     Rule("power depends on speed", _motor_current),
     Rule("power rises when the robot drives", _unmoved, of_two_sides=True),
     Rule("power is drawn backwards, too", _directed, of_two_sides=True),

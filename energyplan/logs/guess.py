@@ -40,6 +40,8 @@ _NOT_MEASURED = {
 ENCODER = {"enc", "encoder", "encoders", "tick", "ticks", "count", "counts", "counter", "pulses",
             "odometer", "odo", "distance", "dist"}  # fmt: skip
 """Words of what counts the turns of a wheel."""
+_GONE = {"odom", "odometry", "travel", "travelled", "traveled", "path", "rolled", "way", "mileage"}
+"""The same of what is a distance where its unit is a length."""
 
 
 _PLACES = {
@@ -219,7 +221,11 @@ def guess_encoders(names: Iterable[str]) -> dict[str, Column]:
     """Guess which names are encoders' of the left and right wheels; none where one is missing."""
     wanted = {"cmd", "command", "set", "setpoint", "target", "desired", "ref", "goal", "err",
              "error", "cov", "covariance", "temp"}  # fmt: skip
-    counted = [n for n in names if ENCODER & set(words(n)) and not wanted & set(words(n))]
+    every = list(names)
+    counted = [
+        n for n in every if not wanted & set(words(n))
+        and (ENCODER & set(words(n)) or (_GONE & set(words(n)) and unit_in("x", n).unit))
+    ]  # fmt: skip
     groups = _groups(counted)
     found: dict[str, Column] = {}
     for side in ("left", "right"):

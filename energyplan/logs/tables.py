@@ -36,11 +36,10 @@ from energyplan.logs.mapping import (
     map_channels,
     parse_columns,
     scale_of,
-    split_unit,
     time_units,
 )
+from energyplan.logs.rows import number, numbered, numeric, turned, with_unit
 from energyplan.path import FloatArray
-from energyplan.records import NO_NUMBER
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd
@@ -96,9 +95,9 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     if not whole and len(starts) > 1 and stops[-1] == len(text):
         starts, stops = starts[:-1], stops[:-1]  # the last line is cut
     lines = [text[a:b].rstrip("\r\n") for a, b in zip(starts, stops, strict=True)]
-    for number, line in enumerate(lines[:2], 1):
+    for row, line in enumerate(lines[:2], 1):
         if "\0" in line:
-            raise error(f"{file}, line {number} holds a NUL byte; save it as text in UTF-8")
+            raise error(f"{file}, line {row} holds a NUL byte; save it as text in UTF-8")
     separator, place = _layout(lines)
     first_row = cut(lines[place], separator)
     try:
@@ -111,7 +110,7 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     body = [cut(line, separator) for line in lines[place + 1 :]]
     first = place + 1
     if body and len(body[0]) == len(names) and _is_unit_row(body[0]):
-        names = [_with_unit(name, unit) for name, unit in zip(names, body[0], strict=True)]
+        names = [with_unit(name, unit) for name, unit in zip(names, body[0], strict=True)]
         body, first = body[1:], first + 1
     _check(names, place + 1, file, error)
     widths = Counter(len(row) for row in body if any(cell.strip() for cell in row))
@@ -121,7 +120,7 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
             f"{file}: line {place + 1} names {named} columns, but the rows have {width} "
             "cells: which name is one too many cannot be known; give names and cells alike"
         )
-    comma = any(_comma_number(cell) for row in body for cell in row)
+    comma = _is_comma([cell.strip() for row in body for cell in row], separator)
     start = len(text[: starts[first] if first < len(starts) else stops[first - 1]].encode(encoding))
     return Dialect(
         names, separator or ",", "," if comma else ".", encoding, start + mark, first + 1, named
@@ -239,29 +238,25 @@ def _is_value(cell: str) -> bool:
     text = cell.strip()
     if text.lower() in _NO_NUMBER:
         return False
-    return not np.isnan(_cell(text)) or _comma_number(text) or _INSTANT.fullmatch(text) is not None
+    return not np.isnan(number(text)) or _comma_number(text) or _INSTANT.fullmatch(text) is not None
+
+
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
+_DOTTED = r"[-+]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"  # with dots between thousands
+
+
+def _is_comma(cells: Sequence[str], separator: str) -> bool:
+    """Return whether the decimal sign is a comma, and no mark between thousands."""
+    commas = [cell for cell in cells if _comma_number(cell)]
+    if not commas or not all(map(_THOUSANDS.fullmatch, commas)):
+        return bool(commas)
+    points = any(re.fullmatch(r"[-+]?\d*\.\d+(e[-+]?\d+)?", cell.lower()) for cell in cells)
+    return separator != "," and not points
 
 
 def _comma_number(cell: str) -> bool:
     """Whether a cell is a number with a decimal comma."""
     return re.fullmatch(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*", cell) is not None
-
-
-def _numeric(cells: pd.Series) -> pd.Series:
-    """Return cells as numbers, NaN where they are none."""
-    import pandas as pd
-
-    try:
-        return pd.to_numeric(cells, errors="coerce")
-    except OverflowError:  # a whole number of hundreds of digits
-        return cells.map(_cell)
-
-
-def _cell(cell: object) -> float:
-    try:
-        return float(cell)  # type: ignore[arg-type]
-    except NO_NUMBER:
-        return float("nan")
 
 
 def _is_unit_row(row: list[str]) -> bool:
@@ -272,14 +267,8 @@ def _is_unit_row(row: list[str]) -> bool:
     return 2 * sum(map(is_unit, filled)) > len(filled)
 
 
-def _with_unit(name: str, unit: str) -> str:
-    """Return a name with its unit in brackets."""
-    bare = unit.strip().strip("[]()").strip()
-    return f"{name} [{bare}]" if bare and is_unit(bare) and not split_unit(name)[1] else name
-
-
 _REMEDIES = (
-    (re.compile(r"'[-+]?\d{1,3}([,' ]\d{3})+(\.\d*)?'$"),
+    (re.compile(r"""['"][-+]?\d{1,3}([.,'\u2019\u00a0\u202f ]\d{3})+([.,]\d*)?['"]$"""),
      "write the column without marks between thousands, as in 12345.6"),
     (re.compile(r"'\d{1,4}[-./]\d{1,2}[-./]\d{1,4}"),
      "write instants by ISO 8601, as in 2026-05-04T23:58:30.125"),
@@ -492,9 +481,11 @@ class Columns:
                 continue
             if not pd.api.types.is_numeric_dtype(series):  # text, or integers beyond 64 bits
                 series = series.astype("string").str.strip()
-                if self._decimal == ",":
-                    series = series.str.replace(",", ".", regex=False)
-            values = _numeric(series).to_numpy(float, na_value=np.nan)
+            comma = self._decimal == "," and not pd.api.types.is_numeric_dtype(series)
+            plain = series.str.replace(",", ".", regex=False) if comma else series
+            values = numeric(plain).to_numpy(float, na_value=np.nan)
+            if comma:
+                values = np.where(_with_thousands(series), np.nan, values)
             bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
             if len(bad) and _OF_DAY.fullmatch(str(series.iloc[bad[0]])):
                 values = _of_day(series)
@@ -536,6 +527,13 @@ class Columns:
         return Recording(
             file.name, numbers, self._text, first=self._first, unit=self._unit, error=error
         )
+
+
+def _with_thousands(cells: pd.Series[Any]) -> NDArray[np.bool_]:
+    """Return which cells have dots between thousands, where no dot can be a decimal point."""
+    dots = cells.str.contains(".", regex=False, na=False).to_numpy(bool)
+    marked = cells.str.fullmatch(_DOTTED, na=False).to_numpy(bool)
+    return np.asarray(marked if np.array_equal(dots & marked, dots) else np.zeros(len(dots), bool))
 
 
 _ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
@@ -637,6 +635,32 @@ def counts_rows(values: FloatArray) -> bool:
     return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
+_PARTS = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "nano": 1e-9, "micro": 1e-6, "milli": 1e-3}
+_WHOLE_SECONDS = re.compile(r"(.*?)(tv_)?(secs?|seconds|s)", re.IGNORECASE)
+_PART = r"(tv_)?(?:({0})(?:secs?|seconds|s)|(nano|micro|milli)(?:secs?|seconds|s))"
+
+
+def find_stamp(columns: Mapping[str, FloatArray]) -> Column | None:
+    """Return the time of whole seconds and, in a second column, their parts."""
+    for name, seconds in columns.items():
+        match = _WHOLE_SECONDS.fullmatch(name)
+        known = seconds[np.isfinite(seconds)]
+        if match is None or not len(known) or np.any(np.mod(known, 1.0)) or np.ptp(known) == 0.0:
+            continue
+        base = re.escape(match[1])
+        for other, parts in columns.items():
+            named = re.fullmatch(base + _PART.format("n|u|m"), other, re.IGNORECASE)
+            if named is None or other == name:
+                continue
+            weight = _PARTS[(named[2] or named[3]).lower()]
+            size = parts[np.isfinite(parts)]
+            if len(size) and size.min() >= 0.0 and size.max() < 1.0 / weight and np.ptp(size) > 0.0:
+                return Column(
+                    field=name, unit="s", plus=(other,), weights=(1.0, weight), channel="t"
+                )
+    return None
+
+
 def find_clock(columns: Mapping[str, FloatArray]) -> Column | None:
     """Return the column that increases all along, if there is one."""
     for name, values in columns.items():
@@ -660,7 +684,7 @@ def join(
         there = part.columns
         label = "" if given is None else given.field.removeprefix(f"{stem}.")
         found = given.changed(field=label) if given is not None and label in there else None
-        found = found or guess(there).get("t") or find_clock(there)
+        found = found or find_stamp(there) or guess(there).get("t") or find_clock(there)
         if found is None:
             raise error(
                 f"{part.source}: no column seems to be the time: say which it is with --columns "
@@ -738,8 +762,11 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:
     if len(set(names)) < len(names):
         twice = next(one for one in names if names.count(one) > 1)
         raise error(f"the DataFrame: two columns are named {twice!r}; rename one")
-    result = Columns(names, 0, "row")
-    result.add(frame.set_axis(names, axis=1))
+    frame = frame.set_axis(names, axis=1)
+    wide = turned(frame, names, "the DataFrame", error)
+    frame = frame if wide is None else wide
+    result = Columns([*map(str, frame)], 0, "row")
+    result.add(frame)
     return result.table(Path("DataFrame"), error)
 
 
@@ -865,7 +892,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     # Pandas reads a large table five times as fast; a small one is read before it is imported.
     small = len(data) <= _AHEAD or find_spec("pandas") is None
     numbers = _numbers(data, dialect.separator, (rows, len(names))) if small else None
-    if numbers is not None:
+    if numbers is not None and not numbered(names):
         columns.add_numbers(numbers)
         return columns.table(file, error)
     with needs_extra("logs", f"reading {file}, a table of more than numbers,"):
@@ -896,7 +923,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
                 **exact,
             ):
                 frame.columns = names
-                if columns.rows == 0 and not parts and _wide(frame, names) is None:
+                if columns.rows == 0 and not parts and turned(frame, names, file, error) is None:
                     parts = None
                 if parts is not None:
                     parts.append(frame)
@@ -912,7 +939,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
         ) from None
     except pd.errors.ParserError as problem:
         raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
-    wide = _wide(pd.concat(parts), names) if parts else None
+    wide = turned(pd.concat(parts), names, file, error) if parts else None
     if wide is not None:
         columns = Columns(list(map(str, wide)), 1, "instant")
         columns.add(wide)
@@ -931,33 +958,6 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     for values in table.columns.values():
         values[short] = np.nan  # which of the cells are missing is not known
     return table
-
-
-def _wide(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | None:
-    """Return a column for each name of a table of one reading a row; None of any other table."""
-    kinds = frame.nunique()
-    varied = [name for name in names if kinds[name] > 1]
-    times = [name for name in varied if "t" in guess([name])][:1]
-    words = [
-        name for name in varied if name not in times and kinds[name] < len(frame) / 4
-        and _numeric(frame[name]).isna().all() and frame[name].notna().all()
-    ]  # fmt: skip
-    words = sorted(words, key=lambda name: -kinds[name])[:1]
-    if not times or not words:
-        return None
-    # What each name has but one of is of the name: its unit, or its number.
-    stated = frame.groupby(words[0]).nunique().max()
-    readings = [name for name in varied if name not in (*words, *times) and stated[name] > 1]
-    if len(readings) != 1:
-        return None
-    for name in (n for n in varied if n not in (*words, *times, *readings)):
-        if frame[name].dropna().astype(str).map(is_unit).mean() > 0.5:
-            units = [_with_unit(*pair) for pair in zip(frame[words[0]], frame[name].astype(str),
-                                                       strict=True)]  # fmt: skip
-            frame = frame.assign(**{words[0]: units})
-    frame = frame.assign(**{readings[0]: _numeric(frame[readings[0]])})
-    result = frame.pivot_table(readings[0], times[0], words[0], aggfunc="last", sort=False)
-    return result.reset_index()
 
 
 def _with_line(problem: str, first: int) -> str:

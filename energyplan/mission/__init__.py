@@ -4,6 +4,7 @@ from energyplan.mission.drive import Segment
 from energyplan.mission.evaluation import Evaluated, evaluate, evaluate_many
 from energyplan.mission.report import (
     Activity,
+    Alternative,
     ChargerReport,
     Contribution,
     MissionReport,
@@ -15,7 +16,7 @@ from energyplan.mission.routes import Routes
 from energyplan.mission.types import Charger, Mission, Remedy, Robot, RobotState, Spreads, Task
 
 __all__ = [
-    "Activity", "Charger", "ChargerReport", "Contribution", "Evaluated", "Mission", "MissionReport",
-    "Remedy", "Robot", "RobotState", "Routes", "Segment", "Spreads", "Stop", "Task", "TaskReport",
-    "Timeline", "evaluate", "evaluate_many",
+    "Activity", "Alternative", "Charger", "ChargerReport", "Contribution", "Evaluated", "Mission",
+    "MissionReport", "Remedy", "Robot", "RobotState", "Routes", "Segment", "Spreads", "Stop",
+    "Task", "TaskReport", "Timeline", "evaluate", "evaluate_many",
 ]  # fmt: skip

@@ -22,8 +22,17 @@ from energyplan.battery import SAGS, Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.mission.drive import Attempt, Simulation, Status
 from energyplan.mission.order import Order, attempt, best_stops, finish
-from energyplan.mission.report import Contribution, MissionReport, Reason, TaskReport, stops
+from energyplan.mission.report import (
+    Alternative,
+    Contribution,
+    MissionReport,
+    OrderKind,
+    Reason,
+    TaskReport,
+    stops,
+)  # fmt: skip
 from energyplan.mission.routes import Legs, Progress, Routes, Scene
+from energyplan.mission.rows import row_after_row
 from energyplan.mission.types import Mission, Remedy
 from energyplan.path import ROUNDING
 from energyplan.records import checked
@@ -131,13 +140,14 @@ class Evaluation:
         self.go()
         last = finish(self.sim, self.end)
         self.end = self.end if last is None else last
+        alternatives = () if last is None else self._compared(last)
         # a robot's share has no remedies: what it cannot do is offered to the others
         shown = self.done if self.shared else self.tasks
         tasks = tuple(self._task(k) for k in shown)
         required = {task.name for task in self.mission.tasks if task.required}
         missed = [one for one in tasks if one.verdict == "unreachable" and one.name in required]
         end = self.end
-        remedies, time_saved = ((), 0.0) if last is None or self.shared else self._less_charge(last)
+        remedies, time_saved = ((), 0.0) if last is None or self.shared else self._less_charge(end)
         return MissionReport(
             mission=self.mission,
             tasks=tasks,
@@ -151,7 +161,36 @@ class Evaluation:
             warnings=self._warnings(),
             remedies=remedies,
             time_saved=time_saved,
+            alternatives=alternatives,
         )
+
+    def _compared(self, end: Status) -> tuple[Alternative, ...]:
+        """Return what the same tasks take in the order given, and row after row.
+
+        Where one of these takes less than what the search found, it is the answer.
+        """
+        rows = [k for k in sorted(self.done) if self.mission.tasks[k].path]
+        if self.mission.order == "given" or self.shared or len(rows) < 2:
+            return ()
+        orders: dict[OrderKind, list[int]] = {"given": sorted(self.done)}
+        if len(rows) == len(self.done):
+            orders["row after row"] = row_after_row(self.legs, rows)
+        energies, best = dict[OrderKind, float](), end.total.mean
+        legs = self.legs.under(replace(self.mission, order="given"))
+        for name, tasks in orders.items():
+            again = Evaluation(legs.mission, self.progress, legs, self.sim.occupied, tasks)
+            again.go()
+            last = finish(again.sim, again.end)
+            energies[name] = np.nan
+            if last is None or len(again.done) < len(self.done):
+                continue
+            energies[name] = last.total.mean
+            if last.total.mean < best - ROUNDING * abs(best):
+                self.attempts |= again.attempts
+                self.done, self.end, best = again.done, last, last.total.mean
+                gap = max(1.0 - self.found.bound / best, 0.0) if best > 0 else np.nan
+                self.found = replace(again.found, bound=self.found.bound).answer(gap)
+        return tuple(Alternative(name, one, 1.0 - best / one) for name, one in energies.items())
 
     # -- the way ----------------------------------------------------------------------------------
 

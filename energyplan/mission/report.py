@@ -17,6 +17,7 @@ from energyplan.mission.types import Mission, Remedy, RobotState
 from energyplan.path import FloatArray, Path, Pose
 
 StopKind = Literal["start", "task", "charge", "end"]
+OrderKind = Literal["given", "row after row"]
 Verdict = Literal["reachable", "unreachable"]
 Reason = Literal[
     "none", "no_path", "motor", "battery", "blocked_by_earlier", "late", "time_limit", "payload"
@@ -58,6 +59,7 @@ class ChargerReport:
     visits: int  # how often the robot charges there
     duration: float  # how long in all [s]
     energy: float  # energy that the battery takes there, at its terminals, as expected [J]
+    energy_mains: float  # energy that the charger draws for it from the mains [J]
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,15 @@ class Contribution:
     saving: float  # margin that would be freed if it were known [J]
 
 
+@dataclass(frozen=True)
+class Alternative:
+    """The same tasks in another order, to compare with."""
+
+    order: OrderKind
+    energy: float  # energy that it takes, expected [J]; nan where not all can be done in it
+    saving: float  # fraction of this energy that the order found saves
+
+
 @dataclass(frozen=True, eq=False)
 class MissionReport(html.Readable):
     """Which tasks can be done, in which order, with what energy."""
@@ -128,6 +139,7 @@ class MissionReport(html.Readable):
     warnings: tuple[str, ...] = ()  # what to know before trusting the figures
     remedies: tuple[Remedy, ...] = ()  # changes with which the same is done in less time
     time_saved: float = 0.0  # by the remedies [s]
+    alternatives: tuple[Alternative, ...] = ()  # of a free order with rows
     # Of several robots, what each does; its tasks are those that it does, in this order. The whole
     # has no trip of its own.
     robots: tuple[MissionReport, ...] = ()
@@ -211,11 +223,12 @@ class MissionReport(html.Readable):
         """How each charger is used."""
         return tuple(
             ChargerReport(
-                name, len(here), sum(part.arrival - part.departure for part in here),
-                -sum(part.energy for part in here),
+                one.name, len(here), sum(part.arrival - part.departure for part in here),
+                energy, energy / one.efficiency,
             )
-            for name in [charger.name for charger in self.mission.chargers]
-            for here in [[part for part in self.charges if part.goal == name]]
+            for one in self.mission.chargers
+            for here in [[part for part in self.charges if part.goal == one.name]]
+            for energy in [-sum(part.energy for part in here)]
         )  # fmt: skip
 
     @property
@@ -299,6 +312,19 @@ class MissionReport(html.Readable):
         return f"{self.headline};{subject} {text}" if self.duration else self.headline
 
     @property
+    def compared(self) -> str:
+        """How the order found compares with others; empty where none was looked at."""
+        names = {"given": "in the order given", "row after row": "row after row"}
+        parts = []
+        for one in self.alternatives:
+            if np.isnan(one.energy):
+                parts.append(f"{names[one.order]} not all of it can be done")
+                continue
+            percent = f"{100 * one.saving:.1f} % less than"
+            parts.append(f"{'as much as' if one.saving < 5e-4 else percent} {names[one.order]}")
+        return f"energy of the order found: {'; '.join(parts)}" if parts else ""
+
+    @property
     def tables(self) -> tuple[html.Summary, ...]:
         """The report as titled rows: tasks, timetable, and what is uncertain."""
         if self.robots:
@@ -334,11 +360,25 @@ class MissionReport(html.Readable):
             html.Summary("Timetable", (
                 "time", "what", "where", "minutes", "charge from", "to"
             ), times),
+            self._of_chargers,
             html.Summary("Uncertainty of the energy", (
                 "source", "1 sigma [Wh]", "margin freed if known [Wh]"
             ), unknown),
         )  # fmt: skip
         return tuple(one for one in found if one.rows)
+
+    @property
+    def _of_chargers(self) -> html.Summary:
+        """The chargers that are used, as rows."""
+        rows = [
+            (one.name, one.visits, f"{one.duration / 60:.1f}", html.number(one.energy / 3600),
+             html.number(one.energy_mains / 3600))
+            for one in self.chargers
+            if one.visits
+        ]  # fmt: skip
+        return html.Summary("Chargers", (
+            "charger", "visits", "minutes", "into the battery [Wh]", "from the mains [Wh]"
+        ), rows)  # fmt: skip
 
     def _of_robots(self) -> tuple[html.Summary, ...]:
         robots = [
@@ -362,6 +402,7 @@ class MissionReport(html.Readable):
             html.Summary("Timetable", (
                 "robot", "time", "what", "where", "minutes", "charge after"
             ), times),
+            self._of_chargers,
             html.Summary("Not assigned", (
                 "task", "why"
             ), [(task.name, task.detail) for task in self.left_out]),
@@ -370,7 +411,7 @@ class MissionReport(html.Readable):
 
     def _summaries(self) -> list[html.Summary]:
         title = f"{self.mission.name}: {self.sentence}"
-        notes = () if self.robots else self.obstacles
+        notes = () if self.robots else (*filter(None, (self.compared,)), *self.obstacles)
         return [html.Summary(title, (), (), (*notes, *self.warnings)), *self.tables]
 
     def task(self, name: str) -> TaskReport:

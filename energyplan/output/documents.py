@@ -47,7 +47,7 @@ SHOWN = {
     "ICREstimate": "turning source",
     "Identification": "residual adequacy foretold set_aside warnings",
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
-    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty",
+    "feasible chargers timetable proven gap warnings remedies time_saved uncertainty alternatives",
     "NoPathError": "certainty resolution",
     "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady "
     "planning_time planner potential effort "
@@ -62,7 +62,7 @@ SHOWN = {
 """What is shown of a type, where that is not all of its fields."""
 DEPRECATED = {"energy": "energy at steady speeds; use energy_driven, or energy_steady for this one"}
 """Keys of a plan that go with the next release, and what to use instead."""
-TOGETHER = "headline energy energy_upper duration feasible proven gap warnings"
+TOGETHER = "headline energy energy_upper duration feasible chargers proven gap warnings"
 """What is shown of a mission of several robots as a whole."""
 
 

@@ -315,3 +315,13 @@ def test_what_is_wrong_with_the_image_of_a_map_is_said(tmp_path: Path, run: Run)
         assert refused.code == 2
         assert message in refused.err
     assert not out.exists()
+
+
+def test_a_robot_that_must_not_reverse_says_so_from_the_start(tmp_path: Path, run: Run) -> None:
+    write_log(drive(), tmp_path / "drive.csv")
+    project = tmp_path / "robot.yaml"
+    asked = ("start", tmp_path / "drive.csv", *MEASURES, "--out", project)
+    assert "--reverse no where it must not" in run(*asked).out
+    assert read_project(project).vehicle.reverse
+    assert "--reverse no" not in run(*asked, "--reverse", "no").out
+    assert not read_project(project).vehicle.reverse

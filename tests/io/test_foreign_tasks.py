@@ -70,7 +70,7 @@ def test_waypoints_with_quaternions_are_tasks(tmp_path: Path) -> None:
     ({"orderId": "o1", "nodes": [node("a", x=2.0)]}, "line 8, nodes.0.nodePosition.y: this key"),
     ({"nodes": "all"}, "tasks.yaml, line 2, nodes"),
     ({"fileType": "Plan", "mission": {}}, "plan of QGroundControl, over longitude and latitude"),
-    ({"places": []}, "give an order of VDA 5050 or waypoints of Nav2"),
+    ({"places": []}, "give an order of VDA 5050, waypoints of Nav2 or lines of"),
 ])  # fmt: skip
 def test_what_holds_no_tasks_is_refused_with_its_line(
     tmp_path: Path, tasks: dict[str, Any], message: str

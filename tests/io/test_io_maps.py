@@ -563,3 +563,10 @@ def test_an_image_alone_is_refused_with_what_is_missing(tmp_path):
     site.write_text("map: yard.png\nresolution: -1\n")
     with pytest.raises(MapError, match="line 2"):
         read_site(site)
+
+
+def test_a_map_of_sixty_kilometres_is_doubted(tmp_path):
+    image = drawn_yard(tmp_path)
+    with pytest.warns(UnusualValueWarning, match=r"60 x 40 km") as found:
+        read_map(image, resolution=1000.0)
+    assert "check that its resolution, 1000, is in m" in str(found[0].message)

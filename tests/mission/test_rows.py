@@ -164,7 +164,17 @@ def test_rows_are_done_in_the_best_of_all_orders_and_directions() -> None:
     assert report.proven and not report.left_out
     assert report.energy == pytest.approx(best_of_all(free), rel=1e-9)
     assert report.energy <= found.energy
-    assert report.energy < evaluate(mission(tasks), routes=ROUTES).energy
+    given = evaluate(mission([*free.tasks]), routes=ROUTES)
+    assert report.energy < given.energy and not given.alternatives
+    compared = {one.order: one for one in report.alternatives}
+    assert compared["given"].energy == pytest.approx(given.energy, rel=1e-12)
+    saving = 1.0 - report.energy / given.energy
+    assert compared["given"].saving == pytest.approx(saving, rel=1e-9)
+    assert f"{100 * saving:.1f} % less than in the order given" in report.compared
+    mixed = mission([free.tasks[k] for k in (4, 0, 6, 2, 7, 5, 1, 3)], order="free")
+    again = {one.order: one.energy for one in evaluate(mixed, routes=ROUTES).alternatives}
+    assert again["row after row"] == pytest.approx(given.energy, rel=1e-9)
+    assert again["given"] > 1.05 * given.energy
 
 
 def test_a_given_order_enters_each_row_at_its_better_end() -> None:
@@ -196,6 +206,7 @@ def test_rows_charge_on_the_way_and_many_of_them_are_all_done() -> None:
     assert report.feasible and not report.left_out
     assert sum(one.visits for one in report.chargers) >= 1
     assert report.soc_end >= 0.2
+    assert all(report.energy <= one.energy for one in report.alternatives)
 
 
 def test_a_tank_that_is_emptied_too_early_is_refused() -> None:

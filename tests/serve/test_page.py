@@ -139,6 +139,10 @@ class Opened:
         times = self.page.locator("#verdicts tr td:nth-child(2)").all_inner_texts()
         return [int(text.partition(":")[0]) + int(text.partition(":")[2]) / 60 for text in times]
 
+    def robot(self) -> str:
+        """Return how the disc of the robot is drawn, which says where it is."""
+        return self.page.locator("path.robot").get_attribute("d")
+
     def route(self) -> str:
         """Place start and goal, and return the energy that is told."""
         self.click(0.25, 0.75)
@@ -210,11 +214,41 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     assert opened.page.locator("#charge canvas").count() == 1
     drawn = opened.page.locator(".leaflet-overlay-pane path[stroke='#0072b2']")
     assert drawn.count() >= 3  # out, between and back
+    at = [opened.robot()]
+    for key in ("End", "Home"):
+        opened.page.locator("[aria-label='time of the mission']").press(key)
+        at.append(opened.robot())
+    assert at[0] == at[1] == at[2]  # it ends where it began
+    opened.page.locator("[aria-label='time of the mission']").press("PageUp")
+    assert opened.robot() != at[0]
     opened.page.locator("[title='1'].leaflet-marker-icon").focus()
     opened.page.keyboard.press("ArrowLeft")
     assert opened.page.locator("#verdicts.stale").count() == 1
     assert "ask again" in opened.page.inner_text("#status")
     assert drawn.count() == 0
+    assert opened.errors == []
+
+
+def test_a_wall_is_refused_and_a_mission_is_kept(browser: Any, folder: Path, address: str) -> None:
+    opened = Opened(browser, address, 1300)
+    opened.click(0.002, 0.5)
+    assert "There is a wall" in opened.page.inner_text("#status")
+    assert opened.page.locator(".pin").count() == 0
+    opened.click(0.25, 0.75)
+    opened.page.click("#tab-mission")
+    opened.page.fill("input[name=pack]", "48 V 30 Ah LiFePO4, -5 degC")
+    opened.click(0.3, 0.22)
+    opened.page.on("dialog", lambda dialog: dialog.accept("night round"))
+    opened.page.click("text=Save as mission")
+    opened.page.wait_for_selector("#status:has-text('Kept as')")
+    kept = folder / "night round.yaml"
+    try:
+        assert opened.page.input_value("[name=file]") == kept.name
+        mission = ep.read_mission(kept)
+        assert [task.name for task in mission.tasks] == ["task 1"]
+        assert opened.page.input_value("[name=pack]") == "48 V 30 Ah LiFePO4, -5 degC"
+    finally:
+        kept.unlink(missing_ok=True)
     assert opened.errors == []
 
 

@@ -14,6 +14,7 @@ export class Chart {
     this.ground = L.layerGroup().addTo(this.map);
     this.reach = L.layerGroup().addTo(this.map);
     this.routes = L.layerGroup().addTo(this.map);
+    this.robots = L.layerGroup().addTo(this.map);
     L.control.scale({ imperial: false }).addTo(this.map);
     this.map.on("click", (event) => onClick(event.latlng.lng, event.latlng.lat));
     this.map.getContainer().addEventListener("keydown", (event) => {
@@ -58,6 +59,12 @@ export class Chart {
     pen.globalCompositeOperation = "source-in";
     pen.fillStyle = color("--wall");
     pen.fillRect(0, 0, canvas.width, canvas.height);
+    // whether a wall is at a place, or the map ends before it
+    this.blocked = (x, y) => {
+      const [column, row] = [Math.floor(scale * (x - low[0])), Math.floor(scale * (high[1] - y))];
+      return !(column >= 0 && row >= 0 && column < canvas.width && row < canvas.height)
+        || pen.getImageData(column, row, 1, 1).data[3] > 127;
+    };
     this.bounds = L.latLngBounds(at(...low), at(...high));
     this.ground.clearLayers();
     this.legend = [];
@@ -141,6 +148,15 @@ export class Chart {
           content: label(feature.properties.energy) }).addTo(this.reach);
       },
     }).addTo(this.reach);
+  }
+
+  // Where robots are at a moment: points with their colours.
+  where(points) {
+    this.robots.clearLayers();
+    for (const [x, y, tint] of points) {
+      L.circleMarker(at(x, y), { radius: 18, weight: 3, fillOpacity: 0.3, interactive: false, className: "robot",
+        color: tint.startsWith("--") ? color(tint) : tint }).addTo(this.robots);
+    }
   }
 
   route(path, name, dashed = false) {

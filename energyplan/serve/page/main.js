@@ -8,7 +8,7 @@ const scene = $("scene");
 const status = $("status");
 let start = null, goal = null, robots = [], tasks = [], chargers = [], mode = "route", asked = null, plot = null;
 const TINTS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];  // of robots, in their order
-let files = {}, mission = null, logs = [];  // what the folder holds, the mission that is open, the logs sent
+let files = {}, mission = null, logs = [], playing = 0;  // what the folder holds, the mission that is open, the logs sent, the frame of the animation
 
 const chart = new Chart("map", place);
 
@@ -96,6 +96,7 @@ function reset() {
   [start, goal, robots, tasks, chargers, mission] = [null, null, [], [], [], null];
   $("battery").file.value = "";
   for (const name of ["charger", "soc"]) $("battery")[name].parentElement.hidden = false;
+  $("docks").replaceChildren();
   clearRoutes();
   for (const id of ["verdicts", "charge", "tasks"]) $(id).replaceChildren();
   $("tasks").hidden = true;
@@ -108,6 +109,8 @@ function stale() {
   for (const id of ["verdicts", "charge"]) $(id).classList.add("stale");
   for (const task of tasks) task.mark("");
   chart.routes.clearLayers();
+  chart.where([]);
+  cancelAnimationFrame(playing);
   say("The mission has changed: ask again whether the battery lasts.");
 }
 
@@ -121,6 +124,7 @@ function begins(each) {
 }
 
 function place(x, y) {
+  if (chart.blocked(x, y)) return say("There is a wall, or no map: click on free ground.", true);
   if (!start) {
     begins([{ start: [x, y, 0] }]);
     say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
@@ -157,6 +161,7 @@ async function replan() {
 function clearRoutes() {
   chart.routes.clearLayers();
   chart.reach.clearLayers();
+  chart.where([]);
   $("answer").replaceChildren();
 }
 
@@ -234,7 +239,14 @@ async function open(name) {
   form.file.value = name;
   const own = typeof document.battery === "string";
   fill(form.pack, own ? document.battery : "");
-  form.pack.placeholder = own ? "24 V 20 Ah lead-acid" : "as in the file";
+  const pack = Object.entries(document.battery ?? {}).map(([key, value]) => `${key.replaceAll("_", " ")} ${value?.mean ?? value}`);
+  form.pack.placeholder = own ? "24 V 20 Ah lead-acid" : `as in the file: ${pack.join(", ")}`;
+  form.pack.title = form.pack.value || form.pack.placeholder;
+  $("docks").textContent = told.chargers.map((one) => {
+    const power = typeof one.power === "number" ? `${one.power} W` : "a power curve";
+    return `${one.name}: ${power}${one.until == null ? "" : `, until ${Math.round(100 * one.until)} %`}`;
+  }).join("; ");
+  if (told.chargers.length) $("docks").prepend("Chargers: ");
   for (const [key, value] of [["soc", told.soc], ["reserve", told.reserve], ["spread", told.coefficient_spread]]) fill(form[key], round(100 * value));
   form.charger.parentElement.hidden = told.chargers.length > 0;
   form.soc.parentElement.hidden = told.robots.length > 0;  // each has its own
@@ -328,6 +340,63 @@ async function evaluate(event) {
   } catch (error) { say(error.message, true); }
 }
 
+// Keep what the page shows as a mission's file of the folder. JSON is YAML too.
+async function save() {
+  const name = window.prompt("Name of the mission's file", "mission_new.yaml");
+  if (!name) return;
+  const file = `${mission?.folder ?? ""}${/\.ya?ml$/.test(name) ? name : `${name}.yaml`}`;
+  try {
+    await upload(file, new Blob([`${JSON.stringify(written(), null, 1)}\n`]));
+    files.missions.push(file);
+    options($("battery").file, files.missions, "none");
+    await open(file);
+    say(`Kept as ${file}, and opened.`);
+  } catch (error) { say(error.message, true); }
+}
+
+// Show where each robot is at a moment of the timetable; `moment` is its time [s].
+function follow(each, moment) {
+  chart.where(each.map((one) => {
+    const leg = one.legs.findLast(({ departure }) => departure <= moment) ?? one.legs[0];
+    if (!leg) return null;
+    const { t, x, y } = leg.trajectory, since = t[0] + moment - leg.departure;
+    const k = Math.max(0, Math.min(t.length - 1, t.findIndex((time) => time > since) - 1 + (t.at(-1) <= since ? t.length + 1 : 0)));
+    const next = Math.min(k + 1, t.length - 1), part = next === k ? 0 : Math.max(0, Math.min(1, (since - t[k]) / (t[next] - t[k])));
+    return [x[k] + part * (x[next] - x[k]), y[k] + part * (y[next] - y[k]), one.tint];
+  }).filter(Boolean));
+}
+
+// A slider over the time of a mission, which can play by itself in about half a minute.
+function player(each) {
+  const begin = Math.min(...each.flatMap(({ legs }) => legs.slice(0, 1).map(({ departure }) => departure)));
+  const end = Math.max(...each.map(({ route }) => route.at(-1).arrival));
+  if (!(begin < end)) return element("p");  // nobody drives
+  const made = element("p", "", "player"), button = element("button", "Play"), slider = element("input"), time = element("span");
+  Object.assign(button, { type: "button" });
+  Object.assign(slider, { type: "range", min: begin, max: end, step: "any", value: begin, ariaLabel: "time of the mission" });
+  const show = () => { follow(each, Number(slider.value)); time.textContent = `${clock(Number(slider.value))} h`; };
+  const stop = () => { cancelAnimationFrame(playing); playing = 0; button.textContent = "Play"; };
+  stop();
+  slider.addEventListener("input", () => { stop(); show(); });
+  button.addEventListener("click", () => {
+    if (playing) return stop();
+    if (Number(slider.value) >= end - 1e-6) slider.value = begin;
+    let last = performance.now(), at = Number(slider.value);
+    const step = (now) => {
+      at = Math.min(end, at + (now - last) * (end - begin) / 30000);
+      last = now;
+      slider.value = at;
+      show();
+      if (at < end && made.isConnected) playing = requestAnimationFrame(step); else stop();
+    };
+    button.textContent = "Stop";
+    playing = requestAnimationFrame(step);
+  });
+  made.append(button, slider, time);
+  show();
+  return made;
+}
+
 const clock = (t) => {
   if (t == null) return "–";
   const whole = Math.round(t / 60);
@@ -368,8 +437,11 @@ function verdicts(told) {
   const left = told.tasks.filter((task) => task.verdict !== "reachable").map((task) => element("p",
     `${task.name}: out of reach; ${why(task)}.${task.detail ? ` ${task.detail[0].toUpperCase()}${task.detail.slice(1)}.` : ""}${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
   const shares = several ? `${each.map((one) => `${one.name} takes ${energy(one.energy)}`).join(", ")}. ` : "";
-  const most = `${shares}The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`;
-  $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows), element("p", most, "hint"),
+  const mains = each.flatMap((one) => one.chargers).reduce((sum, one) => sum + one.energy_mains, 0);
+  const most = `${shares}The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`
+    + (mains ? ` The chargers draw ${energy(mains)} from the mains.` : "");
+  $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows),
+    player(each), element("p", most, "hint"),
     ...told.warnings.map((text) => element("p", text, "hint")));
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
@@ -477,6 +549,8 @@ scene.addEventListener("submit", (event) => event.preventDefault());
 $("again").addEventListener("click", reset);
 $("far").addEventListener("click", range);
 $("battery").addEventListener("submit", evaluate);
+$("save").addEventListener("click", save);
+$("battery").pack.addEventListener("input", ({ target }) => { target.title = target.value || target.placeholder; });
 $("battery").file.addEventListener("change", ({ target }) => (target.value ? open(target.value) : load()).catch((error) => say(error.message, true)));
 for (const input of $("battery").querySelectorAll("input")) input.addEventListener("change", stale);
 $("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; $("tasks").replaceChildren(); $("tasks").hidden = true; stale(); });
