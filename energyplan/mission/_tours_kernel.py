@@ -13,7 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Flags, FloatBlock, Floats, FloatTable, Ints, IntTable, inner, njit
+from energyplan.compilation import (
+    Flags,
+    FloatBlock,
+    Floats,
+    FloatTable,
+    Ints,
+    IntTable,
+    inner,
+    njit,
+)
 
 _GRAM = 1e-3
 _EPSILON = 1e-9
@@ -402,7 +411,7 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
     _recreate(tours, now, out, closed, 0, m > 0, timed, first, state)
     cost = _spent(now) + tours.prize[out].sum()
     _copy(best, now)
-    best_out, best_cost, least = out.copy(), cost, cost
+    best_cost = cost
     typical = max(abs(_spent(now)) / max(n, 1), _EPSILON)
     cooling = (_COLD / _HOT) ** (1.0 / max(rounds, 1))
     heat = _HOT * typical
@@ -463,5 +472,4 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
             if cost < best_cost - _EPSILON:
                 best_cost = cost
                 _copy(best, now)
-                best_out[:] = out
     return best.stops, best.count

@@ -16,7 +16,7 @@ import numpy as np
 
 from energyplan.mission.drive import Segment, Simulation
 from energyplan.mission.evaluation import REASONS, Evaluation
-from energyplan.mission.order import EXACT, Matrix, Order, attempt, prizes, shared
+from energyplan.mission.order import EXACT, ORDERING, Matrix, Order, attempt, gap_of, prizes, shared
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
 from energyplan.mission.types import Mission, Task
@@ -57,19 +57,30 @@ class Sharing:
         tasks = [done.get(task.name) or self._left_out(k, task)
                  for k, task in enumerate(self.mission.tasks)]  # fmt: skip
         left = [task for task in self.mission.tasks if task.name not in done]
-        alone = len(robots) == 1 and robots[0].proven and not left
+        energy = sum(robot.energy for robot in robots)
+        gap = float(np.nan) if left else self._gap(energy)
+        if len(robots) == 1 and robots[0].proven and not left:
+            gap = 0.0
         return MissionReport(
             mission=self.mission,
             tasks=tuple(tasks),
             trip=(),
-            energy=sum(robot.energy for robot in robots),
+            energy=energy,
             energy_upper=sum(robot.energy_upper for robot in robots),
             feasible=all(one.feasible for one in robots) and not any(t.required for t in left),
-            proven=alone,
-            gap=0.0 if alone else float(np.nan),
+            proven=bool(gap <= ORDERING.same),
+            gap=gap,
             warnings=tuple(dict.fromkeys(note for one in robots for note in one.warnings)),
             robots=tuple(robots),
         )
+
+    def _gap(self, energy: float) -> float:
+        """Return by which fraction of its energy a better way to do all tasks may exist at most."""
+        matrices = [
+            Matrix(sim, sim.start, range(len(own)), 0.0, ideal=True)
+            for sim, own in zip(self.sims, self.own, strict=True)
+        ]
+        return gap_of(matrices, self.own, energy)
 
     def _given(self, able: Sequence[Sequence[int]]) -> list[list[int]]:
         """Give the tasks to robots that are able to do them, on routes that are planned."""
