@@ -28,6 +28,7 @@ _GRAM = 1e-3
 _EPSILON = 1e-9
 _STRING = 10  # most tasks of one string
 _TOGETHER = 12  # most tasks that are taken out at once, on average
+_PART, _ALL = 0.6, 8  # most part of all tasks, and number up to which that is all of them
 _BLINK = 0.01  # chance of not seeing a place when a task is put in
 _HOT, _COLD = 0.3, 0.002  # energies of a difference that chance accepts, over that of a way
 _LABELS = 8  # ways of charging that are kept at each stop
@@ -58,7 +59,7 @@ class Plans(NamedTuple):
 
     stops: IntTable  # (R, n): options in their sequence
     via: IntTable  # (R, n + 2): charger before each stop and before the end; -1 if none
-    count: Ints  # (R,): number of stops
+    counts: Ints  # (R,): number of stops
     begin: FloatTable  # (R, n): when each stop begins, charges left out [s]
     latest: FloatTable  # (R, n + 1): when to begin at the latest [s]
     waits: FloatTable  # (R, n + 1): waiting from each stop on [s]
@@ -72,13 +73,13 @@ class Plans(NamedTuple):
 def _drawn(state: Ints) -> float:
     """Return the next random number in (0, 1)."""
     state[0] = state[0] * _FACTOR % _MODULUS
-    return state[0] / _MODULUS
+    return float(state[0] / _MODULUS)
 
 
 @inner
 def _time_tour(tours: Tours, plans: Plans, r: int, timed: bool) -> bool:
     """Work out a robot's tour without charges; return whether windows and payload allow it."""
-    count, here, stops = plans.count[r], 0, plans.stops[r]
+    count, here, stops = plans.counts[r], 0, plans.stops[r]
     energy, time, load = 0.0, tours.start_time[r], tours.payload[r]
     for k in range(count):
         option = stops[k]
@@ -138,7 +139,7 @@ def _charge(tours: Tours, plans: Plans, r: int, timed: bool) -> bool:
 
     A charge is full, or half of that where there are windows.
     """
-    n, m, count = len(tours.option), tours.capacity.shape[1], plans.count[r]
+    n, m, count = len(tours.option), tours.capacity.shape[1], plans.counts[r]
     plans.via[r, : count + 1] = -1
     plans.energy[r] = plans.driven[r]
     if plans.driven[r] <= tours.budget[r]:
@@ -199,7 +200,7 @@ def _charge(tours: Tours, plans: Plans, r: int, timed: bool) -> bool:
 @inner
 def _more(tours: Tours, plans: Plans, r: int, k: int, option: int, timed: bool) -> float:
     """Return what an option adds to a tour before its k-th stop [J]; infinite if it cannot be."""
-    count = plans.count[r]
+    count = plans.counts[r]
     task, place = tours.option[option], 1 + option
     here = 0 if k == 0 else 1 + plans.stops[r, k - 1]
     change = tours.change[task]
@@ -221,7 +222,7 @@ def _more(tours: Tours, plans: Plans, r: int, k: int, option: int, timed: bool) 
             energy[charger, place] + onward - last,
         )
     if not timed:
-        return added
+        return float(added)
     time = tours.start_time[r]
     if k > 0:
         time = plans.begin[r, k - 1] + tours.service_time[r, plans.stops[r, k - 1]]
@@ -231,7 +232,7 @@ def _more(tours: Tours, plans: Plans, r: int, k: int, option: int, timed: bool) 
     if time > tours.window[task, 1] + _EPSILON:
         return np.inf
     if k == count:
-        return added
+        return float(added)
     time += tours.service_time[r, option] + tours.time[r, place, goal]
     if time > plans.latest[r, k] + _EPSILON:
         return np.inf
@@ -243,13 +244,13 @@ def _more(tours: Tours, plans: Plans, r: int, k: int, option: int, timed: bool) 
         less = min(plans.waits[r, later] - plans.waits[r, later + 1], delay)
         added -= tours.idle[r, plans.stops[r, later]] * less
         delay -= less
-    return added
+    return float(added)
 
 
 @inner
 def _put_in(tours: Tours, plans: Plans, r: int, k: int, option: int, timed: bool) -> bool:
     """Put an option before a robot's k-th stop, or take the k-th out where there is no option."""
-    count, stops, via = plans.count[r], plans.stops[r], plans.via[r]
+    count, stops, via = plans.counts[r], plans.stops[r], plans.via[r]
     if option >= 0:
         via[count + 1 :] = -1
         for j in range(count, k, -1):
@@ -257,13 +258,13 @@ def _put_in(tours: Tours, plans: Plans, r: int, k: int, option: int, timed: bool
         for j in range(count + 1, k, -1):
             via[j] = via[j - 1]
         stops[k] = option
-        plans.count[r] = count + 1
+        plans.counts[r] = count + 1
     else:
         for j in range(k, count - 1):
             stops[j] = stops[j + 1]
         for j in range(k, count):
             via[j] = via[j + 1]
-        plans.count[r] = count - 1
+        plans.counts[r] = count - 1
     return _time_tour(tours, plans, r, timed)
 
 
@@ -273,7 +274,7 @@ def _recreate(
     first: Ints, state: Ints,
 ) -> None:  # fmt: skip
     """Put tasks that are out in again, each where it adds least."""
-    n, robots, m = len(out), len(plans.count), tours.capacity.shape[1]
+    n, robots, m = len(out), len(plans.counts), tours.capacity.shape[1]
     rank, tasks = np.empty(n), np.empty(n, np.int64)
     some = 0
     for t in range(n):
@@ -299,10 +300,10 @@ def _recreate(
                 if barred[r]:
                     continue
                 hopeless = strict or m == 0
-                empty = plans.driven[r] if plans.count[r] > 0 else 0.0
+                empty = plans.driven[r] if plans.counts[r] > 0 else 0.0
                 used = plans.driven[r] - empty
                 for option in range(first[t], first[t + 1]):
-                    for k in range(plans.count[r] + 1):
+                    for k in range(plans.counts[r] + 1):
                         if _drawn(state) < _BLINK:
                             continue
                         added = _more(tours, plans, r, k, option, timed) + used
@@ -328,7 +329,7 @@ def _recreate(
 @inner
 def _copy(plans: Plans, other: Plans) -> None:
     """Let plans be as others."""
-    plans.stops[:], plans.via[:], plans.count[:] = other.stops, other.via, other.count
+    plans.stops[:], plans.via[:], plans.counts[:] = other.stops, other.via, other.counts
     plans.begin[:], plans.latest[:], plans.waits[:] = other.begin, other.latest, other.waits
     plans.load[:], plans.lowest[:] = other.load, other.lowest
     plans.driven[:], plans.energy[:] = other.driven, other.energy
@@ -348,8 +349,8 @@ def _no_plans(robots: int, n: int) -> Plans:
 def _spent(plans: Plans) -> float:
     """Return the energy of all tours; a robot that does nothing takes none [J]."""
     total = 0.0
-    for r in range(len(plans.count)):
-        if plans.count[r] > 0:
+    for r in range(len(plans.counts)):
+        if plans.counts[r] > 0:
             total += plans.energy[r]
     return total
 
@@ -358,16 +359,17 @@ def _spent(plans: Plans) -> float:
 def _ruin(plans: Plans, where: IntTable, near: IntTable, out: Flags, state: Ints) -> None:
     """Take strings of tasks that are near each other out of their tours."""
     n = len(out)
-    left = 1 + int(_drawn(state) * min(2.0 * _TOGETHER - 1.0, 0.6 * n))
+    most = min(2.0 * _TOGETHER - 1.0, max(_PART * n, min(n, _ALL)))
+    left = 1 + int(_drawn(state) * most)
     for t in near[int(_drawn(state) * n)]:
         if left <= 0:
             break
         r, k = where[t, 0], where[t, 1]
         if out[t] or r < 0:
             continue
-        length = 1 + int(_drawn(state) * min(_STRING, left, plans.count[r]))
+        length = 1 + int(_drawn(state) * min(_STRING, left, plans.counts[r]))
         begin = max(k - int(_drawn(state) * length), 0)
-        for j in range(begin, min(begin + length, plans.count[r])):
+        for j in range(begin, min(begin + length, plans.counts[r])):
             task = where[n + r * n + j, 0]
             if not out[task]:
                 out[task] = True
@@ -421,7 +423,7 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
         heat *= cooling
         where[:n] = -1
         for r in range(robots):
-            for k in range(now.count[r]):
+            for k in range(now.counts[r]):
                 task = tours.option[now.stops[r, k]]
                 where[task, 0], where[task, 1], where[n + r * n + k, 0] = r, k, task
         _copy(new, now)
@@ -430,15 +432,15 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
         possible = True
         for r in range(robots):
             kept = 0
-            for k in range(new.count[r]):
+            for k in range(new.counts[r]):
                 if not new_out[tours.option[new.stops[r, k]]]:
                     new.stops[r, kept] = new.stops[r, k]
                     new.via[r, kept] = new.via[r, k]
                     kept += 1
-            if kept < new.count[r]:
-                new.via[r, kept] = new.via[r, new.count[r]]
+            if kept < new.counts[r]:
+                new.via[r, kept] = new.via[r, new.counts[r]]
                 new.via[r, kept + 1 :] = -1
-                new.count[r] = kept
+                new.counts[r] = kept
                 if not _time_tour(tours, new, r, timed):
                     possible = kept == 0
                     new.driven[r] = nothing.driven[r]
@@ -457,12 +459,12 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
         then = tours.prize[new_out].sum()
         limit = cost - heat * np.log(_drawn(state))
         for r in range(robots):
-            if new.count[r] > 0:
+            if new.counts[r] > 0:
                 then += new.driven[r]
         if not then < limit:
             continue
         for r in range(robots):
-            if new.count[r] > 0 and not _charge(tours, new, r, timed):
+            if new.counts[r] > 0 and not _charge(tours, new, r, timed):
                 possible = False
         then = _spent(new) + tours.prize[new_out].sum()
         if possible and then < limit:
@@ -472,4 +474,4 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
             if cost < best_cost - _EPSILON:
                 best_cost = cost
                 _copy(best, now)
-    return best.stops, best.count
+    return best.stops, best.counts
