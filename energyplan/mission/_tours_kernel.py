@@ -30,7 +30,7 @@ _STRING = 10  # most tasks of one string
 _TOGETHER = 12  # most tasks that are taken out at once, on average
 _PART, _ALL = 0.6, 8  # most part of all tasks, and number up to which that is all of them
 _BLINK = 0.01  # chance of not seeing a place when a task is put in
-_HOT, _COLD = 0.3, 0.002  # energies of a difference that chance accepts, over that of a way
+_HOT, _COLD = 1.0, 0.01  # energies of a difference that chance accepts, over that of a way
 _LABELS = 8  # ways of charging that are kept at each stop
 _MODULUS, _FACTOR = 2**31 - 1, 48271  # of Lehmer's random numbers
 
@@ -299,7 +299,6 @@ def _recreate(
             for r in range(robots):
                 if barred[r]:
                     continue
-                hopeless = strict or m == 0
                 empty = plans.driven[r] if plans.counts[r] > 0 else 0.0
                 used = plans.driven[r] - empty
                 for option in range(first[t], first[t + 1]):
@@ -309,7 +308,7 @@ def _recreate(
                         added = _more(tours, plans, r, k, option, timed) + used
                         if added >= least:
                             continue
-                        if hopeless and m == 0 and empty + added > tours.budget[r]:
+                        if m == 0 and empty + added > tours.budget[r]:
                             continue
                         least, robot, at, best = added, r, k, option
             if robot < 0:
