@@ -21,7 +21,7 @@ from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
 from energyplan.mission.types import Mission, Task
 
-_ROUNDS = 4  # rounds of sharing and planning
+_ROUNDS = 12  # most rounds of sharing and planning
 
 _Stays = Mapping[str, Sequence[tuple[float, float]]]
 """When all places of each charger are occupied [s]."""
