@@ -164,7 +164,9 @@ def orders_at_least(
             np.ascontiguousarray(ways[np.ix_(place, place)]), np.ascontiguousarray(ends[place]),
             robots, known, _ROUNDS,
         ))  # fmt: skip
-        needed = int(np.ceil((bound - budget) / most - _EPSILON)) if most > 0 and bound > budget else 0
+        needed = (
+            int(np.ceil((bound - budget) / most - _EPSILON)) if most > 0 and bound > budget else 0
+        )
         if not charges < needed <= _CHARGES:
             return bound
         charges = needed

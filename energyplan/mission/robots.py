@@ -16,7 +16,18 @@ import numpy as np
 
 from energyplan.mission.drive import Segment, Simulation
 from energyplan.mission.evaluation import REASONS, Evaluation
-from energyplan.mission.order import EXACT, ORDERING, Matrix, Order, attempt, gap_of, prizes, shared
+from energyplan.mission.order import (
+    EXACT,
+    ORDERING,
+    Matrix,
+    Order,
+    OrderProblem,
+    attempt,
+    gap_of,
+    prizes,
+    shared,
+    solve,
+)
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
 from energyplan.mission.types import Mission, Task
@@ -90,11 +101,11 @@ class Sharing:
             for sim, own, mine in zip(self.sims, self.own, able, strict=True):
                 tasks = [own.index(task) for task in mine]
                 matrices.append(Matrix(sim, sim.start, tasks, 1.0))
-            given, _ = shared([one.problem() for one in matrices], self.prize, able)
+            problems = [one.problem() for one in matrices]
+            given, _ = shared(problems, self.prize, able)
             missing = 0
-            for matrix, mine, tasks in zip(matrices, able, given, strict=True):
-                stops = tuple(1 + mine.index(task) for task in tasks)
-                wanted = matrix.missing(Order(stops, (False,) * len(stops)))
+            for matrix, one, mine, tasks in zip(matrices, problems, able, given, strict=True):
+                wanted = matrix.missing(_priced(one, [mine.index(task) for task in tasks]))
                 missing += len(wanted)
                 matrix.plan(wanted)
             if self.progress is not None:
@@ -158,6 +169,15 @@ class Sharing:
             alone and bool(reasons), np.nan, np.nan, np.nan,
             detail=detail or "no robot has the skills", reasons=tuple(reasons),
         )  # fmt: skip
+
+
+def _priced(problem: OrderProblem, tasks: Sequence[int]) -> Order:
+    """Return the order of some of a robot's tasks, with its charges."""
+    options = problem.options(tasks)
+    found = solve(problem.some(tasks)._replace(given=len(tasks) > EXACT), ORDERING.narrow)
+    others = len(problem.option) - len(options)
+    stops = (int(options[s - 1]) + 1 if s <= len(options) else s + others for s in found.stops)
+    return Order(tuple(stops), found.hurried)
 
 
 def _full(charges: Sequence[Segment], places: int) -> list[tuple[float, float]]:
