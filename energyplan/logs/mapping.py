@@ -15,6 +15,7 @@ from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError
 from energyplan.logs.align import derivative, gap_limit
+from energyplan.motion import LOGGED
 from energyplan.path import FloatArray
 from energyplan.records import Checked, described
 
@@ -53,26 +54,15 @@ _CHARGE = {**_prefixed("Ah", 3.6e3, "m u"), **_prefixed("C", 1.0, "m u k"),
            **_prefixed("As", 1.0, "m")}  # fmt: skip
 _POWER = {**_prefixed("W", 1.0, "k m u"), "hp": 745.69987, "PS": 735.49875, **_ENERGY}
 
-UNITS: dict[str, dict[str, float]] = {
-    "t": _TIME,
-    "x": _LENGTH,
-    "y": _LENGTH,
-    "v_left": _SPEED,
-    "v_right": _SPEED,
-    "cmd_left": _SPEED,
-    "cmd_right": _SPEED,
-    "p_left": _POWER,
-    "p_right": _POWER,
-    "power": _POWER,
-    "voltage": _prefixed("V"),
-    "current": {**_prefixed("A"), **_CHARGE},
-    "yaw": _ANGLE,
-    "slope": _ANGLE,
-    "yaw_rate": RATES,
-    "accel_x": {"m/s^2": 1.0, "g": 9.80665},
-    "temperature": {"degC": 1.0, "K": 1.0, "degF": 5 / 9},
-    "payload": {"kg": 1.0, "lb": 0.45359237},
-}
+_OTHERS = {
+    "s": _TIME, "m": _LENGTH, "m/s": _SPEED, "W": _POWER, "V": _prefixed("V"),
+    "A": {**_prefixed("A"), **_CHARGE}, "rad": _ANGLE, "rad/s": RATES,
+    "m/s^2": {"m/s^2": 1.0, "g": 9.80665}, "degC": {"degC": 1.0, "K": 1.0, "degF": 5 / 9},
+    "kg": {"kg": 1.0, "lb": 0.45359237},
+}  # fmt: skip
+"""Units that a channel may be read in, by that of the library."""
+
+UNITS = {name: _OTHERS.get(one.unit, {one.unit: 1.0}) for name, one in LOGGED.items()}
 """Units by channel; the first is the one of the library."""
 _OFFSETS = {"K": -273.15, "degF": -160 / 9}
 _ALIASES = {
