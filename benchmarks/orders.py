@@ -146,7 +146,10 @@ def found(one: OrderProblem, robots: int) -> tuple[float, int]:
 def of_ortools(one: OrderProblem, robots: int, seconds: float) -> tuple[float, int] | None:
     """Return what OR-Tools finds on the same matrix; None where it is not installed."""
     try:
-        from ortools.constraint_solver import pywrapcp, routing_enums_pb2
+        from ortools.constraint_solver import (  # type: ignore[import-not-found,unused-ignore]
+            pywrapcp,
+            routing_enums_pb2,
+        )
     except ImportError:
         return None
     n, m = one.tasks, len(one.capacity)

@@ -17,6 +17,7 @@ from itertools import count
 
 import numpy as np
 
+from energyplan.mission._order_kernel import OrderProblem
 from energyplan.mission.drive import Simulation, Status
 from energyplan.mission.evaluation import REASONS, Docking, Evaluation
 from energyplan.mission.order import (
@@ -24,7 +25,6 @@ from energyplan.mission.order import (
     ORDERING,
     Matrix,
     Order,
-    OrderProblem,
     attempt,
     best_stops,
     gap_of,
