@@ -36,7 +36,6 @@ from energyplan.logs.consistency import correlation
 from energyplan.logs.guess import side_of, words
 from energyplan.logs.mapping import (
     COUNTS,
-    RATES,
     TOTAL,
     Column,
     formula,
@@ -44,6 +43,7 @@ from energyplan.logs.mapping import (
 )
 from energyplan.logs.tables import Recording, of_messages
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 
 _FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
 _NAME = r"(?:/[\w/]+\.)?(?:yaw\([\w.\s]+\)|[A-Za-z_][\w.]*(?:\s*\[[^\[\]]+\])?)"
