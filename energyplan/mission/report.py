@@ -59,6 +59,7 @@ class ChargerReport:
     visits: int  # how often the robot charges there
     duration: float  # how long in all [s]
     energy: float  # energy that the battery takes there, at its terminals, as expected [J]
+    energy_mains: float  # energy that the charger draws for it from the mains [J]
 
 
 @dataclass(frozen=True)
@@ -222,11 +223,12 @@ class MissionReport(html.Readable):
         """How each charger is used."""
         return tuple(
             ChargerReport(
-                name, len(here), sum(part.arrival - part.departure for part in here),
-                -sum(part.energy for part in here),
+                one.name, len(here), sum(part.arrival - part.departure for part in here),
+                energy, energy / one.efficiency,
             )
-            for name in [charger.name for charger in self.mission.chargers]
-            for here in [[part for part in self.charges if part.goal == name]]
+            for one in self.mission.chargers
+            for here in [[part for part in self.charges if part.goal == one.name]]
+            for energy in [-sum(part.energy for part in here)]
         )  # fmt: skip
 
     @property
@@ -358,11 +360,25 @@ class MissionReport(html.Readable):
             html.Summary("Timetable", (
                 "time", "what", "where", "minutes", "charge from", "to"
             ), times),
+            self._of_chargers,
             html.Summary("Uncertainty of the energy", (
                 "source", "1 sigma [Wh]", "margin freed if known [Wh]"
             ), unknown),
         )  # fmt: skip
         return tuple(one for one in found if one.rows)
+
+    @property
+    def _of_chargers(self) -> html.Summary:
+        """The chargers that are used, as rows."""
+        rows = [
+            (one.name, one.visits, f"{one.duration / 60:.1f}", html.number(one.energy / 3600),
+             html.number(one.energy_mains / 3600))
+            for one in self.chargers
+            if one.visits
+        ]  # fmt: skip
+        return html.Summary("Chargers", (
+            "charger", "visits", "minutes", "into the battery [Wh]", "from the mains [Wh]"
+        ), rows)  # fmt: skip
 
     def _of_robots(self) -> tuple[html.Summary, ...]:
         robots = [
@@ -386,6 +402,7 @@ class MissionReport(html.Readable):
             html.Summary("Timetable", (
                 "robot", "time", "what", "where", "minutes", "charge after"
             ), times),
+            self._of_chargers,
             html.Summary("Not assigned", (
                 "task", "why"
             ), [(task.name, task.detail) for task in self.left_out]),

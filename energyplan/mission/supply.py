@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from energyplan.battery import Battery, BatteryModel
+from energyplan.battery import Battery, BatteryModel, BatteryRun
 from energyplan.mission.types import Charger, Spreads, at_charger
 from energyplan.path import FloatArray
 from energyplan.records import bounds
@@ -21,6 +21,7 @@ class Charging(NamedTuple):
     parts: int = 300  # parts of the step in which a charge ends
     hours: int = 48  # longest charge [h]
     least_rise: float = 1e-3  # rise of the state of charge in an hour below which a charge ends
+    same: float = 1e-6  # part of the offered power by which it changes no more
     halvings: int = 40  # of the state of charge, in the search for the least that gives a power
 
 
@@ -101,7 +102,7 @@ class Supply:
 
     def fastest(self, charger: Charger) -> float:
         """Return the power with which a charger fills it at most [W]."""
-        power = float(charger.power)
+        power = float(np.max(charger.offers(_levels(charger))))
         if not isinstance(self.battery, Battery):
             return power
         current = self.battery.max_charge_current
@@ -109,15 +110,16 @@ class Supply:
 
     def charge(self, charge: float, until: float, charger: Charger) -> Charged:
         """Charge at a charger from a state of charge until another, or until it rises no more."""
-        battery, power = at_charger(self.battery, charger), charger.power
+        battery = at_charger(self.battery, charger)
         t, soc, joules = [0.0], [charge], [0.0]
-        steps = CHARGING.step * np.arange(int(3600 / CHARGING.step) + 1)
+        steps: FloatArray = CHARGING.step * np.arange(int(3600 / CHARGING.step) + 1.0)
         for _ in range(CHARGING.hours):
             begun, hour, before = soc[-1], t[-1], joules[-1]
             if begun >= until:
                 break
-            run = battery.simulate(steps, np.full(len(steps), -power), soc=begun)
-            taken = before + power * steps - run.braked
+            run, power = _filled(battery, charger, steps, begun)
+            offered = np.concatenate([[0.0], np.cumsum(power[:-1] * np.diff(steps))])
+            taken = before + offered - run.braked
             reached = np.flatnonzero(run.soc >= until)
             stop = int(reached[0]) if len(reached) else len(steps)
             t.extend(hour + steps[1:stop])
@@ -125,16 +127,39 @@ class Supply:
             joules.extend(taken[1:stop])
             if len(reached):
                 # the last step ends when it suffices
-                short = np.linspace(0.0, CHARGING.step, CHARGING.parts + 1)
+                short, last = np.linspace(0.0, CHARGING.step, CHARGING.parts + 1), power[stop - 1]
                 run = battery.simulate(
-                    short, np.full(len(short), -power), soc=float(run.soc[stop - 1])
+                    short, np.full(len(short), -last), soc=float(run.soc[stop - 1])
                 )
                 # the shorter steps need not get there by the last bit
                 enough = np.flatnonzero(run.soc >= until)
                 end = int(enough[0]) if len(enough) else CHARGING.parts
                 t.append(hour + steps[stop - 1] + short[end])
                 soc.append(until)
-                joules.append(float(taken[stop - 1] + power * short[end] - run.braked[end]))
+                joules.append(float(taken[stop - 1] + last * short[end] - run.braked[end]))
             elif run.soc_end - begun < CHARGING.least_rise:
                 break
         return Charged(np.array(t), np.array(soc), np.array(joules))
+
+
+def _levels(charger: Charger) -> FloatArray:
+    """Return states of charge among which a charger offers its largest power."""
+    return np.array([soc for soc, _ in charger.power] if isinstance(charger.power, tuple) else 1.0)
+
+
+def _filled(
+    battery: BatteryModel, charger: Charger, t: FloatArray, soc: float
+) -> tuple[BatteryRun, FloatArray]:
+    """Return a battery while it is charged, and the power that it is offered from each time on.
+
+    The power follows the state of charge in the middle of each step, on which the step before
+    decides. Each pass has at least one step more right, so the passes end.
+    """
+    power = np.full(len(t), float(charger.offers(soc)))
+    while True:
+        run = battery.simulate(t, -power, soc=soc)
+        rise = np.diff(run.soc, prepend=run.soc[0])
+        then = charger.offers(np.minimum(run.soc + 0.5 * rise, 1.0))
+        if np.all(np.abs(then - power) <= CHARGING.same * then):
+            return run, power
+        power = then

@@ -21,7 +21,7 @@ from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
 from energyplan.errors import MissionError, PathError
 from energyplan.mission._order_kernel import GRAM
-from energyplan.path import PLACE, Path, Pose, as_pose, parse_pose, wrap_angle
+from energyplan.path import PLACE, FloatArray, Path, Pose, as_pose, parse_pose, wrap_angle
 from energyplan.planning.problem import free_beside, where_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
@@ -374,6 +374,43 @@ class Task:
         return self.payload + self.payload_per_metre * self.length
 
 
+class _OfCurve(Within):
+    """What a power may be, also each of a curve."""
+
+    def _beyond(self, ends: tuple[float, float], value: ArrayLike) -> tuple[tuple[int, ...], str]:
+        given = np.asarray(value, float)
+        if not given.ndim:
+            return super()._beyond(ends, given)
+        at, wanted = super()._beyond(ends, given[:, 1])
+        return (*at, *(1 for _ in at)), wanted
+
+
+def _offered(value: Any) -> float | tuple[tuple[float, float], ...]:
+    """Read the power of a charger: a number, or pairs of a state of charge and a power."""
+    words = "a power, or pairs [state of charge, power], as [[0, 400], [0.8, 400], [1, 50]]"
+    if isinstance(value, str | int | float | np.number):
+        return float(_read("power", value, words))
+    if not hasattr(value, "__len__") or hasattr(value, "keys") or len(value) < 2:
+        raise ValueError(f"give {words}")
+    pairs = []
+    for k, pair in enumerate(value):
+        if isinstance(pair, str) or not hasattr(pair, "__len__") or len(pair) != 2:
+            raise ValueError(f"pair {k + 1} is {described(pair)}; give {words}")
+        pairs.append((_read("fraction", pair[0], words), _read("power", pair[1], words)))
+    levels = np.array([soc for soc, _ in pairs])
+    if not (np.all(np.diff(levels) > 0) and levels[0] >= 0 and levels[-1] <= 1):
+        raise ValueError("its states of charge must ascend and lie in [0, 1]; sort them")
+    return tuple(pairs)
+
+
+def _read(kind: str, value: Any, words: str) -> float:
+    """Read a number that may carry a unit of a kind."""
+    try:
+        return float(amount(kind, value))
+    except NO_NUMBER:
+        raise ValueError(f"give {words}") from None
+
+
 @record(MissionError)
 class Charger:
     """A place where the battery is charged.
@@ -384,8 +421,9 @@ class Charger:
         Name, unique in the mission.
     pose : Pose
         Where the robot docks.
-    power : float
-        Power at the battery's terminals [W].
+    power : float or sequence of pairs
+        Power that it offers at the battery's terminals [W]; or pairs of a state of charge and the
+        power there, between which it changes evenly.
     until : float
         State of charge at which the robot leaves, earlier where a window presses. Less saves time
         where the rest of the mission needs less; `MissionReport.remedies` says how much.
@@ -393,6 +431,8 @@ class Charger:
         Temperature of the battery while it charges there [degC]; that on the way where not given.
     places : int
         Of several robots, how many can charge there at a time.
+    efficiency : float
+        Energy that it gives over the energy that it draws from the mains.
 
     Raises
     ------
@@ -403,14 +443,27 @@ class Charger:
     --------
     >>> Charger("dock", (1.0, 2.0, 0.0), power=240.0).until
     0.95
+    >>> float(Charger("dock", (1, 2, 0), [(0.0, 400), (0.8, 400), (1.0, 50)]).offers(0.9))
+    225.0
     """
 
     name: Name
     pose: Place
-    power: Annotated[Power, Within((0.1, 1e6), (5, 5e4), "W")]
+    power: Annotated[
+        float | tuple[tuple[float, float], ...],
+        PlainValidator(_offered), _OfCurve((0.1, 1e6), (5, 5e4), "W"),
+    ]  # fmt: skip
     until: Annotated[Fraction, Within((0.01, 1), (0.3, 1), "", PERCENT)] = 0.95
     temperature: Temperature | None = None
     places: Annotated[int, amount_of("number"), Within((1, 1000), (1, 20))] = 1
+    efficiency: Annotated[Fraction, Within((0.01, 1), (0.5, 1), "", PERCENT)] = 1.0
+
+    def offers(self, soc: ArrayLike) -> FloatArray:
+        """Return the power that it offers at states of charge [W]."""
+        if not isinstance(self.power, tuple):
+            return np.full(np.shape(soc), self.power)
+        levels, power = np.array(self.power).T
+        return np.asarray(np.interp(np.asarray(soc, float), levels, power))
 
 
 def at_charger(battery: BatteryModel, charger: Charger) -> BatteryModel:

@@ -62,7 +62,7 @@ SHOWN = {
 """What is shown of a type, where that is not all of its fields."""
 DEPRECATED = {"energy": "energy at steady speeds; use energy_driven, or energy_steady for this one"}
 """Keys of a plan that go with the next release, and what to use instead."""
-TOGETHER = "headline energy energy_upper duration feasible proven gap warnings"
+TOGETHER = "headline energy energy_upper duration feasible chargers proven gap warnings"
 """What is shown of a mission of several robots as a whole."""
 
 

@@ -36,6 +36,7 @@ class Units(NamedTuple):
     follow: float = 1.0  # a motion along poses that lie close together
     expansion: float = 0.3  # of the lattice
     state: float = 0.05  # of the search for routes
+    step: float = 0.025  # of the search for straight routes
     pose: float = 0.03  # a pose that is tested for collision
     motion: float = 0.07  # a motion that is tested for collision
     drive: float = 500.0  # a path that is timed

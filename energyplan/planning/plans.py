@@ -389,8 +389,7 @@ class Plan(html.Readable):
         if problem is None or self.why_not_driven or problem.weights.get("length"):
             return steady
         drive, query = self.driven, compiled(problem.without_clearance)
-        cost = query.objective.value(drive.energy, self.length, drive.duration)
-        cost += query.soft_cost(self.path, drive.seconds)
+        cost = query.driven_value(self.path, drive)
         scale = max(abs(cost), abs(self.potential), abs(cost - self.potential))
         if abs(cost - self.cost_steady) <= ROUNDING * scale:  # stops and speeds cost nothing
             return steady._replace(driven=True)

@@ -26,6 +26,9 @@ class RouteSearch(NamedTuple):
     again: float = 1.4  # factor on the price of a step near an earlier route
     blocked: float = 8.0  # the same where tracking was stuck
     most: int = 4  # routes
+    # factors on the price of turns for routes of long straight steps [1]
+    turns: tuple[float, ...] = (1.0, 3.0)
+    hope: float = 1.03  # cost over the best path's up to which these are refined [1]
     spare: int = 1024  # room for the states that one leads to
     states: int = 100_000  # states that are expanded at most
     wide: float = 9.0  # room beyond the body's reach from which steps are four cells long [cells]
@@ -98,8 +101,10 @@ REFINING = Refining()
 class FewerStops(NamedTuple):
     """Constants of the search for paths with fewer stops."""
 
-    least: float = 1e-3  # part of the energy that stops take from which they are looked at
-    most: float = 0.03  # part of the energy from which other routes are searched
+    least: float = 1e-3  # part of the objective that stops take from which they are looked at
+    most: float = 0.03  # part of the objective from which other routes are searched
+    # work left, over that of a drive, with which stops are priced before paths are refined
+    drives: float = 3.0
     # prices of a stop over what one takes on the best path [1]
     prices: tuple[float, ...] = (1.0, 3.0)
     polish: int = 800  # attempts to refine a path along another route

@@ -215,6 +215,7 @@ PARTS = [
     Part(shared, ("chargers", 0), Charger, like(places=2)),
     Part(charging, ("chargers", 0), Charger, like(
         name="other", pose=(1.2, 1.3, 0.0), power=300.0, until=0.8, temperature=25.0,
+        efficiency=0.9,
     )),
     Part(charging, ("spreads",), Spreads, like(
         soc=0.03, capacity=0.03, health=0.03, temperature=4.0, power=0.2, dwell=0.2, run=0.2,

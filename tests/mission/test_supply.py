@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from battery_missions import worse
 from corridors import at, corridor
+from worlds import tiny
 
 from energyplan.battery import Battery
+from energyplan.errors import MissionError
+from energyplan.html import number
 from energyplan.mission import Charger, Mission, evaluate
 from energyplan.path import Pose
 from energyplan.power import PowerModel
@@ -17,6 +20,7 @@ from energyplan.power.effects import with_weight
 from energyplan.terrain import HeightMap
 
 PACK = Battery.of("24 V 20 Ah lead-acid")
+HOLDS = tiny(1.5e6)
 
 
 def docked(power: float, *tasks: object, **changes: object) -> Mission:
@@ -97,3 +101,63 @@ def test_a_task_near_the_power_of_the_battery_is_done_after_a_charge() -> None:
 
 def test_no_given_order_is_better_than_a_free_one() -> None:
     assert list(worse(range(6))) == []
+
+
+CURVE = [[0.0, 120.0], [0.6, 120.0], [1.0, 20.0]]
+
+
+def test_the_power_of_a_charger_follows_its_curve() -> None:
+    low = docked(100.0, at("A", 10, dwell=3600, power=250.0), soc=0.3, battery=HOLDS)
+    report = evaluate(replace(low, chargers=(Charger("dock", low.start, CURVE, until=0.9),)))
+    (charge,) = report.charges
+    given, soc = -charge.power[:-1], 0.5 * (charge.soc[1:] + charge.soc[:-1])
+    # the first and the last step, and the first of each hour, have the power of their begin
+    assert given == pytest.approx(np.interp(soc, *np.array(CURVE).T), rel=3e-3)
+    # of a pack without losses the rise of the charge is the power over the energy of the pack
+    last = float(np.interp(0.9, *np.array(CURVE).T))
+    even = (0.6 - charge.soc[0]) * HOLDS.full_energy / 120.0
+    falling = 0.3 * HOLDS.full_energy / (120.0 - last) * np.log(120.0 / last)
+    assert charge.arrival - charge.departure == pytest.approx(even + falling, rel=2e-3)
+
+
+def test_a_flat_curve_is_a_number() -> None:
+    tasks = (at("A", 10, dwell=3600, power=250.0),)
+    one = docked(150.0, *tasks, soc=0.3)
+    flat = Charger("dock", one.start, [(0.0, 150.0), (1.0, 150.0)])
+    number, curve = (evaluate(m).duration for m in (one, replace(one, chargers=(flat,))))
+    assert curve == pytest.approx(number, rel=1e-12)
+
+
+def test_what_a_charger_draws_from_the_mains_is_reported() -> None:
+    asked = docked(150.0, at("A", 10, dwell=3600, power=250.0), soc=0.3)
+    dock = replace(asked.chargers[0], efficiency=0.8)
+    report = evaluate(replace(asked, chargers=(dock,)))
+    (used,) = report.chargers
+    assert used.energy > 0.0
+    assert used.energy_mains == pytest.approx(used.energy / 0.8, rel=1e-12)
+    (table,) = (one for one in report.tables if one.title == "Chargers")
+    assert table.rows == [
+        ("dock", used.visits, f"{used.duration / 60:.1f}", number(used.energy / 3600),
+         number(used.energy_mains / 3600))
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("power", "words"),
+    [
+        ([[0, 400]], "pairs"),
+        ([[0.5, 400], [0.2, 300]], "ascend"),
+        ([[0, 400], [1, 0]], "power[1][1] is 0.0; give 0.1 to 1e+06 W"),
+        ([[0, 400], [1, "fast"]], "pairs"),
+        ("fast", "a power, or pairs"),
+    ],
+)
+def test_a_curve_that_is_none_is_refused_with_its_place(power: object, words: str) -> None:
+    with pytest.raises(MissionError) as refused:
+        Charger("dock", Pose(3.0, 1.5, 0.0), power)
+    assert words in str(refused.value)
+
+
+def test_a_curve_is_read_with_units() -> None:
+    dock = Charger("dock", Pose(3.0, 1.5, 0.0), [["0 %", "0.4 kW"], ["100 %", 50]])
+    assert dock.power == ((0.0, 400.0), (1.0, 50.0))

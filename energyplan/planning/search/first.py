@@ -24,9 +24,10 @@ from energyplan.planning.search.narrow.infeasible import (
     none_in_time,
 )
 from energyplan.planning.search.narrow.passages import paths_through_passages
-from energyplan.planning.search.optimise import Portfolio
+from energyplan.planning.search.optimise import Portfolio, Refiner
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.search.tracking import Tracked, track_route
+from energyplan.planning.settings import ROUTES
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached
 from energyplan.planning.space.motions import KernelProblem
@@ -73,6 +74,13 @@ class Paths:
         for motions in found:
             self.enter(self.ends.whole(motions))
         return bool(found)
+
+    def enter_hopeful(self, several: Iterable[Segments]) -> None:
+        """Enter those of several motions whose cost is not far above that of the best path."""
+        for motions in several:
+            cost = Refiner(self.setting, motions).cost
+            if cost <= ROUTES.hope * self.cost:
+                self.enter_between([motions])
 
 
 def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) -> Paths:

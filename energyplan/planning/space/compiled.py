@@ -17,6 +17,7 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose, point_ahead
+from energyplan.planning.driven import DrivenPath
 from energyplan.planning.problem import PlanningProblem, is_length
 from energyplan.planning.space import prices as _prices
 from energyplan.planning.space.configurations import grown
@@ -308,6 +309,7 @@ class CompiledProblem:
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
             least_metre=self.least.metre,
             least_radian=self.least.radian,
+            stop=0.0,
             start=self.centre(problem.start),
             goal=self.centre(problem.goal),
         )
@@ -363,6 +365,11 @@ class CompiledProblem:
         if self.problem.weights.get("time"):
             duration = self.terrain.price(path, cost).duration
         return self.objective.value(energy, path.length, duration) + self.soft_cost(path)
+
+    def driven_value(self, path: Path, driven: DrivenPath) -> float:
+        """Return the objective's value of a path as it is driven."""
+        value = self.objective.value(driven.energy, path.length, driven.duration)
+        return value + self.soft_cost(path, driven.seconds)
 
 
 def compiled(problem: PlanningProblem) -> CompiledProblem:

@@ -73,6 +73,7 @@ class KernelProblem(NamedTuple):
     reach: float  # distance of the body's furthest corner [m]
     least_metre: float  # least cost of a metre, plus `least_radian` for each radian
     least_radian: float  # least cost of a radian
+    stop: float  # price of each motion of those that `join` chooses, beyond what it costs
     start: Pose  # pose of the centre of the tread ICRs at the start
     goal: Pose  # pose of the centre of the tread ICRs at the goal
 
@@ -337,6 +338,17 @@ def put_pose(poses: FloatTable, k: int, pose: Pose) -> None:
     poses[k, 2] = pose.yaw
 
 
+@inner
+def price_of_stops(setting: KernelProblem, ds: Floats, dtheta: Floats, count: int) -> float:
+    """Price of the stops between motions and at their end."""
+    total = 0.0
+    if setting.stop > 0.0:
+        for k in range(count):
+            if abs(ds[k]) + abs(dtheta[k]) > STILL:
+                total += setting.stop
+    return total
+
+
 @njit
 def join(
     setting: KernelProblem, pose: Pose, to: Pose, limit: float, ds: Floats, dtheta: Floats
@@ -360,7 +372,8 @@ def join(
             count = arcs_forwards(pose, to, setting.steering, ds, dtheta)
         else:
             count = forward_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
-    cost = drive(setting, pose, ds, dtheta, count, limit)
+    stops = price_of_stops(setting, ds, dtheta, count)
+    cost = drive(setting, pose, ds, dtheta, count, limit - stops) + stops
     # what is found depends on the limit only in whether it costs less
     if cost <= least * (1.0 + 1e-9):
         return cost, count
@@ -369,7 +382,8 @@ def join(
     ways = 1 if setting.gear != 0 else 2
     for way in range(ways if setting.least_radius == 0.0 else 0):
         n = spin_drive_spin(pose, to, way == 1, other_ds, other_dtheta)
-        other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost))
+        stops = price_of_stops(setting, other_ds, other_dtheta, n)
+        other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost) - stops) + stops
         if other < cost:
             cost = other
             count = n

@@ -444,7 +444,9 @@ function verdicts(told) {
   const left = told.tasks.filter((task) => task.verdict !== "reachable").map((task) => element("p",
     `${task.name}: out of reach; ${why(task)}.${task.detail ? ` ${task.detail[0].toUpperCase()}${task.detail.slice(1)}.` : ""}${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
   const shares = several ? `${each.map((one) => `${one.name} takes ${energy(one.energy)}`).join(", ")}. ` : "";
-  const most = `${shares}The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`;
+  const mains = each.flatMap((one) => one.chargers).reduce((sum, one) => sum + one.energy_mains, 0);
+  const most = `${shares}The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`
+    + (mains ? ` The chargers draw ${energy(mains)} from the mains.` : "");
   $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows),
     player(each), element("p", most, "hint"),
     ...told.warnings.map((text) => element("p", text, "hint")));
