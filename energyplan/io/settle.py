@@ -457,6 +457,7 @@ def _sure_of_speeds(
             for unit in units}  # fmt: skip
     gone = drive.distance if isfinite(drive.distance) else 1.0
     near = [u for u in units if abs(np.log(gone * size[u])) < np.log(_NEAR)]
+    unseen = False
     measures = known_measures(known)
     if not isfinite(drive.distance) and not (
         isfinite(drive.slip_track) and isfinite(measures.track)
@@ -472,13 +473,17 @@ def _sure_of_speeds(
             if _USUAL_SPEED[0] <= drive.top_speed * size[u] <= _USUAL_SPEED[1]
             and not abs(np.log(drive.force / weight / size[u] / _MIDDLE_FORCE)) > np.log(10.0)
         ]  # fmt: skip
-    if len(near) > 1:
+        if chosen["v_left"] != "m/s":  # that others would surprise more is no proof
+            near = [*dict.fromkeys((chosen["v_left"], *near))]
+            unseen = True
+    if len(near) > 1 or unseen:
         told = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u for u in near]
         left, right = (columns[name].field for name in SPEEDS)
         ways = " or ".join(f"'v_left={left}[{u}],v_right={right}[{u}]'" for u in told)
+        other = ", or in another unit" if unseen else ""
         raise DriveLogError(
             f"{recording.source}: {left} could be in {' or '.join(told)}, of which nothing tells "
-            f"the one from the other; give its unit, as in --columns {ways}"
+            f"the one from the other{other}; give its unit, as in --columns {ways}"
         )
 
 

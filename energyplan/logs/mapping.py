@@ -15,6 +15,7 @@ from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError
 from energyplan.logs.align import derivative, gap_limit
+from energyplan.motion import LOGGED
 from energyplan.path import FloatArray
 from energyplan.records import Checked, described
 from energyplan.units import (
@@ -48,26 +49,14 @@ class Scale(NamedTuple):
 COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
 _POWER = {**POWER, **ENERGY}  # the rate of an energy is a power
 
-UNITS: dict[str, dict[str, float]] = {
-    "t": TIME,
-    "x": LENGTH,
-    "y": LENGTH,
-    "v_left": SPEED,
-    "v_right": SPEED,
-    "cmd_left": SPEED,
-    "cmd_right": SPEED,
-    "p_left": _POWER,
-    "p_right": _POWER,
-    "power": _POWER,
-    "voltage": VOLTAGE,
-    "current": {**CURRENT, **CHARGE},
-    "yaw": ANGLE,
-    "slope": ANGLE,
-    "yaw_rate": RATES,
-    "accel_x": {"m/s^2": 1.0, "g": 9.80665},
-    "temperature": TEMPERATURE,
-    "payload": MASS,
-}
+_OTHERS = {
+    "s": TIME, "m": LENGTH, "m/s": SPEED, "W": _POWER, "V": VOLTAGE, "A": {**CURRENT, **CHARGE},
+    "rad": ANGLE, "rad/s": RATES, "m/s^2": {"m/s^2": 1.0, "g": 9.80665}, "degC": TEMPERATURE,
+    "kg": MASS,
+}  # fmt: skip
+"""Units that a channel may be read in, by that of the library."""
+
+UNITS = {name: _OTHERS.get(one.unit, {one.unit: 1.0}) for name, one in LOGGED.items()}
 """Units by channel; the first is the one of the library."""
 _WHEEL_CHANNELS = ("v_left", "v_right", "cmd_left", "cmd_right")
 _OF_WHEELS = {**RATES, **COUNTS}

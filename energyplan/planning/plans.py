@@ -18,7 +18,7 @@ from inspect import signature
 from math import inf
 from pathlib import Path as File
 from traceback import extract_tb
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,13 +36,16 @@ from energyplan.errors import (
     UnknownNameError,
     UnsupportedPlannerError,
 )
-from energyplan.path import ROUNDING, FloatArray, Path
+from energyplan.path import ROUNDING, FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.budget import SHARES, Budget, plan_budget
 from energyplan.planning.driven import DrivenPath, drive_plan, driven_share
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.planning.space.prices import Prices
 from energyplan.records import check_fields, checked
+
+if TYPE_CHECKING:
+    from energyplan.planning.ends import CheckedEnds
 
 
 @dataclass(frozen=True)
@@ -398,6 +401,12 @@ class Plan(html.Readable):
             return _Rated(cost, None, driven=True)
         return _Rated(cost, self.potential + share * least, driven=True)
 
+    @property
+    def goal_reached(self) -> Pose:
+        """The pose at which the path ends, with the yaw in (-pi, pi]."""
+        x, y, yaw = self.path.end
+        return Pose(x, y, float(wrap_angle(yaw)))
+
     def _summaries(self) -> list[html.Summary]:
         (spent,) = spending(self)
         back = self.path.reverse_length
@@ -415,11 +424,19 @@ class Plan(html.Readable):
             *([(STEADY, self.energy_steady)] if spent.driven else []),
             *self._costs(),
             ("at most above the least possible [%]", self.gap_percent),
+            *self._goal(),
         ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
         if self.effort_limit is not None:
             title += f" of {self.effort_limit}"
         return [html.Summary(title, ("", ""), rows, self.all_notes)]
+
+    def _goal(self) -> list[tuple[str, object]]:
+        """Return the row that says which pose was reached, where there was a choice."""
+        if self.problem is None or not self.problem.goals:
+            return []
+        x, y, yaw = self.goal_reached
+        return [("goal reached: x, y [m], yaw [deg]", f"{x:.2f}, {y:.2f}, {np.degrees(yaw):.1f}")]
 
     @property
     def bound_label(self) -> str:
@@ -619,19 +636,44 @@ def plan(
     >>> round(found.energy_driven), abs(found.gap) < 1e-6
     (1808, True)
     """
-    from energyplan.planning.bound import lower_bound
-    from energyplan.planning.ends import between_clear_ends, checked_ends
+    from energyplan.planning.ends import checked_ends
     from energyplan.planning.search.planner import compile_planning, prepare
+    from energyplan.planning.several import Solver, plan_to_several
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name
     plan_budget(time_limit, effort)  # says at once what is wrong with them
     _check_call(name, declared, problem, effort is not None, options)
-    ends = checked_ends(problem)
-    problem = ends.problem
-    compile_planning(ends.bare, load=effort is None)
-    prepare(ends.bare, guided=declared.bound)
+    if known := list(options.get("initial", ())):
+        options["initial"] = known  # what can be read but once
+
+    def prepared(ends: CheckedEnds) -> None:
+        compile_planning(ends.bare, load=effort is None)
+        prepare(ends.bare, guided=declared.bound)
+
+    def solve(ends: CheckedEnds, budget: Budget, more: dict[str, Any]) -> Plan:
+        budget.beside(lambda: prepared(ends))
+        return _planned(ends, name, declared, budget, {**options, **more})
+
+    if not problem.goals:
+        ends = checked_ends(problem)
+        prepared(ends)
+        budget = plan_budget(time_limit, effort, declared.effort)
+        return _planned(ends, name, declared, budget, options)
+    solver = Solver(solve, informed=declared is PLANNERS["lattice"])
     budget = plan_budget(time_limit, effort, declared.effort)
+    return plan_to_several(problem, solver, budget, options.pop("initial", ()))
+
+
+def _planned(
+    ends: CheckedEnds, name: str, declared: Planner, budget: Budget, options: dict[str, Any]
+) -> Plan:
+    """Plan between two poses within a budget, and check and price what comes of it."""
+    from energyplan.planning.bound import lower_bound
+    from energyplan.planning.ends import between_clear_ends
+    from energyplan.planning.search.planner import prepare
+
+    problem = ends.problem
     given = budget if declared.bound else budget.part(1.0 - SHARES.aside)
     between = between_clear_ends(problem, given)
 
@@ -654,9 +696,7 @@ def plan(
         # nobody believes it of others
         return found if declared in PLANNERS.values() else replace(found, driven=None)
 
-    if known := list(options.get("initial", ())):
-        options["initial"] = known  # what can be read but once
-    found = between.solved(problem, given, solve, known)
+    found = between.solved(problem, given, solve, options.get("initial", ()))
     query = compiled(ends.bare)
     bound = found.lower_bound
     if bound is None:

@@ -258,3 +258,30 @@ class Escaping(NamedTuple):
 
 
 ESCAPE = Escaping()
+
+
+class SeveralGoals(NamedTuple):
+    """Constants of planning to one of several poses."""
+
+    headings: int = 48  # of those that are all allowed that are looked at
+    around: int = 16  # places on the edge of a circle that are looked at
+    ranking: float = 0.15  # share of the budget for routes to poses
+    routes: int = 3  # routes to a place at any heading
+    tries: int = 4  # poses of a goal that are planned to until one is reached
+    trial: float = 0.12  # share of the budget for a first plan to a pose
+    kept: float = 3.0  # such shares that are kept for refining
+    close: float = 1.01  # cost over the best one's up to which a plan is refined [1]
+    finalists: int = 2  # plans that are refined
+    others: int = 3  # other headings of the best goal that are planned to
+    promising: float = 1.05  # cost of the route to one of these over the best plan's, at most
+    possible: float = 1.2  # the same for another goal
+    apart: float = 0.6  # difference of headings that deserve a plan of their own [rad]
+    ends: int = 60  # poses of a path from which another end is tried
+    near: float = 10.0  # distance of these from the end [reaches of the body]
+    hopeless: int = 4  # ends that one of these is not joined to until it is given up
+    less: float = 1e-6  # share of the cost by which another end has to be cheaper
+    zooms: int = 4  # rounds in which headings lie closer to the best one
+    parts: int = 8  # into which the distance between headings is divided in each
+
+
+SEVERAL = SeveralGoals()

@@ -62,9 +62,10 @@ class PricedRoute(NamedTuple):
     chain: Ints  # its nodes, from the start to the goal
     cost: float  # price of its length and turns
     looked: int  # states that were expanded
+    heading: float  # heading at its end [rad]
 
 
-def _penalised(
+def penalised(
     penalties: Floats, places: Places, homes: NDArray[np.integer], within: float, factor: float
 ) -> Floats:
     """Return the factors on the prices of steps, raised within a distance of some places."""
@@ -91,7 +92,7 @@ def cheapest_routes(
         if most < 1:
             break
         if blocked:
-            penalties = _penalised(penalties, places, np.array(blocked), reach, ROUTES.blocked)
+            penalties = penalised(penalties, places, np.array(blocked), reach, ROUTES.blocked)
         found = cheapest_route(to_go, setting, penalties, most)
         budget.spend(UNITS.state * found.looked)
         if len(found.chain) == 0:
@@ -100,7 +101,7 @@ def cheapest_routes(
         if tracked.motions is not None:
             ways.append(tracked.motions)
             homes = places.home[found.chain]
-            penalties = _penalised(penalties, places, homes, reach, ROUTES.again)
+            penalties = penalised(penalties, places, homes, reach, ROUTES.again)
         elif ways:
             break
         else:
@@ -127,9 +128,12 @@ def straight_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> 
 
 @njit
 def cheapest_route(
-    to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int
+    to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int, any_heading: bool = False
 ) -> PricedRoute:
-    """Return the nodes along the way that is cheapest by its length and its turns."""
+    """Return the nodes along the way that is cheapest by its length and its turns.
+
+    Where the goal may be reached at any heading, the last turn costs nothing.
+    """
     places = to_go.places
     space = setting.space
     spacing = places.spacing
@@ -165,11 +169,12 @@ def cheapest_route(
     none = np.empty(0, np.int64)
     start = node_at(to_go, space, setting.start)
     if start < 0 or to_go.distance[start] == inf:
-        return PricedRoute(none, inf, 0)
+        return PricedRoute(none, inf, 0, setting.goal.yaw)
     count = 0
     size = 0
     yaw = setting.start.yaw - space.yaw
     goal_yaw = setting.goal.yaw - space.yaw
+    last_turn = 0.0 if any_heading else 1.0
     best = -1
     least = inf
     for b in range(FACINGS):
@@ -181,7 +186,7 @@ def cheapest_route(
             if not even:
                 here_turn = turning[surface_at(setting, setting.start)]
             g[count] = here_turn * off
-            h[count] = _rest(to_go, start, b * turn, goal_yaw, weighed, per_turn)
+            h[count] = _rest(to_go, start, b * turn, goal_yaw, weighed, per_turn, any_heading)
             key[count] = _key(places, setting, start, b)
             table[slot_of(table, key, key[count])] = count
             size = push(heap_f, heap_state, size, g[count] + h[count], count)
@@ -207,7 +212,7 @@ def cheapest_route(
         if to_go.distance[node] <= ROUTES.near * spacing:
             through = (
                 g[state] + per_metre * float(to_go.distance[node])
-                + here_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
+                + last_turn * here_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
             )  # fmt: skip
             if through < least:
                 least = through
@@ -258,7 +263,7 @@ def cheapest_route(
                 known = int(table[slot])
                 if known >= 0 and gg >= g[known] - 1e-9:
                     continue
-                hh = _rest(to_go, other, bb * turn, goal_yaw, weighed, per_turn)
+                hh = _rest(to_go, other, bb * turn, goal_yaw, weighed, per_turn, any_heading)
                 if gg + hh >= least:
                     continue
                 if known >= 0:
@@ -273,8 +278,9 @@ def cheapest_route(
                 size = push(heap_f, heap_state, size, gg + hh, count)
                 count += 1
     if best < 0:
-        return PricedRoute(none, inf, looked)
-    return PricedRoute(_chain_of(to_go, node_of, parent, best), least, looked)
+        return PricedRoute(none, inf, looked, setting.goal.yaw)
+    heading = space.yaw + facing[best] * turn
+    return PricedRoute(_chain_of(to_go, node_of, parent, best), least, looked, heading)
 
 
 @njit
@@ -301,7 +307,7 @@ def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: 
     none = np.empty(0, np.int64)
     start = node_at(to_go, space, setting.start)
     if start < 0 or to_go.distance[start] == inf:
-        return PricedRoute(none, inf, 0)
+        return PricedRoute(none, inf, 0, setting.goal.yaw)
     home = int(places.home[start])
     first_row = home // across % STRIDE
     first_column = home % across % STRIDE
@@ -397,10 +403,11 @@ def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: 
             heap_f, heap_state = with_room(heap_f, heap_state, size)
             size = push(heap_f, heap_state, size, ff, other)
     if best < 0:
-        return PricedRoute(none, inf, looked)
+        return PricedRoute(none, inf, looked, setting.goal.yaw)
     chain = _straight_chain(places, parent, best, first_row, first_column)
     rest = chain_from(to_go, int(to_go.after[chain[-1]]))
-    return PricedRoute(np.concatenate((chain, rest)), least, looked)
+    heading = space.yaw + (best % EIGHTHS) * eighth
+    return PricedRoute(np.concatenate((chain, rest)), least, looked, heading)
 
 
 @inner
@@ -546,13 +553,18 @@ def _key(places: Places, setting: KernelProblem, node: int, facing: int) -> int:
 
 @inner
 def _rest(
-    to_go: CostToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float
-) -> float:
+    to_go: CostToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float,
+    any_heading: bool,
+) -> float:  # fmt: skip
     """Estimate the price of the rest of the way."""
     far = float(to_go.distance[node])
     if far == inf:
         return inf
-    turn = angle_between(yaw, goal_yaw)
+    way = float(to_go.direction[node])
+    turn = 0.0 if any_heading else angle_between(yaw, goal_yaw)
     if far > to_go.far:
-        turn = max(turn, turning_by(yaw, float(to_go.direction[node]), goal_yaw))
+        if any_heading:
+            turn = min(angle_between(yaw, way), angle_between(yaw, way + pi))
+        else:
+            turn = max(turn, turning_by(yaw, way, goal_yaw))
     return per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)

@@ -153,12 +153,17 @@ class CompiledProblem:
         by_class = kept.reshape(len(self.costs), 1, -1, DIRECTIONS + 1)
         return np.ascontiguousarray((by_class + soft[:, None]).reshape(-1, DIRECTIONS + 1))
 
+    @property
+    def height_price(self) -> float:
+        """What a metre of height adds to the cost of every path."""
+        return self._priced.height_price
+
     def height_potential(self, pose: Pose) -> float:
         """Return the potential of the height at a pose; only differences mean something."""
         if self.terrain.heights is None:
             return 0.0
         point = point_ahead(pose, self.problem.cost.icr.longitudinal)
-        return self._priced.height_price * float(self.terrain.height_at(point))
+        return self.height_price * float(self.terrain.height_at(point))
 
     def potential(self, goal: Pose) -> float:
         """Return what the height of a goal above the start adds to the cost of every path."""
