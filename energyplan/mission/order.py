@@ -64,6 +64,7 @@ class Ordering(NamedTuple):
     levels: int = 3  # payloads at which legs are priced where there are many
     most_loads: int = 1024  # payloads that are distinguished at most
     each: int = 64  # most payloads of a problem, and most that each leg is priced with
+    alike: float = 0.01  # part of their range by which payloads differ that are priced as one
     same: float = 1e-6  # part of an energy by which orders differ that count as one
     # parts of a charge whose mean power counts; those after the first one where time presses
     paces: tuple[tuple[float, float], ...] = ((0.0, 1.0), (0.0, 0.5), (0.5, 1.0))
@@ -358,6 +359,19 @@ def loads_of(payload: float, change: FloatArray) -> FloatArray:
     return np.array(sorted(loads))
 
 
+def alike(loads: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the largest of each group of payloads that hardly differ [kg].
+
+    Rows of nearly one length leave as many payloads as there are sets of them.
+    """
+    near = ORDERING.alike * float(np.ptp(loads))
+    first = [0]
+    for k, load in enumerate(loads):
+        if load - loads[first[-1]] > near:
+            first.append(k)
+    return loads[first], loads[[*(k - 1 for k in first[1:]), len(loads) - 1]]
+
+
 def _closed(energy: FloatArray) -> FloatArray | None:
     """Return the least energies from place to place over any others; None where nothing is least.
 
@@ -543,7 +557,7 @@ class Matrix:
         self.exact = mission.order == "given" or len(tasks) <= EXACT
         loads = loads_of(state.payload, change)
         # few loads are priced each for itself; of many, some are, and the others lie in between
-        self._each = self.exact and len(loads) < ORDERING.each
+        self._each = self.exact and len(alike(loads)[0]) < ORDERING.each
         self._levels = np.linspace(low, high, 1 if low == high else ORDERING.levels)
         self._inflation = 1.0
         self._power = sim.legs.driving_power
@@ -732,9 +746,9 @@ class Matrix:
         inner = np.ix_(self.nodes, self.nodes)
         late = self._late * sim.quantile * state.time_spread
         change = np.array([task.change for task in tasks], float)
-        loads = loads_of(state.payload, change)
-        # what cannot be carried is never reached
-        able = np.maximum(loads, 0.0).tolist()
+        least, loads = alike(loads_of(state.payload, change))
+        # the lighter one bounds all orders; what cannot be carried is never reached
+        able = np.maximum(least if self._ideal else loads, 0.0).tolist()
         return OrderProblem(
             **self._fixed,
             option=self._option,
