@@ -362,7 +362,9 @@ class Task:
     path: Annotated[tuple[Row, ...], PlainValidator(_points)] = ()
     direction: Literal["either", "given"] = "either"
     speed: Speed | None = None
-    payload_per_metre: Annotated[Number, Within((-1e4, 1e4), (-100, 100), "kg/m")] = 0.0
+    payload_per_metre: Annotated[
+        float, amount_of("mass per length"), Within((-1e4, 1e4), (-100, 100), "kg/m")
+    ] = 0.0
     goals: tuple[Goal, ...] = ()
 
     @pydantic.model_validator(mode="before")
@@ -487,11 +489,16 @@ class Charger:
         Of several robots, how many can charge there at a time.
     efficiency : float
         Energy that it gives over the energy that it draws from the mains.
+    shared : bool
+        Whether those who charge there at a time share its power evenly; else each has all of it.
+    enough : bool
+        Whether the robot leaves as soon as the rest of the mission needs no more, in steps of 1 %;
+        `until` is then the most.
 
     Raises
     ------
     MissionError
-        If a value is not finite or out of its range.
+        If a value is not finite or out of its range, or one place is to be shared.
 
     Examples
     --------
@@ -511,6 +518,15 @@ class Charger:
     temperature: Temperature | None = None
     places: Annotated[int, amount_of("number"), Within((1, 1000), (1, 20))] = 1
     efficiency: Annotated[Fraction, Within((0.01, 1), (0.5, 1), "", PERCENT)] = 1.0
+    shared: bool = False
+    enough: bool = False
+
+    def __post_init__(self) -> None:
+        if self.shared and self.places == 1:
+            raise MissionError(
+                f"charger {self.name!r} shares its power and has one place; give it 2 places or "
+                "more, or leave out shared"
+            )
 
     def offers(self, soc: ArrayLike) -> FloatArray:
         """Return the power that it offers at states of charge [W]."""

@@ -593,9 +593,10 @@ def plan(
         Time after which planning stops even if effort is left [s]; the plan's notes say so then.
         Work done once per map is not included: the first plan on a map takes longer.
     effort : int, optional
-        Units of work to plan with, 30 000 where left out: the same plan comes of it on any
-        machine and under any load. 50 000 take about a second; see `Budget`. Planning ends
-        earlier if the planner knows that nothing is left to gain.
+        Units of work to plan with, 30 000 where left out, and more on a map so large that the
+        distances to the goal alone take a quarter of it: the same plan comes of it on any machine
+        and under any load. 50 000 take about a second; see `Budget`. Planning ends earlier if the
+        planner knows that nothing is left to gain.
     **options : object
         Further options of the planner.
 
@@ -744,7 +745,7 @@ def priced_plan(
         breakdown=price.by_term,
         potential=potential,
         effort=round(budget.spent),
-        effort_limit=budget.effort,
+        effort_limit=budget.limit,
         stopped=bool(budget.notes),
         soft_cost=soft,
         notes=(*notes, *budget.notes),

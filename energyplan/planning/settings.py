@@ -184,7 +184,7 @@ class Configurations(NamedTuple):
     """Constants of the free configurations."""
 
     fineness: float = 0.16  # distance between places over the body's smaller side [1]
-    coarsest: float = 0.3  # the same at most [1]
+    coarsest: float = 0.35  # the same at most [1]
     places: int = 1_000_000  # places beyond which the distance between them grows
     bands: int = 64  # bands of rows into which the work is cut
 
@@ -212,6 +212,7 @@ class Outlines(NamedTuple):
     directions: int = 512  # directions by which it is noted how far one sees
     tiny: float = 1e-9  # distance by which a line may miss a corner and still touch it [m]
     difference: float = 1e-8  # least difference of a level and a clearance [1]
+    cells: int = 1 << 21  # cells whose contours are computed at once
 
 
 OUTLINES = Outlines()

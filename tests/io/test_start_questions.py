@@ -208,3 +208,14 @@ def test_pairs_of_a_name_and_a_value_are_no_table(tmp_path: Path) -> None:
     file.write_text("".join(f"U\t{24 + k}\nI\t{k}\nP\t{k}\n" for k in range(40)))
     with pytest.raises(DriveLogError, match="pairs of a name and a value"):
         begun(file)
+
+
+def test_speeds_and_turn_rates_that_may_both_be_in_another_unit_are_asked_for(
+    tmp_path: Path,
+) -> None:
+    rpm = 30 / np.pi
+    columns = {"v_port": rpm / ROVER.radius * AT.left, "v_starboard": rpm / ROVER.radius * AT.right,
+               "gyro_z": rpm * AT.yaw_rate}  # fmt: skip
+    file = table(tmp_path, time=AT.t, power=AT.power, **columns)
+    with pytest.raises(DriveLogError, match=r"v_port could be in .*rpm\*0.11"):
+        begun(file)

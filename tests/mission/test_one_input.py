@@ -135,6 +135,12 @@ def shared() -> Mission:
     return replace(charging(), tasks=(look, wash), robots=robots)
 
 
+def sharing() -> Mission:
+    """The same with two places at the charger."""
+    one = shared()
+    return replace(one, chargers=(replace(one.chargers[0], places=2),))
+
+
 def reported(asked: Mission, routes: Routes) -> str:
     found = evaluate(asked, routes=routes)
     whole = documents.mission(found, trajectories=True)
@@ -214,9 +220,10 @@ PARTS = [
         name="other", skills=("arm",), changes={"start": (2.6, 3.5, 0.0), "soc": 0.8},
     )),
     Part(shared, ("chargers", 0), Charger, like(places=2)),
+    Part(sharing, ("chargers", 0), Charger, like(shared=True)),
     Part(charging, ("chargers", 0), Charger, like(
         name="other", pose=(1.2, 1.3, 0.0), power=300.0, until=0.8, temperature=25.0,
-        efficiency=0.9,
+        efficiency=0.9, enough=True,
     )),
     Part(charging, ("spreads",), Spreads, like(
         soc=0.03, capacity=0.03, health=0.03, temperature=4.0, power=0.2, dwell=0.2, run=0.2,

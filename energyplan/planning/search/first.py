@@ -89,7 +89,7 @@ def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) 
     for ends in tried:
         setting = ends.between(query.setting)
         to_go = cost_to_go(setting)
-        budget.spend(to_go.work / UNITS.nodes)
+        budget.spend_on_map(to_go.work / UNITS.nodes)
         if not ends.moved or reached(to_go, setting):
             break
     return Paths(query, gap, Portfolio(query.setting, seed), Bounding(query), ends, to_go)
