@@ -36,7 +36,6 @@ from energyplan.logs.consistency import correlation
 from energyplan.logs.guess import side_of, words
 from energyplan.logs.mapping import (
     COUNTS,
-    RATES,
     TOTAL,
     Column,
     formula,
@@ -44,6 +43,7 @@ from energyplan.logs.mapping import (
 )
 from energyplan.logs.tables import Recording, of_messages
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 
 _WORD, _MIDDLE = r"[A-Za-z_]\w*", r"(?:\[[\w/-]+\]\.)"
 _FIELD = re.compile(rf"({_WORD}(?:(?:\.|{_MIDDLE}){_WORD})*)\s*(?:\[([^\[\]]+)\])?\Z")

@@ -43,7 +43,6 @@ from energyplan.logs.guess import (
 from energyplan.logs.mapping import (
     COUNTS,
     RATE,
-    RATES,
     ROW,
     SINCE,
     TOTAL,
@@ -58,6 +57,7 @@ from energyplan.logs.mapping import (
 )
 from energyplan.logs.tables import Recording, counts_rows, find_clock, find_stamp, quaternions
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 
 
 def _refuse_blank(recording: Recording, needed: Sequence[str]) -> None:

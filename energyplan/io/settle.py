@@ -42,7 +42,6 @@ from energyplan.logs.guess import (
 )
 from energyplan.logs.mapping import (
     COUNTS,
-    RATES,
     Column,
     known_unit,
     scale_of,
@@ -51,6 +50,7 @@ from energyplan.logs.mapping import (
 )
 from energyplan.logs.tables import Recording
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 from energyplan.vehicle import GRAVITY
 
 _ALIKE = 0.9  # correlation from which two columns carry the same quantity

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from energyplan.logs.align import derivative, integral
 from energyplan.logs.mapping import (
     LONGEST_STEP,
-    RATES,
     SHORTEST_STEP,
     UNITS,
     Column,
@@ -30,6 +29,7 @@ from energyplan.logs.mapping import (
     known_unit,
 )
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 
 if TYPE_CHECKING:

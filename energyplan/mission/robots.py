@@ -17,22 +17,26 @@ from itertools import count
 
 import numpy as np
 
+from energyplan.mission._order_kernel import OrderProblem
 from energyplan.mission.drive import Simulation, Status
 from energyplan.mission.evaluation import REASONS, Docking, Evaluation
 from energyplan.mission.order import (
     EXACT,
+    ORDERING,
     Matrix,
     Order,
     attempt,
     best_stops,
+    gap_of,
     prizes,
     shared,
+    solve,
 )
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
 from energyplan.mission.types import Charger, Mission, Task
 
-_ROUNDS = 4  # rounds of sharing and planning
+_ROUNDS = 12  # most rounds of sharing and planning
 
 
 class Sharing:
@@ -75,19 +79,30 @@ class Sharing:
         tasks = [done.get(task.name) or self._left_out(k, task)
                  for k, task in enumerate(self.mission.tasks)]  # fmt: skip
         left = [task for task in self.mission.tasks if task.name not in done]
-        alone = len(robots) == 1 and robots[0].proven and not left
+        energy = sum(robot.energy for robot in robots)
+        gap = float(np.nan) if left else self._gap(energy)
+        if len(robots) == 1 and robots[0].proven and not left:
+            gap = 0.0
         return MissionReport(
             mission=self.mission,
             tasks=tuple(tasks),
             trip=(),
-            energy=sum(robot.energy for robot in robots),
+            energy=energy,
             energy_upper=sum(robot.energy_upper for robot in robots),
             feasible=all(one.feasible for one in robots) and not any(t.required for t in left),
-            proven=alone,
-            gap=0.0 if alone else float(np.nan),
+            proven=bool(gap <= ORDERING.same),
+            gap=gap,
             warnings=tuple(dict.fromkeys(note for one in robots for note in one.warnings)),
             robots=tuple(robots),
         )
+
+    def _gap(self, energy: float) -> float:
+        """Return by which fraction of its energy a better way to do all tasks may exist at most."""
+        matrices = [
+            Matrix(sim, sim.start, range(len(own)), 0.0, ideal=True)
+            for sim, own in zip(self.sims, self.own, strict=True)
+        ]
+        return gap_of(matrices, self.own, energy)
 
     def _given(self, able: Sequence[Sequence[int]]) -> list[list[int]]:
         """Give the tasks to robots that are able to do them, on routes that are planned."""
@@ -97,11 +112,11 @@ class Sharing:
             for sim, own, mine in zip(self.sims, self.own, able, strict=True):
                 tasks = [own.index(task) for task in mine]
                 matrices.append(Matrix(sim, sim.start, tasks, 1.0))
-            given, _ = shared([one.problem() for one in matrices], self.prize, able)
+            problems = [one.problem() for one in matrices]
+            given, _ = shared(problems, self.prize, able)
             missing = 0
-            for matrix, mine, tasks in zip(matrices, able, given, strict=True):
-                stops = tuple(1 + mine.index(task) for task in tasks)
-                wanted = matrix.missing(Order(stops, (False,) * len(stops)))
+            for matrix, one, mine, tasks in zip(matrices, problems, able, given, strict=True):
+                wanted = matrix.missing(_priced(one, [mine.index(task) for task in tasks]))
                 missing += len(wanted)
                 matrix.plan(wanted)
             if self.progress is not None:
@@ -143,6 +158,15 @@ class Sharing:
             alone and bool(reasons), np.nan, np.nan, np.nan,
             detail=detail or "no robot has the skills", reasons=tuple(reasons),
         )  # fmt: skip
+
+
+def _priced(problem: OrderProblem, tasks: Sequence[int]) -> Order:
+    """Return the order of some of a robot's tasks, with its charges."""
+    options = problem.options(tasks)
+    found = solve(problem.some(tasks)._replace(given=len(tasks) > EXACT), ORDERING.narrow)
+    others = len(problem.option) - len(options)
+    stops = (int(options[s - 1]) + 1 if s <= len(options) else s + others for s in found.stops)
+    return Order(tuple(stops), found.hurried)
 
 
 class Stay:

@@ -362,7 +362,9 @@ class Task:
     path: Annotated[tuple[Row, ...], PlainValidator(_points)] = ()
     direction: Literal["either", "given"] = "either"
     speed: Speed | None = None
-    payload_per_metre: Annotated[Number, Within((-1e4, 1e4), (-100, 100), "kg/m")] = 0.0
+    payload_per_metre: Annotated[
+        float, amount_of("mass per length"), Within((-1e4, 1e4), (-100, 100), "kg/m")
+    ] = 0.0
     goals: tuple[Goal, ...] = ()
 
     @pydantic.model_validator(mode="before")

@@ -171,7 +171,7 @@ class Planner:
             "speed limits": limits and not self.surfaces,
             "heights": problem.heights is not None and not self.heights,
             "a costmap": problem.softened and not self.costmap,
-            "a least turning radius": problem.least_radius > 0 and not self.turning,
+            "a least turning radius": max(problem.radii) > 0 and not self.turning,
             "a vehicle that does not reverse": not (problem.robot.reverse or self.forwards),
             **{f"the objective {name}": name not in self.objectives for name in wanted},
             "effort instead of a time limit": counted and not self.effort,

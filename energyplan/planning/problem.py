@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
@@ -198,11 +199,29 @@ class PlanningProblem:
             return self.cost.half_track if self.turning == "forward" else 0.0
         return float(self.turning)
 
+    @cached_property
+    def radii(self) -> tuple[float, ...]:
+        """Least radius of arcs on the ground of each region [m]; zero for any."""
+        known = (0.0,) if self.surfaces is None else self.surfaces.radii
+        return tuple(max(self.least_radius, radius) for radius in known)
+
     def tightest(self, path: Path) -> int | None:
         """Return the first segment of a path that turns more tightly than is allowed, or None."""
-        ahead = np.abs(self._ahead(path))
-        tight = ahead < self.least_radius * (1.0 - TIGHTER) * np.abs(path.dtheta) - PLACE
+        tight = self._tighter(path, self.least_radius)
+        if max(self.radii) > self.least_radius and not tight.any():
+            for k in np.flatnonzero(self._tighter(path, max(self.radii))):
+                start = Pose(*path.vertices[k].tolist())
+                one = Path(start, path.ds[k : k + 1], path.dtheta[k : k + 1], path.longitudinal)
+                fine = one.subdivide(0.5 * self.map.resolution, _TURN)
+                points = 0.5 * (fine.points[1:] + fine.points[:-1])
+                radius = np.array(self.radii)[self.terrain.region_at(points)]
+                tight[k] = self._tighter(fine, radius).any()
         return int(np.argmax(tight)) if tight.any() else None
+
+    def _tighter(self, path: Path, radius: float | FloatArray) -> NDArray[np.bool_]:
+        """Return which segments turn more tightly than on a radius."""
+        ahead = np.abs(self._ahead(path))
+        return np.asarray(ahead < radius * (1.0 - TIGHTER) * np.abs(path.dtheta) - PLACE)
 
     def reversing(self, path: Path) -> int | None:
         """Return the first segment that drives backwards where the vehicle may not, or None."""

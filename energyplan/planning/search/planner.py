@@ -149,9 +149,7 @@ def _compared(paths: Paths, units: float) -> Work:
     lattice, start = lattice_for(setting, LATTICE.coarse), setting.start
     spin = -remainder(start.yaw - setting.space.yaw, lattice.turn)
     turned = setting._replace(start=start._replace(yaw=start.yaw + spin))
-    if setting.least_radius > 0.0 or not motion_free(
-        setting.space, setting.body, *start, 0.0, spin, 0.0
-    ):
+    if setting.widest > 0.0 or not motion_free(setting.space, setting.body, *start, 0.0, spin, 0.0):
         spin, turned = 0.0, setting
     search, limit = Search(turned, paths.to_go, lattice, 1.0), LATTICE.hope * paths.cost
 
@@ -217,7 +215,7 @@ def _with_fewer_stops(
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
     """Return the best of some paths with arcs and spins where these are better."""
     # the cost of a known path by the tables differs from that by the models
-    if query.problem.least_radius > 0:
+    if max(query.problem.radii) > 0:
         return min(paths, key=query.value)
     return _with_fewer_motions(query, _with_wide_arcs(query, min(paths, key=query.value)))
 
