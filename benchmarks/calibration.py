@@ -13,7 +13,8 @@ FILE, and those that are in it and wrong; with `--rewrite` FILE is written anew.
 
 Each robot has a size, parameters and sensors of its own: powers of both sides, of both together or
 of the battery; 100, 20, 10 or 2 readings a second; steps of speed and power; a late power; long
-standstill; a gyroscope and a pose, or neither. Explanations that the report says these drives
+standstill; a gyroscope and a pose, or neither. Where the advice says that --border or --change
+looks for what is left, it is followed. Explanations that the report says these drives
 cannot tell apart count as one. A border that no wheel of the training drives crosses is not hidden
 in them, and has the sign of the side that the report calls beyond.
 """
@@ -34,7 +35,7 @@ import numpy as np
 from pages import write
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
-from energyplan.diagnosis import FoundEffect
+from energyplan.diagnosis import Diagnosis, FoundEffect
 from energyplan.power import HOTEL, REGENERATION_LOSS
 from energyplan.power import effects as known
 from energyplan.power.effects import (
@@ -210,12 +211,23 @@ def hidden(
     return Hidden(tuple(logs), vehicle, sizes, words, direction)
 
 
+def advised(
+    logs: DriveLog | list[DriveLog], judging: DriveLog, vehicle: Vehicle
+) -> Diagnosis:  # fmt: skip
+    """Diagnose drives, and once more with the options that the advice says."""
+    told = diagnose(logs, judging, vehicle)
+    border, change = (name in told.suspects for name in ("border", "change"))
+    if not (border or change):
+        return told
+    return diagnose(logs, judging, vehicle, border=border, change=change)
+
+
 def case(seed: int, robots: str, fewest: int, most: int, drives: int) -> Outcome:
     """Hide effects in the drives of a random robot, and diagnose them."""
     start = time.process_time()
     made = hidden(seed, robots, fewest, most, drives)
     (*logs, judging), vehicle, sizes = made.logs, made.vehicle, made.sizes
-    told = diagnose(logs, judging, vehicle)
+    told = advised(logs, judging, vehicle)
     entries = known.catalogue()
     usual = {name for name, entry in entries.items() if entry.usual}
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from calibration import advised
 
 from energyplan import DriveLog, diagnose, identify, simulate
 from energyplan.diagnosis import Diagnosis
@@ -131,7 +132,7 @@ def simulated_case(seed: int, name: str | None, **noise: float) -> tuple[Diagnos
     options = {"power_noise": 5.0, "speed_noise": 0.005, **options, **noise}
     train = simulate.identification_drive(model, seed=2 * seed, **options)
     unseen = simulate.validation_drive(model, seed=2 * seed + 1, **options)
-    return diagnose(train, unseen, vehicle), size
+    return advised(train, unseen, vehicle), size
 
 
 def false_finds(count: int = 100) -> None:
@@ -220,7 +221,7 @@ def engine(folder: Path) -> None:
         stem = ident.name.removesuffix("_ident.csv.gz")
         vehicle = Vehicle.preset("quadriga" if "empty" in stem else "quadriga:full")
         train, unseen = DriveLog.read(ident), DriveLog.read(folder / f"{stem}_valid.csv.gz")
-        told = diagnose(train, unseen, vehicle)
+        told = advised(train, unseen, vehicle)
         hidden = TRUE.get(stem.rpartition("_s")[0], ("linear_inertia",))
         # Every drive of the engine has inertia, whatever else it hides.
         really = dict.fromkeys(["linear_inertia", "angular_inertia", *hidden])

@@ -30,6 +30,7 @@ from .path import Path as Path
 from .path import Pose as Pose
 from .path import Trajectory as Trajectory
 from .planning import Candidate as Candidate
+from .planning import Goal as Goal
 from .planning import Plan as Plan
 from .planning import Planner as Planner
 from .planning import PlanningProblem as PlanningProblem

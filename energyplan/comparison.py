@@ -149,17 +149,18 @@ def compare(
     (True, 0.07)
     """
     best = plan(replace(problem, objective="energy"), planner, time_limit, effort=effort, **options)
-    if best.shortest is not None and best.problem is not None:
+    # where there is a choice of poses the shortest route may lead to another one
+    if best.shortest is not None and best.problem is not None and not problem.goals:
         budget = plan_budget(time_limit, effort)
         shortest = _shortest(best, best.shortest, best.problem.shortest, budget)
     else:
         shortest = plan(problem.shortest, "lattice", time_limit, effort=effort)
     least, most = spending(best, shortest)
     if least.energy > most.energy and best.problem is not None:
-        query = compiled(best.problem.without_clearance)
+        of = replace(best.problem, goal=shortest.path.end)
         priced = priced_plan(
-            query, Candidate(shortest.path), best.lower_bound_steady, best.planner, Budget(),
-            problem=best.problem, notes=best.notes,
+            compiled(of.without_clearance), Candidate(shortest.path), best.lower_bound_steady,
+            best.planner, Budget(), problem=of, notes=best.notes,
         )  # fmt: skip
         kept = ("planning_time", "first_time", "effort", "effort_limit")
         best = replace(priced, **{name: getattr(best, name) for name in kept})

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,21 +16,50 @@ from energyplan.path import FloatArray, Pose, Trajectory
 from energyplan.records import ByValue, checked, instance, numbers
 from energyplan.vehicle import TreadICR
 
+
+class Channel(NamedTuple):
+    """What a channel holds: its meaning, its unit, and the range in which readings are possible."""
+
+    meaning: str
+    unit: str
+    least: float
+    most: float
+
+
+LOGGED = {
+    "t": Channel("time", "s", -1e11, 1e11),
+    "x": Channel("position", "m", -1e8, 1e8),
+    "y": Channel("position", "m", -1e8, 1e8),
+    "v_left": Channel("speed of the left tread", "m/s", -20.0, 20.0),
+    "v_right": Channel("speed of the right tread", "m/s", -20.0, 20.0),
+    "cmd_left": Channel("left tread speed that the controller wants", "m/s", -20.0, 20.0),
+    "cmd_right": Channel("right tread speed that the controller wants", "m/s", -20.0, 20.0),
+    "p_left": Channel("power of the left side", "W", -5e4, 5e4),
+    "p_right": Channel("power of the right side", "W", -5e4, 5e4),
+    "power": Channel("power of both sides", "W", -1e5, 1e5),
+    "voltage": Channel("voltage of the battery", "V", 0.0, 1500.0),
+    "current": Channel("current of the battery", "A", -2000.0, 2000.0),
+    "yaw": Channel("heading", "rad", -1e6, 1e6),
+    "slope": Channel(
+        "ground slope along the heading, positive when climbing along +x", "rad", -1.2, 1.2
+    ),
+    "yaw_rate": Channel("measured yaw rate", "rad/s", -20.0, 20.0),
+    "accel_x": Channel("accelerometer's forward reading, gravity included", "m/s^2", -200.0, 200.0),
+    "temperature": Channel("temperature", "degC", -100.0, 300.0),
+    "payload": Channel("payload", "kg", 0.0, 1e5),
+}
+"""Channels that a log may hold. Units that they may be read in come with the unit."""
+
+_SPEEDS_AND_POWERS = {"v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
+
 CHANNELS = {
-    "t": "time [s]",
-    "x": "position [m]",
-    "y": "position [m]",
-    "yaw": "heading [rad]",
-    "slope": "ground slope along the heading, positive when climbing along +x [rad]",
+    **{
+        name: f"{one.meaning} [{one.unit}]"
+        for name, one in LOGGED.items() if name not in _SPEEDS_AND_POWERS
+    },
     "accel": "rate of change of the forward speed [m/s^2]",
     "yaw_accel": "rate of change of the yaw rate [rad/s^2]",
-    "yaw_rate": "measured yaw rate [rad/s]",
-    "accel_x": "accelerometer's forward reading, gravity included [m/s^2]",
-    "temperature": "temperature [degC]",
-    "payload": "payload [kg]",
-    "cmd_left": "left tread speed that the controller wants [m/s]",
-    "cmd_right": "right tread speed that the controller wants [m/s]",
-}
+}  # fmt: skip
 """Channels that a motion may carry besides its tread speeds."""
 
 

@@ -322,7 +322,7 @@ def energy_map(
     if problem.objective != "energy":
         raise InvalidInputError("a map of energies has the objective 'energy'; leave it out")
     surfaces = None if problem.surfaces is None else problem.surfaces.unpriced
-    problem = replace(problem, goal=problem.start, costmap=None, surfaces=surfaces)
+    problem = replace(problem, goal=problem.start, goals=(), costmap=None, surfaces=surfaces)
     there = compiled(problem)
     upper = None
     if confidence is not None:

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache, cached_property, partial, wraps
-from math import radians
 from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType, UnionType
@@ -47,6 +46,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, SchemaValidator, core_schema
 
+from energyplan import units
 from energyplan.errors import InvalidInputError, UnusualValueWarning
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -634,48 +634,50 @@ class ByValue(ReadOnly):
 
 UNITS: dict[str, dict[str, float]] = {
     "number": {},
-    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3},
-    "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
-    "power": {"W": 1.0, "kW": 1e3},
-    "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6},
+    "length": units.LENGTH,
+    "time": units.TIME,
+    "power": units.POWER,
+    "charge": {"C": 1.0, **units.CHARGE},
     "resistance": {"ohm": 1.0, "mohm": 1e-3},
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "energy": {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6},
-    "mass": {"kg": 1.0, "g": 1e-3},
+    "voltage": units.VOLTAGE,
+    "current": units.CURRENT,
+    "energy": units.ENERGY,
+    "mass": units.MASS,
+    "mass per length": {"kg/m": 1.0, "g/m": 1e-3},
     "fraction": {"%": 0.01},
-    "speed": {"m/s": 1.0, "km/h": 1 / 3.6},
-    "temperature": {"degC": 1.0, "°C": 1.0, "C": 1.0},
-    "angle": {"rad": 1.0, "deg": radians(1.0)},
+    "speed": units.SPEED,
+    "temperature": {**units.TEMPERATURE, "°C": 1.0, "C": 1.0},
+    "angle": units.ANGLE,
 }
 _BARE = {"charge": (1000.0, "Ah")}
 """Below how much a plain number is doubted, and the unit that was meant: no robot has so little."""
-_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%°]*)\s*")
+_AMOUNT = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/%°µμ]*)\s*")
 
 
 def amount(kind: str, value: Any, doubted: bool = True) -> Any:
     """Read ``5 min``, ``20 %`` or a plain number in SI units."""
-    unit, units = "", UNITS[kind]
+    unit, known = "", UNITS[kind]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, str) and value != "inf":
         found = _AMOUNT.fullmatch(value)
         if found is None:
-            raise ValueError("give a number" + (f", in {', '.join(units)}" if units else ""))
-        value, unit = float(found[1]), found[2]
-        if unit and unit not in units:
-            plain = next((name for name, factor in units.items() if factor == 1.0), "SI")
+            raise ValueError("give a number" + (f", in {', '.join(known)}" if known else ""))
+        value, given = float(found[1]), found[2]
+        unit = units.standard(given, known) or ""
+        if given and not unit:
+            plain = next((name for name, factor in known.items() if factor == 1.0), "SI")
             raise ValueError(
-                f"the unit of a {kind} is one of {', '.join(units)}, or none for {plain}"
+                f"the unit of a {kind} is one of {', '.join(known)}, or none for {plain}"
             )
     if isinstance(value, bool):
         raise ValueError("give a number")
     least, meant = _BARE.get(kind, (0.0, ""))
     if doubted and not unit and isinstance(value, int | float) and 0.0 < value < least:
         raise ValueError(
-            f"{value:g} has no unit, and would be {next(iter(units))}; write {value:g} {meant}"
+            f"{value:g} has no unit, and would be {next(iter(known))}; write {value:g} {meant}"
         )
-    return value * units[unit] if unit else value
+    return value * known[unit] + units.OFFSETS.get(unit, 0.0) if unit else value
 
 
 def amount_of(kind: str) -> BeforeValidator:

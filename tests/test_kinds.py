@@ -399,10 +399,23 @@ def test_annotations_of_public_functions_are_understood() -> None:
 
 SI = {
     "2 m": 2.0, "2 cm": 0.02, "2 mm": 0.002, "2 s": 2.0, "2 min": 120.0, "2 h": 7200.0,
-    "2 W": 2.0, "2 kW": 2000.0, "2 C": 2.0, "2 Ah": 7200.0, "2 mAh": 7.2, "2 ohm": 2.0,
+    "2 W": 2.0, "2 kW": 2000.0, "2 Ah": 7200.0, "2 mAh": 7.2, "2 ohm": 2.0,
     "2 mohm": 0.002, "2 V": 2.0, "2 mV": 0.002, "2 A": 2.0, "2 mA": 0.002, "2 J": 2.0,
     "2 Wh": 7200.0, "2 kWh": 7.2e6, "2 kg": 2.0, "2 g": 0.002, "2 %": 0.02, "2 m/s": 2.0,
     "36 km/h": 10.0, "2 degC": 2.0, "2 °C": 2.0, "2 rad": 2.0, "90 deg": math.pi / 2,
+    "2 dm": 0.2, "2 km": 2000.0, "10 ft": 3.048, "100 in": 2.54, "10 yd": 9.144,
+    "2 ms": 0.002, "2 us": 2e-6, "2 ns": 2e-9, "2 d": 172800.0,
+    "2 mW": 0.002, "2 uW": 2e-6, "2 hp": 1491.39974, "2 PS": 1470.9975,
+    "2 uAh": 0.0072, "2 mC": 0.002, "2 uC": 2e-6, "2 kC": 2000.0, "2 As": 2.0, "2 mAs": 0.002,
+    "2 cV": 0.02, "2 dV": 0.2, "2 kV": 2000.0, "2 uV": 2e-6,
+    "2 cA": 0.02, "2 dA": 0.2, "2 kA": 2000.0, "2 uA": 2e-6,
+    "2 kJ": 2000.0, "2 MJ": 2e6, "2 mJ": 0.002, "2 mWh": 7.2, "2 Ws": 2.0, "2 mWs": 0.002,
+    "2 kWs": 2000.0, "2 lb": 0.90718474, "2 kg/m": 2.0, "2 g/m": 0.002,
+    "100 cm/s": 1.0, "1000 mm/s": 1.0, "10 dm/s": 1.0, "100 mph": 44.704, "10 ft/s": 3.048,
+    "100 in/s": 2.54, "3600 kn": 1851.9984, "60 m/min": 1.0, "600 ft/min": 3.048,
+    "6000 cm/min": 1.0, "60000 mm/min": 1.0, "3600 m/h": 1.0,
+    "300 K": 26.85, "50 degF": 10.0, "2 C": 2.0, "2 mrad": 0.002, "2 urad": 2e-6,
+    "9000 cdeg": math.pi / 2, "90000 mdeg": math.pi / 2, "2 rev": 4 * math.pi,
 }  # fmt: skip
 """Amounts, and what they are in SI units."""
 
@@ -411,11 +424,28 @@ def test_every_unit_is_what_the_si_says() -> None:
     for kind, units in records.UNITS.items():
         for unit in units:
             (text,) = (text for text in SI if text.split()[1] == unit)
-            assert records.amount(kind, text) == pytest.approx(SI[text], rel=1e-15), (kind, text)
+            assert records.amount(kind, text) == pytest.approx(SI[text], rel=1e-14), (kind, text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [("power", "60 w", 60.0), ("time", "5 sec", 5.0), ("time", "2 hours", 7200.0),
+     ("energy", "3 KJ", 3000.0), ("length", "10 feet", 3.048), ("speed", "100 MPH", 44.704),
+     ("charge", "36 ah", 129600.0), ("time", "3 \u00b5s", 3e-6)],
+)  # fmt: skip
+def test_a_unit_may_be_spelt_as_people_do(kind: str, text: str, value: float) -> None:
+    assert records.amount(kind, text) == pytest.approx(value, rel=1e-14)
+
+
+def test_capitals_that_may_be_a_million_are_no_thousandth() -> None:
+    for kind, text in (("power", "2 MW"), ("energy", "2 MWh"), ("resistance", "2 Mohm")):
+        with pytest.raises(ValueError, match="the unit of a"):
+            records.amount(kind, text)
 
 
 @pytest.mark.parametrize("text", ["-5 degC", "-5 °C", "-5 C", "-5"])
 def test_temperatures_are_written_in_degrees_of_either_spelling(text: str) -> None:
     assert records.amount("temperature", text) == -5.0
-    with pytest.raises(ValueError, match="one of degC, °C, C, or none for degC"):
-        records.amount("temperature", "268 K")
+    assert records.amount("temperature", "268.15 K") == pytest.approx(-5.0)
+    with pytest.raises(ValueError, match="one of degC, K, degF, °C, C, or none for degC"):
+        records.amount("temperature", "268 R")

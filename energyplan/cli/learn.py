@@ -378,6 +378,14 @@ def diagnose(
             "under 40 s some as a whole.",
         ),
     ] = None,
+    border: Annotated[
+        bool,
+        Option("--border", help="Also look for another surface beyond a line on the ground."),
+    ] = False,
+    change: Annotated[
+        bool,
+        Option("--change", help="Also look for a payload or a surface that changed at some time."),
+    ] = False,
     out: opt.OutModel = None,
     report: opt.Report = None,
     json: opt.Json = False,
@@ -414,7 +422,10 @@ def diagnose(
         "judging": [drive.name for drive in judging],
     }
     with progress("diagnosing") as update:
-        result = run(training, holdout=judging, vehicle=vehicle, progress=update)
+        result = run(
+            training, holdout=judging, vehicle=vehicle, border=border, change=change,
+            progress=update,
+        )  # fmt: skip
     result = replace(result, set_aside=set_aside_by_drive(read))
     lines = [f"{part}: {', '.join(names)}" for part, names in parts.items()]
     if out:

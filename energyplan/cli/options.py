@@ -7,12 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer import Argument, Option
 
 from energyplan.errors import InvalidInputError, needs_extra
+
+if TYPE_CHECKING:
+    from energyplan.planning import Goal
 
 OUTPUTS = "energyplan.outputs"
 """Where the context of a command keeps the files that it will write."""
@@ -188,6 +191,42 @@ Work = Annotated[
         "less for each of many routes of a mission.",
     ),
 ]
+
+
+@dataclass(frozen=True)
+class GoalOptions:
+    """Where a route may end."""
+
+    goal: Annotated[
+        list[str] | None,
+        Option(
+            metavar="X,Y[,YAW]",
+            help="Where to go: a pose, or a place at any heading. Given several times, the one "
+            "that costs least.",
+        ),
+    ] = None
+    goal_heading: Annotated[
+        Literal["given", "either", "any"] | None,
+        Option(
+            help="Whether the heading at the goal is as given, that or its opposite, or any. "
+            "Default: given, and any without a YAW."
+        ),
+    ] = None
+    goal_radius: Annotated[
+        float, Option(min=0.0, help="How far from the goal the route may end [m].")
+    ] = 0.0
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals, of which one is to be reached."""
+        from energyplan.planning.goal import as_goals
+
+        if not self.goal:
+            raise InvalidInputError(
+                "--goal is missing; give X,Y,YAW, or X,Y for any heading at a place"
+            )
+        heading, radius = self.goal_heading or "", self.goal_radius
+        return tuple(goal for text in self.goal for goal in as_goals(text, heading, radius))
 
 
 @dataclass(frozen=True)

@@ -27,16 +27,18 @@ from energyplan.cli.answers import (
     write_report,
 )
 from energyplan.cli.app import app
-from energyplan.cli.options import DriveOptions, Effort, SiteOptions, number
+from energyplan.cli.options import DriveOptions, Effort, GoalOptions, SiteOptions, number
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
     from energyplan.io.sites import ModelOnSite
     from energyplan.mission import Mission
     from energyplan.path import Pose
-    from energyplan.planning import Plan, PlanningProblem
+    from energyplan.planning import Goal, Plan, PlanningProblem
     from energyplan.power import PowerModel
     from energyplan.terrain import Site
+
+    Goals = tuple[Goal, ...]
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Routing:
     plot: opt.Plot = None
 
     def problem(
-        self, site: SiteOptions, drive: DriveOptions, start: Pose, goal: Pose, **more: Any
+        self, site: SiteOptions, drive: DriveOptions, start: Pose, goal: Pose | Goals, **more: Any
     ) -> PlanningProblem:
         """Return what is to be planned."""
         turning: str | float = self.turning
@@ -135,7 +137,7 @@ def problem_of(
     site: SiteOptions,
     drive: DriveOptions,
     start: Pose,
-    goal: Pose,
+    goal: Pose | Goals,
     reverse: str | None = None,
     **more: Any,
 ) -> PlanningProblem:
@@ -192,10 +194,7 @@ def plan(
     start: opt.PoseText,
     effort: Effort,
     routing: Routing,
-    goal: Annotated[
-        str | None,
-        Option(metavar="X,Y,YAW", help="Where to go, unless --former says it."),
-    ] = None,
+    goals: GoalOptions,
     former: Annotated[
         Path | None,
         Option(
@@ -227,14 +226,16 @@ def plan(
     from energyplan.planning import plan as run
     from energyplan.planning.replanning import replan
 
-    if former is None and goal is None:
-        raise InvalidInputError("--goal is missing; give X,Y,YAW, or a path by --former")
-    if former is not None and goal is not None:
+    if former is None and not goals.goal:
+        raise InvalidInputError(
+            "--goal is missing; give X,Y,YAW, X,Y for any heading there, or a path by --former"
+        )
+    if former is not None and goals.goal:
         raise InvalidInputError("--former has its own goal, the end of the path; leave --goal out")
     if former is not None and routing.planner != "lattice":
         raise InvalidInputError(f"--former needs the planner lattice, not {routing.planner}")
     here = parse_pose(start)
-    there = here if goal is None else parse_pose(goal)
+    there = goals.goals if goals.goal else here
     problem = routing.problem(
         site, drive, here, there, objective=objective, costmap_weight=costmap_weight
     )
@@ -262,9 +263,9 @@ def compare(
     site: SiteOptions,
     drive: DriveOptions,
     start: opt.PoseText,
-    goal: opt.PoseText,
     effort: Effort,
     routing: Routing,
+    goals: GoalOptions,
     report: opt.Report = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
@@ -277,7 +278,7 @@ def compare(
     from energyplan.output import documents
     from energyplan.path import parse_pose
 
-    problem = routing.problem(site, drive, parse_pose(start), parse_pose(goal))
+    problem = routing.problem(site, drive, parse_pose(start), goals.goals)
     with planning(json, strict):
         result = run(problem, planner=routing.planner, **asdict(effort))
     drive_to(routing.trajectory, result.energy_optimal)

@@ -32,6 +32,7 @@ from energyplan.diagnosis.judge import (
 )
 from energyplan.diagnosis.residual import Dependence, dependences
 from energyplan.diagnosis.result import (
+    OPTIONS,
     Average,
     Diagnosis,
     EnergyPrediction,
@@ -39,9 +40,11 @@ from energyplan.diagnosis.result import (
     Evidence,
     Explanation,
     FoundEffect,
+    Option,
     Unexplained,
     advice_of_model,
     advice_of_predictions,
+    advice_of_search,
     few_drives,
 )
 from energyplan.diagnosis.search import SIGNIFICANCE, EffectSearch, SearchResult
@@ -92,6 +95,8 @@ def diagnose(
     choose: bool = True,
     max_effects: int = 6,
     empirical: bool = False,
+    border: bool = False,
+    change: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Trace the residual of the paper's model to effects, add them, and report before and after.
@@ -106,7 +111,8 @@ def diagnose(
     vehicle : Vehicle
         The robot. Its tread ICRs are identified from the training drives where those have yaw.
     effects : sequence of Effect, optional
-        The catalogue to choose from; `energyplan.power.effects.catalogue` where not given.
+        The effects to choose from. Where not given, those of `energyplan.power.effects.catalogue`
+        but for the effects that `border` and `change` are about.
     choose : bool
         Choose from `effects`. False puts all of them into the model, whether they help or not: for
         the question what a known effect does to the errors.
@@ -114,6 +120,11 @@ def diagnose(
         Largest number of effects that are chosen.
     empirical : bool
         Add a smooth term of the channel that explains most where no effect does.
+    border : bool
+        Also look for another surface beyond a line on the ground. That is slow, and a line fits
+        many a residual that has another reason; `Diagnosis.advice` says where it is promising.
+    change : bool
+        Also look for a payload or a surface that changed at some time; as for `border`.
     progress : callable, optional
         Called as ``progress(fraction, message)``.
 
@@ -149,7 +160,7 @@ def diagnose(
     report: Progress = progress or (lambda fraction, message: None)
     learned, held_out = _logs(train, "train"), _logs(holdout, "holdout")
     learned, copies = without_copies(learned, held_out)
-    entries = tuple(catalogue().values()) if effects is None else tuple(effects)
+    entries, suspects = _searched(effects, border=border, change=change)
     _answerable(learned)
     refuse_one_side([*learned, *held_out])
     check_long_enough(learned, held_out)
@@ -164,7 +175,7 @@ def diagnose(
     report(0.1, "choosing effects")
     search = EffectSearch(
         case.problem, entries, lambda share, text: report(0.1 + 0.7 * share, text), max_effects,
-        case.held,
+        case.held, suspects,
     )  # fmt: skip
     found = search.run() if choose else search.take_all()
     report(0.8, "judging on the hold-out drives")
@@ -176,6 +187,23 @@ def _logs(logs: DriveLog | Sequence[DriveLog], name: str) -> list[DriveLog]:
     if not drives:
         raise InvalidInputError(f"{name} is empty; give at least one drive")
     return drives
+
+
+def _searched(
+    effects: Sequence[Effect] | None, *, border: bool, change: bool
+) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
+    """Return the effects to search for, and those that the advice may say to search for."""
+    known = tuple(catalogue().values())
+    given = {"border": border, "change": change}
+    wanted = [one for one in known if one.on_demand and given[OPTIONS[one.acts]]]
+    if effects is not None:
+        return (*effects, *(one for one in wanted if one not in effects)), ()
+    chosen = [one for one in known if not one.on_demand or one in wanted]
+    return tuple(chosen), tuple(one for one in known if one not in chosen)
+
+
+def _options(searched: SearchResult) -> tuple[Option, ...]:
+    return tuple(dict.fromkeys(OPTIONS[one.acts] for one in searched.suspects))
 
 
 def _answerable(logs: Sequence[DriveLog]) -> None:
@@ -293,8 +321,13 @@ class _Case:
             found = (*found, heat.effect(fighting))
         names = [effect.name for effect in found]
         usual = {entry.name for entry in self.entries if entry.usual}.issuperset(names)
-        held = holds(quality, on.known)
-        advice = self._advice(outcome, found, told, average, on, held, searched.untested)
+        # Averages weigh whole runs' energies: what of the power within them they miss was found.
+        own = (
+            on.known if weighed is None
+            else _HeldOut.of(self, outcome.model.fitted, parts).known
+        )  # fmt: skip
+        held = holds(quality, own)
+        advice = self._advice(outcome, found, told, average, on, score(own), held, searched)
         used = [part.effect for part in outcome.effects]
         report(1.0, "done")
         return Diagnosis(
@@ -321,14 +354,15 @@ class _Case:
             choosing=self._choosing(),
             set_aside=set_aside_by_drive([*self.logs[0], *self.logs[1]]),
             holds=held,
-            explains=explains(quality, usual, on.errors[0].rmse, score(on.known).rmse),
+            explains=explains(quality, usual, on.errors[0].rmse, score(own).rmse),
             after_undated=on.undated,
             average=average,
+            suspects=_options(searched),
         )
 
     def _advice(
         self, outcome: Judged, found: Sequence[FoundEffect], told: Fitted, average: Average | None,
-        on: _HeldOut, held: bool, untested: Sequence[tuple[str, str]],
+        on: _HeldOut, own: Residual, held: bool, searched: SearchResult,
     ) -> Iterator[str]:  # fmt: skip
         """Yield what to drive, weigh or mend next, the most important first."""
         quality, heat = outcome.model.quality, outcome.model.heat
@@ -339,14 +373,16 @@ class _Case:
         if heat is not None:
             yield heat.in_words
         yield from self._of_totals(outcome.effects)
+        yield from advice_of_search(_options(searched))
         yield from advice_of_model(
             found, {entry.name: entry for entry in self.entries},
             [part.effect for part in outcome.effects], outcome.dropped, outcome.model.fitted.model,
             quality, outcome.left, outcome.dependences, SIGNIFICANCE,
         )  # fmt: skip
         yield from advice_of_predictions(
-            names, *on.errors, score(on.known), quality, held, on.undated, untested, average
-        )
+            names, *on.errors, score(on.known), own, quality, held, on.undated,
+            searched.untested, average,
+        )  # fmt: skip
         if average is not None:
             yield note_of(average, names)
         yield from few_drives(len(self.logs[0]))

@@ -396,24 +396,24 @@ class Proposals:
         self.errors: FloatArray | None = None
 
     def _testable(self, effect: Effect) -> bool:
+        why = self.shown(effect)
+        if why is not None:
+            self.untested.append((effect.name, why))
+        return why is None
+
+    def shown(self, effect: Effect) -> str | None:
+        """Return why the drives cannot show an effect; None where they can."""
         common = channels_of(self.problem.drives)
         for name in effect.channels:
             if name not in common:
-                self.untested.append((effect.name, f"the logs have no channel {name!r}"))
-                return False
+                return f"the logs have no channel {name!r}"
             if all(np.ptp(d.motion.channels[name]) < 1e-9 for d in self.problem.drives):
-                self.untested.append((effect.name, f"the channel {name!r} never changes"))
-                return False
-            blind = [d.name for d in self.judged if name not in d.motion.channels]
-            if blind:
-                self.untested.append(
-                    (effect.name, f"{', '.join(blind)} of the hold-out has no channel {name!r}")
-                )
-                return False
+                return f"the channel {name!r} never changes"
+            if blind := [d.name for d in self.judged if name not in d.motion.channels]:
+                return f"{', '.join(blind)} of the hold-out has no channel {name!r}"
         if effect.acts == "place" and not self.variants(effect):
-            self.untested.append((effect.name, "the robot hardly moves"))
-            return False
-        return True
+            return "the robot hardly moves"
+        return None
 
     def variants(self, effect: Effect) -> list[Part]:
         """Return an effect with every combination of the values to try of its parameters."""
@@ -569,8 +569,9 @@ class Proposals:
             top = ranked[0]
             parts = [candidates[k].part for k in top]
             about = self.about(problem, parts, errors)
-            if any(effect.acts == "change" for effect in self.effects):
-                marked = self._marked(problem, parts, errors)
+            change = next((effect for effect in self.effects if effect.acts == "change"), None)
+            if change is not None:
+                marked = self.marked(problem, parts, errors, change)
             # Losses act on the forces: those of the best set differ from those of the first one.
             losses = any(one.part.lossy for one in candidates)
             if marked is None and not (losses and set(top) != set(start)):
@@ -584,15 +585,14 @@ class Proposals:
         plain = tuple(k for k, one in enumerate(candidates) if one.part in usual)
         return candidates, [*list(dict.fromkeys(sets))[:_EXACT], plain]
 
-    def _marked(
-        self, problem: Problem, parts: Sequence[Part], errors: FloatArray
+    def marked(
+        self, problem: Problem, parts: Sequence[Part], errors: FloatArray, change: Effect
     ) -> Problem | None:
         """Find when the drives changed; None where whole drives differ, and nothing within one."""
         problem, errors = problem.of_totals, errors[: len(WEIGHTS)]
         marked = mark_changes(problem, terms_of(parts), errors)
         if not all("changed" in drive.motion.channels for drive in marked.drives):
             return None
-        change = next(effect for effect in self.effects if effect.acts == "change")
         terms = terms_of([*(p for p in parts if p.effect.acts != "change"), Part(change)])
         base = fit(problem.design(terms_of(parts), errors), errors, by_block=True).loss
         within, between = (

@@ -20,6 +20,7 @@ from energyplan.records import ReadOnly
 # -- what a diagnosis says (private; `energyplan.diagnosis` publishes it) --------------------------
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
+Option = Literal["border", "change"]
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,9 @@ class Diagnosis(html.Readable):
         from that drive: the prediction in the narrow sense. None where there is no such time.
     average : Average or None
         What `model` averages, besides the explanation; None where it is the explanation alone.
+    suspects : tuple of str
+        Options of `diagnose` that were not given, and look for what the residual looks like:
+        ``"border"``, ``"change"``.
 
     Examples
     --------
@@ -193,6 +197,7 @@ class Diagnosis(html.Readable):
     explains: bool
     after_undated: Residual | None = None
     average: Average | None = None
+    suspects: tuple[Option, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -365,11 +370,31 @@ def advice_of_model(
             )
 
 
+OPTIONS: Mapping[str, Option] = {"place": "border", "change": "change"}
+"""Which option looks for effects that are searched on demand, by how they act."""
+
+_LOOKED_FOR = {
+    "border": ("beyond a line on the ground", "another surface there"),
+    "change": ("from some time on", "a payload or a surface that changed"),
+}
+
+
+def advice_of_search(suspects: Sequence[Option]) -> Iterator[str]:
+    """Yield which option looks for what the residual shows from some place or time on."""
+    for option in suspects:
+        where, what = _LOOKED_FOR[option]
+        yield (
+            f"the residual differs {where}: --{option} (Python: {option}=True) looks for {what}; "
+            "it may be something else that the catalogue does not have"
+        )
+
+
 def advice_of_predictions(
     effects: Sequence[str],
     before: Residual,
     after: Residual,
     known: Residual,
+    explained: Residual,
     quality: Adequacy,
     held: bool,
     undated: Residual | None,
@@ -395,7 +420,7 @@ def advice_of_predictions(
         better = average is not None and average.explanation_error < average.cautious_error
         yield (
             f"{names or 'resistance and friction alone'} fit the training drives (rmse "
-            f"{quality.residual:.3g} W) and not the hold-out drives ({known.rmse:.3g} W): "
+            f"{quality.residual:.3g} W) and not the hold-out drives ({explained.rmse:.3g} W): "
             f"{'' if better else 'do not believe them; '}something else, or another state of robot "
             "or ground, is behind it. Give both kinds of drives to learn from"
         )

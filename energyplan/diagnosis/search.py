@@ -124,6 +124,7 @@ class SearchResult:
 
     explanations: tuple[EffectSet, ...]
     untested: tuple[tuple[str, str], ...]
+    suspects: tuple[Effect, ...] = ()  # that were not searched, and that the residual looks like
 
     @property
     def best(self) -> EffectSet:
@@ -278,8 +279,10 @@ class EffectSearch:
         progress: Callable[[float, str], object],
         limit: int,
         judged: Sequence[Drive] = (),
+        on_demand: Sequence[Effect] = (),
     ) -> None:
         self.quick = Proposals(problem, effects, limit, judged)
+        self.on_demand = [one for one in on_demand if self.quick.shown(one) is None]
         self.progress = progress
         self.whole, self.excerpted = problem, False
         self.evaluated: dict[tuple[Set, Late], FittedSet] = {}
@@ -396,7 +399,41 @@ class EffectSearch:
             for one in sorted(joined.values(), key=rank)
         ]
         ranked[0] = self._refined(ranked[0])
-        return SearchResult(tuple(ranked), tuple(self.quick.untested))
+        suspects = self._suspects(
+            [part for part in ranked[0].parts if not part.effect.delays],
+            ranked[0].problem.drives[0].late,
+        )
+        return SearchResult(tuple(ranked), tuple(self.quick.untested), suspects)
+
+    def _suspects(self, parts: Sequence[Part], late: Late) -> tuple[Effect, ...]:
+        """Return which effects that were not searched would join the best set."""
+        if not self.on_demand:
+            return ()
+        problem = self.quick.problem.delayed(late)
+        now = self._fitted(problem, parts)
+        found = []
+        for effect in self.on_demand:
+            with_it, prior = problem, RARE
+            if effect.acts == "change":
+                marked = self.quick.marked(problem, parts, now.errors, effect)
+                if marked is None:
+                    continue
+                with_it, part = with_changes(problem, marked), Part(effect)
+                prior -= float(sum(np.log(len(one.windows[0].starts)) for one in problem.drives))
+            else:
+                thin = problem.thinned(_SAMPLES)
+                lines = list(ContactTraces(thin.drives, thin.vehicle).lines(effect))
+                if not lines:
+                    continue
+                about = self.quick.about(problem, parts, now.errors)
+                part = lines[int(np.argmax(self._alone(parts, lines, thin, about, now.errors)))]
+                prior -= float(np.log(len(lines)))
+            more = self._fitted(with_it, [*parts, part])
+            gain = self._gain(more, now, part, 1.0)
+            lasts = gain.lasting > _LASTING * gain.improvement
+            if gain.weight + prior > 0.0 and gain.improvement > WORTHWHILE and lasts:
+                found.append(effect)
+        return tuple(found)
 
     def _of_all(self, one: EffectSet) -> Problem:
         """Return whole drives with what an explanation says of their means, or of excerpts."""

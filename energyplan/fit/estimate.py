@@ -435,12 +435,19 @@ def problem_of(
     logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect],
     drives: Sequence[Drive] | None = None,
 ) -> Problem:  # fmt: skip
-    """Return drives as they are fitted: each side an equation, where it slides and has its sign."""
+    """Return drives as they are fitted: each side an equation, where it slides and has its sign.
+
+    Slight turns that speeds hardly show look like another surface, or another load, from some place
+    or time on: totals are searched for them where the effects have those too.
+    """
     drives = prepared(logs, vehicle) if drives is None else drives
-    problem = Problem(drives, vehicle)
+    problem, terms = Problem(drives, vehicle), _usual_terms(effects)
     if any(log.signed is False for log in with_signs(logs, vehicle, effects, drives)):
         return problem.of_totals
-    return with_sides(problem, _usual_terms(effects))
+    if problem is not problem.of_totals:
+        return with_sides(problem, terms)
+    searched = any(one.on_demand for one in effects)
+    return with_slight_turns(problem, terms) if searched else problem
 
 
 def _usual_terms(effects: Sequence[Effect]) -> list[Term]:
@@ -467,10 +474,8 @@ def _fitted(held: Problem, terms: Sequence[Term]) -> FloatArray:
 
 
 def with_sides(problem: Problem, terms: Sequence[Term]) -> Problem:
-    """Return the drives with contacts that may hold, or their totals if the sides show nothing."""
+    """Return drives whose contacts may hold, or their totals if the sides show nothing."""
     total = problem.of_totals
-    if problem is total:
-        return with_slight_turns(problem, terms)
     held = _holding(problem)
     if not _slide(held):
         return total

@@ -36,7 +36,6 @@ from energyplan.logs.consistency import correlation
 from energyplan.logs.guess import side_of, words
 from energyplan.logs.mapping import (
     COUNTS,
-    RATES,
     TOTAL,
     Column,
     formula,
@@ -44,9 +43,14 @@ from energyplan.logs.mapping import (
 )
 from energyplan.logs.tables import Recording, of_messages
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 
-_FIELD = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)\s*(?:\[([^\[\]]+)\])?\Z")
-_NAME = r"(?:/[\w/]+\.)?(?:yaw\([\w.\s]+\)|[A-Za-z_][\w.]*(?:\s*\[[^\[\]]+\])?)"
+_WORD, _MIDDLE = r"[A-Za-z_]\w*", r"(?:\[[\w/-]+\]\.)"
+_FIELD = re.compile(rf"({_WORD}(?:(?:\.|{_MIDDLE}){_WORD})*)\s*(?:\[([^\[\]]+)\])?\Z")
+_NAME = (
+    r"(?:/[\w/]+\.)?(?:yaw\([\w.\s]+\)"
+    rf"|[A-Za-z_][\w.]*(?:{_MIDDLE}[\w.]+)*(?:\s*\[[^\[\]]+\])?)"
+)
 
 
 _FIELDS = "write a field such as angular_velocity.z, a.b[0], yaw(a.b) or a.b-0.25*c.d"
@@ -61,7 +65,7 @@ def _apart(name: str) -> tuple[str, str]:
 class _Place(NamedTuple):
     """Where in a message a value stands."""
 
-    parts: tuple[str, ...]
+    parts: tuple[str, ...]  # fields; of arrays of messages, elements begin with a bracket
     element: str | None
     heading: bool
 
@@ -73,13 +77,20 @@ def _place(field: str) -> _Place:
     match = _FIELD.match(text[4:-1].strip() if heading else text)
     if match is None:
         raise ValueError(_FIELDS)
-    return _Place(tuple(match[1].split(".")), match[2], heading)
+    parts = re.findall(r"\[[^\]]+|\w+", match[1])
+    return _Place(tuple(parts), match[2], heading)
 
 
 def _number(message: Any, place: _Place) -> float:
-    value = message
+    value, holder = message, message
     for part in place.parts:
-        value = getattr(value, part, None)
+        if part.startswith("["):
+            labels = [*map(str, range(len(value)))] if value is not None else []
+            labels = labels if part[1:].isdecimal() else _joints(message)
+            place_of = labels.index(part[1:]) if part[1:] in labels else -1
+            value = value[place_of] if value is not None and 0 <= place_of < len(value) else None
+        else:
+            holder, value = value, getattr(value, part, None)
     if value is None:
         return nan
     if place.heading:
@@ -89,7 +100,7 @@ def _number(message: Any, place: _Place) -> float:
     if place.element.isdecimal():
         index = [int(place.element)]
     else:
-        names = _joints(message)
+        names = _joints(holder) or _joints(message)
         wanted = place.element.split("|")
         index = [k for k, name in enumerate(names) if any(fnmatchcase(name, w) for w in wanted)]
     found = [float(value[k]) for k in index if k < len(value)]
@@ -104,7 +115,11 @@ def heading(turn: Any) -> float:
 
 def _joints(message: Any) -> list[str]:
     """Return the names of what a message holds an array of."""
-    return [str(name) for name in getattr(message, "name", getattr(message, "joint_names", ()))]
+    for key in ("name", "joint_names", "interface_names"):
+        names = getattr(message, key, None)
+        if names is not None and not isinstance(names, str):
+            return [str(name) for name in names]
+    return []
 
 
 def _readable(column: Column) -> Column:
@@ -327,6 +342,22 @@ class _Topic:
                 if named or len(value) <= LONGEST:
                     for k, one in enumerate(value):
                         self._keep(f"{name}[{names[k] if named else k}]", float(one), row)
+            elif 0 < len(value) <= LONGEST and hasattr(value[0], "__dataclass_fields__"):
+                self._keep_parts(name, names, value, row)
+
+    def _keep_parts(self, name: str, names: Sequence[str], parts: Sequence[Any], row: int) -> None:
+        """Keep the numbers of an array of messages, such as a driver's for each wheel."""
+        for k, part in enumerate(parts):
+            label = names[k] if len(names) == len(parts) else k
+            inner = _joints(part)
+            for field in _leaves(part):
+                value, whole = attrgetter(field)(part), f"{name}[{label}].{field}"
+                if isinstance(value, int | float):
+                    self._keep(whole, value, row)
+                elif 0 < len(value) <= LONGEST and isinstance(value[0], int | float | np.number):
+                    for j, one in enumerate(value):
+                        kind = inner[j] if len(inner) == len(value) else j
+                        self._keep(f"{whole}[{kind}]", float(one), row)
 
     def _keep(self, field: str, value: float, row: int) -> None:
         column = self.columns.setdefault(field, array("d"))
@@ -741,9 +772,24 @@ def _meant(recording: Recording, wanted: str) -> list[Sources]:
 def untyped(recording: Recording) -> list[str]:
     """Return the series of messages whose types say nothing: their names do, those of ROS."""
     typed = (_JOINTS, *(kind for kind, _ in _MEANING))
+    rates = electrical_rates(recording)
     return [
         name for topic, kind in recording.kinds.items() if kind not in typed and "/" in kind
-        for name in _named(recording, topic).values()
+        for name in _named(recording, topic).values() if name not in rates
+    ]  # fmt: skip
+
+
+_ELECTRICAL = {"VescState": "speed", "VescStateStamped": "state.speed", "VescStatus": "erpm",
+               "ESCStatus": "esc.rpm"}  # fmt: skip
+"""Fields of motor controllers' messages that count turns of the field, pole pairs times a turn."""
+
+
+def electrical_rates(recording: Recording) -> list[str]:
+    """Return the series that are motors' electrical rates, by the types of their messages."""
+    return [
+        name for topic, kind in recording.kinds.items()
+        for field, name in _named(recording, topic).items()
+        if field == _ELECTRICAL.get(kind.rpartition("/")[2])
     ]  # fmt: skip
 
 

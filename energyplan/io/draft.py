@@ -14,6 +14,7 @@ from energyplan.errors import DriveLogError
 from energyplan.io.bags import (
     TOPIC_MAPS,
     Typed,
+    electrical_rates,
     held_of,
     of_body,
     of_types,
@@ -26,9 +27,7 @@ from energyplan.logs.align import Series, usable
 from energyplan.logs.checks import grows
 from energyplan.logs.clean import POWER_WAYS
 from energyplan.logs.compass import Recorded, counts_from_north
-from energyplan.logs.consistency import (
-    POWERS,
-)
+from energyplan.logs.consistency import POWERS, correlation
 from energyplan.logs.guess import (
     ENCODER,
     guess,
@@ -44,7 +43,6 @@ from energyplan.logs.guess import (
 from energyplan.logs.mapping import (
     COUNTS,
     RATE,
-    RATES,
     ROW,
     SINCE,
     TOTAL,
@@ -59,6 +57,7 @@ from energyplan.logs.mapping import (
 )
 from energyplan.logs.tables import Recording, counts_rows, find_clock, find_stamp, quaternions
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 
 
 def _refuse_blank(recording: Recording, needed: Sequence[str]) -> None:
@@ -108,8 +107,9 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         hint += "; v_left and v_right are the speeds of the left and right wheels"
         counted = [name for name in names if ENCODER & set(words(name))]
         numbered = numbered_speeds(names)
-        electric = [name for name in names if "erpm" in words(name)]
-        if numbered:
+        electric = electrical_rates(recording)
+        electric += [name for name in names if "erpm" in words(name)]
+        if numbered and not electric:
             first, second = numbered[:2]
             hint += (
                 f"; of {', '.join(map(repr, numbered[:4]))} nobody but you knows which side each "
@@ -119,7 +119,8 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         elif electric:
             hint += (
                 f"; {electric[0]!r} seems to be a motor's electrical rate: give v_left="
-                f"{electric[0]}[rpm*F], with F the wheel radius over gear ratio times pole pairs"
+                f"{electric[0]}[rpm*F], with F the wheel radius over gear ratio times pole pairs, "
+                "and v_right alike"
             )
         elif counted:
             hint += (
@@ -128,7 +129,7 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
                 "where it counts on, [ticks/sample*0.0001] where it counts from row to row, "
                 "[ticks/s*0.0001] where it counts in a second"
             )
-        else:
+        elif guess_ahead(columns) and guess_turns(columns):
             hint += (
                 "; of the body's speed V and turn rate W they are made as in v_left=V-0.25*W,"
                 "v_right=V+0.25*W with half the track, though slip is then unseen"
@@ -152,10 +153,16 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
             f"{' or '.join(_counter_ways(recording, name, (channel,)))}"
         )
     amps = guess(columns).get("current")
-    if "power" in needed and amps is not None:
+    if "power" in needed and amps is not None and len(amps.plus) == 1:
+        hint += (
+            f"; {amps.field!r} and {amps.plus[0]!r} make powers with the battery's voltage: of two "
+            f"sides, give current_left={amps.field}[UNIT],current_right={amps.plus[0]}[UNIT],"
+            "voltage=NAME[UNIT]"
+        )
+    elif "power" in needed and amps is not None:
         hint += (
             f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
-            f"as in power={amps.field}[*25.6]"
+            f"as in power={amps.written}[*25.6]"
         )
     if "power" in needed:
         hint += _of_torques(names)
@@ -248,7 +255,7 @@ _ELEMENT = re.compile(r"\.\d+$")  # of an array, of which some elements are name
 def draft(recording: Recording, known: Given) -> Draft:
     """Guess by names, and by types of messages, which series serve as which channels."""
     given = named_columns(recording, known.columns)
-    columns = dict(given)
+    columns = _of_sides(given)
     if not columns and tasks_of(recording, 1.0) is not None:
         raise DriveLogError(
             f"{recording.source}: a row is a task, not an instant of a drive: energyplan identify "
@@ -326,6 +333,22 @@ def draft(recording: Recording, known: Given) -> Draft:
             columns[channel] = Column(field=channel, channel=channel)
     notes += _of_compass(recording, columns, found)
     return Draft(columns, found, notes, given, tuple(there))
+
+
+def _of_sides(given: Mapping[str, Column]) -> dict[str, Column]:
+    """Make the sides' powers of currents and voltages of sides that are named by hand."""
+    columns = dict(given)
+    for side in ("left", "right"):
+        current = columns.pop(f"current_{side}", None)
+        volts = columns.pop(f"voltage_{side}", columns.get("voltage"))
+        if current is None or volts is None or current.plus or volts.plus:
+            columns |= {} if current is None else {f"current_{side}": current}
+            continue
+        factor = scale_of("current", current.unit).factor * scale_of("voltage", volts.unit).factor
+        columns[f"p_{side}"] = current.changed(
+            channel=f"p_{side}", times=volts.field, unit="" if factor == 1.0 else f"*{factor:g}"
+        )
+    return columns
 
 
 def _of_compass(
@@ -460,12 +483,19 @@ def _guesses(
     return found
 
 
+_ALIKE = 0.99  # correlation from which two speeds are one
+
+
 def _from_twist(
     recording: Recording, columns: dict[str, Column], found: dict[str, Column], known: Given
 ) -> list[str]:
     """Make tread speeds from the speed and the turn rate of the body, where a log has no others."""
     used = {name for one in columns.values() for name in one.names}
-    ahead = next(iter(guess_ahead(name for name in recording.columns if name not in used)), None)
+    several = guess_ahead(name for name in recording.columns if name not in used)
+    alike = all(
+        correlation(*recording.together(several[0], name)) > _ALIKE for name in several[1:]
+    )  # else these may be the speeds of sides, of which no name says so
+    ahead = several[0] if several and alike else None
     turns = guess_turns(name for name in recording.columns if name not in used)
     if ahead is None or not turns:
         return []

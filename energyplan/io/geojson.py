@@ -22,6 +22,9 @@ from energyplan.terrain.grid import FARTHEST
 KEEP_OUT = ("keep_out", "keep-out", "keepout")
 """Names of a surface that the robot must not enter."""
 
+GROUND = ("second", "turning_radius")
+"""Properties of a surface that are numbers."""
+
 AREAS = ("Polygon", "MultiPolygon")
 LINES = ("LineString", "MultiLineString")
 """Kinds of geometry that are taken for areas, and for walls."""
@@ -44,7 +47,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
     must not enter. ``surface`` or ``name`` labels it. Where surfaces overlap, the last one counts.
     ``speed`` limits the robot's speed there, in m/s or as ``"50 %"`` of its top speed; a feature
     with a speed needs no model. ``second`` is a price of each second on the surface, in the unit of
-    the objective (for energy [J/s]).
+    the objective (for energy [J/s]), ``turning_radius`` the least radius of arcs on it [m].
 
     Parameters
     ----------
@@ -103,7 +106,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
         if name not in known:
             known[name] = _model(file, k, name)
         label = properties.get("surface", properties.get("name", name))
-        ground = _numbers(properties, ("second",), place)
+        ground = _numbers(properties, GROUND, place)
         try:
             surfaces.append(Surface(area, known[name], str(label), **ground))
         except MapError as error:
@@ -245,17 +248,12 @@ def _model(file: Path, feature: int, name: str) -> PowerModel:
 
 def write_surfaces(surfaces: SurfaceMap, path: str | Path) -> None:
     """Write surfaces as GeoJSON; each model is named, not written."""
-    features = [
-        _feature(
-            s.area,
-            {
-                "model": s.model.name,
-                "surface": s.name,
-                **({"second": s.second} if s.second else {}),
-            },
+    features = []
+    for one in surfaces.surfaces:
+        ground = {name: value for name in GROUND if (value := getattr(one, name))}
+        features.append(
+            _feature(one.area, {"model": one.model.name, "surface": one.name, **ground})
         )
-        for s in surfaces.surfaces
-    ]
     features += [_feature(area, {"surface": KEEP_OUT[0]}) for area in surfaces.keep_out]
     features += [
         _feature(one.area, {"speed": f"{100 * one.speed!r} %" if one.relative else one.speed})

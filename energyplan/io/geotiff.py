@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from energyplan.errors import MapError
+from energyplan.units import LENGTH
 
 KEYS, DOUBLES, TEXTS, METADATA = 34735, 34736, 34737, 42112
 """Tags of a TIFF: the directory of keys, its numbers and texts, and the metadata of GDAL."""
@@ -19,7 +20,7 @@ _CITATION, _PROJECTED, _PROJECTED_CITATION, _LINEAR, _LINEAR_SIZE = 1026, 3072, 
 _VERTICAL, _VERTICAL_CITATION, _VERTICAL_UNITS = 4096, 4097, 4099
 _BY_USER = 32767
 
-_FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
+_FOOT, _SURVEY_FOOT = LENGTH["ft"], 1200 / 3937
 _OF_CODE = {9001: 1.0, 9002: _FOOT, 9003: _SURVEY_FOOT, 9036: 1000.0}
 """Metres of the units of length by their code of EPSG."""
 

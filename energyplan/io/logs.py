@@ -27,7 +27,8 @@ from energyplan.logs import DriveLog
 from energyplan.logs.checks import grows
 from energyplan.logs.guess import guess, words
 from energyplan.logs.mapping import Column, clock_in, parse_columns, scale_of, unit_in
-from energyplan.logs.tables import Recording, read_table
+from energyplan.logs.readers import read_recorded
+from energyplan.logs.tables import Recording
 from energyplan.path import FloatArray
 
 
@@ -39,7 +40,7 @@ def read_recording(
 ) -> Recording:
     """Read what a file of any known kind holds; of a bag, all or what a topic map needs."""
     if not has_messages(path):
-        return read_table(path, DriveLogError, clock_in(columns))
+        return read_recorded(path, clock_in(columns))
     read = read_flight if is_flight(path) else partial(read_bag, progress=progress)
     if topics is None:
         return read(path)

@@ -20,7 +20,7 @@ from energyplan.io.orders import TaskOrder, read_order
 from energyplan.io.sites import PARTS, SiteFile, load_site, on_site
 from energyplan.io.tables import read_points
 from energyplan.mission import Mission, Robot, Task
-from energyplan.mission.types import OWN, Name, Place
+from energyplan.mission.types import OWN, Name, NamedPlace
 from energyplan.power import PowerModel
 from energyplan.records import checked, described, doubts_of
 from energyplan.vehicle import Vehicle
@@ -38,9 +38,10 @@ def read_mission(path: str | Path, *, inside: bool = False) -> Mission:
     """Read a mission from YAML.
 
     Numbers are in SI units, or carry one: ``5 min``, ``60 W``, ``36 Ah``, ``20 %``. A pose is
-    ``[x, y, yaw]``, ``"x,y,90deg"`` or the name of one of the `places`. The `tasks` may be the name
-    of a file, of an order of VDA 5050, of waypoints of Nav2 or of lines of GeoJSON. Files are
-    looked for in the mission's folder, then among the library's own. docs/missions lists the keys.
+    ``[x, y, yaw]``, ``"x,y,90deg"`` or the name of one of the `places`; of a task also ``[x, y]``,
+    at any heading, or a list of poses, places and names. The `tasks` may be the name of a file, of
+    an order of VDA 5050, of waypoints of Nav2 or of lines of GeoJSON. Files are looked for in the
+    mission's folder, then among the library's own. docs/missions lists the keys.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
         if key in ("map", "model", *optional) and not isinstance(value, str):
             message = f"{described(value)} is no name of a file or preset; give one"
             raise document.fail((key,), message + document.another_kind(Mission))
-    places = document.check(dict[str, Place], ("places",)) if "places" in document.data else {}
+    places = document.check(dict[str, NamedPlace], ("places",)) if "places" in document.data else {}
     site, notes, known = None, tuple[str, ...](), set[str]()
     if "map" in data:
         of_site = {key: data.pop(key) for key in ("resolution", *PARTS) if key in data}
@@ -221,7 +222,7 @@ def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
     entries = document.check(_Entries, ("robots",))
     common = {k: v for k, v in document.data.items() if k != "robots"}
     extras = [entry.model_extra or {} for entry in entries]
-    places = document.check(dict[str, Place], ("places",)) if "places" in common else {}
+    places = document.check(dict[str, NamedPlace], ("places",)) if "places" in common else {}
     tasks: tuple[Task, ...] = ()
     if "tasks" in common:
         tasks = document.check(tuple[Task, ...], ("tasks",), {"places": places})

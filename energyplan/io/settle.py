@@ -42,7 +42,6 @@ from energyplan.logs.guess import (
 )
 from energyplan.logs.mapping import (
     COUNTS,
-    RATES,
     Column,
     known_unit,
     scale_of,
@@ -51,6 +50,7 @@ from energyplan.logs.mapping import (
 )
 from energyplan.logs.tables import Recording
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 from energyplan.vehicle import GRAVITY
 
 _ALIKE = 0.9  # correlation from which two columns carry the same quantity
@@ -441,6 +441,7 @@ _NEAR = 1.35  # ratio of two units up to which turning does not distinguish them
 
 
 _USUAL_SPEED = (0.1, 5.0)  # largest speed of a robot that does not surprise [m/s]
+_TURN_UNITS = ("rad/s", "deg/s", "rpm", "mrad/s", "cdeg/s", "mdps")
 _OF_RATES = {"motor", "motors", "omega", "rotor", "rotation", "angvel"}
 """Words of what may be a rate in radians or turns as well as a speed."""
 
@@ -457,6 +458,15 @@ def _sure_of_speeds(
             for unit in units}  # fmt: skip
     gone = drive.distance if isfinite(drive.distance) else 1.0
     near = [u for u in units if abs(np.log(gone * size[u])) < np.log(_NEAR)]
+    unseen = False
+    if chosen.get("yaw_rate") and not isfinite(drive.distance):  # both may be in another unit
+        own = scale_of("yaw_rate", chosen["yaw_rate"]).factor
+        turns = [scale_of("yaw_rate", unit).factor / own for unit in _TURN_UNITS]
+        near += [
+            u for u in units if u not in near
+            and any(abs(np.log(size[u] / turn)) < np.log(_NEAR) for turn in turns)
+            and _USUAL_SPEED[0] <= drive.top_speed * size[u] <= _USUAL_SPEED[1]
+        ]  # fmt: skip
     measures = known_measures(known)
     if not isfinite(drive.distance) and not (
         isfinite(drive.slip_track) and isfinite(measures.track)
@@ -472,13 +482,17 @@ def _sure_of_speeds(
             if _USUAL_SPEED[0] <= drive.top_speed * size[u] <= _USUAL_SPEED[1]
             and not abs(np.log(drive.force / weight / size[u] / _MIDDLE_FORCE)) > np.log(10.0)
         ]  # fmt: skip
-    if len(near) > 1:
+        if chosen["v_left"] != "m/s":  # that others would surprise more is no proof
+            near = [*dict.fromkeys((chosen["v_left"], *near))]
+            unseen = True
+    if len(near) > 1 or unseen:
         told = [f"{u}{known.wheel_radius:.4g}" if u.endswith("*") else u for u in near]
         left, right = (columns[name].field for name in SPEEDS)
         ways = " or ".join(f"'v_left={left}[{u}],v_right={right}[{u}]'" for u in told)
+        other = ", or in another unit" if unseen else ""
         raise DriveLogError(
             f"{recording.source}: {left} could be in {' or '.join(told)}, of which nothing tells "
-            f"the one from the other; give its unit, as in --columns {ways}"
+            f"the one from the other{other}; give its unit, as in --columns {ways}"
         )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -34,6 +34,7 @@ from energyplan.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from energyplan.mission import Mission
+    from energyplan.planning import Goal
 
 T = TypeVar("T")
 
@@ -167,7 +168,7 @@ class NotedProblem(NamedTuple):
 def problem_from(
     site: Site,
     model: PowerModel,
-    ends: tuple[Pose, Pose],
+    ends: tuple[Pose, Pose | tuple[Goal, ...]],
     *,
     battery: bool = False,
     speed: str | None = None,
@@ -182,8 +183,9 @@ def problem_from(
     if reverse is not None:
         options["vehicle"] = replace(model.vehicle, reverse=reverse)
     place: Any = ground.site  # of which a problem takes the parts
+    start, goal = ends[0], cast(Pose, ends[1])  # a problem takes other goals too
     return NotedProblem(
-        PlanningProblem(place, ground.cost(battery, speed), *ends, **options), notes
+        PlanningProblem(place, ground.cost(battery, speed), start, goal, **options), notes
     )
 
 

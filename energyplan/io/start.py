@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -115,7 +115,8 @@ def _started(file: Path, known: Given) -> tuple[Start, DriveLog]:
             for other in others
         )
 
-    result = _finish(file, log, known, columns, topics, assumed, holds, mends)
+    unstated = {c for c, one in drafted.free.items() if not one.unit and one.field != c}
+    result = _finish(file, log, known, columns, topics, assumed, holds, mends, unstated)
     checks = (*result.checks, *wrong)
     notes = [*drafted.notes, *turned, *result.notes]
     used = {name for one in columns.values() for name in one.names}
@@ -134,13 +135,18 @@ def _finish(
     assumed: dict[str, str],
     holds: Callable[[Mapping[str, str]], bool] = lambda units: True,
     mends: Callable[[Check], bool] = lambda check: True,
+    unstated: Collection[str] = (),
 ) -> Start:
     """Build the vehicle, and hold the log against it."""
     drive = log.observed
     robot = build_vehicle(file, log, drive, known)
     compared = check_consistency(drive, known_measures(known), columns, holds)
     rules = {one.rule for one in compared}  # with the measures, which show more
-    doubts = [one for one in compared if not one.ok and one.value is None]
+    doubts = [
+        one for one in compared if not one.ok and one.value is None
+        # A unit that nothing states is a guess, which a likelier one contradicts.
+        and not any(f"{channel}=" in one.remedy for channel in unstated)
+    ]  # fmt: skip
     checks = [one for one in compared if one not in doubts]
     checks += [
         one if mends(one) else replace(one, remedy=_NO_REMEDY)

@@ -29,7 +29,8 @@ from energyplan.logs.checks import checks_of
 from energyplan.logs.clean import Place, SetAside, clean, needed_channels, total_power
 from energyplan.logs.consistency import POWERS, Check, Observed
 from energyplan.logs.mapping import Column, clock_in, parse_columns
-from energyplan.logs.tables import Recording, read_table, table_of
+from energyplan.logs.readers import read_recorded
+from energyplan.logs.tables import Recording, table_of
 from energyplan.motion import Motion
 from energyplan.path import FloatArray
 from energyplan.power import Sides
@@ -163,8 +164,9 @@ class DriveLog(ReadOnly, html.Readable):
         Parameters
         ----------
         source : str, Path or DataFrame
-            A ``.csv``, ``.csv.gz`` or ``.parquet`` file with one row of column names; or a
-            DataFrame, whose dates count as seconds since 1970.
+            A ``.csv``, ``.csv.gz`` or ``.parquet`` file with one row of column names; a file that
+            another package has a reader for (entry point ``energyplan.logs``); or a DataFrame,
+            whose dates count as seconds since 1970.
         columns : str or mapping of str to str or Column, optional
             Which column serves as which channel, and its unit where it is not the library's:
             ``"v_left=velL,yaw=heading[deg]"``, or the same as a mapping; `parse_columns` lists all
@@ -193,7 +195,7 @@ class DriveLog(ReadOnly, html.Readable):
         120.0
         """
         if isinstance(source, str | PathLike):
-            recording = read_table(source, DriveLogError, clock_in(columns))
+            recording = read_recorded(source, clock_in(columns))
         else:
             recording = table_of(source, DriveLogError)
         return cls.of(recording, recording.mapping(columns, others))

@@ -15,21 +15,14 @@ from numpy.typing import NDArray
 from energyplan.errors import DriveLogError
 from energyplan.logs.align import AS_LOGGED, Series, align, gap_limit, usable, usable_rows
 from energyplan.logs.mapping import ROW
+from energyplan.motion import LOGGED
 from energyplan.path import FloatArray
 from energyplan.records import described
 
 if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog
 
-LIMITS = {
-    "t": (-1e11, 1e11, "s"), "v_left": (-20.0, 20.0, "m/s"), "v_right": (-20.0, 20.0, "m/s"),
-    "cmd_left": (-20.0, 20.0, "m/s"), "cmd_right": (-20.0, 20.0, "m/s"),
-    "p_left": (-5e4, 5e4, "W"), "p_right": (-5e4, 5e4, "W"), "power": (-1e5, 1e5, "W"),
-    "voltage": (0.0, 1500.0, "V"), "current": (-2000.0, 2000.0, "A"), "x": (-1e8, 1e8, "m"),
-    "y": (-1e8, 1e8, "m"), "yaw": (-1e6, 1e6, "rad"), "yaw_rate": (-20.0, 20.0, "rad/s"),
-    "slope": (-1.2, 1.2, "rad"), "accel_x": (-200.0, 200.0, "m/s^2"),
-    "temperature": (-100.0, 300.0, "degC"), "payload": (0.0, 1e5, "kg"),
-}  # fmt: skip
+LIMITS = {name: (one.least, one.most, one.unit) for name, one in LOGGED.items()}
 """Range in which a reading is possible at all, by channel."""
 ANY = (-1e30, 1e30, "in its unit")
 """The same of other channels."""
@@ -40,6 +33,8 @@ _OTHER_UNITS = {
     "these are the motors', divide by the gear ratio, too, as in [rpm*0.0033",
 }  # fmt: skip
 """In which unit readings are that are impossible in the library's."""
+_TURNS = {"deg/s": 600.0, "mrad/s": 6e3, "cdeg/s": 3e4, "mdps": 6e5}
+"""In which unit turn rates are, by how large they get."""
 
 
 def possible(channels: Mapping[str, FloatArray]) -> bool:
@@ -312,6 +307,9 @@ class _Cleaner:
             value = float(values[stray][0])
             kinds = np.unique(values[stray])
             other = _OTHER_UNITS.get(unit, "*0.001")
+            if unit == "rad/s":
+                usual = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
+                other = next((u for u, high in _TURNS.items() if usual <= high), "*FACTOR")
             blank = f"; where {value:g} stands for no reading, leave the cell empty"
             raise DriveLogError(
                 f"{self.label}, {self.where(stray, name)}: {name} is {value:g} {unit}, which no "

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from energyplan.logs.align import derivative, integral
 from energyplan.logs.mapping import (
     LONGEST_STEP,
-    RATES,
     SHORTEST_STEP,
     UNITS,
     Column,
@@ -30,6 +29,7 @@ from energyplan.logs.mapping import (
     known_unit,
 )
 from energyplan.path import FloatArray
+from energyplan.units import RATES
 from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 
 if TYPE_CHECKING:
@@ -546,6 +546,14 @@ _MISTAKES = [
 """What may have gone wrong, in the order of how often it does."""
 
 
+_SLIPS = 0.25  # relative error of a size of speeds that turning shows
+_USUAL_RATES = ("rad/s", "deg/s", "rpm", "rev/s")
+_BY_HAND = (
+    "give what they are, of the wheels or the motors, with radius, gear and, of an electrical "
+    "rate, pole pairs: turning shows it to a quarter only, and a pose exactly"
+)
+
+
 def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) -> list[_Mistake]:
     """Return the mistakes that speeds of another size than pose, or turning, ask for may be."""
     geometric = 2 * predict_icr(known.wheelbase, known.track)
@@ -563,24 +571,31 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     unit = "" if mapped is None else mapped.unit.lstrip("-").partition("*")[0]
     rolls = mapped is None or known_unit("v_left", unit) in RATES
     scale = _scale(mapped)
+    shown = isfinite(distance)  # turning shows a size to a quarter alone, for want of the slip
     for unit, rate in RATES.items():
         radius = wanted * scale / rate
         as_given = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < 0.1
-        if _WHEEL_RADII[0] <= radius <= _WHEEL_RADII[1] and unit != "mrad/s":
+        near = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < _SLIPS
+        as_given = as_given or (near and not shown)
+        if not shown and not as_given and isfinite(known.wheel_radius):
+            continue
+        if _WHEEL_RADII[0] <= radius <= _WHEEL_RADII[1] and unit in _USUAL_RATES:
             size = known.wheel_radius if as_given else radius
             rare = -0.2 if as_given else {"deg/s": 0.3, "rev/s": 0.15}.get(unit, 0.0)
             about = "" if as_given else f": the wheel radius is about {radius:.3g} m"
+            give = "" if shown or as_given else f"give the wheel radius, as in [{unit}*RADIUS]"
             found.append(
                 _Mistake(sides, f"the tread speeds are the wheels' rates in {unit}{about}",
-                         f"{unit}*{size:.3g}", wanted, rare)
+                         f"{unit}*{size:.3g}", wanted, rare, give)
             )  # fmt: skip
     if 1 / _GEAR_RATIOS[1] <= wanted <= 1 / _GEAR_RATIOS[0]:
         name = "the tread speeds are those of the motors, before their gear of about"
         unit = f"*{wanted * scale:.3g}"
-        found.append(_Mistake(sides, f"{name} {1 / wanted:.3g}", unit, wanted, 0.1))
+        give = "" if shown else _BY_HAND
+        found.append(_Mistake(sides, f"{name} {1 / wanted:.3g}", unit, wanted, 0.1, give))
     if 0.3 <= wanted <= 3.3:
         name = f"the tread speeds are {1 / wanted:.3g} times what they should be"
-        give = ""
+        give = "" if shown else _BY_HAND
         if rolls:
             give = f"{name}: give {wanted:.3g} times the wheel radius"
             name = "the wheel radius is not this robot's"

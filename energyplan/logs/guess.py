@@ -9,8 +9,10 @@ from typing import NamedTuple
 from energyplan.logs.mapping import Column, counting, split_unit, split_words, unit_in
 
 _WORDS = {
-    "left": {"left", "l", "lh", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb", "lm"},
-    "right": {"right", "r", "rh", "starboard", "stbd", "fr", "rr", "br", "mr", "rf", "rb", "rm"},
+    "left": {"left", "l", "lh", "lhs", "lft", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb",
+             "lm"},
+    "right": {"right", "r", "rh", "rhs", "rgt", "starboard", "stbd", "fr", "rr", "br", "mr", "rf",
+              "rb", "rm"},
     "speed": {
         "v", "vel", "velocity", "speed", "wheel", "wheels", "track", "tread", "rpm", "omega",
         "rate", "spd", "w", "velocities", "speeds", "angvel", "rotation",
@@ -20,7 +22,7 @@ _WORDS = {
     "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents",
                 "ibat", "ibatt", "ibus"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
-             "epoch", "utc", "ts", "datetime", "tstamp", "millis", "micros", "nanos"},
+             "epoch", "utc", "ts", "datetime", "today", "tstamp", "millis", "micros", "nanos"},
     "yaw": {"yaw", "heading", "theta", "psi", "hdg", "course", "azimuth", "compass"},
     "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega"},
     "accel": {"acc", "accel", "acceleration", "ax"},
@@ -162,7 +164,7 @@ def _score(channel: str, name: str) -> float:
     if counting(channel, unit_in(channel, name).unit):  # of charge or energy, which its unit says
         other = other - {"charge", "capacity", "count"}
     wanted = bool(said & other) or stated[-1:] == ["status"]
-    wanted = wanted or ("input" in said and not (has["voltage"] or has["current"]))
+    wanted = wanted or ("input" in said and not any(has[kind] for kind in _ELECTRIC))
     quantity, _, side = channel.partition("_")
     sided = has["left"] != has["right"]
     if channel == "t":
@@ -244,7 +246,10 @@ def numbered_speeds(names: Iterable[str]) -> tuple[str, ...]:
     groups: dict[tuple[str, ...], list[str]] = {}
     every = list(names)
     for name in every:
-        if re.search(r"\d", name) and not side_of(name, every) and kinds & set(words(name)):
+        rail = re.search(r"\d_?v\d*$", name, re.IGNORECASE)  # of 12 V, no wheel's
+        if rail or side_of(name, every) or electric(name, every):
+            continue
+        if re.search(r"\d", name) and kinds & set(words(name)):
             groups.setdefault(tuple(words(name)), []).append(name)
     return tuple(next((group for group in groups.values() if len(group) > 1), ()))
 
@@ -268,7 +273,7 @@ def halves(name: str, others: Iterable[str]) -> list[str]:
 
 
 _OF_ALL = {"total", "sum", "overall", "whole", "combined"}
-_OF_SUPPLY = {*_BATTERY, "main", "vbus", "ibus", "vbat", "vbatt", "ibat", "ibatt", "ubat", "input",
+_OF_SUPPLY = {*_BATTERY, "vbus", "ibus", "vbat", "vbatt", "ibat", "ibatt", "ubat", "input",
               "in", "supply", "system", "psu", "dc"}  # fmt: skip
 _OF_FEEDS = {
     "solar", "pv", "panel", "panels", "photovoltaic", "mppt", "charger", "charging", "charge",

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from math import isfinite, pi, prod
+from math import isfinite, prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +15,25 @@ from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from energyplan.errors import DriveLogError
 from energyplan.logs.align import derivative, gap_limit
+from energyplan.motion import LOGGED
 from energyplan.path import FloatArray
 from energyplan.records import Checked, described
+from energyplan.units import (
+    ANGLE,
+    CHARGE,
+    CURRENT,
+    ENERGY,
+    LENGTH,
+    MASS,
+    OFFSETS,
+    POWER,
+    RATES,
+    SPEED,
+    TEMPERATURE,
+    TIME,
+    VOLTAGE,
+    standard,
+)  # fmt: skip
 
 ROW = "row"
 """Stands for the number of a row in a mapping: the time, of rows that come at a steady rate."""
@@ -29,112 +46,26 @@ class Scale(NamedTuple):
     offset: float = 0.0
 
 
-_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "k": 1e3, "M": 1e6}
-
-
-def _prefixed(unit: str, size: float = 1.0, prefixes: str = "m c d k u") -> dict[str, float]:
-    """Return a unit, and the same with prefixes, as ``mV`` of ``V``."""
-    return {unit: size} | {f"{one}{unit}": size * _PREFIXES[one] for one in prefixes.split()}
-
-
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_LENGTH = {**_prefixed("m", 1.0, "c m d k"), "ft": 0.3048, "in": 0.0254, "yd": 0.9144}
-_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "ft/s": 0.3048,
-          "in/s": 0.0254, "kn": 0.514444, "m/min": 1 / 60, "ft/min": 0.3048 / 60, "dm/s": 0.1,
-          "cm/min": 1 / 6000, "mm/min": 1 / 60_000, "m/h": 1 / 3600}  # fmt: skip
-_ANGLE = {**_prefixed("rad", 1.0, "m u"), **_prefixed("deg", pi / 180, "c m"), "rev": 2 * pi}
-RATES = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3,
-         "mdps": pi / 180_000, "cdeg/s": pi / 18_000, "urad/s": 1e-6, "rad/min": 1 / 60,
-         "deg/min": pi / 10_800}  # fmt: skip
 COUNTS = {"ticks": 1.0, "ticks/sample": 1.0, "ticks/s": 1.0}
-_ENERGY = {**_prefixed("J", 1.0, "k M m"), **_prefixed("Wh", 3.6e3, "m k"),
-           **_prefixed("Ws", 1.0, "m k")}  # fmt: skip
-_CHARGE = {**_prefixed("Ah", 3.6e3, "m u"), **_prefixed("C", 1.0, "m u k"),
-           **_prefixed("As", 1.0, "m")}  # fmt: skip
-_POWER = {**_prefixed("W", 1.0, "k m u"), "hp": 745.69987, "PS": 735.49875, **_ENERGY}
+_POWER = {**POWER, **ENERGY}  # the rate of an energy is a power
 
-UNITS: dict[str, dict[str, float]] = {
-    "t": _TIME,
-    "x": _LENGTH,
-    "y": _LENGTH,
-    "v_left": _SPEED,
-    "v_right": _SPEED,
-    "cmd_left": _SPEED,
-    "cmd_right": _SPEED,
-    "p_left": _POWER,
-    "p_right": _POWER,
-    "power": _POWER,
-    "voltage": _prefixed("V"),
-    "current": {**_prefixed("A"), **_CHARGE},
-    "yaw": _ANGLE,
-    "slope": _ANGLE,
-    "yaw_rate": RATES,
-    "accel_x": {"m/s^2": 1.0, "g": 9.80665},
-    "temperature": {"degC": 1.0, "K": 1.0, "degF": 5 / 9},
-    "payload": {"kg": 1.0, "lb": 0.45359237},
-}
-"""Units by channel; the first is the one of the library."""
-_OFFSETS = {"K": -273.15, "degF": -160 / 9}
-_ALIASES = {
-    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms",
-    "milliseconds": "ms", "usec": "us", "\u00b5s": "us", "\u03bcs": "us", "microseconds": "us",
-    "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h", "day": "d", "days": "d",
-    "meter": "m", "meters": "m", "metre": "m", "metres": "m",
-    "cmps": "cm/s", "mmps": "mm/s", "mps": "m/s", "m s-1": "m/s", "m s^-1": "m/s",
-    "meters/s": "m/s", "kmh": "km/h",
-    "kph": "km/h", "kmph": "km/h", "ips": "in/s", "inch/s": "in/s", "inches/s": "in/s",
-    "knot": "kn", "knots": "kn", "kt": "kn", "kts": "kn", "fpm": "ft/min",
-    "fps": "ft/s", "feet/s": "ft/s", "inch": "in", "inches": "in", "feet": "ft", "foot": "ft",
-    "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "\u00b0": "deg",
-    "rads": "rad/s", "radps": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",
-    "radians/s": "rad/s", "rad/sec": "rad/s", "\u00b0/s": "deg/s", "dps": "deg/s",
-    "degrees/s": "deg/s", "deg/sec": "deg/s", "mdeg/s": "mdps", "millidps": "mdps",
-    "millideg/s": "mdps", "millidegrees/s": "mdps", "cdps": "cdeg/s", "centideg/s": "cdeg/s",
-    "centidegrees/s": "cdeg/s", "millirad/s": "mrad/s", "mradps": "mrad/s", "mrads": "mrad/s",
-    "centideg": "cdeg", "centidegree": "cdeg", "centidegrees": "cdeg", "millidegrees": "mdeg",
-    "milliradians": "mrad", "rev/min": "rpm", "turns/min": "rpm", "revs/min": "rpm",
-    "rotations/min": "rpm", "turns/s": "rev/s", "rotations/s": "rev/s", "revs/s": "rev/s",
-    "1/min": "rpm", "r/min": "rpm", "min-1": "rpm",
-    "min^-1": "rpm", "rps": "rev/s",
-    "watt": "W", "watts": "W", "kilowatt": "kW", "horsepower": "hp",
-    "watthours": "Wh", "watt/hours": "Wh", "watt/hour": "Wh", "w/h": "Wh", "amphours": "Ah",
-    "amp/hours": "Ah", "amp/hour": "Ah", "ampere/hours": "Ah", "milliamp/hours": "mAh",
-    "kilowatt/hours": "kWh", "joule": "J", "joules": "J", "kilojoule": "kJ", "kilojoules": "kJ",
-    "megajoules": "MJ", "millijoules": "mJ", "watt/seconds": "Ws", "watt/second": "Ws",
-    "w/s": "Ws", "wattseconds": "Ws", "milliwatt/hours": "mWh",
-    "coulomb": "C", "coulombs": "C", "amp/seconds": "As", "ampere/seconds": "As",
-    "ampseconds": "As", "millicoulombs": "mC", "microamp/hours": "uAh",
-    "millivolt": "mV", "millivolts": "mV", "centivolts": "cV", "decivolts": "dV",
-    "kilowatts": "kW", "milliwatts": "mW", "milliamp": "mA", "milliamps": "mA",
-    "milliamperes": "mA", "centiamps": "cA", "deciamps": "dA", "microamps": "uA",
-    "milliwatt": "mW", "volt": "V", "volts": "V",
-    "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "milliampere": "mA",
-    "m/s2": "m/s^2", "m/s\u00b2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2",
-    "\u00b0c": "degC", "celsius": "degC", "\u00b0f": "degF", "fahrenheit": "degF",
-    "tick": "ticks", "counts": "ticks", "count": "ticks", "cts": "ticks", "pulses": "ticks",
-    "tps": "ticks/s", "counts/s": "ticks/s", "cps": "ticks/s", "pulses/s": "ticks/s",
-    "tick/s": "ticks/s", "ticks/sec": "ticks/s", "qpps": "ticks/s", "pps": "ticks/s",
-    "counts/sample": "ticks/sample",
-    "kelvin": "K", "kilogram": "kg", "lbs": "lb", "pounds": "lb",
+_OTHERS = {
+    "s": TIME, "m": LENGTH, "m/s": SPEED, "W": _POWER, "V": VOLTAGE, "A": {**CURRENT, **CHARGE},
+    "rad": ANGLE, "rad/s": RATES, "m/s^2": {"m/s^2": 1.0, "g": 9.80665}, "degC": TEMPERATURE,
+    "kg": MASS,
 }  # fmt: skip
-"""Other ways to write a unit, in small letters."""
+"""Units that a channel may be read in, by that of the library."""
+
+UNITS = {name: _OTHERS.get(one.unit, {one.unit: 1.0}) for name, one in LOGGED.items()}
+"""Units by channel; the first is the one of the library."""
 _WHEEL_CHANNELS = ("v_left", "v_right", "cmd_left", "cmd_right")
 _OF_WHEELS = {**RATES, **COUNTS}
 
 
-_EXACT = {"mW", "mWh", "MJ", "mJ", "mWs", *(one for one in _CHARGE if not one.endswith("Ah"))}
-"""Units whose capitals count: M is a million, and small letters may be an index or a word."""
-
-
 def known_unit(channel: str, unit: str) -> str | None:
     """Return a channel's unit by its standard spelling; None where the channel has no such unit."""
-    known = {**UNITS.get(channel, {}), **(_OF_WHEELS if channel in _WHEEL_CHANNELS else {})}
-    bare = unit.strip()
-    if bare in known:
-        return bare
-    folded = {name.lower(): name for name in known if name not in _EXACT}
-    spelt = _ALIASES.get(bare.lower(), folded.get(bare.lower()))
-    return spelt if spelt in known else None
+    wheels = _OF_WHEELS if channel in _WHEEL_CHANNELS else {}
+    return standard(unit, {**UNITS.get(channel, {}), **wheels})
 
 
 @lru_cache(maxsize=512)
@@ -185,7 +116,7 @@ def scale_of(channel: str, unit: str) -> Scale:
                 f"{channel}=NAME[{spelt}*0.165] for 0.165 m"
             )
         return Scale(sign * factor * _OF_WHEELS[spelt])
-    return Scale(sign * factor * known[spelt], _OFFSETS.get(spelt, 0.0))
+    return Scale(sign * factor * known[spelt], OFFSETS.get(spelt, 0.0))
 
 
 _BRACKETED = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
@@ -308,7 +239,7 @@ _JUMP = 10.0  # times the fastest counting, from which on a counter was set back
 def counting(channel: str, unit: str) -> str:
     """Return how a unit counts: `TOTAL`, `SINCE`, `CONSUMED`; empty where a factor suffices."""
     bare = known_unit(channel, unit.lstrip("-").partition("*")[0]) or ""
-    return CONSUMED if bare in {**_ENERGY, **_CHARGE} else bare if bare in (TOTAL, SINCE) else ""
+    return CONSUMED if bare in {**ENERGY, **CHARGE} else bare if bare in (TOTAL, SINCE) else ""
 
 
 def count_rate(t: FloatArray, counts: FloatArray, unit: str) -> FloatArray:

@@ -98,6 +98,7 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     for row, line in enumerate(lines[:2], 1):
         if "\0" in line:
             raise error(f"{file}, line {row} holds a NUL byte; save it as text in UTF-8")
+    _refuse_pairs(lines, file, error)
     separator, place = _layout(lines)
     first_row = cut(lines[place], separator)
     try:
@@ -125,6 +126,24 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     return Dialect(
         names, separator or ",", "," if comma else ".", encoding, start + mark, first + 1, named
     )
+
+
+def _refuse_pairs(lines: Sequence[str], file: object, error: type[InvalidInputError]) -> None:
+    """Refuse text of pairs of a name and a value, of which a block is a reading."""
+    rows = [re.split(r"\t|=|: |;|,", line.strip(), maxsplit=1) for line in lines if line.strip()]
+    first = [row[0].strip() for row in rows if len(row) == 2]
+    often = Counter(first)
+    words_alone = not any(map(_is_value, often))
+    if len(rows) >= 8 and len(first) > 0.8 * len(rows) and words_alone and (
+        2 < len(often) <= len(first) / 2 and min(often.values()) > 1
+        and all(len(re.split(r"\t|,|;", line.strip())) == 2 for line in lines if line.strip())
+    ):  # fmt: skip
+        named = ", ".join(list(often)[:3])
+        raise error(
+            f"{file} holds pairs of a name and a value ({named}, ...), a block "
+            "of lines for each reading, as a battery monitor sends them: write a row for each "
+            "block, with a column for each name and one for the time"
+        )
 
 
 def _check(names: list[str], line: int, file: object, error: type[InvalidInputError]) -> None:
@@ -426,7 +445,7 @@ def _mean_of(parts: Sequence[FloatArray]) -> FloatArray:
 
 def message_series(name: str) -> str:
     """Return the name of the series of a message's field: ``/a.b.c`` of ``/a.b[c]``."""
-    return f"/{re.sub(r'[][()]+', '.', name).strip('/.')}"
+    return f"/{re.sub(r'[][().]+', '.', name).strip('/.')}"
 
 
 def of_messages(
@@ -597,6 +616,24 @@ _OTHERS = {
                     "--format csv do"),
 }  # fmt: skip
 """What files are that are not read, and what makes a table of them, by suffix."""
+_BEGINNINGS = {
+    b"ARROW1": "a Feather file; pandas.read_feather(FILE).to_csv('log.csv') makes a table of it",
+    b"SQLite format 3": "an SQLite database; sqlite3 -header -csv FILE 'select * from TABLE' > "
+    "log.csv makes a table of it; a ROS 2 bag's is named .db3",
+    b"\x28\xb5\x2f\xfd": "compressed by zstd; unzstd FILE unpacks it; of a ROS 2 bag give the "
+    "folder with its metadata.yaml",
+    b"BZh": "compressed; bunzip2 FILE unpacks it",
+    b"\xfd7zXZ": "compressed; unxz FILE unpacks it",
+    b"\x1f\x8b": "compressed; name it with the ending .csv.gz",
+    b"PK\x03\x04": "a zip archive, as workbooks are; save the sheet that holds the log as CSV, or "
+    "unzip it",
+    b"\x89HDF": "of HDF5; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of its data sets",
+    b"\x93NUMPY": "of NumPy; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of it",
+    b"PAR1": "a Parquet file; name it with the ending .parquet",
+    b"#ROSBAG": "a ROS 1 bag; name it with the ending .bag",
+    b"\x89MCAP": "an MCAP file; name it with the ending .mcap",
+}
+"""The same by the first bytes, whatever the ending."""
 
 
 def read_table(
@@ -790,6 +827,12 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
             f"{str(file)!r} is a folder; give a .csv, .parquet, .mcap or .db3 file in it, or "
             "several as one drive, as in odom.csv+battery.csv"
         )
+    if suffix != ".parquet" and file.suffix.lower() not in (".gz", *_OTHERS) and file.is_file():
+        with file.open("rb") as stream:
+            head = stream.read(max(map(len, _BEGINNINGS)))
+        found = next((text for mark, text in _BEGINNINGS.items() if head.startswith(mark)), None)
+        if found is not None:
+            raise error(f"{file} is {found}")
     if suffix is None and file.suffix.lower() in _OTHERS:
         raise error(f"{file} is {_OTHERS[file.suffix.lower()]}")
     if suffix is None:

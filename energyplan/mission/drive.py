@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -13,7 +14,8 @@ from energyplan.battery import SAGS
 from energyplan.mission._order_kernel import GRAM
 from energyplan.mission.energy import Consumption, Estimate
 from energyplan.mission.routes import Leg, Legs
-from energyplan.mission.types import Mission
+from energyplan.mission.supply import Shares
+from energyplan.mission.types import Charger, Mission
 from energyplan.path import ROUNDING, FloatArray, Pose, Trajectory
 
 Kind = Literal["start", "drive", "wait", "work", "charge", "end"]
@@ -130,11 +132,9 @@ class Visit(NamedTuple):
 class Simulation:
     """Steps from state to state."""
 
-    def __init__(
-        self, legs: Legs, occupied: Mapping[int, Sequence[tuple[float, float]]] | None = None
-    ) -> None:
+    def __init__(self, legs: Legs, saves: bool = False) -> None:
         self.legs = legs
-        self.occupied = dict(occupied or {})  # when chargers are occupied by others [s], ascending
+        self.saves = saves  # whether it leaves chargers with `enough` as soon as it may
         self.mission: Mission = legs.mission
         self.quantile = legs.quantile
 
@@ -259,12 +259,21 @@ class Simulation:
             after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
         return after, run.soc, run.braked
 
-    def charge(self, state: Status, leave_by: float = np.inf) -> Status:
-        """Charge at the charger at hand up to its level, or until it is time to leave [s]."""
-        charger = self.mission.chargers[state.node - self.legs.chargers[0]]
-        supply = self.legs.supply
-        low = supply.charge(state.worst.soc, self.at_least(charger.until), charger)
-        high = supply.charge(state.expected.soc, charger.until, charger)
+    def charge(
+        self,
+        state: Status,
+        leave_by: float = np.inf,
+        until: float | None = None,
+        shares: Shares = (),
+    ) -> Status:
+        """Charge at the charger at hand up to a level, its own where none is given.
+
+        It ends earlier when it is time to leave [s]. Of several robots one has shares of the power.
+        """
+        charger, supply = self.charger(state), self.legs.supply
+        level = charger.until if until is None else until
+        low = supply.charge(state.worst.soc, self.at_least(level), charger, shares)
+        high = supply.charge(state.expected.soc, level, charger, shares)
         gauge = self.legs.gauge
         last = min(max(low.time[-1], high.time[-1]), leave_by - state.time)
         if last <= STEPPING.instant:
@@ -374,8 +383,7 @@ class Simulation:
             docked = self.dock(state, stop, quick)
             if docked is None:
                 return Visit(None, None)
-            leave_by = self.leave_by(docked, stops[1:], hurried[1:])
-            return Visit(None, self.charge(docked, leave_by))
+            return Visit(None, self.charged(docked, stops[1:], hurried[1:]))
         attempt = self.attempt(state, stop, quick)
         return Visit(attempt, attempt.after if attempt.reason == "none" else None)
 
@@ -398,14 +406,33 @@ class Simulation:
         return state, tuple(visits)
 
     def dock(self, state: Status, charger: int, hurried: bool = False) -> Status | None:
-        """Drive to a charger and wait until it is free; None where the battery does not last."""
+        """Drive to a charger; None where the battery does not last."""
         docked = self.drive(state, charger, hurried)
-        if docked is None or not self.holds(docked):
-            return None
-        for begin, end in self.occupied.get(charger, ()):
-            if begin < self.charge(docked).time and docked.time < end:
-                docked = self.wait_until(docked, end)
-        return docked if self.holds(docked) else None
+        return docked if docked is not None and self.holds(docked) else None
+
+    def charged(
+        self, docked: Status, stops: Sequence[int], hurried: Sequence[bool], shares: Shares = ()
+    ) -> Status:
+        """Charge in time for the windows of later stops, and where that is wanted no more."""
+        leave_by = self.leave_by(docked, stops, hurried)
+        charger = self.charger(docked)
+        if not (self.saves and charger.enough):
+            return self.charge(docked, leave_by, shares=shares)
+        full = Simulation(self.legs)
+
+        def suffices(level: float) -> bool:
+            after = full.charge(docked, leave_by, level)
+            return full.arrives(full.follow(after, stops, hurried)[0]) is not None
+
+        low, high = (int(np.ceil(100 * soc)) for soc in (docked.expected.soc, charger.until))
+        levels = [percent / 100 for percent in range(low, high)]
+        least = bisect_left(levels, True, key=suffices)
+        level = levels[least] if least < len(levels) else charger.until
+        return self.charge(docked, leave_by, level, shares)
+
+    def charger(self, docked: Status) -> Charger:
+        """Return the charger at hand."""
+        return self.mission.chargers[docked.node - self.legs.chargers[0]]
 
     def missing(self, attempt: Attempt) -> tuple[bool, float]:
         """Sort what works by energy before what does not by what is missing."""

@@ -9,7 +9,7 @@ energy at its bound.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -21,6 +21,7 @@ from energyplan import html
 from energyplan.battery import SAGS, Battery
 from energyplan.errors import BatteryError, EnergyPlanError, MissionError
 from energyplan.mission.drive import Attempt, Simulation, Status
+from energyplan.mission.headings import with_poses
 from energyplan.mission.order import Order, attempt, best_stops, finish
 from energyplan.mission.report import (
     Alternative,
@@ -55,6 +56,7 @@ class Remedying(NamedTuple):
     confirmed: int = 8  # tasks of a free order up to which a remedy is confirmed by solving it anew
     minute: float = 60.0  # least time that a remedy saves [s]
     finer: float = 0.01  # steps in which strings are added, in units of those of the battery
+    plans: int = 2  # plans of one of several robots beyond one for each of its tasks
     most: float = 10.0  # batteries beyond so many times the one on board are not proposed
 
 
@@ -103,8 +105,36 @@ def evaluate(
     if mission.robots:
         from energyplan.mission.robots import Sharing
 
+        first = mission.parts[0]  # the poses suit this robot, whoever comes there
+        known = {task.name: task for task in with_poses(first, Legs(first)).tasks}
+        tasks = tuple(known.get(task.name, task) for task in mission.tasks)
+        if any(task.goals for task in tasks):
+            mission = replace(mission, tasks=tasks)
         return Sharing(mission, progress, routes).report()
-    return Evaluation(mission, progress, Legs(mission, progress, routes)).report()
+    legs = Legs(mission, progress, routes)
+    chosen = with_poses(mission, legs)
+    if chosen is mission:
+        return Evaluation(mission, progress, legs).report()
+    return _with_chosen_poses(chosen, progress, legs.routes)
+
+
+def _with_chosen_poses(mission: Mission, progress: Progress, routes: Routes) -> MissionReport:
+    """Evaluate a mission, and anew with the poses that are best for the order that was found."""
+    best = Evaluation(mission, progress, Legs(mission, progress, routes)).report()
+    for _ in range(_AGAIN):
+        names = [task.name for task in mission.tasks]
+        order = [names.index(name) for name in best.order if name in names]
+        again = with_poses(mission, Legs(mission, progress, routes), order)
+        if [task.pose for task in again.tasks] == [task.pose for task in best.mission.tasks]:
+            break
+        other = Evaluation(again, progress, Legs(again, progress, routes)).report()
+        if (not other.feasible, other.energy) >= (not best.feasible, best.energy):
+            break
+        best = other
+    return best
+
+
+_AGAIN = 2  # rounds of choosing poses for the order that was found
 
 
 class _Try(NamedTuple):
@@ -115,19 +145,26 @@ class _Try(NamedTuple):
     earlier: tuple[int, ...]
 
 
+class Docking(NamedTuple):
+    """A robot that has come to a charger, and what it has before it."""
+
+    state: Status
+    stops: tuple[int, ...]
+    hurried: tuple[bool, ...]
+
+
 class Evaluation:
     """One mission on its way to a report."""
 
     def __init__(
         self, mission: Mission, progress: Progress, legs: Legs,
-        occupied: Mapping[int, Sequence[tuple[float, float]]] | None = None,
         tasks: Sequence[int] | None = None,
     ) -> None:  # fmt: skip
         self.mission = mission
         self.shared = tasks is not None
         self.tasks = range(len(mission.tasks)) if tasks is None else tasks
         self.legs = legs
-        self.sim = Simulation(self.legs, occupied)
+        self.sim = Simulation(self.legs, saves=any(one.enough for one in mission.chargers))
         self.progress = progress
         self.attempts: dict[int, _Try] = {}
         self.before: dict[Remedy, tuple[str, ...]] = {}  # tasks that are done first with a remedy
@@ -138,7 +175,10 @@ class Evaluation:
     def report(self) -> MissionReport:
         """Do the tasks, find the way home, and explain what is left out."""
         self.go()
-        last = finish(self.sim, self.end)
+        return self.written(finish(self.sim, self.end))
+
+    def written(self, last: Status | None) -> MissionReport:
+        """Return what comes of the tasks; `last` is where it ends, None where it cannot."""
         self.end = self.end if last is None else last
         alternatives = () if last is None else self._compared(last)
         # a robot's share has no remedies: what it cannot do is offered to the others
@@ -178,7 +218,7 @@ class Evaluation:
         energies, best = dict[OrderKind, float](), end.total.mean
         legs = self.legs.under(replace(self.mission, order="given"))
         for name, tasks in orders.items():
-            again = Evaluation(legs.mission, self.progress, legs, self.sim.occupied, tasks)
+            again = Evaluation(legs.mission, self.progress, legs, tasks)
             again.go()
             last = finish(again.sim, again.end)
             energies[name] = np.nan
@@ -203,7 +243,7 @@ class Evaluation:
         turns = [state] * len(self.mission.tasks)  # where the robot is when a task has its turn
         for at, stop in enumerate(found.stops):
             visit = (
-                found.visits[at] if found.visits
+                found.visits[at] if found.visits and not sim.saves
                 else sim.visit(state, found.stops[at:], found.hurried[at:])
             )  # fmt: skip
             if visit.attempt is not None:
@@ -219,6 +259,37 @@ class Evaluation:
             elif k not in self.attempts:
                 state = self._done(state, k, sim.nearest(state, k))
         self.end = state
+
+    def among_others(self, found: Order) -> Generator[Docking, Status | None]:
+        """Do the tasks of one of several robots, in an order that was found for it alone.
+
+        Where it docks it stands on the clock of all: it is sent its state after the charge, or None
+        where it cannot wait. What then does not hold is planned anew from where it is.
+        """
+        sim, state, left = self.sim, self.sim.start, list(self.tasks)
+        self.found = found
+        for _ in range(len(left) + REMEDYING.plans):
+            before = state
+            for at, (stop, quick) in enumerate(zip(found.stops, found.hurried, strict=True)):
+                after = None
+                if stop in self.legs.chargers:
+                    docked = sim.dock(state, stop, quick)
+                    if docked is not None:
+                        rest = found.stops[at + 1 :], found.hurried[at + 1 :]
+                        after = yield Docking(docked, *rest)
+                elif (tried := sim.attempt(state, stop, quick)).reason == "none":
+                    task, after = self.legs.task_at(stop), tried.after
+                    self.attempts[task] = _Try(state, tried, tuple(self.done))
+                    self.done.append(task)
+                    left.remove(task)
+                if after is None:
+                    break
+                state = after
+            self.end = state
+            home = not left and sim.arrives(state) is not None
+            if home or not found.stops or state is before:
+                break
+            found = best_stops(sim, state, left, self.progress)
 
     def _done(self, state: Status, task: int, tried: Attempt) -> Status:
         """Return the state after a task that was tried; if need be after charging or in a hurry."""
@@ -425,13 +496,15 @@ class Evaluation:
         """Return the least charge to leave chargers with, and the time that it saves [s]."""
         found, most = self.found, end.total.mean + ROUNDING * abs(end.total.mean)
         visited = {stop.name for stop in stops(end.trip) if stop.kind == "charge"}
-        levels = [one.until for one in self.mission.chargers if one.name in visited]
+        levels = [
+            one.until for one in self.mission.chargers if one.name in visited and not one.enough
+        ]
         tasks = [self.legs.task_at(s) for s in found.stops if s in self.legs.options]
         if not levels or self.done != tasks:
             return (), 0.0
 
         def last(remedy: Remedy) -> Status | None:
-            sim = Simulation(self.legs.under(self.mission.with_remedy(remedy)), self.sim.occupied)
+            sim = Simulation(self.legs.under(self.mission.with_remedy(remedy)))
             then = sim.arrives(sim.follow(sim.start, found.stops, found.hurried)[0])
             return None if then is None or then.total.mean > most else then
 
@@ -483,7 +556,7 @@ class Evaluation:
         """Return the whole mission with a remedy, driven; at another speed routes change."""
         changed = self.mission.with_remedy(remedy)
         anew = remedy.kind in ("drop", "speed", "cheapest_speed")
-        again = Evaluation(changed, None, self.legs.under(changed, anew=anew), self.sim.occupied)
+        again = Evaluation(changed, None, self.legs.under(changed, anew=anew))
         again.go()
         return again
 

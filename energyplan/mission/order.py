@@ -28,11 +28,11 @@ from energyplan.mission._order_kernel import (
     OrderProblem,
     Rest,
     Stages,
-    Tours,
     completions,
     search,
-    share,
 )
+from energyplan.mission._tour_bound import orders_at_least
+from energyplan.mission._tours_kernel import Tours, share
 from energyplan.mission.drive import Attempt, Simulation, Status, Visit
 from energyplan.mission.energy import Estimate
 from energyplan.mission.routes import Leg, Progress
@@ -55,7 +55,8 @@ class Ordering(NamedTuple):
     earlier: float = 1e-5  # prize that the first task of a given order has beyond the last one
     rounds: int = 25  # most rounds of solving and planning
     few_rounds: int = 3  # the same beyond `EXACT` tasks
-    shares: int = 3000  # rounds in which tasks are taken out and put in anew
+    shares: int = 8000  # rounds in which tasks are taken out and put in anew, at most
+    shares_each: int = 500  # the same for each task
     halves: int = 3  # cautions that are tried between none and full
     least_scale: float = 0.8  # part of its energy that a battery is trusted with at least
     smaller: float = 0.98  # steps down to it
@@ -63,6 +64,7 @@ class Ordering(NamedTuple):
     levels: int = 3  # payloads at which legs are priced where there are many
     most_loads: int = 1024  # payloads that are distinguished at most
     each: int = 64  # most payloads of a problem, and most that each leg is priced with
+    alike: float = 0.01  # part of their range by which payloads differ that are priced as one
     same: float = 1e-6  # part of an energy by which orders differ that count as one
     # parts of a charge whose mean power counts; those after the first one where time presses
     paces: tuple[tuple[float, float], ...] = ((0.0, 1.0), (0.0, 0.5), (0.5, 1.0))
@@ -138,9 +140,7 @@ def shared(
     own = [range(n)] * len(problems) if own is None else own
     tours = _tours(problems, prize, own)
     task = tours.option
-    chances = np.random.default_rng(0).random((ORDERING.shares, 3 + n + len(problems)))
-    open_to_all = chances.copy()
-    open_to_all[:, 3 + n :] = 1.0
+    rounds = min(ORDERING.shares, ORDERING.shares_each * n)
 
     def price(given: list[list[int]]) -> tuple[float, float]:
         """Price what is given by the search for each robot's order, with its charges."""
@@ -153,8 +153,11 @@ def shared(
         return round(-done, 6), energy
 
     tried = [
-        [list(map(int, task[row[:k]])) for row, k in zip(*share(tours, drawn), strict=True)]
-        for drawn in ((open_to_all, chances) if len(problems) > 1 else (open_to_all,))
+        [list(map(int, task[row[:k]])) for row, k in zip(*found, strict=True)]
+        for found in (
+            share(tours, rounds, 0, open_to_all)
+            for open_to_all in ((True, False) if len(problems) > 1 else (True,))
+        )
     ]
     best = min(tried, key=price)
     return best, sorted(set(range(n)) - {task for tasks in best for task in tasks})
@@ -198,7 +201,8 @@ def _tours(
         change=change,
         prize=2.0 * max(float(largest), 1.0) / least * np.asarray(prize, float),
         budget=np.array([one.budget for one in problems], float),
-        capacity=np.array([one.capacity.max(initial=0.0) for one in problems], float),
+        capacity=np.array([one.capacity for one in problems], float).reshape(robots, m),
+        charge_power=np.array([one.charge_power for one in problems], float).reshape(robots, m),
         start_time=np.array([one.start_time for one in problems], float),
         payload=np.array([one.payload for one in problems], float),
     )
@@ -355,6 +359,19 @@ def loads_of(payload: float, change: FloatArray) -> FloatArray:
     return np.array(sorted(loads))
 
 
+def alike(loads: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the largest of each group of payloads that hardly differ [kg].
+
+    Rows of nearly one length leave as many payloads as there are sets of them.
+    """
+    near = ORDERING.alike * float(np.ptp(loads))
+    first = [0]
+    for k, load in enumerate(loads):
+        if load - loads[first[-1]] > near:
+            first.append(k)
+    return loads[first], loads[[*(k - 1 for k in first[1:]), len(loads) - 1]]
+
+
 def _closed(energy: FloatArray) -> FloatArray | None:
     """Return the least energies from place to place over any others; None where nothing is least.
 
@@ -405,7 +422,8 @@ def best_stops(
             return Order(stops, straight, proven=True, gap=0.0, visits=visits)
     trials = OrderSearch(sim, state, tuple(tasks), progress)
     if not trials.exact:
-        return trials.at_bounds().answer()
+        found = trials.at_bounds()
+        return found.answer(trials.gap_to_bound(found))
     hope = trials.tried(0.0, ideal=True)
     found, low, high = hope, 0.0, 1.0
     if not trials.gap(hope, hope) <= ORDERING.same:
@@ -493,6 +511,23 @@ class OrderSearch:
             return 0.0 if spent <= hope.bound + ORDERING.same else float(np.nan)
         return max(1.0 - hope.bound / spent, 0.0)
 
+    def gap_to_bound(self, found: Order) -> float:
+        """Return the gap of an order of all tasks to a bound of any such order."""
+        whole = sum(prizes([self.sim.mission.tasks[k] for k in self.tasks]))
+        if found.end is None or self.prize(found) < whole - ORDERING.same:
+            return float(np.nan)
+        matrix = Matrix(self.sim, self.state, self.tasks, 0.0, ideal=True)
+        spent = found.end.total.mean - self.state.total.mean
+        return gap_of([matrix], [range(len(self.tasks))], spent)
+
+
+def gap_of(matrices: Sequence[Matrix], own: Sequence[Sequence[int]], spent: float) -> float:
+    """Return by which fraction of what was spent on all tasks robots may do with less at most."""
+    if not (spent > 0 and all(one.bounds_loads for one in matrices)):
+        return float(np.nan)
+    bound = orders_at_least([one.problem() for one in matrices], own, spent)
+    return max(1.0 - bound / spent, 0.0) if np.isfinite(bound) else float(np.nan)
+
 
 class Matrix:
     """Energies between places, known or bounded, and the energy that the battery holds.
@@ -522,7 +557,7 @@ class Matrix:
         self.exact = mission.order == "given" or len(tasks) <= EXACT
         loads = loads_of(state.payload, change)
         # few loads are priced each for itself; of many, some are, and the others lie in between
-        self._each = self.exact and len(loads) < ORDERING.each
+        self._each = self.exact and len(alike(loads)[0]) < ORDERING.each
         self._levels = np.linspace(low, high, 1 if low == high else ORDERING.levels)
         self._inflation = 1.0
         self._power = sim.legs.driving_power
@@ -533,6 +568,11 @@ class Matrix:
     def true(self) -> bool:
         """Whether energies and times of an order are those of its legs at each payload."""
         return len(self._levels) == 1 or (self._each and not self._sim.timed)
+
+    @property
+    def bounds_loads(self) -> bool:
+        """Whether no energy is less than that with the smallest payload."""
+        return len(self._levels) == 1 or self._sim.mission.heights is None
 
     # -- energies ---------------------------------------------------------------------------------
 
@@ -706,9 +746,9 @@ class Matrix:
         inner = np.ix_(self.nodes, self.nodes)
         late = self._late * sim.quantile * state.time_spread
         change = np.array([task.change for task in tasks], float)
-        loads = loads_of(state.payload, change)
-        # what cannot be carried is never reached
-        able = np.maximum(loads, 0.0).tolist()
+        least, loads = alike(loads_of(state.payload, change))
+        # the lighter one bounds all orders; what cannot be carried is never reached
+        able = np.maximum(least if self._ideal else loads, 0.0).tolist()
         return OrderProblem(
             **self._fixed,
             option=self._option,

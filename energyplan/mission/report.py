@@ -312,6 +312,15 @@ class MissionReport(html.Readable):
         return f"{self.headline};{subject} {text}" if self.duration else self.headline
 
     @property
+    def doubt(self) -> str:
+        """How much a better order could save; empty where none can, or none was looked for."""
+        if self.proven or (self.mission.order == "given" and not self.robots):
+            return ""
+        if np.isnan(self.gap):
+            return "how much a better order could save is not known"
+        return f"a better order could save at most {100 * self.gap:.1f} % of the energy"
+
+    @property
     def compared(self) -> str:
         """How the order found compares with others; empty where none was looked at."""
         names = {"given": "in the order given", "row after row": "row after row"}

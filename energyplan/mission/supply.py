@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,6 +27,10 @@ class Charging(NamedTuple):
 
 
 CHARGING = Charging()
+
+
+Shares = Sequence[tuple[float, float]]
+"""Which part of a charger's power a battery gets, from so long after its charge began [s]."""
 
 
 class Gauge(NamedTuple):
@@ -108,7 +113,7 @@ class Supply:
         current = self.battery.max_charge_current
         return min(power, float(self.battery.ocv(1.0)) * current)
 
-    def charge(self, charge: float, until: float, charger: Charger) -> Charged:
+    def charge(self, charge: float, until: float, charger: Charger, shares: Shares = ()) -> Charged:
         """Charge at a charger from a state of charge until another, or until it rises no more."""
         battery = at_charger(self.battery, charger)
         t, soc, joules = [0.0], [charge], [0.0]
@@ -117,7 +122,7 @@ class Supply:
             begun, hour, before = soc[-1], t[-1], joules[-1]
             if begun >= until:
                 break
-            run, power = _filled(battery, charger, steps, begun)
+            run, power = _filled(battery, charger, steps, begun, _parts(shares, hour + steps))
             offered = np.concatenate([[0.0], np.cumsum(power[:-1] * np.diff(steps))])
             taken = before + offered - run.braked
             reached = np.flatnonzero(run.soc >= until)
@@ -147,19 +152,31 @@ def _levels(charger: Charger) -> FloatArray:
     return np.array([soc for soc, _ in charger.power] if isinstance(charger.power, tuple) else 1.0)
 
 
+def _parts(shares: Shares, t: FloatArray) -> FloatArray:
+    """Return the mean share of a charger's power from each time to the next."""
+    if not shares:
+        return np.ones(len(t))
+    begin, part = np.array(shares, float).T
+    # the sum of the shares up to each of their begins, and up to the end of the times
+    ends = np.append(begin, max(float(begin[-1]), float(t[-1])) + CHARGING.step)
+    whole = np.concatenate([[0.0], np.cumsum(part * np.diff(ends))])
+    return np.asarray(np.diff(np.interp(np.append(t, t[-1] + CHARGING.step), ends, whole))
+                      / np.diff(np.append(t, t[-1] + CHARGING.step)))  # fmt: skip
+
+
 def _filled(
-    battery: BatteryModel, charger: Charger, t: FloatArray, soc: float
+    battery: BatteryModel, charger: Charger, t: FloatArray, soc: float, part: FloatArray
 ) -> tuple[BatteryRun, FloatArray]:
     """Return a battery while it is charged, and the power that it is offered from each time on.
 
     The power follows the state of charge in the middle of each step, on which the step before
     decides. Each pass has at least one step more right, so the passes end.
     """
-    power = np.full(len(t), float(charger.offers(soc)))
+    power = float(charger.offers(soc)) * part
     while True:
         run = battery.simulate(t, -power, soc=soc)
         rise = np.diff(run.soc, prepend=run.soc[0])
-        then = charger.offers(np.minimum(run.soc + 0.5 * rise, 1.0))
+        then = charger.offers(np.minimum(run.soc + 0.5 * rise, 1.0)) * part
         if np.all(np.abs(then - power) <= CHARGING.same * then):
             return run, power
         power = then

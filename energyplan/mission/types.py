@@ -19,9 +19,10 @@ from pydantic_core import ArgsKwargs
 from energyplan import html
 from energyplan.battery import PERCENT, Battery, BatteryModel, Temperature
 from energyplan.cost.speeds import tread_speed
-from energyplan.errors import MissionError, PathError
+from energyplan.errors import InvalidInputError, MissionError, PathError
 from energyplan.mission._order_kernel import GRAM
 from energyplan.path import PLACE, FloatArray, Path, Pose, as_pose, parse_pose, wrap_angle
+from energyplan.planning.goal import Goal, as_goals, only_pose
 from energyplan.planning.problem import free_beside, where_free
 from energyplan.power import USUAL_RUN_SPREAD, PowerModel
 from energyplan.power.effects import reads_slope
@@ -142,7 +143,9 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
         if value not in places:
             known = ", ".join(sorted(places)) or "none"
             raise ValueError(f"there is no place {value!r}; the places are {known}")
-        value = places[value]
+        value, name = places[value], value
+        if isinstance(value, Goal):
+            raise ValueError(f"the place {name!r} has no yaw; write it as [x, y, yaw]")
     if isinstance(value, str) or (
         isinstance(value, list) and any(isinstance(part, str) for part in value)
     ):
@@ -153,6 +156,30 @@ def _pose(value: Any, info: ValidationInfo) -> Pose:
 Place = Annotated[Pose, PlainValidator(_pose)]
 
 
+def _named(value: Any, info: ValidationInfo) -> Pose | Goal:
+    """Read what a name stands for: a pose, or a place at any heading."""
+    try:
+        (goal,) = as_goals(value)
+    except ValueError:
+        return _pose(value, info)
+    return goal.pose or goal
+
+
+NamedPlace = Annotated[Any, PlainValidator(_named)]
+
+
+def _goals(value: Any, info: ValidationInfo, heading: str, radius: float) -> tuple[Goal, ...]:
+    """Read where a task may be done: what `_pose` reads, a place, a `Goal`, or a list of these."""
+    places: Mapping[str, Any] = (info.context or {}).get("places", {})
+
+    def placed(one: Any) -> Any:
+        return places.get(one, one) if isinstance(one, str) else one
+
+    found = [placed(one) for one in value] if isinstance(value, list) else placed(value)
+    return as_goals(found, heading, radius)
+
+
+_HEADINGS, _AROUND = 16, 8  # poses of a goal that are tried until one is free, on circles more
 Row = tuple[float, ...]
 """A point of a path: x, y [m], and where all have one the yaw [rad]."""
 
@@ -249,6 +276,24 @@ def _share(greatest: float, usual: float) -> Within:
     return Within((0, greatest), (0, usual), "", PERCENT)
 
 
+def _part_goal(values: dict[str, Any], info: ValidationInfo) -> None:
+    """Part where a task may be done into one pose of it, and the goals if there is a choice."""
+    heading, radius = values.pop("heading", None), values.pop("radius", None)
+    if isinstance(values["pose"], Pose) and heading is None and radius is None:
+        return  # with the goals that it was chosen from, if any
+    try:
+        wanted = 0.0 if radius is None else float(amount("length", radius))
+        goals = _goals(values["pose"], info, "" if heading is None else str(heading), wanted)
+    except (*NO_NUMBER, InvalidInputError):
+        if heading is None and radius is None and not isinstance(values["pose"], Goal):
+            return  # what is wrong with a pose is said where it is read
+        raise
+    pose = only_pose(goals)
+    if pose is None:
+        values["goals"], pose = goals, Pose(goals[0].x, goals[0].y, goals[0].yaw or 0.0)
+    values["pose"] = pose
+
+
 @record(MissionError)
 class Task:
     """Something to be done at a place, or along a path.
@@ -257,8 +302,9 @@ class Task:
     ----------
     name : str
         Name, unique in the mission.
-    pose : Pose, optional
-        Where it is done; a task has a pose or a path.
+    pose : Pose, Goal or a list of these, optional
+        Where it is done, as a place ``(x, y)`` at any heading; a task has a pose or a path. Where
+        there is a choice, the poses of all tasks are those that cost least together; see `Goal`.
     dwell : float
         How long it takes there [s]; a path takes as long as its drive.
     power : float
@@ -285,6 +331,8 @@ class Task:
         Tread speed along the path [m/s]; that of the mission where not given.
     payload_per_metre : float
         What each metre of the path takes on board (positive) or leaves behind (negative) [kg/m].
+    goals : tuple of Goal
+        What `pose` was given as; empty where that is a single pose.
 
     Raises
     ------
@@ -314,15 +362,25 @@ class Task:
     path: Annotated[tuple[Row, ...], PlainValidator(_points)] = ()
     direction: Literal["either", "given"] = "either"
     speed: Speed | None = None
-    payload_per_metre: Annotated[Number, Within((-1e4, 1e4), (-100, 100), "kg/m")] = 0.0
+    payload_per_metre: Annotated[
+        float, amount_of("mass per length"), Within((-1e4, 1e4), (-100, 100), "kg/m")
+    ] = 0.0
+    goals: tuple[Goal, ...] = ()
 
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _distributions(cls, given: Any) -> Any:
-        """Part what is given as a distribution into its mean and its standard deviation."""
+    def _distributions(cls, given: Any, info: ValidationInfo) -> Any:
+        """Part a distribution into mean and standard deviation, and a goal into poses."""
         if not isinstance(given, dict | ArgsKwargs):
             return given  # pydantic refuses it by its kind
         values = dict(given if isinstance(given, dict) else given.kwargs or {})
+        if isinstance(given, ArgsKwargs) and len(given.args) > 1:
+            named = {"pose": given.args[1], **values}
+            _part_goal(named, info)
+            given = ArgsKwargs((given.args[0], named.pop("pose"), *given.args[2:]))
+            values = named
+        elif values.get("pose") is not None:
+            _part_goal(values, info)
         for key, kind in (("dwell", "time"), ("power", "power")):
             spread = _part(values, key, kind)
             if spread is not None:
@@ -431,11 +489,16 @@ class Charger:
         Of several robots, how many can charge there at a time.
     efficiency : float
         Energy that it gives over the energy that it draws from the mains.
+    shared : bool
+        Whether those who charge there at a time share its power evenly; else each has all of it.
+    enough : bool
+        Whether the robot leaves as soon as the rest of the mission needs no more, in steps of 1 %;
+        `until` is then the most.
 
     Raises
     ------
     MissionError
-        If a value is not finite or out of its range.
+        If a value is not finite or out of its range, or one place is to be shared.
 
     Examples
     --------
@@ -455,6 +518,15 @@ class Charger:
     temperature: Temperature | None = None
     places: Annotated[int, amount_of("number"), Within((1, 1000), (1, 20))] = 1
     efficiency: Annotated[Fraction, Within((0.01, 1), (0.5, 1), "", PERCENT)] = 1.0
+    shared: bool = False
+    enough: bool = False
+
+    def __post_init__(self) -> None:
+        if self.shared and self.places == 1:
+            raise MissionError(
+                f"charger {self.name!r} shares its power and has one place; give it 2 places or "
+                "more, or leave out shared"
+            )
 
     def offers(self, soc: ArrayLike) -> FloatArray:
         """Return the power that it offers at states of charge [W]."""
@@ -799,6 +871,7 @@ class Mission(ReadOnly, html.Readable):
         self._check_numbers()
         self._check_models()
         self._move_start()
+        self._free_goals()
         self._check_poses()
 
     def _lay_ground(self) -> None:
@@ -885,6 +958,21 @@ class Mission(ReadOnly, html.Readable):
                 object.__setattr__(self, "home", moved.pose)
             object.__setattr__(self, "start", moved.pose)
             object.__setattr__(self, "notes", (*self.notes, moved.note))
+
+    def _free_goals(self) -> None:
+        """Give each task with a choice of poses one at which the robot is free, if there is one."""
+        tasks = list(self.tasks)
+        for k, task in enumerate(tasks):
+            if (
+                task.goals
+                and task.pose
+                and not self.free_map.footprint_free(task.pose, self.vehicle)
+            ):
+                poses = np.concatenate([goal.samples(_HEADINGS, _AROUND) for goal in task.goals])
+                free = poses[self.free_map.footprint_free(poses, self.vehicle)]
+                if len(free):
+                    tasks[k] = replace(task, pose=Pose(*free[0].tolist()))
+        object.__setattr__(self, "tasks", tuple(tasks))
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]

@@ -275,8 +275,8 @@ def _mission(page: Page, report: MissionReport, when: str = "") -> None:
     """Add what comes of a mission to its page, flagged tasks first."""
     end = "" if report.robots else f" It ends at {report.end}."
     page.paragraph(f"{report.sentence[0].upper()}{report.sentence[1:]}.{end}", "lead")
-    if report.compared:
-        page.paragraph(f"{report.compared[0].upper()}{report.compared[1:]}.")
+    for sentence in filter(None, (report.doubt, report.compared)):
+        page.paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
     for task in report.left_out:
         remedy = f"; remedy: {task.remedy}" if task.remedy else ""
         page.paragraph(f"{task.name} is out of reach: {task.detail}{remedy}", "flag")

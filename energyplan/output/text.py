@@ -171,7 +171,7 @@ def mission(report: MissionReport) -> list[str]:
     tables = [line for one in report.tables for line in one.text().splitlines()]
     why = () if report.robots else report.obstacles  # of several robots a table has them
     warnings = (f"warning: {warning}" for warning in report.warnings)
-    compared = filter(None, (report.compared,))
+    compared = filter(None, (report.doubt, report.compared))
     return [report.sentence, *compared, *why, *warnings, *tables]
 
 

@@ -133,7 +133,13 @@ def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> LearnedModel:
             "resistance and friction alone were identified"
         )
         return LearnedModel(model, (), note=note)
-    outcome = diagnose(*split_drives(long), vehicle)
+    drives = split_drives(long)
+    outcome = diagnose(*drives, vehicle)
+    if outcome.suspects:
+        outcome = diagnose(
+            *drives, vehicle, border="border" in outcome.suspects,
+            change="change" in outcome.suspects,
+        )  # fmt: skip
     found = tuple(LearnedEffect(e.name, e.value, e.std_error, e.unit) for e in outcome.effects)
     most = outcome.explanations[0].probability
     likely = [e for e in outcome.explanations if e.probability > LIKELY * most]

@@ -1,6 +1,7 @@
 """Planners: one `PlanningProblem` in, one `Plan` out."""
 
 from energyplan.planning.budget import Budget, cancellable
+from energyplan.planning.goal import Goal
 from energyplan.planning.plans import (
     PLANNERS,
     Candidate,
@@ -16,6 +17,7 @@ __all__ = [
     "PLANNERS",
     "Budget",
     "Candidate",
+    "Goal",
     "Plan",
     "Planner",
     "PlanningProblem",

@@ -36,6 +36,7 @@ class Units(NamedTuple):
     follow: float = 1.0  # a motion along poses that lie close together
     expansion: float = 0.3  # of the lattice
     state: float = 0.05  # of the search for routes
+    step: float = 0.025  # of the search for straight routes
     pose: float = 0.03  # a pose that is tested for collision
     motion: float = 0.07  # a motion that is tested for collision
     drive: float = 500.0  # a path that is timed
@@ -115,6 +116,9 @@ class Budget:
             )
         self._begun = time.perf_counter()
         self._spent = [0.0]
+        self._grown = [0.0]  # units that a default effort has more, shared by the parts
+        self._share = 1.0  # part of these that is this budget's
+        self._grows = False
         self._hurried = [False]
         self._unwanted = _unwanted.get()
         self.effort = effort
@@ -128,9 +132,14 @@ class Budget:
         return self._spent[0]
 
     @property
+    def _whole(self) -> float:
+        """Units of work at which the budget ends."""
+        return self._end + self._share * self._grown[0]
+
+    @property
     def left(self) -> float:
         """Units of work left; no more than the time left is enough for."""
-        units = max(self._end - self._spent[0], 0.0)
+        units = max(self._whole - self._spent[0], 0.0)
         if not isfinite(self._deadline):
             return units
         timed = max(self._deadline - time.perf_counter(), 0.0) * PACE
@@ -159,6 +168,17 @@ class Budget:
         if self._unwanted():
             raise CancelledError("the planning was cancelled")
 
+    def spend_on_map(self, units: float) -> None:
+        """Count work that grows with a map; a default effort grows by what exceeds its quarter."""
+        if self._grows:
+            self._grown[0] += max(units - SHARES.aside * (self.effort or 0), 0.0)
+        self.spend(units)
+
+    @property
+    def limit(self) -> int | None:
+        """Units of work that may be spent, with those for a large map; None by the clock."""
+        return None if self.effort is None else self.effort + round(self._grown[0])
+
     def _until(self, end: float, deadline: float) -> Budget:
         other = object.__new__(Budget)
         other.__dict__.update(self.__dict__, _end=end, _deadline=deadline)
@@ -166,12 +186,14 @@ class Budget:
 
     def part(self, share: float) -> Budget:
         """Return a budget that ends when this share of what is left has been used."""
-        end, deadline, rest = self._end, self._deadline, 1.0 - share
+        end, deadline, rest = self._whole, self._deadline, 1.0 - share
         if isfinite(end):
             end -= rest * max(end - self.spent, 0.0)
         if isfinite(deadline):
             deadline -= rest * max(deadline - time.perf_counter(), 0.0)
-        return self._until(end, deadline)
+        other = self._until(end - share * self._share * self._grown[0], deadline)
+        other._share = share * self._share
+        return other
 
     def apart(self, units: float) -> Budget:
         """Return a separate budget for work that runs in parallel with other work.
@@ -184,7 +206,7 @@ class Budget:
             other = self._until(min(units, self.left), self._deadline)
         else:
             other = self._until(inf, min(self._deadline, time.perf_counter() + units / PACE))
-        other._spent = [0.0]
+        other._spent, other._grown = [0.0], [0.0]
         return other
 
     def beside(self, make: Callable[[], Result]) -> Result:
@@ -214,19 +236,21 @@ class Budget:
     @property
     def notes(self) -> tuple[str, ...]:
         """What to say of a plan that the clock has ended."""
-        if self.effort is None or not self.hurried or self.spent >= self.effort:
+        if self.limit is None or not self.hurried or self.spent >= self.limit:
             return ()
         return (
             f"stopped by the clock after {self.elapsed:.1f} s, with {self.spent:.0f} of "
-            f"{self.effort} units of work done; a larger time_limit goes on",
+            f"{self.limit} units of work done; a larger time_limit goes on",
         )
 
 
 def plan_budget(time_limit: float, effort: int | None, counts: bool = True) -> Budget:
     """Return the budget of a plan, with the default effort where none is given."""
     if effort is None and counts:
-        effort = EFFORT
-    elif effort is None and not isfinite(time_limit):
+        budget = Budget(time_limit, effort=EFFORT)
+        budget._grows = True
+        return budget
+    if effort is None and not isfinite(time_limit):
         time_limit = EFFORT / PACE
     return Budget(time_limit, effort=effort)
 

@@ -184,12 +184,13 @@ def drive_plan(problem: PlanningProblem, path: Path) -> DrivenPath:
 
 
 def stops_count(problem: PlanningProblem) -> bool:
-    """Return whether paths are compared by the energy that driving them takes."""
+    """Return whether paths are compared by what driving them takes."""
     weights = {name for name, weight in problem.weights.items() if weight > 0}
     speed = float(problem.cost.cheapest_speed(0.0))
-    priced = problem.surfaces is not None and any(problem.surfaces.seconds)
-    if weights != {"energy"} or problem.softened or priced or not np.isfinite(speed):
+    if "length" in weights or not np.isfinite(speed):
         return False
+    if "time" in weights or (problem.surfaces is not None and any(problem.surfaces.seconds)):
+        return True
     found = priced_models(problem.cost, problem.surfaces)
     models = [found.model]
     if found.surfaces is not None:

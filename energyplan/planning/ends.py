@@ -135,7 +135,7 @@ def _joined_ways(
         if not found:
             budget.beside(partial(regions_for, setting))
         to_go = cost_to_go(setting)
-        budget.spend(to_go.work / UNITS.nodes)
+        budget.spend_on_map(to_go.work / UNITS.nodes)
         far = cost_at_start(to_go, setting) * setting.least_metre
         least = steering_cost(setting, setting.start, setting.goal)
         cost = sum(query.value(path) for path in ways.paths) + max(far, least)

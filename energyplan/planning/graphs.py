@@ -505,7 +505,7 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
         ahead = np.array([np.cos(yaw), np.sin(yaw)])
         x, y = (start - longitudinal * ahead).tolist()
         ends = Pose(x, y, yaw), Pose(x + length * ahead[0], y + length * ahead[1], yaw)
-        asked = replace(problem, start=ends[0], goal=ends[1])
+        asked = replace(problem, start=ends[0], goal=ends[1], goals=())
         try:
             asked.check_poses()
             known = [_motion(ends[0], length, 0.0, longitudinal)]

@@ -18,7 +18,7 @@ from inspect import signature
 from math import inf
 from pathlib import Path as File
 from traceback import extract_tb
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,13 +36,16 @@ from energyplan.errors import (
     UnknownNameError,
     UnsupportedPlannerError,
 )
-from energyplan.path import ROUNDING, FloatArray, Path
+from energyplan.path import ROUNDING, FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.budget import SHARES, Budget, plan_budget
 from energyplan.planning.driven import DrivenPath, drive_plan, driven_share
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.planning.space.prices import Prices
 from energyplan.records import check_fields, checked
+
+if TYPE_CHECKING:
+    from energyplan.planning.ends import CheckedEnds
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ class Planner:
             "speed limits": limits and not self.surfaces,
             "heights": problem.heights is not None and not self.heights,
             "a costmap": problem.softened and not self.costmap,
-            "a least turning radius": problem.least_radius > 0 and not self.turning,
+            "a least turning radius": max(problem.radii) > 0 and not self.turning,
             "a vehicle that does not reverse": not (problem.robot.reverse or self.forwards),
             **{f"the objective {name}": name not in self.objectives for name in wanted},
             "effort instead of a time limit": counted and not self.effort,
@@ -389,8 +392,7 @@ class Plan(html.Readable):
         if problem is None or self.why_not_driven or problem.weights.get("length"):
             return steady
         drive, query = self.driven, compiled(problem.without_clearance)
-        cost = query.objective.value(drive.energy, self.length, drive.duration)
-        cost += query.soft_cost(self.path, drive.seconds)
+        cost = query.driven_value(self.path, drive)
         scale = max(abs(cost), abs(self.potential), abs(cost - self.potential))
         if abs(cost - self.cost_steady) <= ROUNDING * scale:  # stops and speeds cost nothing
             return steady._replace(driven=True)
@@ -398,6 +400,12 @@ class Plan(html.Readable):
         if share is None or not (share > 0 or least == 0):
             return _Rated(cost, None, driven=True)
         return _Rated(cost, self.potential + share * least, driven=True)
+
+    @property
+    def goal_reached(self) -> Pose:
+        """The pose at which the path ends, with the yaw in (-pi, pi]."""
+        x, y, yaw = self.path.end
+        return Pose(x, y, float(wrap_angle(yaw)))
 
     def _summaries(self) -> list[html.Summary]:
         (spent,) = spending(self)
@@ -416,11 +424,19 @@ class Plan(html.Readable):
             *([(STEADY, self.energy_steady)] if spent.driven else []),
             *self._costs(),
             ("at most above the least possible [%]", self.gap_percent),
+            *self._goal(),
         ]
         title = f"plan by {self.planner} in {self.planning_time:.2f} s, effort {self.effort}"
         if self.effort_limit is not None:
             title += f" of {self.effort_limit}"
         return [html.Summary(title, ("", ""), rows, self.all_notes)]
+
+    def _goal(self) -> list[tuple[str, object]]:
+        """Return the row that says which pose was reached, where there was a choice."""
+        if self.problem is None or not self.problem.goals:
+            return []
+        x, y, yaw = self.goal_reached
+        return [("goal reached: x, y [m], yaw [deg]", f"{x:.2f}, {y:.2f}, {np.degrees(yaw):.1f}")]
 
     @property
     def bound_label(self) -> str:
@@ -577,9 +593,10 @@ def plan(
         Time after which planning stops even if effort is left [s]; the plan's notes say so then.
         Work done once per map is not included: the first plan on a map takes longer.
     effort : int, optional
-        Units of work to plan with, 30 000 where left out: the same plan comes of it on any
-        machine and under any load. 50 000 take about a second; see `Budget`. Planning ends
-        earlier if the planner knows that nothing is left to gain.
+        Units of work to plan with, 30 000 where left out, and more on a map so large that the
+        distances to the goal alone take a quarter of it: the same plan comes of it on any machine
+        and under any load. 50 000 take about a second; see `Budget`. Planning ends earlier if the
+        planner knows that nothing is left to gain.
     **options : object
         Further options of the planner.
 
@@ -620,19 +637,44 @@ def plan(
     >>> round(found.energy_driven), abs(found.gap) < 1e-6
     (1808, True)
     """
-    from energyplan.planning.bound import lower_bound
-    from energyplan.planning.ends import between_clear_ends, checked_ends
+    from energyplan.planning.ends import checked_ends
     from energyplan.planning.search.planner import compile_planning, prepare
+    from energyplan.planning.several import Solver, plan_to_several
 
     declared = find(planner) if isinstance(planner, str) else planner
     name = planner if isinstance(planner, str) else planner.name
     plan_budget(time_limit, effort)  # says at once what is wrong with them
     _check_call(name, declared, problem, effort is not None, options)
-    ends = checked_ends(problem)
-    problem = ends.problem
-    compile_planning(ends.bare, load=effort is None)
-    prepare(ends.bare, guided=declared.bound)
+    if known := list(options.get("initial", ())):
+        options["initial"] = known  # what can be read but once
+
+    def prepared(ends: CheckedEnds) -> None:
+        compile_planning(ends.bare, load=effort is None)
+        prepare(ends.bare, guided=declared.bound)
+
+    def solve(ends: CheckedEnds, budget: Budget, more: dict[str, Any]) -> Plan:
+        budget.beside(lambda: prepared(ends))
+        return _planned(ends, name, declared, budget, {**options, **more})
+
+    if not problem.goals:
+        ends = checked_ends(problem)
+        prepared(ends)
+        budget = plan_budget(time_limit, effort, declared.effort)
+        return _planned(ends, name, declared, budget, options)
+    solver = Solver(solve, informed=declared is PLANNERS["lattice"])
     budget = plan_budget(time_limit, effort, declared.effort)
+    return plan_to_several(problem, solver, budget, options.pop("initial", ()))
+
+
+def _planned(
+    ends: CheckedEnds, name: str, declared: Planner, budget: Budget, options: dict[str, Any]
+) -> Plan:
+    """Plan between two poses within a budget, and check and price what comes of it."""
+    from energyplan.planning.bound import lower_bound
+    from energyplan.planning.ends import between_clear_ends
+    from energyplan.planning.search.planner import prepare
+
+    problem = ends.problem
     given = budget if declared.bound else budget.part(1.0 - SHARES.aside)
     between = between_clear_ends(problem, given)
 
@@ -655,9 +697,7 @@ def plan(
         # nobody believes it of others
         return found if declared in PLANNERS.values() else replace(found, driven=None)
 
-    if known := list(options.get("initial", ())):
-        options["initial"] = known  # what can be read but once
-    found = between.solved(problem, given, solve, known)
+    found = between.solved(problem, given, solve, options.get("initial", ()))
     query = compiled(ends.bare)
     bound = found.lower_bound
     if bound is None:
@@ -705,7 +745,7 @@ def priced_plan(
         breakdown=price.by_term,
         potential=potential,
         effort=round(budget.spent),
-        effort_limit=budget.effort,
+        effort_limit=budget.limit,
         stopped=bool(budget.notes),
         soft_cost=soft,
         notes=(*notes, *budget.notes),

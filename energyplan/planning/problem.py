@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.cost import EnergyCost
 from energyplan.errors import (
@@ -17,6 +18,7 @@ from energyplan.errors import (
     StartInCollisionError,
 )
 from energyplan.path import PLACE, FloatArray, Path, Pose, as_pose, wrap_angle
+from energyplan.planning.goal import ARRIVED, Goal, as_goals, only_pose
 from energyplan.records import check_fields, numbers
 from energyplan.terrain import (
     CLEARANCE,
@@ -35,7 +37,6 @@ OBJECTIVES = ("energy", "length", "time")  # quantities that a plan can minimise
 TURNING = ("any", "forward")  # ways to turn that have a name; others are a radius
 WIDEST = 1e4  # least radius of arcs that may be wanted at most [m]
 TIGHTER = 1e-6  # part of the least radius by which an arc may be tighter
-ARRIVED = 1e-6  # how far from start and goal a path may begin and end [m], [rad]: rounding
 
 KEPT = (0.9, 0.5, 0.0)
 """Shares of the clearance that there is at the ends which leaving them keeps, tried in turn."""
@@ -80,8 +81,13 @@ class PlanningProblem:
         Obstacles; or the site, for what is left out of surfaces, heights, clearance and costmap.
     cost : EnergyCost
         Cost of motions. Its model carries the vehicle and the tread ICRs.
-    start, goal : array_like, shape (3,)
-        Poses x, y [m], yaw [rad] of the body frame.
+    start : array_like, shape (3,)
+        Pose x, y [m], yaw [rad] of the body frame.
+    goal : array_like, shape (3,) or (2,), Goal, or a list of these
+        The pose to reach; or the place ``(x, y)``, at any heading; or one of several, that which
+        costs least. See `Goal` for a pose either way round, and for circles. Where it is no single
+        pose, the attribute is one of those that `goals` allows; that of a plan's problem is the one
+        that was reached.
     surfaces : SurfaceMap, optional
         Surfaces with power models of their own; the cost's model holds elsewhere.
     objective : {"energy", "length", "time"} or mapping of str to float
@@ -108,6 +114,8 @@ class PlanningProblem:
         How the robot may turn: in any way; so that its treads never run against each other; or on
         arcs of this radius at least (10 km at most) [m], of the point midway between its tread
         ICRs.
+    goals : tuple of Goal
+        What `goal` was given as; empty where that is a single pose.
 
     Raises
     ------
@@ -137,11 +145,13 @@ class PlanningProblem:
     costmap: CostMap | None = None
     costmap_weight: float = 0.0
     turning: str | float = "any"
+    goals: tuple[Goal, ...] = ()
 
     def __post_init__(self) -> None:
         place: object = self.map
         if isinstance(place, Site):
             place.fill(self)
+        self._tell_goals_apart()
         check_fields(self, InvalidInputError)
         if self.turning not in TURNING and not (
             isinstance(self.turning, (int, float)) and 0.0 < self.turning <= WIDEST
@@ -155,7 +165,6 @@ class PlanningProblem:
                 f"the weight of the costmap is {self.costmap_weight}; give a number of 0 or more"
             )
         object.__setattr__(self, "start", as_pose(self.start, "start"))
-        object.__setattr__(self, "goal", as_pose(self.goal, "goal"))
         objective_weights(self.objective)
         if knows_ground(self.cost.model):
             corners = self.map.corners
@@ -164,6 +173,25 @@ class PlanningProblem:
             object.__setattr__(self, "surfaces", ground.surfaces)
             object.__setattr__(self, "heights", ground.heights)
 
+    def _tell_goals_apart(self) -> None:
+        """Set `goal` to a pose, and `goals` to what else it may be."""
+        goal: object = self.goal
+        given, goals = () if isinstance(goal, Pose) else as_goals(goal), self.goals
+        pose = only_pose(given) if given else as_pose(self.goal, "goal")
+        if pose is None:
+            start = as_pose(self.start, "start")
+            pose, goals = given[0].nearest(start), given
+        elif goals and not any(goal.reached_by(pose) for goal in goals):
+            raise InvalidInputError(
+                f"the goal {tuple(pose)} is none of those in goals; give goals=() with another goal"
+            )
+        object.__setattr__(self, "goal", pose)
+        object.__setattr__(self, "goals", goals)
+
+    def toward(self, pose: Pose) -> PlanningProblem:
+        """Return the same problem with a single pose as its goal."""
+        return replace(self, goal=pose, goals=())
+
     @property
     def least_radius(self) -> float:
         """Least radius of arcs of the point midway between the tread ICRs [m]; zero for any."""
@@ -171,11 +199,29 @@ class PlanningProblem:
             return self.cost.half_track if self.turning == "forward" else 0.0
         return float(self.turning)
 
+    @cached_property
+    def radii(self) -> tuple[float, ...]:
+        """Least radius of arcs on the ground of each region [m]; zero for any."""
+        known = (0.0,) if self.surfaces is None else self.surfaces.radii
+        return tuple(max(self.least_radius, radius) for radius in known)
+
     def tightest(self, path: Path) -> int | None:
         """Return the first segment of a path that turns more tightly than is allowed, or None."""
-        ahead = np.abs(self._ahead(path))
-        tight = ahead < self.least_radius * (1.0 - TIGHTER) * np.abs(path.dtheta) - PLACE
+        tight = self._tighter(path, self.least_radius)
+        if max(self.radii) > self.least_radius and not tight.any():
+            for k in np.flatnonzero(self._tighter(path, max(self.radii))):
+                start = Pose(*path.vertices[k].tolist())
+                one = Path(start, path.ds[k : k + 1], path.dtheta[k : k + 1], path.longitudinal)
+                fine = one.subdivide(0.5 * self.map.resolution, _TURN)
+                points = 0.5 * (fine.points[1:] + fine.points[:-1])
+                radius = np.array(self.radii)[self.terrain.region_at(points)]
+                tight[k] = self._tighter(fine, radius).any()
         return int(np.argmax(tight)) if tight.any() else None
+
+    def _tighter(self, path: Path, radius: float | FloatArray) -> NDArray[np.bool_]:
+        """Return which segments turn more tightly than on a radius."""
+        ahead = np.abs(self._ahead(path))
+        return np.asarray(ahead < radius * (1.0 - TIGHTER) * np.abs(path.dtheta) - PLACE)
 
     def reversing(self, path: Path) -> int | None:
         """Return the first segment that drives backwards where the vehicle may not, or None."""
@@ -244,7 +290,7 @@ class PlanningProblem:
 
     def allows(self, path: Path) -> bool:
         """Return whether a part of a path keeps the clearance, except for what its ends lack."""
-        part = replace(self, start=path.start, goal=path.end)
+        part = replace(self, start=path.start, goal=path.end, goals=())
         return len(path) == 0 or part.first_collision(path) is None
 
     def fault(self, path: object, share: float = 0.0) -> str | None:
@@ -257,7 +303,9 @@ class PlanningProblem:
                 f"a path of the reference point at x = {path.longitudinal:g} m; that of the "
                 f"vehicle lies at {reference:g} m"
             )
-        elsewhere = missed("starts", path.start, self.start) or missed("ends", path.end, self.goal)
+        elsewhere = missed("starts", path.start, self.start)
+        if not any(goal.reached_by(path.end) for goal in self.goals):
+            elsewhere = elsewhere or missed("ends", path.end, self.goal)
         if elsewhere:
             return f"a path that {elsewhere}"
         if (segment := self.tightest(path)) is not None:

@@ -24,7 +24,7 @@ from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget, plan_budget
 from energyplan.planning.ends import between_clear_ends, checked_ends
-from energyplan.planning.plans import Candidate, Plan, priced_plan
+from energyplan.planning.plans import Candidate, Plan, plan, priced_plan
 from energyplan.planning.problem import KEPT, PlanningProblem, missed
 from energyplan.planning.search import planner as lattice
 from energyplan.planning.search.planner import compile_planning
@@ -38,7 +38,7 @@ def remainder(path: Path, pose: ArrayLike, problem: PlanningProblem) -> Path | N
     """Return what is left of a path for a robot on it or near it."""
     here = as_pose(pose, "the robot's pose")
     fine = _places(path, problem)
-    from_here = replace(problem, start=here, goal=path.end)
+    from_here = replace(problem, start=here, goal=path.end, goals=())
     several = [_joined(here, fine, k, problem) for k in _places_ahead(fine, here, problem)]
     joined = [rest for rest in several if rest is not None]
     for share in KEPT if not from_here.ends_clear else (1.0,):
@@ -96,7 +96,7 @@ def _bound_left(former: Plan, here: Pose) -> float:
     except EnergyPlanError:
         return -np.inf
     # what leads on from here continues a path that the bound holds for, if this one is such a path
-    driven = replace(problem, start=former.path.start, goal=here)
+    driven = replace(problem, start=former.path.start, goal=here, goals=())
     clear = bool(driven.terrain.obstacles.footprint_free(here, driven.robot))
     if not clear or driven.fault(came) is not None:
         return -np.inf
@@ -125,7 +125,8 @@ def replan(
     problem : PlanningProblem
         What is to be planned: cost, constraints, objective, and the former plan's goal.
     former : Plan or Path
-        The former plan, which knows the problem and the map that it was made for; or a path alone.
+        The former plan, to the goal or to one of several, which knows the problem and the map that
+        it was made for; or a path alone.
     start : array_like, shape (3,)
         Where the robot is now: x, y [m], yaw [rad] of the body frame.
     map : OccupancyGrid, optional
@@ -162,25 +163,31 @@ def replan(
     True
     """
     before = former if isinstance(former, Path) else former.path
-    if elsewhere := missed("ends", before.end, problem.goal):
+    several = any(goal.reached_by(before.end) for goal in problem.goals)
+    if not several and (elsewhere := missed("ends", before.end, problem.goal)):
         raise InvalidInputError(
             f"the former plan is a path that {elsewhere}; give the problem that it answers, or "
             "plan again"
         )
     plan_budget(time_limit, effort)  # says at once what is wrong with them
     now = replace(problem, start=as_pose(start, "start"), map=problem.map if map is None else map)
+    if several:
+        now = replace(now, goal=before.end)
     ends = checked_ends(now)
     now = ends.problem
     compile_planning(ends.bare, tight=True)
     budget = plan_budget(time_limit, effort)
     query = compiled(ends.bare)
-    bound = query.least_in_free_space
+    bound = query.least_in_free_space if not now.goals else -inf
     rest, planner = remainder(before, now.start, now), "lattice"
     holds = isinstance(former, Plan) and _still_holds(former, now)
     if isinstance(former, Plan) and holds:
         planner, bound = former.planner, max(bound, _bound_left(former, now.start))
     if rest is not None and holds:
         found = Candidate(rest)
+    elif now.goals:
+        known = [] if rest is None else [rest]
+        return plan(now, time_limit=time_limit, effort=effort, initial=known)
     else:
         known = [] if rest is None else [rest]
 

@@ -26,6 +26,9 @@ class RouteSearch(NamedTuple):
     again: float = 1.4  # factor on the price of a step near an earlier route
     blocked: float = 8.0  # the same where tracking was stuck
     most: int = 4  # routes
+    # factors on the price of turns for routes of long straight steps [1]
+    turns: tuple[float, ...] = (1.0, 3.0)
+    hope: float = 1.03  # cost over the best path's up to which these are refined [1]
     spare: int = 1024  # room for the states that one leads to
     states: int = 100_000  # states that are expanded at most
     wide: float = 9.0  # room beyond the body's reach from which steps are four cells long [cells]
@@ -98,8 +101,10 @@ REFINING = Refining()
 class FewerStops(NamedTuple):
     """Constants of the search for paths with fewer stops."""
 
-    least: float = 1e-3  # part of the energy that stops take from which they are looked at
-    most: float = 0.03  # part of the energy from which other routes are searched
+    least: float = 1e-3  # part of the objective that stops take from which they are looked at
+    most: float = 0.03  # part of the objective from which other routes are searched
+    # work left, over that of a drive, with which stops are priced before paths are refined
+    drives: float = 3.0
     # prices of a stop over what one takes on the best path [1]
     prices: tuple[float, ...] = (1.0, 3.0)
     polish: int = 800  # attempts to refine a path along another route
@@ -179,7 +184,7 @@ class Configurations(NamedTuple):
     """Constants of the free configurations."""
 
     fineness: float = 0.16  # distance between places over the body's smaller side [1]
-    coarsest: float = 0.3  # the same at most [1]
+    coarsest: float = 0.35  # the same at most [1]
     places: int = 1_000_000  # places beyond which the distance between them grows
     bands: int = 64  # bands of rows into which the work is cut
 
@@ -207,6 +212,7 @@ class Outlines(NamedTuple):
     directions: int = 512  # directions by which it is noted how far one sees
     tiny: float = 1e-9  # distance by which a line may miss a corner and still touch it [m]
     difference: float = 1e-8  # least difference of a level and a clearance [1]
+    cells: int = 1 << 21  # cells whose contours are computed at once
 
 
 OUTLINES = Outlines()
@@ -253,3 +259,30 @@ class Escaping(NamedTuple):
 
 
 ESCAPE = Escaping()
+
+
+class SeveralGoals(NamedTuple):
+    """Constants of planning to one of several poses."""
+
+    headings: int = 48  # of those that are all allowed that are looked at
+    around: int = 16  # places on the edge of a circle that are looked at
+    ranking: float = 0.15  # share of the budget for routes to poses
+    routes: int = 3  # routes to a place at any heading
+    tries: int = 4  # poses of a goal that are planned to until one is reached
+    trial: float = 0.12  # share of the budget for a first plan to a pose
+    kept: float = 3.0  # such shares that are kept for refining
+    close: float = 1.01  # cost over the best one's up to which a plan is refined [1]
+    finalists: int = 2  # plans that are refined
+    others: int = 3  # other headings of the best goal that are planned to
+    promising: float = 1.05  # cost of the route to one of these over the best plan's, at most
+    possible: float = 1.2  # the same for another goal
+    apart: float = 0.6  # difference of headings that deserve a plan of their own [rad]
+    ends: int = 60  # poses of a path from which another end is tried
+    near: float = 10.0  # distance of these from the end [reaches of the body]
+    hopeless: int = 4  # ends that one of these is not joined to until it is given up
+    less: float = 1e-6  # share of the cost by which another end has to be cheaper
+    zooms: int = 4  # rounds in which headings lie closer to the best one
+    parts: int = 8  # into which the distance between headings is divided in each
+
+
+SEVERAL = SeveralGoals()

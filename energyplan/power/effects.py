@@ -127,6 +127,11 @@ class Effect:
         """Whether it is a delay of the log, which no term has."""
         return self.acts == "log" and not self.terms
 
+    @property
+    def on_demand(self) -> bool:
+        """Whether it acts from some place or time on: much looks like it, and it is slow to try."""
+        return self.acts in ("change", "place")
+
     def __post_init__(self) -> None:
         if len(self.terms) > 1 and self.size is None:
             raise ModelError(f"effect {self.name!r} has {len(self.terms)} terms; give its size")

@@ -316,10 +316,10 @@ def _routes(service: _Service) -> APIRouter:
     def question(
         given: requests.PlanRequest | requests.RangeRequest,
         battery: bool,
-        goal: list[float],
+        goal: Any,
         **more: Any,
     ) -> NotedProblem:
-        ends = as_pose(given.start, "start"), as_pose(goal, "goal")
+        ends = as_pose(given.start, "start"), goal
         model = store.named(given.model, read_model)
         return problem_from(
             store.site(given), model, ends, battery=battery, reverse=given.reverse, **more

@@ -30,12 +30,16 @@ from energyplan.errors import InvalidInputError
 from energyplan.io.documents import MAX_NODES
 from energyplan.io.sites import SiteFile
 from energyplan.path import FloatArray
+from energyplan.planning.goal import HEADINGS, Goal, as_goals
 
 LONGEST, MOST_EFFORT = 60.0, 5_000_000
 """Largest time limit [s] and effort that a request may ask for."""
 
 MOST_ROWS, MOST_TASKS, MOST_KEYS = 200_000, 500, 100
 """Largest number of samples of a trajectory in a request, of tasks of a mission, and of keys."""
+
+MOST_GOALS = 20
+"""Largest number of goals of a request, of which one is reached."""
 
 MOST_NUMBERS = 6 * MOST_ROWS
 """Most numbers of a trajectory in a request."""
@@ -61,10 +65,45 @@ class _OnSite(SiteFile, _Asked):
     reverse: bool | None = Field(None, description="may it drive backwards; as its vehicle has it")
 
 
+def _goals(value: Any) -> tuple[Goal, ...]:
+    """Return the goals that a request names."""
+    if isinstance(value, list) and len(value) > MOST_GOALS:
+        raise ValueError(f"give {MOST_GOALS} goals at most")
+    return as_goals(value)
+
+
+_PLACE = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}
+_GOAL = {
+    "anyOf": [
+        _PLACE,
+        {
+            "type": "object",
+            "properties": {
+                **{name: {"type": "number"} for name in ("x", "y", "yaw", "radius")},
+                "heading": {"enum": list(HEADINGS)},
+            },
+            "required": ["x", "y"],
+        },
+    ]
+}
+Goals = Annotated[
+    Any,
+    PlainValidator(_goals),
+    WithJsonSchema(
+        {
+            "anyOf": [*_GOAL["anyOf"], {"type": "array", "items": _GOAL, "maxItems": MOST_GOALS}],
+            "description": "a pose x, y, yaw; a place x, y, at any heading; an object with heading "
+            "given, either or any, and a radius; or a list of these, of which one is reached",
+            "examples": [[20.0, 12.0, 1.57], [20.0, 12.0]],
+        }
+    ),
+]
+
+
 class PlanRequest(_OnSite):
     """A planning problem; files are named as the data folder has them."""
 
-    goal: PoseRow
+    goal: Goals
     battery: bool = False
     costmap_weight: float = Field(0.0, ge=0)
     objective: Literal["energy", "length", "time"] = "energy"

@@ -48,6 +48,8 @@ class Surface:
     # price of each second on it, in the unit of the objective a second (for energy [J/s]); it is
     # added to the objective and no part of the energy
     second: Annotated[float, Within((0, 1e9), (0, 1e5), "of the objective a second")] = 0.0
+    # least radius of arcs on it, of the point midway between the tread ICRs [m]; 0 for any turn
+    turning_radius: Annotated[float, Within((0, 1e4), (0, 20), "m")] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, MapError, f"surface {self.name!r}: ")
@@ -154,6 +156,11 @@ class SurfaceMap:
     def seconds(self) -> tuple[float, ...]:
         """Price of a second in each region, in the unit of the objective."""
         return (0.0, *(surface.second for surface in self.surfaces))
+
+    @cached_property
+    def radii(self) -> tuple[float, ...]:
+        """Least radius of arcs in each region [m]; 0 where any turn is allowed."""
+        return (0.0, *(surface.turning_radius for surface in self.surfaces))
 
     @cached_property
     def unpriced(self) -> SurfaceMap:

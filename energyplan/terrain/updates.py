@@ -15,27 +15,29 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import READONLY, FloatTable, SingleTable, inner, njit
+from energyplan.compilation import READONLY, SingleTable, inner, njit
 from energyplan.errors import MapError
 from energyplan.terrain.collision import Space, next_blocked
 
 
 @inner
-def _column_distance(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> FloatTable:
+def _column_distance(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> SingleTable:
     """Return the distance along its column from each cell's centre to a blocked cell [cells]."""
     rows, columns = blocked.shape
-    out = np.empty((rows, columns))
+    out = np.empty((rows, columns), np.float32)
     for column in range(columns):
         out[0, column] = 0.0 if blocked[0, column] else inf
     for row in range(1, rows):
         for column in range(columns):
-            out[row, column] = 0.0 if blocked[row, column] else out[row - 1, column] + 1.0
+            out[row, column] = (
+                np.float32(0.0) if blocked[row, column] else out[row - 1, column] + np.float32(1.0)
+            )
     for row in range(rows - 2, -1, -1):
         for column in range(columns):
-            out[row, column] = min(out[row, column], out[row + 1, column] + 1.0)
+            out[row, column] = min(out[row, column], out[row + 1, column] + np.float32(1.0))
     for row in range(rows):
         for column in range(columns):
-            out[row, column] = max(out[row, column] - 0.5, 0.0)
+            out[row, column] = max(out[row, column] - np.float32(0.5), np.float32(0.0))
     return out
 
 
@@ -48,16 +50,15 @@ def distance_to_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> S
     point of a blocked cell in another column lies on the side that faces us.
     """
     rows, columns = blocked.shape
-    vertical = _column_distance(blocked)
-    out = np.empty((rows, columns), np.float32)
+    out = _column_distance(blocked)
     roots = np.empty(columns + 1, np.int64)
     starts = np.empty(columns + 1)
     heights = np.empty(columns + 1)
     for row in range(rows):
         # the parabola at side k serves the columns k - 1 and k; position of the side: k - 0.5
         for k in range(columns + 1):
-            before = vertical[row, k - 1] if k > 0 else inf
-            after = vertical[row, k] if k < columns else inf
+            before = float(out[row, k - 1]) if k > 0 else inf
+            after = float(out[row, k]) if k < columns else inf
             nearer = min(before, after)
             heights[k] = nearer * nearer
         count = 0
@@ -78,7 +79,7 @@ def distance_to_blocked(blocked: Annotated[NDArray[np.bool_], 2, READONLY]) -> S
         at = 0
         for column in range(columns):
             edge = min(min(column, columns - 1 - column), min(row, rows - 1 - row)) + 0.5
-            nearest = min(vertical[row, column], edge)
+            nearest = min(float(out[row, column]), edge)
             if count > 0:
                 # the centre of a column lies half a cell beyond its left side
                 while at + 1 < count and starts[at + 1] < column + 0.5:

@@ -256,7 +256,7 @@ plna | Did you mean 'plan'
 {plan} --goal 0,0,0 | goal
 {plan} --goal -50,0,0 | outside
 {plan} --goal 4 2 0 | are one word each
-{plan} --goal 1,2 | 90deg
+{plan} --goal 1 | 90deg
 {plan} --goal 1,2,3,4 | 90deg
 {plan} --goal 1,2,north | 90deg
 {plan} --goal 1,nan,0 | 90deg

@@ -120,6 +120,11 @@ def test_a_payload_change_is_found_with_its_time() -> None:
         )
     ]
     told = diagnose(drives[0], drives[1], VEHICLE)
+    assert "payload_change" not in [effect.name for effect in told.effects]
+    assert "change" in told.suspects
+    assert any("--change (Python: change=True)" in line for line in told.advice)
+    told = diagnose(drives[0], drives[1], VEHICLE, change=True)
+    assert "change" not in told.suspects
     first = told.effects[0]
     assert first.name == "payload_change"
     assert first.value == pytest.approx(-0.3 * VEHICLE.mass, abs=3 * first.std_error + 1.0)
@@ -412,7 +417,7 @@ def _recorded(folder: Path, stem: str) -> tuple[Diagnosis, Diagnosis]:
     names = dict.fromkeys(["linear_inertia", "angular_inertia", *hidden])
     told = [catalogue()[name] for name in names]
     return (
-        diagnose(train, unseen, vehicle),
+        diagnose(train, unseen, vehicle, change="payload_change" in names),
         diagnose(train, unseen, vehicle, effects=told, choose=False),
     )
 

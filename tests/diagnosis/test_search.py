@@ -14,7 +14,7 @@ from energyplan.diagnosis.search import EffectSearch
 from energyplan.fit.drive import ON_TIME, Drive, prepared
 from energyplan.fit.estimate import PAPER, Problem
 from energyplan.motion import Motion
-from energyplan.power.effects import SLIP_BEYOND, VISCOUS_LOSS, catalogue
+from energyplan.power.effects import SLIP_BEYOND, VISCOUS_LOSS, catalogue, term
 
 ROBOT = PowerModel.preset("quadriga:full:concrete")
 
@@ -71,6 +71,28 @@ def test_a_robot_that_hardly_moves_crosses_no_line() -> None:
 
 VEHICLE = ROBOT.vehicle
 BORDER = catalogue()["surface_border"]
+
+
+@pytest.mark.parametrize("rough", [0.0, 0.3])
+def test_a_border_is_searched_on_demand_and_the_residual_says_when(rough: float) -> None:
+    line = {"direction": 0.4, "offset": 0.3}
+    truth = ROBOT
+    for name, size in (("slip_beyond", rough), ("traction_beyond", 150.0 * rough)):
+        truth = truth.with_term(replace(term(name), params=line), size) if rough else truth
+    logs = [
+        simulate.drive(
+            truth, simulate.IDENTIFICATION, rate=10.0, power_noise=5.0, measured="total",
+            without={"accel_x"}, seed=k,
+        ) for k in (1, 2)
+    ]  # fmt: skip
+    told = diagnose(*logs, VEHICLE)
+    assert "surface_border" not in [one.name for one in told.effects]
+    assert ("border" in told.suspects) == (rough > 0.0)
+    assert any("--border (Python: border=True)" in one for one in told.advice) == (rough > 0.0)
+    if rough:
+        told = diagnose(*logs, VEHICLE, border=True)
+        assert "surface_border" in [one.name for one in told.effects]
+        assert "border" not in told.suspects
 
 
 def ground(x: np.ndarray, yaw: np.ndarray, away: float = 0.0) -> ContactTraces:

@@ -94,8 +94,9 @@ def test_errors_share_a_base_and_bad_input_is_a_value_error(name: str) -> None:
 def test_the_public_names_are_these() -> None:
     """A name that is added or taken away is a decision: change it here and in the changelog."""
     assert sorted(energyplan.__all__) == [
-        "Battery", "Candidate", "Charger", "DriveLog", "EnergyCost", "HeightMap", "Mission",
-        "Motion", "MotorLimits", "OccupancyGrid", "OnlineIdentifier", "Path", "Plan", "Planner",
+        "Battery", "Candidate", "Charger", "DriveLog", "EnergyCost", "Goal", "HeightMap",
+        "Mission", "Motion", "MotorLimits", "OccupancyGrid", "OnlineIdentifier", "Path", "Plan",
+        "Planner",
         "PlanningProblem", "Pose", "PowerModel", "Site", "SurfaceMap", "Task", "Trajectory",
         "TreadICR", "Vehicle", "check", "compare", "diagnose", "energy_map", "errors", "evaluate",
         "evaluate_many", "identify", "plan", "plots", "profile", "read_heights", "read_map",

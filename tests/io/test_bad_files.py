@@ -247,7 +247,7 @@ m.png => !!python/name:os.getcwd | line 1: .*cannot be read
     "site": r"""
 clearance => clearnce | line 3, clearnce: there is no such key
 20 => -20 | line 3, clearance
-cm => inch | line 3, clearance: the unit of a length is one of m, cm, mm
+cm => ell | line 3, clearance: the unit of a length is one of m, cm, mm
 keepout: m => keepout: none | line 2, keepout: .*none.yaml
 keepout => heights | line 2, heights
 map:  => map: ../ | line 1, map: .*leaves the file's folder
@@ -308,7 +308,7 @@ until: 90 % => places: 18446744073709551616 | line 23.*give 1 to
 until: 90 % => places: {9s} | line 23.*places: give 1 to
 until: 90 % => places: true | line 23.*places: give a number
 name: drop => name: look | line 18.*stands twice
-dwell: 5 min => dwell: 5 hours | line 15.*unit of a time
+dwell: 5 min => dwell: 5 moons | line 15.*unit of a time
 dwell: 5 min => dwell: -3 | line 15.*dwell: give 0 to 1e\+08 s, not '-3'
 power: 0.1 kW => power: .nan | line 16.*power
 power: 0.1 kW => watts: 3 | line 16.*no such key

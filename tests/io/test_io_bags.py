@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from operator import itemgetter
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,7 +14,7 @@ from small_bags import BATTERY, IMU, JOINTS, ODOMETRY, POWER, TOPICS, Recorder, 
 from small_bags import record as record_joints
 
 from energyplan.errors import DriveLogError, UnknownNameError
-from energyplan.io.bags import is_bag
+from energyplan.io.bags import is_bag, read_message
 from energyplan.io.given import Given
 from energyplan.io.logs import read_log
 from energyplan.io.start import start
@@ -290,3 +292,61 @@ def test_a_small_bag_that_unpacks_to_much_is_refused(tmp_path, monkeypatch, kind
     monkeypatch.setattr("energyplan.io.bags._LARGEST_CHUNK", 1 << 19)
     with pytest.raises(DriveLogError, match="unpacks to over 0 MiB"):
         read_log(file, topics=TOPICS)
+
+
+DRIVER = "own_msgs/msg/Driver"
+PARTS = {
+    "own_msgs/msg/Wheels": ("std_msgs/Header header\nown_msgs/Driver[] units\nfloat64 bus_power\n"),
+    "own_msgs/msg/Interfaces": (
+        "std_msgs/Header header\nstring[] joint_names\nown_msgs/Values[] interface_values\n"
+        "float64 bus_power\n"
+    ),
+    DRIVER: "float64 wheel_speed\nfloat64 bridge_temperature\n",
+    "own_msgs/msg/Values": "string[] interface_names\nfloat64[] values\n",
+}
+
+
+@pytest.mark.parametrize("kind", ["numbered", "named"])
+def test_arrays_of_messages_are_read_and_listed(tmp_path, drive, kind):
+    """As of motor drivers, and of ros2_control's dynamic joint states."""
+    order = [DRIVER, "own_msgs/msg/Values", "own_msgs/msg/Wheels", "own_msgs/msg/Interfaces"]
+    path = tmp_path / "bag"
+    with Recorder(path, "mcap", {name: PARTS[name] for name in order}) as bag:
+        for t, left, right, power in zip(
+            drive.t, drive.channel("v_left"), drive.channel("v_right"), drive.power, strict=True
+        ):
+            at = 1_700_000_000 + float(t)
+            if kind == "numbered":
+                units = [{"wheel_speed": left / 0.1}, {"wheel_speed": right / 0.1}]
+                bag.write("/base", "own_msgs/msg/Wheels", at, units=units, bus_power=power)
+            else:
+                values = [{"interface_names": ["velocity"], "values": [v / 0.1]}
+                          for v in (left, right)]  # fmt: skip
+                bag.write(
+                    "/base", "own_msgs/msg/Interfaces", at, interface_values=values,
+                    joint_names=["left_wheel", "right_wheel"], bus_power=power,
+                )  # fmt: skip
+    names = {
+        "numbered": ("units.0.wheel_speed", "units.1.wheel_speed"),
+        "named": ("interface_values.left_wheel.values.velocity",
+                  "interface_values.right_wheel.values.velocity"),
+    }[kind]  # fmt: skip
+    given = Given(track=0.5, wheelbase=0.4, mass=50.0, wheel_radius=0.1)
+    if kind == "numbered":
+        with pytest.raises(DriveLogError, match=r"/base.units.0.wheel_speed.* which side"):
+            start(path, given)
+    columns = ",".join(
+        f"{channel}=/base.{name}[rad/s*0.1]"
+        for channel, name in zip(("v_left", "v_right"), names, strict=True)
+    )
+    made = start(path, replace(given, columns=columns))
+    log = read_log(path, topics=made.project.topics)
+    np.testing.assert_allclose(log.channel("v_left"), drive.channel("v_left"), atol=1e-9)
+    assert log.power == pytest.approx(drive.power)
+    source = made.project.topics.channels["v_left"][0]  # of messages as they come, too
+    part = SimpleNamespace(wheel_speed=7.0, interface_names=["effort", "velocity"],
+                           values=[1.0, 7.0])  # fmt: skip
+    message = SimpleNamespace(
+        units=[part], interface_values=[part], joint_names=["left_wheel"], bus_power=1.0
+    )
+    assert read_message(source, message) == pytest.approx(0.7)

@@ -177,3 +177,45 @@ def test_speeds_of_wheels_are_not_added(tmp_path: Path, unit: str, size: float) 
     file = table(tmp_path, time=AT.t, power=AT.power, **wheels)
     mean = f"v_left=0.5*a1+0.5*b1[{unit}],v_right=0.5*a2+0.5*b2[{unit}]"
     settled(file, mean, f"v_left=a1+b1[{unit}],v_right=a2+b2[{unit}]")
+
+
+def test_currents_of_the_sides_and_one_voltage_are_mapped_by_hand(tmp_path: Path) -> None:
+    columns = {"pack": np.round(10 * AT.volts), "m1": np.round(100 * LEFT), "m2": 100 * RIGHT}
+    file = table(tmp_path, **SPEEDS, **columns)
+    made = begun(file, "current_left=m1[*0.01],current_right=m2[*0.01],voltage=pack[*0.1]")
+    assert made.sound and resistance(file, made) == pytest.approx(1.0, rel=0.05)
+
+
+def test_speeds_of_sides_that_no_name_tells_are_not_the_body_s(tmp_path: Path) -> None:
+    columns = {"links_speed": AT.left, "rechts_speed": AT.right, "gyro_z": AT.yaw_rate}
+    with pytest.raises(DriveLogError, match="nothing seems to be v_left or v_right"):
+        begun(table(tmp_path, time=AT.t, power=AT.power, **columns))
+
+
+def test_a_hint_speaks_of_what_the_log_holds(tmp_path: Path) -> None:
+    file = table(tmp_path, time=AT.t, power=AT.power, left_ref=AT.left, right_ref=AT.right)
+    with pytest.raises(DriveLogError) as asked:
+        begun(file)
+    assert "body's speed" not in str(asked.value)
+    file = table(tmp_path, time=AT.t, power=AT.power, rail_12v=12.0, rail_5v=5.0)
+    with pytest.raises(DriveLogError) as asked:
+        begun(file)
+    assert "which side each is" not in str(asked.value)
+
+
+def test_pairs_of_a_name_and_a_value_are_no_table(tmp_path: Path) -> None:
+    file = tmp_path / "monitor.txt"
+    file.write_text("".join(f"U\t{24 + k}\nI\t{k}\nP\t{k}\n" for k in range(40)))
+    with pytest.raises(DriveLogError, match="pairs of a name and a value"):
+        begun(file)
+
+
+def test_speeds_and_turn_rates_that_may_both_be_in_another_unit_are_asked_for(
+    tmp_path: Path,
+) -> None:
+    rpm = 30 / np.pi
+    columns = {"v_port": rpm / ROVER.radius * AT.left, "v_starboard": rpm / ROVER.radius * AT.right,
+               "gyro_z": rpm * AT.yaw_rate}  # fmt: skip
+    file = table(tmp_path, time=AT.t, power=AT.power, **columns)
+    with pytest.raises(DriveLogError, match=r"v_port could be in .*rpm\*0.11"):
+        begun(file)

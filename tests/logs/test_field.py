@@ -153,6 +153,63 @@ def test_files_of_other_tools(
         assert re.search(case["words"] or "metres", answer.err + answer.out), answer.err
 
 
+SHARED = {
+    "bag_default_zero_publisher": "to 0 for a moment",
+    "bag_jackal_feedback": "drivers.0.measured_velocity",
+    "bag_two_vescs_erpm": "electrical rate",
+    "charge_in_coulombs": "",
+    "charging_before_the_drive": "charged while",
+    "current_of_nan": "never measured",
+    "current_that_saturates": "end of its range",
+    "currents_three_of_four": "a wheel's is missing",
+    "foxglove_plot_csv": "",
+    "gyro_in_mdps": "",
+    "motor_name_rows": "",
+    "odometers_in_metres": "",
+    "power_v_power_a": "",
+    "roboclaw_units": "",
+    "secs_and_nsecs": "",
+    "solar_small_beside_load": "power=load_power",
+    "ten_seconds_fleet": "10 s apart",
+    "thousands_german": "thousands",
+    "thousands_in_the_time": "thousands",
+    "two_robots_one_table": "several 'robot'",
+    "vedirect_text": "pairs of a name and a value",
+    "vesc_tool_midnight": "",
+    "voltages_front_rear": r"voltage=v_bat_front\+v_bat_rear",
+    "voltages_upper_lower": r"voltage=upper_battery_voltage\+lower_battery_voltage",
+    "wheels_added_two": "write their mean",
+    "wheels_in_deg_s": "deg/s",
+}
+"""Logs that are read right, if nothing is said of them, or asked about in these words."""
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", SHARED)
+def test_logs_of_the_field_are_right_or_asked_about(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run, name: str
+) -> None:
+    folder = shared_data / "field" / name
+    case = tomllib.loads((folder / "case.toml").read_text())
+    shutil.copytree(folder, tmp_path / "case", copy_function=shutil.copyfile)
+    monkeypatch.chdir(tmp_path / "case")
+    said, log, project = "", "", Path("p.yaml")
+    for words in map(shlex.split, case["commands"]):
+        if words[0] == "sed":
+            continue
+        if words[1] == "start":
+            answer = run(*words[1:])
+            said, log = said + answer.err + answer.out, words[2]
+            if SHARED[name] and re.search(SHARED[name], said):  # what follows is an answer to it
+                break
+    assert project.exists() == (not SHARED[name]), said
+    assert re.search(SHARED[name], said), said
+    if project.exists():
+        terms = run("identify", log, "--project", project, "--json").json["terms"]
+        found = {one["name"]: one["value"] for one in terms}
+        assert found["traction_resistance"] == pytest.approx(30.0, rel=0.05)
+
+
 def test_a_side_in_the_mirror_is_doubted_without_a_heading() -> None:
     columns = {"t": AT.t, "v_left": AT.left, "v_right": -AT.right, "power": AT.power}
     (warning,) = ep.DriveLog.from_columns(columns).warnings

@@ -141,3 +141,17 @@ def test_what_is_never_measured_is_said_so(tmp_path: Path, name: str) -> None:
     table.to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(DriveLogError, match=f"{name} is never measured"):
         start(tmp_path / "log.csv", Given(**ROVER.measures))
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "remedy"),
+    [("log.feather", b"ARROW1\0\0", "read_feather"), ("a.sqlite", b"SQLite format 3\0", "sqlite3"),
+     ("b.db3.zstd", b"\x28\xb5\x2f\xfd\0", "unzstd"), ("log.csv", b"PK\x03\x04\0", "CSV"),
+     ("log.dat", b"PAR1\0", "ending .parquet"), ("log.csv", b"\x1f\x8b\x08", r"ending .csv.gz")],
+)  # fmt: skip
+def test_files_are_known_by_their_first_bytes(
+    tmp_path: Path, name: str, head: bytes, remedy: str
+) -> None:
+    (tmp_path / name).write_bytes(head)
+    with pytest.raises(DriveLogError, match=remedy):
+        start(tmp_path / name, Given(**ROVER.measures))

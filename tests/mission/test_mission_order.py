@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import linprog
 
 from energyplan.mission import order as orders
+from energyplan.mission._tour_bound import orders_at_least
 from energyplan.mission.order import OrderProblem, loads_of, shared, solve
 
 Stops = tuple[int, ...]
@@ -309,6 +310,54 @@ def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
     told = [driven(p, tuple(t + 1 for t in tasks)) for p, tasks in zip(robots, own, strict=True)]
     found = sum(tour for tour in told if tour is not None)
     assert best - 1e-9 <= found <= 1.003 * best
+
+
+def everywhere(seed: int, tasks: int, chargers: int = 0, battery: float = 1e3) -> OrderProblem:
+    """A problem all of whose tasks can be done, as energies are everywhere finite."""
+    p = problem(seed, tasks, budget=battery, chargers=chargers, required=1.0)
+    blocked = 1.6 * 4.0 * 1.4
+    return p._replace(
+        energy=np.nan_to_num(p.energy, posinf=blocked),
+        finish=np.nan_to_num(p.finish, posinf=blocked),
+        capacity=np.full(chargers, battery),
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("chargers", [0, 2])
+def test_no_order_of_all_tasks_takes_less_than_the_bound(seed, chargers):
+    p = everywhere(seed, 6, chargers, 14.0 if chargers else 1e3)
+    best = solve(p)
+    assert best.proven
+    assert _tasks_done(best.stops, 6) == 6
+    bound = orders_at_least([p], [range(6)], best.energy)
+    assert 0.6 * best.energy <= bound <= best.energy * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_robots_that_share_all_tasks_take_less_than_the_bound(seed):
+    """Against all ways to share them: each robot may have any set, in its best order."""
+    robots = [everywhere(10 * seed + r, 5) for r in range(2)]
+    best = np.inf
+    for who in product(range(2), repeat=5):
+        given = [[t for t in range(5) if who[t] == r] for r in range(2)]
+        best = min(best, sum(
+            solve(p.some(own)).energy for p, own in zip(robots, given, strict=True) if own
+        ))  # fmt: skip
+    bound = orders_at_least(robots, [range(5)] * 2, best)
+    assert 0.7 * best <= bound <= best * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("seed", "tasks"), [(0, 31), (1, 31), (2, 61)])
+def test_an_order_of_many_tasks_is_little_above_the_bound(seed, tasks):
+    p = everywhere(seed, tasks)
+    found = solve(p)
+    assert _tasks_done(found.stops, tasks) == tasks
+    assert found.energy <= 1.02 * orders_at_least([p], [range(tasks)], found.energy)
+
+
+def _tasks_done(stops: tuple[int, ...], tasks: int) -> int:
+    return len({stop for stop in stops if stop <= tasks})
 
 
 def pressed(seed: int, tasks: int, chargers: int) -> OrderProblem:

@@ -291,3 +291,24 @@ def test_chargers_supply_what_an_ideal_battery_takes() -> None:
     taken = sum(part.soc[-1] - part.soc[0] for part in report.charges) * 40 * METRE
     assert sum(one.energy for one in report.chargers) == pytest.approx(taken, rel=0.01)
     assert taken > 0
+
+
+def test_an_order_of_many_tasks_says_how_much_a_better_one_could_save() -> None:
+    """Seventeen tasks there and back along a corridor: beyond what is proven by the search."""
+    places = {f"t{k}": 6.0 + 1.5 * (7 * k % 17) for k in range(17)}
+    report = evaluate(corridor(1e6, places, 5.0, order="free"))
+    assert not report.left_out
+    assert 0.0 <= report.gap < 0.1
+    document = documents.mission(report)
+    assert (document["proven"], document["gap"]) == (report.proven, report.gap)
+    said = f"a better order could save at most {100 * report.gap:.1f} % of the energy"
+    assert (said in text.mission(report)) is not report.proven
+    assert (f"A{said[1:]}." in mission_page(report).html()) is not report.proven
+
+
+def test_an_order_that_leaves_tasks_out_does_not_say_that_it_is_the_best() -> None:
+    places = {f"t{k}": 6.0 + 1.5 * (7 * k % 17) for k in range(17)}
+    report = evaluate(corridor(4000.0, places, 5.0, order="free"))
+    assert report.left_out
+    assert np.isnan(report.gap)
+    assert "how much a better order could save is not known" in text.mission(report)

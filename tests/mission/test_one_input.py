@@ -135,6 +135,12 @@ def shared() -> Mission:
     return replace(charging(), tasks=(look, wash), robots=robots)
 
 
+def sharing() -> Mission:
+    """The same with two places at the charger."""
+    one = shared()
+    return replace(one, chargers=(replace(one.chargers[0], places=2),))
+
+
 def reported(asked: Mission, routes: Routes) -> str:
     found = evaluate(asked, routes=routes)
     whole = documents.mission(found, trajectories=True)
@@ -204,6 +210,7 @@ PARTS = [
     Part(mission, ("tasks", 0), Task, like(
         name="other", pose=(6.0, 2.2, 0.0), dwell=61.0, power=51.0, payload=6.0, prize=2.0,
         required=False, window=(41.0, 500.0), power_spread=30.0, dwell_spread=30.0,
+        goals=(ep.Goal(6.0, 2.5),),
     ), {"prize": "all tasks fit", "required": "all tasks fit"}),
     Part(shared, ("tasks", 1), Task, like(needs=())),
     Part(along, ("tasks", 0), Task, like(
@@ -213,9 +220,10 @@ PARTS = [
         name="other", skills=("arm",), changes={"start": (2.6, 3.5, 0.0), "soc": 0.8},
     )),
     Part(shared, ("chargers", 0), Charger, like(places=2)),
+    Part(sharing, ("chargers", 0), Charger, like(shared=True)),
     Part(charging, ("chargers", 0), Charger, like(
         name="other", pose=(1.2, 1.3, 0.0), power=300.0, until=0.8, temperature=25.0,
-        efficiency=0.9,
+        efficiency=0.9, enough=True,
     )),
     Part(charging, ("spreads",), Spreads, like(
         soc=0.03, capacity=0.03, health=0.03, temperature=4.0, power=0.2, dwell=0.2, run=0.2,
@@ -264,7 +272,8 @@ PARTS = [
         "map": lambda: replace(hall(), unknown=None), "surfaces": lambda: None,
         "cost": lambda: ep.EnergyCost(model(0.5), battery=True, speed=0.8),
         "vehicle": lambda: Vehicle.preset("husky_a200"), "costmap": lambda: None,
-        **like(start=(1.2, 2.2, 0.0), goal=(6.0, 2.2, 1.0), objective="time", clearance=0.2,
+        **like(start=(1.2, 2.2, 0.0), goal=(6.0, 2.2, 1.0), goals=(ep.Goal(6.0, 2.5),),
+               objective="time", clearance=0.2,
                costmap_weight=500.0, turning="forward"),
     }),
     Part(lambda: changed(problem(), (), {"cost": ep.EnergyCost(hilly().model, speed=0.8),

@@ -314,3 +314,88 @@ def test_the_command_tells_who_does_what_and_who_takes_over(tmp_path: Path, run:
     left = run("mission", file, "--fail", "alpha")
     assert left.code == 2
     assert "write NAME@SECONDS" in left.err
+
+
+# -- one clock -------------------------------------------------------------------------------------
+
+
+def meeting(*starts: float, soc: float = 0.225, **changes: Any) -> Mission:
+    """Return robots that all have to charge at the dock at 17 m, then drive to a task of their own.
+
+    The tasks lie 10 m beyond the dock; each robot has a full charge of 40 m.
+    """
+    dock = {"name": "dock", "pose": Pose(17.0, 1.5, 0.0), "power": 50.0, "until": 1.0, **changes}
+    tasks = tuple(at(f"t{k}", 27.0 + k, needs=(f"t{k}",)) for k in range(len(starts)))
+    robots = [
+        replace(robot(f"r{k}", x, 40 * METRE, soc=soc), skills=(f"t{k}",))
+        for k, x in enumerate(starts)
+    ]
+    return shared(*robots, tasks=tasks, chargers=(Charger(**dock),), return_to="any")
+
+
+def stays(report: MissionReport) -> list[tuple[float, float]]:
+    """Return when each robot charges, in the order of the robots."""
+    return [(c.departure, c.arrival) for one in report.robots for c in one.charges]
+
+
+def test_who_comes_first_is_served_first() -> None:
+    """Of three robots the one that stands farthest off is listed first and charges last."""
+    report = evaluate(meeting(11.0, 16.0, 13.0))
+    (third, second, first) = (stays(report)[k] for k in (0, 2, 1))
+    assert first[0] < second[0] < third[0]
+    assert second[0] == pytest.approx(first[1], abs=1e-6)
+    assert third[0] == pytest.approx(second[1], abs=1e-6)
+    assert report.feasible
+
+
+def test_a_robot_comes_between_two_charges_of_another() -> None:
+    """The first one charges twice; another that comes meanwhile does not wait for both."""
+    tasks = (
+        at("x", 2.0, needs=("a",)), at("y", 32.0, needs=("a",)), at("z", 25.0, needs=("b",)),
+    )  # fmt: skip
+    dock = Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, until=1.0)
+    robots = (
+        replace(robot("a", 16.0, 36 * METRE, soc=0.2), skills=("a",)),
+        replace(robot("b", 11.0, 36 * METRE, soc=0.25), skills=("b",)),
+    )
+    report = evaluate(shared(*robots, tasks=tasks, chargers=(dock,), return_to="any"))
+    twice, once = (report.robot(name).charges for name in ("a", "b"))
+    assert [len(twice), len(once)] == [2, 1]
+    assert twice[0].arrival == pytest.approx(once[0].departure, abs=1e-6)
+    assert once[0].arrival <= twice[1].departure + 1e-6
+
+
+def test_robots_share_the_power_of_a_charger() -> None:
+    """The second comes while the first charges; then each has half, and the last all again."""
+    lone = evaluate(meeting(16.0, 12.0, power=20.0, places=2))
+    both = evaluate(meeting(16.0, 12.0, power=20.0, places=2, shared=True))
+    (a, b), (c, d) = stays(both)
+    assert a < c < b < d
+    energy = sum(-one.energy for one in both.charges)
+    # while anybody is there all of the power is used
+    assert energy == pytest.approx(20.0 * (d - a), rel=1e-3)
+    alone = [end - begin for begin, end in stays(lone)]
+    # of its own charge the first gets all until the second comes
+    assert b - c == pytest.approx(2 * (alone[0] - (c - a)), rel=1e-3)
+    assert d - b == pytest.approx(alone[1] - 0.5 * (b - c), rel=1e-3)
+    assert both.feasible
+
+
+def test_a_place_for_one_is_not_shared() -> None:
+    with pytest.raises(MissionError, match="'dock' shares its power and has one place; give it 2"):
+        Charger("dock", Pose(17.0, 1.5, 0.0), power=50.0, shared=True)
+
+
+def test_robots_charge_no_more_than_they_need() -> None:
+    """Each needs the way to its task and back to the dock: 20 m and 22 m of the 40 m."""
+    full = evaluate(meeting(16.0, 12.0))
+    least = evaluate(meeting(16.0, 12.0, enough=True))
+    levels = [one.charges[0].soc[-1] for one in least.robots]
+    assert levels == pytest.approx([20 / 40, 22 / 40], abs=0.0101)
+    assert all(level >= need / 40 for level, need in zip(levels, (20, 22), strict=True))
+    assert names(least) == names(full)
+    assert least.energy == pytest.approx(full.energy, rel=1e-9)
+    assert least.duration < 0.7 * full.duration
+    assert min(one.soc_end_lower for one in least.robots) >= 0.0
+    ((_, first), (second, _)) = stays(least)
+    assert second == pytest.approx(first, abs=1e-6)

@@ -161,3 +161,20 @@ def test_a_curve_that_is_none_is_refused_with_its_place(power: object, words: st
 def test_a_curve_is_read_with_units() -> None:
     dock = Charger("dock", Pose(3.0, 1.5, 0.0), [["0 %", "0.4 kW"], ["100 %", 50]])
     assert dock.power == ((0.0, 400.0), (1.0, 50.0))
+
+
+def test_a_robot_leaves_a_charger_when_it_has_enough() -> None:
+    """The least charge with which it is feasible, to a hundredth, and in time for a window."""
+    asked = docked(150.0, at("A", 10, dwell=3600, power=100.0), soc=0.3)
+    dock = replace(asked.chargers[0], enough=True)
+    full, least = evaluate(asked), evaluate(replace(asked, chargers=(dock,)))
+    level = float(least.charges[0].soc[-1])
+    assert least.feasible and least.duration < full.duration - 1800
+    assert least.energy == pytest.approx(full.energy, rel=1e-9)
+    assert least.remedies == ()
+    # a hundredth less would not do
+    again = [
+        evaluate(replace(asked, chargers=(replace(asked.chargers[0], until=until),)))
+        for until in (level, round(level - 0.01, 2))
+    ]
+    assert [one.feasible for one in again] == [True, False]

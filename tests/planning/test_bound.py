@@ -7,6 +7,7 @@ import pytest
 import shapely
 from by_day import by_day
 from random_models import random_model
+from scipy import ndimage
 from worlds import COST, MAPS, cluttered, free_poses, room
 
 from energyplan import steering
@@ -28,8 +29,15 @@ from energyplan.planning.bound.line import (
     gate,
     to_gate,
 )
-from energyplan.planning.bound.outline import DETAILS, no_links, outline_for, sight
+from energyplan.planning.bound.outline import (
+    DETAILS,
+    _level_set,
+    no_links,
+    outline_for,
+    sight,
+)
 from energyplan.planning.bound.surfaces import _certain_regions, least_excess, least_steps
+from energyplan.planning.settings import OUTLINES
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import HOTEL, PowerModel
 from energyplan.power.effects import term
@@ -693,3 +701,24 @@ def test_no_plan_among_obstacles_beats_the_bound(case):
             assert float(steering.energy(start, goal, cost)) <= found.lower_bound * (1 + 1e-9)
         raised += kind == "surfaces" and least_excess(query, 0.3, found.energy) > 0
     assert raised or kind != "surfaces"
+
+
+@pytest.mark.parametrize("cells", [900, 4000])
+def test_outlines_of_a_large_map_are_those_of_the_whole(monkeypatch, cells):
+    """Contours computed a few rows at a time join to the same lines."""
+    rng = np.random.default_rng(3)
+    grid = OccupancyGrid(ndimage.binary_dilation(rng.random((150, 120)) < 0.01, iterations=3), 0.05)
+
+    def edges(limit):
+        monkeypatch.setattr(
+            "energyplan.planning.bound.outline.OUTLINES", OUTLINES._replace(cells=limit)
+        )
+        point, first = _level_set(grid, 3.3)
+        within = np.delete(np.arange(len(point) - 1), first[1:-1] - 1)
+        return len(first), {
+            (*begin, *end)
+            for begin, end in zip(point[within].tolist(), point[within + 1].tolist(), strict=True)
+        }
+
+    assert len(edges(1 << 21)[1]) > 100
+    assert edges(cells) == edges(1 << 21)

@@ -24,7 +24,7 @@ from energyplan.comparison import compare
 from energyplan.errors import TimeLimitError
 from energyplan.io.maps import read_map
 from energyplan.planning import Budget, Candidate, Plan, Planner, PlanningProblem, plan
-from energyplan.planning.budget import EFFORT, PACE
+from energyplan.planning.budget import EFFORT, PACE, plan_budget
 from energyplan.planning.replanning import replan
 from energyplan.planning.search.planner import prepare
 from energyplan.power import PowerModel
@@ -242,3 +242,18 @@ def test_a_budget_of_time_ends_with_it(monkeypatch):
     now[0] = 12.1
     assert whole.over and whole.elapsed == pytest.approx(2.1)
     assert Budget().left == np.inf
+
+
+def test_the_default_effort_grows_with_what_a_large_map_takes():
+    """An effort that is given stays as it is; parts that exist grow as well."""
+    default, given = plan_budget(np.inf, None), plan_budget(np.inf, EFFORT)
+    half = default.part(0.5)
+    for budget in (default, given):
+        budget.spend_on_map(0.2 * EFFORT)
+    assert default.limit == given.limit == EFFORT
+    for budget in (default, given):
+        budget.spend_on_map(3.0 * EFFORT)
+    assert given.over and given.limit == EFFORT
+    assert default.limit == round(3.75 * EFFORT)
+    assert default.left == pytest.approx(0.55 * EFFORT)
+    assert half.left == 0.0 and default.part(0.5).left == pytest.approx(0.275 * EFFORT)

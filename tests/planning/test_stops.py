@@ -1,12 +1,14 @@
 """A stop has its price: a path with fewer of them is taken where driving it takes less."""
 
 from dataclasses import replace
+from itertools import pairwise
 
+import numpy as np
 import pytest
 import shapely
 from by_day import by_day
 from worlds import MODEL as PAPER
-from worlds import room
+from worlds import cluttered, free_poses, room
 
 from energyplan import EnergyCost, Path, PlanningProblem, Pose, PowerModel, compare, plan
 from energyplan.planning import Budget
@@ -16,7 +18,7 @@ from energyplan.planning.search.stops import stops_of
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.cost_to_go import cost_to_go
 from energyplan.power.effects import term
-from energyplan.terrain import Surface, SurfaceMap
+from energyplan.terrain import SpeedLimit, Surface, SurfaceMap
 
 
 def rolling(hotel=0.0):
@@ -131,6 +133,34 @@ def test_of_two_mirrored_ways_the_one_on_cheaper_ground_is_driven():
     query = CompiledProblem(replace(asked, goal=goal))
     right = Path(left.start, left.ds, -left.dtheta)
     dear, cheap = (stops_of(query, path, Budget()) for path in (left, right))
-    assert cheap.energy < 0.9 * dear.energy
+    assert cheap.value < 0.9 * dear.value
     to_go = cost_to_go(query.setting)
     assert stops.least_driven(query, dear, [], to_go, Budget(effort=1), [right]).path == right
+
+
+@pytest.mark.parametrize("objective", ["time", "energy", {"energy": 1.0, "time": 100.0}])
+@pytest.mark.parametrize("seed", range(2))
+def test_more_effort_takes_no_more_once_it_is_driven(objective, seed):
+    grid = cluttered(seed)
+    poses = free_poses(grid, 400, seed)
+    goal = poses[np.argmax(np.hypot(*(poses[:, :2] - poses[0, :2]).T))]
+    cost = EnergyCost(PAPER.with_term(term("hotel_load"), 150.0))
+    asked = PlanningProblem(grid, cost, poses[0], goal, objective=objective)
+    made = [plan(asked, effort=effort) for effort in (5000, 20_000, 60_000)]
+    assert all(more.cost <= less.cost * (1 + 1e-3) for less, more in pairwise(made))
+    assert all(one.lower_bound <= one.cost for one in made)
+
+
+def test_the_least_time_is_that_of_the_drive():
+    """Round a slow area, where each stop takes two seconds."""
+    zone = SurfaceMap((), speed_limits=[SpeedLimit(shapely.box(8, 2, 12, 8), 0.1)])
+    asked = PlanningProblem(
+        room(100, 200, 0.1), EnergyCost(PAPER), (2, 5, 0), (18, 5, 0), surfaces=zone,
+        objective="time",
+    )  # fmt: skip
+    made = [plan(asked, effort=effort) for effort in (1500, 5000, 20_000)]
+    assert all(one.cost == one.driven.duration < 22.2 for one in made)
+    # a known path that is certain to take longer at any speed is no answer
+    path = Path(asked.start, [16.0], [0.0])
+    known = plan(asked, effort=5000, initial=[path])
+    assert known.cost < 25.0 < 0.5 * drive_plan(asked, path).duration

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import socket
@@ -398,3 +399,34 @@ def test_places_in_reach_are_drawn(browser: Any, address: str) -> None:
     assert opened.page.locator(".leaflet-overlay-pane path").count() > before
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= 390
     assert opened.errors == []
+
+
+def test_paths_are_drawn_as_lines_and_asked_for_as_they_are(browser: Any, tmp_path: Path) -> None:
+    """Those of a file of lines stand in the document that is sent as tasks of their own."""
+    for file in ("office.yaml", "office.png"):
+        shutil.copy(ROOT / "maps" / file, tmp_path)
+    lines = [([[1.2, 2.5], [1.2, 4.5]], {"name": "west", "power": 30}),
+             ([[3.9, 4.5], [3.9, 2.5]], {"direction": "given", "speed": 0.3})]  # fmt: skip
+    features = [
+        {"type": "Feature", "properties": keys,
+         "geometry": {"type": "LineString", "coordinates": points}}
+        for points, keys in lines
+    ]  # fmt: skip
+    collection = {"type": "FeatureCollection", "features": features}
+    (tmp_path / "rows.geojson").write_text(json.dumps(collection))
+    head = ROUND.partition("places:")[0].replace("ours.yaml", "husky_a200:flooring")
+    (tmp_path / "round.yaml").write_text(head + "tasks: rows.geojson\n")
+    with served(tmp_path) as address:
+        opened = Opened(browser, address, 1300, surfaces=None)
+        page, sent = opened.page, list[Any]()
+        page.on("request", lambda one: sent.append(one.post_data_json) if one.post_data else None)
+        page.wait_for_selector("#tasks tr")
+        assert page.locator("path.row").count() == 2
+        assert page.locator("[aria-label='minutes of west']").is_disabled()
+        page.click("text=Will it last?")
+        page.wait_for_selector("#verdicts table", timeout=120_000)
+        assert "All 2 tasks can be done" in page.inner_text("#status")
+        west, other = sent.pop()["document"]["tasks"]
+        assert west["path"] == [[1.2, 2.5], [1.2, 4.5]] and west["power"] == 30
+        assert (other["direction"], other["speed"]) == ("given", 0.3)
+        assert (opened.errors, opened.elsewhere) == ([], [])

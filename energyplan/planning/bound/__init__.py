@@ -26,11 +26,17 @@ from energyplan.planning.settings import BOUND
 from energyplan.planning.space.compiled import MARGIN, SHORT_TRACK, CompiledProblem
 from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.motions import KernelProblem, free_energy
+from energyplan.steering.forwards import forward_energies
+from energyplan.steering.kernels import steer_energies
 from energyplan.terrain import OccupancyGrid
 
 EFFORT = 5e7
 """Steps of the searches over corners after which the bound known is returned: below 0.1 s."""
 
+
+_FIRST = 64  # intervals of headings to begin with
+_HALVINGS = 14  # of these intervals, at most
+_ALIKE = 1e-6  # part of the least cost that the bound over all headings may lie below it
 
 Spent = dict[Sights, NDArray[np.bool_]]
 """The corners of outlines whose lines are paid for with effort already."""
@@ -44,30 +50,65 @@ class Bound(NamedTuple):
 
 
 def lower_bound(
-    query: CompiledProblem, cost: float, effort: float = EFFORT, spent: Spent | None = None
+    query: CompiledProblem,
+    cost: float,
+    effort: float = EFFORT,
+    spent: Spent | None = None,
+    any_heading: bool = False,
 ) -> Bound:
-    """Return a lower bound on the cost of every path from start to goal."""
+    """Return a lower bound on the cost of every path from start to goal, there at any heading."""
     setting = query.setting
-    free = float(free_energy(setting, setting.start))
-    radius = _inscribed(query)
+    free = least_at_any_heading(setting) if any_heading else free_energy(setting, setting.start)
+    radius = inscribed(query)
     limit = BOUND.beyond * cost
     if free >= limit or radius <= 0:
-        return Bound(free, True)
+        return Bound(float(free), True)
     excess = least_excess(query, radius, limit)
     # what expensive surfaces add comes on top of the rates alone
     separate = setting if excess == 0.0 else _separate(setting)
-    direct = free if excess == 0.0 else _without_obstacles(setting)
+    direct = free if excess == 0.0 else _without_obstacles(setting, any_heading)
     among, final = _among_obstacles(
-        query.grid, separate, radius, direct, limit - excess, effort, {} if spent is None else spent
-    )
+        query.grid, separate, radius, float(direct), limit - excess, effort,
+        {} if spent is None else spent, any_heading,
+    )  # fmt: skip
     metres = least_of_metres(query, radius, limit)
-    return Bound(max(free, among + excess, metres), final)
+    return Bound(max(float(free), among + excess, metres), final)
+
+
+def least_at_any_heading(kernel: KernelProblem) -> float:
+    """Return a lower bound of the least cost without obstacles to the goal's place at any heading.
+
+    Turning on the spot costs `per_radian` a radian, so the least cost changes by no more than that
+    from one heading to the next. Intervals of headings are halved until what one may lie below the
+    least cost found is negligible.
+    """
+    solve = steer_energies if kernel.gear == 0 else forward_energies
+    half = pi / _FIRST
+    middle = np.arange(_FIRST) * 2.0 * half
+    best, lowest = np.inf, 0.0
+    for _ in range(_HALVINGS):
+        goals = np.empty((len(middle), 3))
+        goals[:] = kernel.goal
+        goals[:, 2] = middle
+        starts = np.empty_like(goals)
+        starts[:] = kernel.start
+        cost = np.empty(len(middle))
+        solve(starts, goals, kernel.steering, cost)
+        best = min(best, float(cost.min()))
+        least = cost - kernel.steering.per_radian * half
+        left = least < best * (1.0 - _ALIKE)
+        lowest = min(best * (1.0 - _ALIKE), float(least.min()))
+        if not left.any():
+            break
+        half *= 0.5
+        middle = np.concatenate([middle[left] - half, middle[left] + half])
+    return max(lowest, 0.0)
 
 
 def prepare_bound(query: CompiledProblem) -> None:
     """Make what the bound needs of a map and keeps with it: surfaces by cell, and outlines."""
     setting, grid = query.setting, query.grid
-    radius = _inscribed(query)
+    radius = inscribed(query)
     if radius <= 0:
         return
     surfaces = query.problem.surfaces
@@ -82,19 +123,22 @@ def prepare_bound(query: CompiledProblem) -> None:
         list(pool.map(partial(sights, grid, radius), DETAILS[finest : last + 1]))
 
 
-def _inscribed(query: CompiledProblem) -> float:
+def inscribed(query: CompiledProblem) -> float:
     """Radius of the largest disc in the footprint about the centre of the tread ICRs [m]."""
     body = query.setting.body
     within = min(-body.x_min, body.x_max, -body.y_min, body.y_max)
     return max(within, 0.0) - MARGIN * query.grid.resolution
 
 
-def _without_obstacles(kernel: KernelProblem) -> float:
+def _without_obstacles(kernel: KernelProblem, any_heading: bool = False) -> float:
     """Return the least cost between the two poses where metres and radians are paid separately."""
     metre, radian = kernel.least_metre, kernel.least_radian
     if radian <= metre * SHORT_TRACK:
         return metre * hypot(kernel.goal.x - kernel.start.x, kernel.goal.y - kernel.start.y)
-    return float(free_energy(_separate(kernel), kernel.start))
+    separate = _separate(kernel)
+    if any_heading:
+        return least_at_any_heading(separate)
+    return float(free_energy(separate, kernel.start))
 
 
 def _separate(kernel: KernelProblem) -> KernelProblem:
@@ -112,9 +156,10 @@ def _among_obstacles(
     cost: float,
     effort: float,
     spent: Spent,
+    any_heading: bool = False,
 ) -> Bound:
     ends = DiscEnds(*kernel.start[:2], *kernel.goal[:2])
-    turn = abs(remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi))
+    turn = 0.0 if any_heading else abs(remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi))
     # ways of that length cost more than the path that is known
     longest = (cost - kernel.least_radian * turn) / kernel.least_metre
     coarsest = sights(grid, radius, DETAILS[-1])
@@ -127,6 +172,7 @@ def _among_obstacles(
         kernel.goal.yaw,
         free,
         kernel.steering,
+        any_heading,
     )
     paid = spent.setdefault(found, np.zeros(len(found.outline.point), bool))
     with found.lock:

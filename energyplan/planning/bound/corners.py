@@ -289,7 +289,7 @@ def _past_line(
         cost, atan2(line.dy, line.dx), line.length, rates,
         line.about != -1 and line.behind != 1, line.about != 1 and line.behind != -1,
     )  # fmt: skip
-    if steer and (line.tail == n or line.head == n + 1):
+    if steer and (line.tail == n or (line.head == n + 1 and not rates.any_heading)):
         on = line.about if line.tail == n else -line.behind
         section = Section(
             line.dx, line.dy, on * line.dy / line.length, -on * line.dx / line.length,
@@ -343,6 +343,8 @@ def least_over_corners(
     for j in range(HEADINGS):
         heading = rates.goal + j * 2.0 * pi / HEADINGS
         to_goal[j] = rates.radian * angle_between(heading, rates.goal)
+        if rates.any_heading:
+            to_goal[j] = 0.0
         cost[j] = rates.radian * angle_between(heading, rates.start)
     if ways.direct:
         limit = min(limit, rates.direct)
@@ -366,7 +368,7 @@ def least_over_corners(
         many = 0
         begin = 0
         if at == goal:
-            limit = min(limit, cost[0])
+            limit = min(limit, lowest if rates.any_heading else cost[0])
         elif lowest < limit and at == start:
             many = n
         elif lowest < limit:

@@ -100,6 +100,7 @@ class Rates(NamedTuple):
     goal: float  # heading at the goal [rad]
     direct: float  # least cost from start to goal without obstacles
     steering: StaticSteering  # what no motion costs less than, pivots included
+    any_heading: bool = False  # whether any heading will do at the goal
 
 
 @inner

@@ -420,15 +420,52 @@ def _level(grid: OccupancyGrid, radius: float) -> float:
 
 def _level_set(grid: OccupancyGrid, level: float) -> Lines:
     """Return the lines at a level of the clearance, between the cells' centres."""
-    none = Lines(np.empty((0, 2)), np.zeros(1, np.int64))
+    rows, columns = grid.shape
     if level <= 0.0 or min(grid.shape) < 2:
-        return none
-    y, x = (np.arange(cells) + 0.5 for cells in grid.shape)
+        return Lines(np.empty((0, 2)), np.zeros(1, np.int64))
+    band = max(OUTLINES.cells // columns, 1)
+    # a few rows at a time, for what contours need of a cell is many times what a map keeps of it
+    parts = [
+        line
+        for first in range(0, rows - 1, band)
+        for line in _contours(grid, level, first, min(first + band, rows - 1) + 1)
+    ]
+    lines = _rejoined(parts, grid.shape) if rows - 1 > band else parts
+    if lines is None:
+        lines = _contours(grid, level, 0, rows)
+    ends = np.cumsum([0, *(len(line) for line in lines)])
+    return Lines(np.concatenate([np.empty((0, 2)), *lines]), ends)
+
+
+def _contours(grid: OccupancyGrid, level: float, first: int, end: int) -> list[FloatArray]:
+    """Return the lines at a level of the clearance in some rows."""
     found: Any = contourpy.contour_generator(
-        x, y, grid.space.clearance, line_type=contourpy.LineType.ChunkCombinedOffset
-    ).lines(level)
-    (point,), (first,) = found
-    return none if point is None else Lines(point, first.astype(np.int64))
+        np.arange(grid.shape[1]) + 0.5, np.arange(first, end) + 0.5,
+        grid.space.clearance[first:end], line_type=contourpy.LineType.Separate,
+    ).lines(level)  # fmt: skip
+    return list(found)
+
+
+def _rejoined(lines: list[FloatArray], shape: tuple[int, int]) -> list[FloatArray] | None:
+    """Return lines that end where others begin as one; None if an end within the map is loose."""
+    rows, columns = shape
+    whole = [line for line in lines if np.array_equal(line[0], line[-1])]
+    pieces = {tuple(line[0]): line for line in lines if not np.array_equal(line[0], line[-1])}
+    ends = {tuple(line[-1]) for line in pieces.values()}
+    loose = [place for place in pieces if place not in ends]
+    loose += [place for place in ends if place not in pieces]
+    if any(0.5 < x < columns - 0.5 and 0.5 < y < rows - 0.5 for x, y in loose):
+        return None
+    # those that begin at the map's edge first: what is left then are circles
+    for begin in [*(place for place in pieces if place not in ends), *pieces]:
+        chain: list[FloatArray] = []
+        at = begin
+        while (piece := pieces.pop(at, None)) is not None:
+            chain.append(piece if not chain else piece[1:])
+            at = tuple(piece[-1])
+        if chain:
+            whole.append(np.concatenate(chain))
+    return whole
 
 
 def _outline(

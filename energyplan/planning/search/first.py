@@ -24,9 +24,10 @@ from energyplan.planning.search.narrow.infeasible import (
     none_in_time,
 )
 from energyplan.planning.search.narrow.passages import paths_through_passages
-from energyplan.planning.search.optimise import Portfolio
+from energyplan.planning.search.optimise import Portfolio, Refiner
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.search.tracking import Tracked, track_route
+from energyplan.planning.settings import ROUTES
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached
 from energyplan.planning.space.motions import KernelProblem
@@ -74,6 +75,13 @@ class Paths:
             self.enter(self.ends.whole(motions))
         return bool(found)
 
+    def enter_hopeful(self, several: Iterable[Segments]) -> None:
+        """Enter those of several motions whose cost is not far above that of the best path."""
+        for motions in several:
+            cost = Refiner(self.setting, motions).cost
+            if cost <= ROUTES.hope * self.cost:
+                self.enter_between([motions])
+
 
 def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) -> Paths:
     """Return no paths yet; where an end has no room to turn, searches begin or end near it."""
@@ -81,7 +89,7 @@ def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) 
     for ends in tried:
         setting = ends.between(query.setting)
         to_go = cost_to_go(setting)
-        budget.spend(to_go.work / UNITS.nodes)
+        budget.spend_on_map(to_go.work / UNITS.nodes)
         if not ends.moved or reached(to_go, setting):
             break
     return Paths(query, gap, Portfolio(query.setting, seed), Bounding(query), ends, to_go)

@@ -24,7 +24,9 @@ from energyplan.planning.space.motions import (
     free_energy,
     join,
     motion_cost,
+    permitted,
     price,
+    surface_at,
 )
 from energyplan.planning.space.queues import angle_between, pop, push, slot_of, turning_by
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
@@ -175,6 +177,7 @@ def grow(
         room = (
             float(space.clearance[int(at.row), int(at.column)]) * space.resolution - setting.reach
         )
+        radius = setting.radii[0] if even else setting.radii[surface_at(setting, here)]
         for motion in range(MOTIONS):
             # ahead and back, pivots, spins, and across open ground in one stride
             sign = 1.0 if motion % 2 == 0 else -1.0
@@ -185,16 +188,18 @@ def grow(
                     continue
                 ds = sign * room
             elif motion >= 6:
-                if setting.least_radius > 0.0:
+                if radius > 0.0:
                     continue
                 ds = 0.0
                 step = 1 if motion == 6 else -1
             elif motion >= 2:
-                ds = sign * max(half, setting.least_radius) * lattice.turn
+                ds = sign * max(half, radius) * lattice.turn
                 step = 1 if motion < 4 else -1
             if ds * setting.gear < 0.0:
                 continue
             dtheta = step * lattice.turn
+            if radius < setting.widest and not permitted(setting, here, ds, dtheta):
+                continue
             heading = (index + step) % lattice.headings
             there = arc_end(here, ds, dtheta)
             xx = there.x

@@ -47,14 +47,12 @@ class Shortened(NamedTuple):
 
 @njit
 def shortcut(
-    chain: Chain, setting: KernelProblem, count: int, reach: int, stop: float, most: float
+    chain: Chain, setting: KernelProblem, count: int, reach: int, most: float
 ) -> Shortened:
     """Shortcutting: the chain keeps the poses of its cheapest sequence of joins.
 
     Dynamic programming over all pairs of poses within `reach` of each other in the chain; `cost` of
-    the motions given must be filled in. Every motion costs `stop` more, except one given that goes
-    on as the one given before it; `cost` stays what it is without. Beyond `most` units of work the
-    motions given are kept.
+    the motions given must be filled in. Beyond `most` units of work the motions given are kept.
     """
     ds = np.empty(MAX_SEGMENTS)
     dtheta = np.empty(MAX_SEGMENTS)
@@ -68,8 +66,6 @@ def shortcut(
     before[0] = -1
     for j in range(1, count):
         best[j] = best[j - 1] + chain.cost[j - 1]
-        if not _goes_on(chain, j - 1):
-            best[j] += stop
         before[j] = j - 1
         joined[j] = not chain.kept[j - 1]
         edge[j] = chain.cost[j - 1]
@@ -79,7 +75,7 @@ def shortcut(
                 break
             if UNITS.steer * steered + UNITS.join * tested >= most:
                 break
-            limit = best[j] - best[i] - 1e-9 - stop
+            limit = best[j] - best[i] - 1e-9 - setting.stop
             if limit <= 0:
                 continue
             a = pose_at(chain.poses, i)
@@ -92,10 +88,10 @@ def shortcut(
             if steer_energy(dx, dy, a.yaw, b.yaw, setting.steering) >= limit:
                 continue
             tested += 1
-            cost, n = join(setting, a, b, limit, ds, dtheta)
+            cost, _ = join(setting, a, b, limit + setting.stop, ds, dtheta)
             blocked = blocked + 1 if cost == inf else 0
-            if cost + stop * (n - 1) < limit:
-                best[j] = best[i] + cost + stop * n
+            if cost < limit + setting.stop:
+                best[j] = best[i] + cost
                 before[j] = i
                 joined[j] = True
                 edge[j] = cost
@@ -290,9 +286,14 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
 
 @njit
 def fill_costs(chain: Chain, setting: KernelProblem, count: int) -> None:
-    """Price the motions given between the poses of a chain."""
+    """Price the motions given between the poses of a chain; the stop that ends one is of the next.
+
+    A motion given that goes on as the one before it has no stop.
+    """
     for k in range(count - 1):
         chain.cost[k] = motion_cost(setting, pose_at(chain.poses, k), chain.ds[k], chain.dtheta[k])
+        if not _goes_on(chain, k):
+            chain.cost[k] += setting.stop
 
 
 @njit
@@ -378,20 +379,21 @@ class Refiner:
         reach = REFINING.near
         while self.count > REFINING.apart > reach and not budget.over:
             before = self.count
-            self._shortcut(reach, 0.0, budget)
+            self._shortcut(reach, budget)
             if self.count > REFINING.fewer * before:
                 reach *= 2
-        self._shortcut(REFINING.apart, 0.0, budget)
+        self._shortcut(REFINING.apart, budget)
 
-    def with_fewer_stops(self, price: float, budget: Budget) -> Segments:
-        """Return the motions that are cheapest where each costs so much more [J]."""
-        self._shortcut(self.count, price, budget)
+    def with_fewer_stops(self, budget: Budget, most: int) -> Segments:
+        """Return the motions that are cheapest with the stops of the problem, refined a little."""
+        self.shortcut(budget)
+        self.polish(budget, most=most)
         return self.segments
 
-    def _shortcut(self, apart: int, stop: float, budget: Budget) -> None:
+    def _shortcut(self, apart: int, budget: Budget) -> None:
         # few poses take little work, and a path whose first part alone is shortened gains less
         most = budget.left if self.count > REFINING.apart else np.inf
-        left = shortcut(self.chain, self.setting, self.count, apart, stop, most)
+        left = shortcut(self.chain, self.setting, self.count, apart, most)
         self.count = int(left.poses)
         budget.spend(UNITS.steer * left.steered + UNITS.join * left.tested)
 
@@ -456,6 +458,11 @@ class Portfolio:
     def _offer(self, entrant: Refiner) -> None:
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, entrant.segments
+
+    @property
+    def known(self) -> list[Segments]:
+        """The best few."""
+        return [entrant.segments for entrant in self._kept] or self.others
 
     @property
     def waiting(self) -> bool:

@@ -13,7 +13,8 @@
    the answer where length is the objective, and a plan of least energy costs no more.
 5. `_refine`: the paths compete for the budget to be refined. Planning ends when the budget is
    over, the gap to the bound is closed, or nothing is gained any more.
-6. `_with_fewer_stops`: where stops take energy, paths are compared by what driving them takes.
+6. `_with_fewer_stops`: where stops take energy or time, paths are compared by what driving them
+   takes. Where they take much, it comes in place of the step before.
 
 Each path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
 quicker: a single spin replaces pivots back and forth.
@@ -36,7 +37,7 @@ from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, PlanningError
 from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import Bounding, prepare_bound
-from energyplan.planning.budget import SHARES, Budget, Work, do_together
+from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
 from energyplan.planning.driven import stops_count
 from energyplan.planning.plans import Candidate
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
@@ -45,9 +46,9 @@ from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.search.narrow.ends import surely_has_room
 from energyplan.planning.search.narrow.passages import passage_work
 from energyplan.planning.search.optimise import Portfolio, Refiner
-from energyplan.planning.search.routes import cheapest_routes
+from energyplan.planning.search.routes import cheapest_routes, straight_routes
 from energyplan.planning.search.stops import Stops, least_driven, stops_of
-from energyplan.planning.settings import LATTICE, REFINING
+from energyplan.planning.settings import LATTICE, REFINING, STOPS
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import regions_for
 from energyplan.records import checked
@@ -105,12 +106,12 @@ def plan(
         with suppress(PlanningError):
             shortest = [_finished(of, [of.path(short)])]
             paths.enter(base.motions_of(of, short))
-    _refine(paths, planning)
     rivals = [*shortest, *known]
-    path = _finished(query, [query.path(paths.portfolio.best), *rivals])
-    drive = stops_of(query, path, budget) if stops else Stops(path)
-    if stops:
-        drive = _with_fewer_stops(paths, query, drive, budget, rivals)
+    if not stops:
+        _refine(paths, planning)
+        drive = Stops(_finished(query, [query.path(paths.portfolio.best), *rivals]))
+    else:
+        drive = _with_fewer_stops(paths, query, planning, budget, rivals)
     value = query.potential(problem.goal) + paths.bounding.value
     return Candidate(drive.path, value, first, next(iter(shortest), None), drive.driven)
 
@@ -122,8 +123,11 @@ def _find_more(paths: Paths, budget: Budget) -> float:
     setting, portfolio = paths.setting, paths.portfolio
     routes = partial(cheapest_routes, setting, paths.to_go, stuck=paths.stuck)
     routing = Work(routes, SHARES.stage * searching.left, paths.enter_between)
-    comparing = _compared(paths, SHARES.aside * searching.left)
-    do_together(searching, [*portfolio.turns(paths.enough), routing, comparing])
+    aside = 0.5 * SHARES.aside * searching.left
+    straight = partial(straight_routes, setting, paths.to_go)
+    straightening = Work(straight, aside, paths.enter_hopeful)
+    comparing = _compared(paths, aside)
+    do_together(searching, [*portfolio.turns(paths.enough), routing, straightening, comparing])
     if searching.over or paths.cost <= paths.enough:
         return kept
     works = paths.bounding.work(paths.cost, kept)
@@ -145,9 +149,7 @@ def _compared(paths: Paths, units: float) -> Work:
     lattice, start = lattice_for(setting, LATTICE.coarse), setting.start
     spin = -remainder(start.yaw - setting.space.yaw, lattice.turn)
     turned = setting._replace(start=start._replace(yaw=start.yaw + spin))
-    if setting.least_radius > 0.0 or not motion_free(
-        setting.space, setting.body, *start, 0.0, spin, 0.0
-    ):
+    if setting.widest > 0.0 or not motion_free(setting.space, setting.body, *start, 0.0, spin, 0.0):
         spin, turned = 0.0, setting
     search, limit = Search(turned, paths.to_go, lattice, 1.0), LATTICE.hope * paths.cost
 
@@ -187,10 +189,20 @@ def _refine(paths: Paths, budget: Budget) -> None:
 
 
 def _with_fewer_stops(
-    paths: Paths, query: CompiledProblem, found: Stops, budget: Budget, rivals: Sequence[Path]
+    paths: Paths, query: CompiledProblem, planning: Budget, budget: Budget, rivals: Sequence[Path]
 ) -> Stops:
-    """Return the path that takes least energy when it is driven."""
-    portfolio, before = paths.portfolio, paths.cost
+    """Return the path that takes least when it is driven."""
+    portfolio = paths.portfolio
+    if len(portfolio.best.ds) > REFINING.apart:
+        planning = budget  # a path that was hardly shortened yet takes less by that
+    elif budget.left > STOPS.drives * UNITS.drive:
+        found = stops_of(query, query.path(portfolio.best), budget)
+        if found.share >= 1.0:
+            # where stops take much, all that is left is for paths that have few
+            return least_driven(query, found, portfolio.known, paths.to_go, budget, rivals)
+    _refine(paths, planning)
+    path = _finished(query, [query.path(portfolio.best), *rivals])
+    found, before = stops_of(query, path, budget), paths.cost
     if found.share < 1.0:
         # what other stops cannot bring is spent as if there were none
         portfolio.improve(budget.part(1.0 - found.share), paths.enough)
@@ -203,7 +215,7 @@ def _with_fewer_stops(
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
     """Return the best of some paths with arcs and spins where these are better."""
     # the cost of a known path by the tables differs from that by the models
-    if query.problem.least_radius > 0:
+    if max(query.problem.radii) > 0:
         return min(paths, key=query.value)
     return _with_fewer_motions(query, _with_wide_arcs(query, min(paths, key=query.value)))
 

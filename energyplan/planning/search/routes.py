@@ -47,9 +47,13 @@ from energyplan.planning.space.queues import (
     push,
     slot_of,
     turning_by,
+    with_room,
 )
 
 FACINGS = 16  # number of sectors of headings that the search distinguishes
+EIGHTHS = 8  # headings of straight steps, along the axes of the places and halfway between
+STRIDE = 4  # length of these steps [places]
+_STEP_OF_EIGHTH = np.array([0, 4, 1, 5, 2, 7, 3, 6])  # the step along each of these headings
 
 
 class PricedRoute(NamedTuple):
@@ -58,9 +62,10 @@ class PricedRoute(NamedTuple):
     chain: Ints  # its nodes, from the start to the goal
     cost: float  # price of its length and turns
     looked: int  # states that were expanded
+    heading: float  # heading at its end [rad]
 
 
-def _penalised(
+def penalised(
     penalties: Floats, places: Places, homes: NDArray[np.integer], within: float, factor: float
 ) -> Floats:
     """Return the factors on the prices of steps, raised within a distance of some places."""
@@ -87,7 +92,7 @@ def cheapest_routes(
         if most < 1:
             break
         if blocked:
-            penalties = _penalised(penalties, places, np.array(blocked), reach, ROUTES.blocked)
+            penalties = penalised(penalties, places, np.array(blocked), reach, ROUTES.blocked)
         found = cheapest_route(to_go, setting, penalties, most)
         budget.spend(UNITS.state * found.looked)
         if len(found.chain) == 0:
@@ -96,7 +101,7 @@ def cheapest_routes(
         if tracked.motions is not None:
             ways.append(tracked.motions)
             homes = places.home[found.chain]
-            penalties = _penalised(penalties, places, homes, reach, ROUTES.again)
+            penalties = penalised(penalties, places, homes, reach, ROUTES.again)
         elif ways:
             break
         else:
@@ -106,16 +111,35 @@ def cheapest_routes(
     return ways
 
 
+def straight_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[Segments]:
+    """Return motions along ways of long straight steps, the later ones with fewer turns."""
+    ways: list[Segments] = []
+    known: list[Ints] = []
+    for turns in ROUTES.turns:
+        found = straight_route(to_go, setting, turns, int(budget.left / UNITS.step))
+        budget.spend(UNITS.step * found.looked)
+        if len(found.chain) == 0 or any(np.array_equal(found.chain, one) for one in known):
+            break
+        known.append(found.chain)
+        tracked = track_route(setting, to_go, budget, found.chain)
+        ways += [] if tracked.motions is None else [tracked.motions]
+    return ways
+
+
 @njit
 def cheapest_route(
-    to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int
+    to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int, any_heading: bool = False
 ) -> PricedRoute:
-    """Return the nodes along the way that is cheapest by its length and its turns."""
+    """Return the nodes along the way that is cheapest by its length and its turns.
+
+    Where the goal may be reached at any heading, the last turn costs nothing.
+    """
     places = to_go.places
     space = setting.space
     spacing = places.spacing
     turn = 2.0 * pi / FACINGS
     per_metre = setting.least_metre
+    weighed = ROUTES.weight * per_metre
     turning = turn_prices(setting)
     per_turn = here_turn = turning[0]
     for each in turning:
@@ -145,11 +169,12 @@ def cheapest_route(
     none = np.empty(0, np.int64)
     start = node_at(to_go, space, setting.start)
     if start < 0 or to_go.distance[start] == inf:
-        return PricedRoute(none, inf, 0)
+        return PricedRoute(none, inf, 0, setting.goal.yaw)
     count = 0
     size = 0
     yaw = setting.start.yaw - space.yaw
     goal_yaw = setting.goal.yaw - space.yaw
+    last_turn = 0.0 if any_heading else 1.0
     best = -1
     least = inf
     for b in range(FACINGS):
@@ -161,7 +186,7 @@ def cheapest_route(
             if not even:
                 here_turn = turning[surface_at(setting, setting.start)]
             g[count] = here_turn * off
-            h[count] = _rest(to_go, start, b * turn, goal_yaw, per_metre, per_turn)
+            h[count] = _rest(to_go, start, b * turn, goal_yaw, weighed, per_turn, any_heading)
             key[count] = _key(places, setting, start, b)
             table[slot_of(table, key, key[count])] = count
             size = push(heap_f, heap_state, size, g[count] + h[count], count)
@@ -187,7 +212,7 @@ def cheapest_route(
         if to_go.distance[node] <= ROUTES.near * spacing:
             through = (
                 g[state] + per_metre * float(to_go.distance[node])
-                + here_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
+                + last_turn * here_turn * max(angle_between(b * turn, goal_yaw) - 0.5 * turn, 0.0)
             )  # fmt: skip
             if through < least:
                 least = through
@@ -238,7 +263,7 @@ def cheapest_route(
                 known = int(table[slot])
                 if known >= 0 and gg >= g[known] - 1e-9:
                     continue
-                hh = _rest(to_go, other, bb * turn, goal_yaw, per_metre, per_turn)
+                hh = _rest(to_go, other, bb * turn, goal_yaw, weighed, per_turn, any_heading)
                 if gg + hh >= least:
                     continue
                 if known >= 0:
@@ -253,8 +278,186 @@ def cheapest_route(
                 size = push(heap_f, heap_state, size, gg + hh, count)
                 count += 1
     if best < 0:
-        return PricedRoute(none, inf, looked)
-    return PricedRoute(_chain_of(to_go, node_of, parent, best), least, looked)
+        return PricedRoute(none, inf, looked, setting.goal.yaw)
+    heading = space.yaw + facing[best] * turn
+    return PricedRoute(_chain_of(to_go, node_of, parent, best), least, looked, heading)
+
+
+@njit
+def straight_route(to_go: CostToGo, setting: KernelProblem, turns: float, most: int) -> PricedRoute:
+    """Return the nodes along the cheapest way of long straight steps, turns priced `turns` times.
+
+    Steps lead along the axes of the places and halfway between them, and are four places long. So
+    few states show which ways differ by their turns.
+    """
+    places = to_go.places
+    space = setting.space
+    weighed = ROUTES.weight * setting.least_metre
+    across = places.columns + 2 * RIM
+    rows = len(places.masks) // across
+    wide = (across - 1) // STRIDE + 1
+    per_metre = setting.least_metre
+    turning = turns * turn_prices(setting)
+    per_turn = turning[0]
+    for each in turning:
+        per_turn = min(per_turn, each)
+    even = setting.surface.size == 1
+    forwards = price(setting.prices, 0, setting.half_track, 1.0, 0.0)
+    backwards = price(setting.prices, 0, setting.half_track, -1.0, 0.0)
+    none = np.empty(0, np.int64)
+    start = node_at(to_go, space, setting.start)
+    if start < 0 or to_go.distance[start] == inf:
+        return PricedRoute(none, inf, 0, setting.goal.yaw)
+    home = int(places.home[start])
+    first_row = home // across % STRIDE
+    first_column = home % across % STRIDE
+    states = ((rows - 1) // STRIDE + 1) * wide * EIGHTHS
+    g = np.full(states, inf)
+    parent = np.full(states, -1, np.int32)
+    heap_f = np.empty(1 << 10)
+    heap_state = np.empty(1 << 10, np.int32)
+    size = 0
+    eighth = 2.0 * pi / EIGHTHS
+    # places lie in the frame of the grid
+    yaw = setting.start.yaw - space.yaw
+    goal_yaw = setting.goal.yaw - space.yaw
+    passed = _turns_of_eighths()
+    here_turn = per_turn if even else turning[surface_at(setting, setting.start)]
+    for b in range(EIGHTHS):
+        bit = np.uint64(1) << np.uint64(b * (HEADINGS // EIGHTHS))
+        if places.arcs[start] & bit != 0:
+            state = ((home // across) // STRIDE * wide + (home % across) // STRIDE) * EIGHTHS + b
+            g[state] = here_turn * angle_between(b * eighth, yaw)
+            size = push(heap_f, heap_state, size, g[state], state)
+    looked = 0
+    best = -1
+    least = inf
+    while size > 0 and looked < most:
+        f = heap_f[0]
+        state = int(heap_state[0])
+        size = pop(heap_f, heap_state, size)
+        if f >= least:
+            break
+        b = state % EIGHTHS
+        row = state // EIGHTHS // wide * STRIDE + first_row
+        column = state // EIGHTHS % wide * STRIDE + first_column
+        place = row * across + column
+        node = _node_with(places, place, b)
+        to_goal = angle_between(b * eighth, goal_yaw)
+        far = float(to_go.distance[node])
+        rest = weighed * far + per_turn * to_goal
+        if parent[state] >= 0 and f > g[state] + rest + 1e-9:
+            continue
+        looked += 1
+        if not even:
+            x, y = middle_of(places, space, place)
+            here = Pose(x, y, space.yaw + b * eighth)
+            here_turn = turning[surface_at(setting, here)]
+        if far <= ROUTES.near * places.spacing:
+            through = g[state] + per_metre * far + here_turn * to_goal
+            if through < least:
+                least = through
+                best = state
+        for n in range(4):
+            there = place
+            bb = b
+            gg = g[state]
+            if n < 2:
+                bb = (b + 1) % EIGHTHS if n == 0 else (b + EIGHTHS - 1) % EIGHTHS
+                needed = passed[b if n == 0 else bb]
+                if places.arcs[node] & needed != needed:
+                    continue
+                gg += here_turn * eighth
+            else:
+                ahead = n == 2
+                k = int(_STEP_OF_EIGHTH[b if ahead else (b + EIGHTHS // 2) % EIGHTHS])
+                if (1 if ahead else -1) * setting.gear < 0:
+                    continue
+                new_row = row + STRIDE * STEP_ROWS[k]
+                new_column = column + STRIDE * STEP_COLUMNS[k]
+                if not (0 <= new_row < rows and 0 <= new_column < across):
+                    continue
+                bit = np.uint64(1) << np.uint64(b * (HEADINGS // EIGHTHS))
+                step = int(STEP_ROWS[k]) * across + int(STEP_COLUMNS[k])
+                free = True
+                for _ in range(STRIDE):
+                    there += step
+                    free = free and places.masks[there] & bit != 0
+                if not free:
+                    continue
+                length = STRIDE * places.spacing * hypot(STEP_ROWS[k], STEP_COLUMNS[k])
+                if even:
+                    gg += length * (forwards if ahead else backwards)
+                else:
+                    gg += motion_cost(setting, here, length if ahead else -length, 0.0)
+            other = (there // across // STRIDE * wide + there % across // STRIDE) * EIGHTHS + bb
+            if gg >= g[other] - 1e-9:
+                continue
+            beyond = _node_with(places, there, bb)
+            ff = gg + weighed * float(to_go.distance[beyond])
+            ff += per_turn * angle_between(bb * eighth, goal_yaw)
+            if ff >= least:
+                continue
+            g[other] = gg
+            parent[other] = state
+            heap_f, heap_state = with_room(heap_f, heap_state, size)
+            size = push(heap_f, heap_state, size, ff, other)
+    if best < 0:
+        return PricedRoute(none, inf, looked, setting.goal.yaw)
+    chain = _straight_chain(places, parent, best, first_row, first_column)
+    rest = chain_from(to_go, int(to_go.after[chain[-1]]))
+    heading = space.yaw + (best % EIGHTHS) * eighth
+    return PricedRoute(np.concatenate((chain, rest)), least, looked, heading)
+
+
+@inner
+def _straight_chain(
+    places: Places, parent: ShortInts, best: int, first_row: int, first_column: int
+) -> Ints:
+    """Return the nodes on the way of straight steps that leads to a state."""
+    across = places.columns + 2 * RIM
+    wide = (across - 1) // STRIDE + 1
+    steps = 0
+    state = int(parent[best])
+    while state >= 0:
+        steps += 1
+        state = int(parent[state])
+    chain = np.empty(STRIDE * steps + 1, np.int64)
+    state = best
+    row = state // EIGHTHS // wide * STRIDE + first_row
+    column = state // EIGHTHS % wide * STRIDE + first_column
+    at = len(chain) - 1
+    chain[at] = _node_with(places, row * across + column, state % EIGHTHS)
+    while at > 0:
+        state = int(parent[state])
+        up = (state // EIGHTHS // wide * STRIDE + first_row - row) // STRIDE
+        along = (state // EIGHTHS % wide * STRIDE + first_column - column) // STRIDE
+        for _ in range(STRIDE):
+            row += up
+            column += along
+            at -= 1
+            chain[at] = _node_with(places, row * across + column, state % EIGHTHS)
+    return chain
+
+
+@inner
+def _node_with(places: Places, place: int, eighth: int) -> int:
+    """Return the node of a place that has an eighth's heading."""
+    bit = np.uint64(1) << np.uint64(eighth * (HEADINGS // EIGHTHS))
+    for node in range(places.first[place], places.first[place + 1]):
+        if places.arcs[node] & bit != 0:
+            return node
+    return -1
+
+
+@inner
+def _turns_of_eighths() -> Words:
+    """Return the headings that a turn from each eighth to the next one passes."""
+    bits = np.zeros(EIGHTHS, np.uint64)
+    for b in range(EIGHTHS):
+        for k in range(HEADINGS // EIGHTHS + 1):
+            bits[b] |= np.uint64(1) << np.uint64((b * (HEADINGS // EIGHTHS) + k) % HEADINGS)
+    return bits
 
 
 @inner
@@ -350,13 +553,18 @@ def _key(places: Places, setting: KernelProblem, node: int, facing: int) -> int:
 
 @inner
 def _rest(
-    to_go: CostToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float
-) -> float:
+    to_go: CostToGo, node: int, yaw: float, goal_yaw: float, per_metre: float, per_turn: float,
+    any_heading: bool,
+) -> float:  # fmt: skip
     """Estimate the price of the rest of the way."""
     far = float(to_go.distance[node])
     if far == inf:
         return inf
-    turn = angle_between(yaw, goal_yaw)
+    way = float(to_go.direction[node])
+    turn = 0.0 if any_heading else angle_between(yaw, goal_yaw)
     if far > to_go.far:
-        turn = max(turn, turning_by(yaw, float(to_go.direction[node]), goal_yaw))
-    return ROUTES.weight * per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)
+        if any_heading:
+            turn = min(angle_between(yaw, way), angle_between(yaw, way + pi))
+        else:
+            turn = max(turn, turning_by(yaw, way, goal_yaw))
+    return per_metre * far + per_turn * max(turn - pi / FACINGS, 0.0)

@@ -1,9 +1,9 @@
 """Paths that take less once they are driven: fewer stops may justify a longer way.
 
-Energy at a steady speed knows no stops. Driven, each one takes the kinetic energy that the drive
-does not recover, and time in which the computers draw power. What a stop of the best path takes is
-its price. Routes with fewer turns are searched once more, at what the stops take per radian;
-shortcuts are searched at the price, and all paths that result are driven.
+The objective at a steady speed knows no stops. Driven, each one takes time, the kinetic energy that
+the drive does not recover, and what the computers draw meanwhile. What a stop of the best path
+takes is its price. Routes with fewer turns are searched once more, at what the stops take per
+radian; shortcuts are searched at the price, and all paths that result are driven.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PlanningError
 from energyplan.path import Path
 from energyplan.planning.budget import SHARES, UNITS, Budget
-from energyplan.planning.driven import DrivenPath, drive_plan
+from energyplan.planning.driven import DrivenPath, drive_plan, driven_share
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.settings import STOPS
@@ -31,18 +31,14 @@ class Stops(NamedTuple):
 
     path: Path
     driven: DrivenPath | None = None  # None where the motors cannot drive it
-    extra: float = 0.0  # energy above driving steadily [J]
-    each: float = 0.0  # that for each stop [J]
-
-    @property
-    def energy(self) -> float:
-        """Energy of the drive [J]; infinite where there is none."""
-        return np.inf if self.driven is None else self.driven.energy
+    value: float = np.inf  # the objective's value of the drive; infinite where there is none
+    extra: float = 0.0  # what of it is above driving steadily
+    each: float = 0.0  # that for each stop
 
     @property
     def share(self) -> float:
         """Fraction of the budget for paths with fewer stops, by what the stops could give back."""
-        part = self.extra / abs(self.energy) if self.energy else 0.0
+        part = self.extra / abs(self.value) if self.value else 0.0
         return min(max((part - STOPS.least) / (STOPS.most - STOPS.least), 0.0), 1.0)
 
 
@@ -52,8 +48,9 @@ def stops_of(query: CompiledProblem, path: Path, budget: Budget) -> Stops:
     if drive is None:
         return Stops(path)
     still = (drive.trajectory.v == 0.0) & (drive.trajectory.omega == 0.0)
-    extra = drive.energy - query.problem.terrain.price(path, query.problem.cost).energy
-    return Stops(path, drive, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
+    value = query.driven_value(path, drive)
+    extra = value - query.value(path)
+    return Stops(path, drive, value, extra, extra / max(int(np.count_nonzero(still)) - 1, 1))
 
 
 def _driven(query: CompiledProblem, path: Path, budget: Budget) -> DrivenPath | None:
@@ -72,7 +69,7 @@ def least_driven(
     budget: Budget,
     rivals: Sequence[Path] = (),
 ) -> Stops:
-    """Return the path that takes least energy when it is driven; no rival takes less."""
+    """Return the path that takes least when it is driven; no rival takes less."""
     best, path = stops, stops.path
     known = {_key(path)}
 
@@ -83,29 +80,54 @@ def least_driven(
             return
         known.add(_key(candidate))
         found = _driven(query, candidate, budget)
-        if found is not None and found.energy < best.energy:
-            best = Stops(candidate, found)
+        if found is not None and (value := query.driven_value(candidate, found)) < best.value:
+            best = Stops(candidate, found, value)
 
     for rival in rivals:
-        weigh(rival)
+        if not _certainly_more(query, rival, best.value):
+            weigh(rival)
     if stops.share == 0.0:
         return best
-    looked = [query.of_centre(path.ds, path.dtheta), *others]
-    if stops.extra > STOPS.most * abs(best.energy) and path.turning > 0:
+    candidates: list[tuple[float, Path]] = []
+    searching = budget.part(1.0 - SHARES.aside)
+
+    def shorten(motions: Segments, factor: float) -> None:
+        """Look for a path with fewer stops near another one; estimate what driving it takes."""
+        if searching.over:
+            return
+        if factor:
+            setting = query.setting._replace(stop=factor * stops.each)
+            motions = Refiner(setting, motions).with_fewer_stops(searching, STOPS.polish)
+        with suppress(PlanningError):
+            found = query.path(motions)
+            candidates.append((query.value(found) + stops.each * len(found), found))
+
+    own, first = query.of_centre(path.ds, path.dtheta), STOPS.prices[0]
+    shorten(own, first)
+    ways = [*others]
+    if stops.extra > STOPS.most * abs(best.value) and path.turning > 0:
         expensive = _with_expensive_turns(query.setting, stops.extra / path.turning)
-        looked[1:1] = _searched(expensive, to_go, budget)
-    for motions in looked:
-        for factor in STOPS.prices:
-            if budget.over:
-                return best
-            fewer = Refiner(query.setting, motions).with_fewer_stops(factor * stops.each, budget)
-            with suppress(PlanningError):
-                weigh(query.path(fewer))
+        ways = [*_searched(expensive, to_go, searching), *ways]
+    for factor in (*STOPS.prices, 0.0):
+        for motions in ways if factor == first else [own, *ways]:
+            shorten(motions, factor)
+    for _, candidate in sorted(candidates, key=lambda one: one[0]):
+        if budget.over:
+            break
+        weigh(candidate)
     return best
 
 
+def _certainly_more(query: CompiledProblem, path: Path, value: float) -> bool:
+    """Return whether driving a path takes more than a value at any speed."""
+    if query.problem.heights is not None or query.value(path) <= value:
+        return False
+    share = driven_share(query.problem)
+    return share is not None and share * query.value(path) > value
+
+
 def _with_expensive_turns(setting: KernelProblem, per_radian: float) -> KernelProblem:
-    """Return a problem in which turning costs so much more [J/rad]."""
+    """Return a problem in which a radian of turning costs so much more."""
     angle = np.linspace(0.0, 2 * np.pi, DIRECTIONS + 1)
     sideways = np.abs(np.sin(angle)) / setting.half_track
     steering = setting.steering

@@ -17,6 +17,7 @@ from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import ModelError, PlanningError
 from energyplan.path import FloatArray, Path, Pose, point_ahead
+from energyplan.planning.driven import DrivenPath
 from energyplan.planning.problem import PlanningProblem, is_length
 from energyplan.planning.space import prices as _prices
 from energyplan.planning.space.configurations import grown
@@ -61,7 +62,7 @@ class CompiledProblem:
         """The point that the kernels follow, in the body frame [m]."""
         icr = self.problem.cost.icr
         problem = self.problem
-        limited = problem.least_radius > 0 or not problem.robot.reverse
+        limited = max(problem.radii) > 0 or not problem.robot.reverse
         about_treads = not is_length(problem) or limited
         return icr.longitudinal, float(icr.centre[1]) if about_treads else 0.0
 
@@ -152,12 +153,17 @@ class CompiledProblem:
         by_class = kept.reshape(len(self.costs), 1, -1, DIRECTIONS + 1)
         return np.ascontiguousarray((by_class + soft[:, None]).reshape(-1, DIRECTIONS + 1))
 
+    @property
+    def height_price(self) -> float:
+        """What a metre of height adds to the cost of every path."""
+        return self._priced.height_price
+
     def height_potential(self, pose: Pose) -> float:
         """Return the potential of the height at a pose; only differences mean something."""
         if self.terrain.heights is None:
             return 0.0
         point = point_ahead(pose, self.problem.cost.icr.longitudinal)
-        return self._priced.height_price * float(self.terrain.height_at(point))
+        return self.height_price * float(self.terrain.height_at(point))
 
     def potential(self, goal: Pose) -> float:
         """Return what the height of a goal above the start adds to the cost of every path."""
@@ -258,6 +264,9 @@ class CompiledProblem:
         exploit cheap corners that exist only in the raster.
         """
         mean = self._priced.kept.reshape(len(self.costs), -1).mean(axis=1)
+        radii = np.resize(np.array(self.problem.radii), len(mean))
+        if radii.max() > radii.min():
+            mean = mean + radii * (1e6 * np.abs(mean).max())  # first of all it must be permitted
         surface = self.terrain.dearest(mean, self.objective.slow)
         if self._levels > 1 and self.problem.costmap is not None:
             level = np.round(self.problem.costmap.over(self.grid) * (self._levels - 1))
@@ -287,30 +296,40 @@ class CompiledProblem:
         """The problem as the kernels see it."""
         problem = self.problem
         body = self.grown if self.ends_have_margin else self.body
-        static = self.steering
         return KernelProblem(
             space=self.grid.space,
             body=body,
             prices=self.prices,
             surface=self._classes,
             hills=self.hills,
-            steering=StaticSteering(
-                half_track=static.track,
-                longitudinal=0.0,
-                lateral=0.0,
-                per_metre=static.metre,
-                per_radian=static.metre * static.track + static.radian,
-            ),
+            steering=_static(self.steering),
             half_track=problem.cost.half_track,
             least_radius=problem.least_radius,
+            radii=self._radii,
+            widest=float(self._radii.max()),
+            wide=self._steering_on(float(self._radii.max())),
             gear=0 if problem.robot.reverse else 1,
             lateral=self.middle[1],
             reach=float(np.hypot(max(-body.x_min, body.x_max), max(-body.y_min, body.y_max))),
             least_metre=self.least.metre,
             least_radian=self.least.radian,
+            stop=0.0,
             start=self.centre(problem.start),
             goal=self.centre(problem.goal),
         )
+
+    @cached_property
+    def _radii(self) -> FloatArray:
+        """Least radius of arcs on each class of surface and level of the costmap [m]."""
+        radii = self.problem.radii
+        count = len(self.costs)
+        return np.repeat(np.resize(np.array(radii), count), self._levels)
+
+    def _steering_on(self, radius: float) -> StaticSteering:
+        """Return the static cost that steering on arcs of a radius at least solves [m]."""
+        if not radius > self.problem.least_radius:
+            return _static(self.steering)
+        return _static(self.least_prices.minorant(radius))
 
     @property
     def least_in_free_space(self) -> float:
@@ -363,6 +382,22 @@ class CompiledProblem:
         if self.problem.weights.get("time"):
             duration = self.terrain.price(path, cost).duration
         return self.objective.value(energy, path.length, duration) + self.soft_cost(path)
+
+    def driven_value(self, path: Path, driven: DrivenPath) -> float:
+        """Return the objective's value of a path as it is driven."""
+        value = self.objective.value(driven.energy, path.length, driven.duration)
+        return value + self.soft_cost(path, driven.seconds)
+
+
+def _static(rates: Minorant) -> StaticSteering:
+    """Return rates as steering reads them."""
+    return StaticSteering(
+        half_track=rates.track,
+        longitudinal=0.0,
+        lateral=0.0,
+        per_metre=rates.metre,
+        per_radian=rates.metre * rates.track + rates.radian,
+    )
 
 
 def compiled(problem: PlanningProblem) -> CompiledProblem:

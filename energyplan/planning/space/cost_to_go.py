@@ -201,13 +201,16 @@ def fill_cost_to_go(
             distance[node] = inf
     rounding = TO_GO.rounding * places.spacing
     count = 0
+    used = 0
+    spare = -1  # the first of the entries that are empty again
     waiting = 0
     for k in range(len(goals)):
         distance[goals[k]] = 0.0
         target[goals[k]] = goals[k]
-        nodes[count] = goals[k]
-        older[count] = bucket[0]
-        bucket[0] = count
+        nodes[used] = goals[k]
+        older[used] = bucket[0]
+        bucket[0] = used
+        used += 1
         count += 1
         waiting += 1
     at_bucket = 0
@@ -218,6 +221,8 @@ def fill_cost_to_go(
             continue
         bucket[at_bucket % ring] = older[entry]
         node = int(nodes[entry])
+        older[entry] = spare
+        spare = entry
         waiting -= 1
         if closed[node]:
             continue
@@ -258,14 +263,20 @@ def fill_cost_to_go(
                     parent[other] = node
                     target[other] = -1
                     closed[other] = False
-                    if count == capacity:
-                        capacity *= 2
-                        nodes = longer_ints(nodes)
-                        older = longer_ints(older)
+                    free = spare
+                    if free >= 0:
+                        spare = int(older[free])
+                    else:
+                        if used == capacity:
+                            capacity *= 2
+                            nodes = longer_ints(nodes)
+                            older = longer_ints(older)
+                        free = used
+                        used += 1
                     slot = max(int(dd / width), at_bucket) % ring
-                    nodes[count] = other
-                    older[count] = bucket[slot]
-                    bucket[slot] = count
+                    nodes[free] = other
+                    older[free] = bucket[slot]
+                    bucket[slot] = free
                     count += 1
                     waiting += 1
     return count

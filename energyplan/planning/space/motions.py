@@ -68,11 +68,15 @@ class KernelProblem(NamedTuple):
     steering: StaticSteering  # the static cost that steering solves
     half_track: float  # half the slip track [m]
     least_radius: float  # of arcs; zero where any turn is allowed [m]
+    radii: Floats  # (classes,): the same on each class of surface [m]
+    widest: float  # the largest of these [m]
+    wide: StaticSteering  # the static cost that steering on arcs of that radius solves
     gear: int  # 0 drives both ways, 1 forwards only; -1 that searched from the end
     lateral: float  # y of the centre of the tread ICRs in the body frame [m]
     reach: float  # distance of the body's furthest corner [m]
     least_metre: float  # least cost of a metre, plus `least_radian` for each radian
     least_radian: float  # least cost of a radian
+    stop: float  # price of each motion of those that `join` chooses, beyond what it costs
     start: Pose  # pose of the centre of the tread ICRs at the start
     goal: Pose  # pose of the centre of the tread ICRs at the goal
 
@@ -105,14 +109,15 @@ def turn_prices(setting: KernelProblem) -> Floats:
     bins = setting.hills.bins
     headings = setting.hills.headings
     half = setting.half_track
-    aside = max(half, setting.least_radius)
     found = np.empty(len(setting.prices) // (bins * headings))
     for k in range(len(found)):
         spin = pivot = 0.0
+        least = setting.radii[k]
+        aside = max(half, least)
         for heading in range(headings):
             row = bins * (headings * k + heading) + bins // 2
             for side in (-1.0, 1.0):
-                spin += 0.5 * price(setting.prices, row, half, setting.least_radius, side)
+                spin += 0.5 * price(setting.prices, row, half, least, side)
                 pivot += 0.5 * price(setting.prices, row, half, aside, side)
             pivot -= price(setting.prices, row, half, aside, 0.0)
         found[k] = max(0.5 * (spin + pivot) / headings, setting.least_radian)
@@ -129,6 +134,30 @@ def surface_at(setting: KernelProblem, pose: Pose) -> int:
     row = int(here.row)
     column = int(here.column)
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
+
+
+@inner
+def permitted(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> bool:
+    """Return whether the ground allows to turn as tightly as a motion does."""
+    turn = abs(dtheta) * (1.0 - 1e-7)
+    if abs(ds) >= setting.widest * turn:
+        return True
+    if setting.widest == setting.least_radius:
+        return abs(ds) >= setting.least_radius * turn
+    furthest = max(abs(ds), abs(ds + setting.lateral * dtheta))
+    pieces = max(ceil(max(2.0 * furthest / setting.space.resolution, abs(dtheta) / TURN)), 1)
+    part_turn = dtheta / pieces
+    part_ds = ds / pieces
+    here = pose
+    for _ in range(pieces):
+        # at the ends of the parts too: the border of a surface may be touched between
+        if abs(ds) < setting.radii[surface_at(setting, here)] * turn:
+            return False
+        middle = arc_end(here, 0.5 * part_ds, 0.5 * part_turn)
+        if abs(ds) < setting.radii[surface_at(setting, middle)] * turn:
+            return False
+        here = arc_end(here, part_ds, part_turn)
+    return bool(abs(ds) >= setting.radii[surface_at(setting, here)] * turn)
 
 
 @inner
@@ -288,6 +317,8 @@ def drive(
         return inf
     here = pose
     for k in range(count):
+        if setting.widest > setting.least_radius and not permitted(setting, here, ds[k], dtheta[k]):
+            return inf
         if not motion_free(
             setting.space, setting.body, here.x, here.y, here.yaw, ds[k], dtheta[k], 0.0
         ):
@@ -337,6 +368,17 @@ def put_pose(poses: FloatTable, k: int, pose: Pose) -> None:
     poses[k, 2] = pose.yaw
 
 
+@inner
+def price_of_stops(setting: KernelProblem, ds: Floats, dtheta: Floats, count: int) -> float:
+    """Price of the stops between motions and at their end."""
+    total = 0.0
+    if setting.stop > 0.0:
+        for k in range(count):
+            if abs(ds[k]) + abs(dtheta[k]) > STILL:
+                total += setting.stop
+    return total
+
+
 @njit
 def join(
     setting: KernelProblem, pose: Pose, to: Pose, limit: float, ds: Floats, dtheta: Floats
@@ -360,16 +402,30 @@ def join(
             count = arcs_forwards(pose, to, setting.steering, ds, dtheta)
         else:
             count = forward_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
-    cost = drive(setting, pose, ds, dtheta, count, limit)
+    stops = price_of_stops(setting, ds, dtheta, count)
+    cost = drive(setting, pose, ds, dtheta, count, limit - stops) + stops
     # what is found depends on the limit only in whether it costs less
     if cost <= least * (1.0 + 1e-9):
         return cost, count
+    if setting.widest > setting.least_radius and setting.gear == 0:
+        wide_ds = np.empty(MAX_SEGMENTS)
+        wide_dtheta = np.empty(MAX_SEGMENTS)
+        n = steer_path(dx, dy, pose.yaw, to.yaw, setting.wide, wide_ds, wide_dtheta)
+        stops = price_of_stops(setting, wide_ds, wide_dtheta, n)
+        other = drive(setting, pose, wide_ds, wide_dtheta, n, min(limit, cost) - stops) + stops
+        if other < cost:
+            cost = other
+            count = n
+            for k in range(n):
+                ds[k] = wide_ds[k]
+                dtheta[k] = wide_dtheta[k]
     other_ds = np.empty(3)
     other_dtheta = np.empty(3)
     ways = 1 if setting.gear != 0 else 2
     for way in range(ways if setting.least_radius == 0.0 else 0):
         n = spin_drive_spin(pose, to, way == 1, other_ds, other_dtheta)
-        other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost))
+        stops = price_of_stops(setting, other_ds, other_dtheta, n)
+        other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost) - stops) + stops
         if other < cost:
             cost = other
             count = n

@@ -136,6 +136,19 @@ export class Chart {
     };
   }
 
+  // A path that a task drives along, with its number where it begins.
+  row(label, points) {
+    const line = L.polyline(points.map(([x, y]) => at(x, y)), { weight: 9, opacity: 0.45, interactive: false, className: "row" }).addTo(this.map);
+    const icon = L.divIcon({ className: "", html: `<div class="pin task">${label}</div>`, iconSize: [26, 26] });
+    const marker = L.marker(at(...points[0]), { icon, title: label, alt: `path ${label}`, interactive: false, keyboard: false }).addTo(this.map);
+    const mark = (name) => {
+      marker.getElement().firstChild.className = `pin task ${name}`;
+      line.setStyle({ color: color(name === "out" ? "--bad" : name === "done" ? "--good" : "--least") });
+    };
+    mark("");
+    return { pose: null, mark, remove: () => [marker, line].forEach((part) => part.remove()) };
+  }
+
   // Areas in reach, one in the other: what little leads to is darkest.
   areas(document_, label) {
     this.reach.clearLayers();

@@ -256,7 +256,8 @@ async function open(name) {
     const made = chart.pose("C", pose, () => { made.moved = true; stale(); }, "charger");
     return made;
   });
-  told.tasks.forEach((task, k) => add(task, document.tasks[k]));
+  const listed = Array.isArray(document.tasks);  // or the name of a file of them
+  told.tasks.forEach((task, k) => add(task, listed ? document.tasks[k] : said(task)));
   if (mode !== "mission") $("tab-mission").click();
   say(`${name}: ${tasks.length} task${tasks.length > 1 ? "s" : ""}. Move or change them, and ask whether the battery lasts.`);
 }
@@ -268,10 +269,15 @@ function fill(input, value) {
   input.value = input.defaultValue;
 }
 
-// Add a task, with a row of its own; `raw` is what the file says of it.
-function add({ name, pose, dwell, power, window: [first, last], required }, raw = null) {
+// What a file would say of a task that another file names: what is open is left out.
+const said = (task) => Object.fromEntries(Object.entries(task).filter(([, value]) =>
+  value != null && !(Array.isArray(value) && (!value.length || value.includes(null)))));
+
+// Add a task, with a row of its own; `raw` is what the file says of it. A path stays where it is.
+function add({ name, pose, path = [], dwell, power, window: [first, last], required }, raw = null) {
   const number = 1 + Math.max(0, ...tasks.map((task) => task.number));
-  const task = chart.pose(String(number), pose, () => { task.moved = true; stale(); }, "task");
+  const task = path.length ? chart.row(String(number), path)
+    : chart.pose(String(number), pose, () => { task.moved = true; stale(); }, "task");
   const row = element("tr"), input = (label, value, type = "number") => {
     const made = element("input");
     Object.assign(made, { type, min: 0, step: "any", ariaLabel: `${label} of ${name}` });
@@ -289,6 +295,7 @@ function add({ name, pose, dwell, power, window: [first, last], required }, raw 
     first: input("earliest start", first ? minutes(first) : ""), last: input("latest start", minutes(last)),
     required: input("required", required, "checkbox"),
   });
+  task.dwell.disabled = path.length > 0;  // it takes as long as its drive
   const drop = element("button", "×"), cell = element("td");
   Object.assign(drop, { type: "button", title: `Remove ${name}` });
   drop.addEventListener("click", () => { task.remove(); row.remove(); tasks = tasks.filter((one) => one !== task); $("tasks").hidden = !tasks.length; stale(); });

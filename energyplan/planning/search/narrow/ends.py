@@ -328,8 +328,8 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     pose, far = (query.centre(end) for end in ends)
     space, body, setting = query.grid.space, query.body, query.setting
     tree = escape(
-        space, body, query.grown, pose, max(setting.half_track, setting.least_radius),
-        setting.least_radius == 0.0, setting.gear == 0, setting.reach, goal, turn,
+        space, body, query.grown, pose, max(setting.half_track, setting.widest),
+        setting.widest == 0.0, setting.gear == 0, setting.reach, goal, turn,
         int(budget.left / UNITS.motion) + 1,
     )  # fmt: skip
     budget.spend(UNITS.motion * tree.tests)

@@ -1,0 +1,211 @@
+"""Goals as people have them: a place, a pose either way round, a circle, one of several."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import energyplan as ep
+from energyplan.errors import GoalInCollisionError, InvalidInputError
+from energyplan.planning.goal import as_goals
+from energyplan.planning.replanning import replan
+
+MODEL = ep.PowerModel.preset("quadriga:empty:concrete")
+
+
+def hall(walls: bool = False) -> ep.OccupancyGrid:
+    """Return a hall of 12 x 8 m, with two walls that leave gaps at their ends."""
+    cells = np.zeros((80, 120), bool)
+    if walls:
+        cells[:55, 40:43] = True
+        cells[25:, 78:81] = True
+    return ep.OccupancyGrid(cells, resolution=0.1)
+
+
+def problem(goal: object, walls: bool = False, **more: object) -> ep.PlanningProblem:
+    return ep.PlanningProblem(hall(walls), ep.EnergyCost(MODEL), (1.5, 2.0, 0.4), goal, **more)
+
+
+@pytest.mark.parametrize(("walls", "place"), [(False, (6, 6)), (True, (6, 3)), (True, (10.5, 5))])
+def test_a_place_costs_no_more_than_at_the_best_of_many_headings(walls, place):
+    """Planning to a place finds its best heading, and its bound holds for every heading."""
+    free = ep.plan(problem(place, walls), effort=10_000)
+    given = [
+        ep.plan(problem((*place, yaw), walls), effort=10_000).cost
+        for yaw in np.arange(16) * 2 * np.pi / 16
+    ]
+    assert free.cost <= 1.005 * min(given)
+    assert free.lower_bound <= min(given)
+    assert free.lower_bound <= free.cost
+    assert np.hypot(*np.subtract(free.path.end[:2], place)) < 1e-6
+    assert free.problem.goal == free.path.end
+
+
+def test_a_place_in_the_open_is_reached_by_the_exact_optimum_over_headings():
+    """Without obstacles the gap to the bound over all headings is closed."""
+    from energyplan import steering
+
+    found = ep.plan(problem((6.0, 6.0)), effort=5000)
+    cost, start = ep.EnergyCost(MODEL), (1.5, 2.0, 0.4)
+    ends = [(6.0, 6.0, yaw) for yaw in np.linspace(0, 2 * np.pi, 3600, endpoint=False)]
+    least = steering.energy(start, ends, cost).min()
+    assert found.cost_steady == pytest.approx(least, rel=1e-4)
+    assert found.lower_bound_steady <= least
+    assert found.lower_bound_steady == pytest.approx(least, rel=1e-3)
+
+
+def test_either_way_round_is_the_better_of_two_poses():
+    """A pose either way round costs what the better of the two does."""
+    either = ep.plan(problem(ep.Goal(6, 3, 1.0, heading="either"), True), effort=20_000)
+    both = [ep.plan(problem((6, 3, yaw), True), effort=20_000) for yaw in (1.0, 1.0 + np.pi)]
+    assert either.cost <= 1.005 * min(one.cost for one in both)
+    assert either.lower_bound <= min(one.cost for one in both)
+    assert np.cos(either.goal_reached.yaw - 1.0) ** 2 == pytest.approx(1.0)
+
+
+def test_a_circle_is_reached_at_its_edge():
+    """A radius takes less than the place itself, and the path ends within it."""
+    place, circle = ep.Goal(6, 6), ep.Goal(6, 6, radius=1.0)
+    to_place, to_circle = (ep.plan(problem(goal), effort=5000) for goal in (place, circle))
+    assert circle.reached_by(to_circle.path.end)
+    assert not place.reached_by(to_circle.path.end)
+    saved = to_place.cost - to_circle.cost
+    assert saved == pytest.approx(MODEL_METRE, rel=0.1)
+    assert to_circle.lower_bound <= to_circle.cost
+    exact = ep.Goal(6, 6, 1.2, radius=0.5)
+    given = ep.plan(problem(exact), effort=5000)
+    assert exact.reached_by(given.path.end)
+    assert given.lower_bound <= given.cost < ep.plan(problem((6, 6, 1.2)), effort=5000).cost
+
+
+MODEL_METRE = float(ep.EnergyCost(MODEL).segment_energy(1.0, 0.0))
+
+
+def test_the_nearest_of_several_is_that_of_least_energy():
+    """Of two docks the one that takes less is reached, though it lies farther away."""
+    near, far = (1.5, 4.0, 0.4 + np.pi / 2), (4.5, 3.3, 0.4)
+    alone = [ep.plan(problem(goal), effort=5000) for goal in (near, far)]
+    assert alone[0].length < alone[1].length
+    assert alone[0].cost > alone[1].cost
+    found = ep.plan(problem([near, far]), effort=10_000)
+    assert found.cost == pytest.approx(alone[1].cost, rel=2e-3)
+    assert found.goal_reached == pytest.approx(far, abs=1e-6)
+    assert found.lower_bound <= min(one.cost for one in alone) * (1 + 1e-9)
+
+
+def test_one_of_several_that_cannot_be_reached_is_left_out():
+    """A dock behind walls, or inside one, is no hindrance as long as another one is free."""
+    inside = (4.15, 2.0, 0.0)
+    found = ep.plan(problem([inside, (6, 3)], True), effort=10_000)
+    assert found.goal_reached[:2] == pytest.approx((6, 3), abs=1e-6)
+    with pytest.raises(GoalInCollisionError, match="at every pose of the goal"):
+        ep.plan(problem([(4.15, 2.0), (4.15, 1.0, 0.0)], True), effort=10_000)
+
+
+def test_bounds_over_a_disc_hold_for_its_poses():
+    """The bound to a circle is below the exact energy to any of its poses."""
+    from energyplan import steering
+    from energyplan.planning.bound.goals import least_to_goal
+
+    rng, ratios = np.random.default_rng(3), []
+    cost = ep.EnergyCost(MODEL)
+    for _ in range(20):
+        x, y = rng.uniform((2, 2), (10, 6))
+        start = (*rng.uniform((2, 2), (10, 6)), rng.uniform(-3, 3))
+        goal = ep.Goal(x, y, radius=rng.uniform(0.1, 1.5))
+        asked = ep.PlanningProblem(hall(), cost, start, (x, y, 0.0))
+        bound = least_to_goal(asked, goal).value
+        r, a, yaw = rng.uniform((0, 0, 0), (1, 2 * np.pi, 2 * np.pi), (4000, 3)).T
+        r = goal.radius * np.where(rng.random(4000) < 0.5, 1.0, np.sqrt(r))
+        ends = np.column_stack([x + r * np.cos(a), y + r * np.sin(a), yaw])
+        least = steering.energy(start, ends, cost).min()
+        assert bound <= least
+        ratios.append(bound / least)
+    assert np.mean(ratios) > 0.85
+
+
+def test_goals_are_read_in_one_way():
+    """Texts, numbers, mappings and records stand for the same goals."""
+    assert as_goals("6,3") == as_goals((6, 3)) == as_goals({"x": 6, "y": 3}) == (ep.Goal(6, 3),)
+    assert as_goals("6,3,90deg") == as_goals([6, 3, "90deg"]) == (ep.Goal(6, 3, np.pi / 2),)
+    assert as_goals(["6,3", (1, 2, 0.5)]) == (ep.Goal(6, 3), ep.Goal(1, 2, 0.5))
+    assert as_goals("6,3,1", "either", 0.2) == (ep.Goal(6, 3, 1.0, "either", 0.2),)
+    assert as_goals("6,3,1", "any") == (ep.Goal(6, 3),)
+    assert problem((6, 3, 1.0)).goals == ()
+
+
+@pytest.mark.parametrize(
+    ("goal", "match"),
+    [
+        ("6", "neither X,Y,YAW nor X,Y"),
+        ((6, np.nan), "finite"),
+        (ep.Goal, "goal is"),
+        ({"x": 6}, "x, y, yaw, heading and radius"),
+        ([], "goal is"),
+    ],
+)
+def test_what_is_no_goal_is_refused(goal, match):
+    """What stands for no goal is refused by name."""
+    with pytest.raises(InvalidInputError, match=match):
+        problem(goal)
+
+
+def test_goals_that_contradict_themselves_are_refused():
+    """Headings that are wanted but not given, and negative radii, are refused."""
+    with pytest.raises(InvalidInputError, match="no yaw is given"):
+        ep.Goal(1, 2, heading="either")
+    with pytest.raises(InvalidInputError, match="one of given, either, any"):
+        ep.Goal(1, 2, 0.0, heading="both")
+    with pytest.raises(InvalidInputError, match="radius"):
+        ep.Goal(1, 2, radius=-1.0)
+    asked = problem((6, 3))
+    with pytest.raises(InvalidInputError, match="none of those in goals"):
+        replace(asked, goal=ep.Pose(7, 3, 0.0))
+
+
+def test_comparing_routes_to_a_place():
+    """The shortest route leads to the place too, and takes no less energy."""
+    found = ep.compare(problem((6, 3), True), effort=20_000)
+    for plan in (found.energy_optimal, found.shortest):
+        assert plan.goal_reached[:2] == pytest.approx((6, 3), abs=1e-6)
+    assert found.saving >= 0.0
+    assert found.shortest.length <= found.energy_optimal.length + 1e-9
+
+
+def test_replanning_to_a_place():
+    """The rest of a plan to a place is kept, and another heading reached where it is closed."""
+    asked = problem((10, 4))
+    former = ep.plan(asked, effort=5000)
+    half = former.path.subdivide(0.1, 0.1).vertices[20]
+    on = replan(asked, former, start=half, effort=5000)
+    assert on.cost_steady < former.cost_steady
+    assert on.lower_bound <= on.cost
+    closed = asked.map.updated(np.ones((20, 10), bool), row=25, column=70)
+    around = replan(asked, former, start=half, map=closed, effort=10_000)
+    assert around.cost > on.cost
+    assert around.goal_reached[:2] == pytest.approx((10, 4), abs=1e-6)
+    assert asked.map.updated(np.ones((1, 1), bool), row=0, column=0) is not asked.map
+
+
+@pytest.mark.parametrize("planner", ["rrtstar"])
+def test_other_planners_reach_places_too(planner):
+    """A planner that knows single poses alone is used for a place."""
+    found = ep.plan(problem((6, 3)), planner, effort=4000)
+    assert found.goal_reached[:2] == pytest.approx((6, 3), abs=1e-6)
+    assert found.lower_bound <= found.cost
+
+
+def test_a_request_names_goals_as_python_does():
+    """The service reads places, objects and lists, and refuses what stands for no goal."""
+    pytest.importorskip("fastapi")
+    from energyplan.serve.requests import PlanRequest
+
+    def asked(goal: object) -> object:
+        return PlanRequest(map="a.yaml", model="m", start=[0.0, 0.0, 0.0], goal=goal).goal
+
+    assert asked([6, 3]) == (ep.Goal(6, 3),)
+    either = {"x": 6, "y": 3, "yaw": 1.0, "heading": "either"}
+    assert asked([[6, 3], either]) == (ep.Goal(6, 3), ep.Goal(6, 3, 1.0, "either"))
+    for wrong in ([6], "x", {"x": 6}, [[6, 3]] * 21):
+        with pytest.raises(ValueError, match="goal"):
+            asked(wrong)
