@@ -506,6 +506,10 @@ class Columns:
             if comma:
                 values = np.where(_with_thousands(series), np.nan, values)
             bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+            # to pandas before 3.0 a number beyond the largest is none
+            beyond = [k for k in bad if _BEYOND.fullmatch(str(plain.iloc[k]))]
+            values = np.where(np.isin(np.arange(len(values)), beyond), np.inf, values)
+            bad = np.setdiff1d(bad, beyond)
             if len(bad) and _OF_DAY.fullmatch(str(series.iloc[bad[0]])):
                 values = _of_day(series)
                 self._of_day.add(label)
@@ -556,6 +560,8 @@ def _with_thousands(cells: pd.Series[Any]) -> NDArray[np.bool_]:
 
 
 _ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
+_BEYOND = re.compile(r"[+-]?\d+(\.\d*)?[eE]\+?\d{3,}")
+"""A number beyond the largest of floating point, where it cannot be converted."""
 _OF_DAY = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d*)?( ?[AP]M)?")
 _DAY = 86400.0
 
