@@ -22,8 +22,8 @@ from energyplan.mission.types import Mission, Option, Task
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning import Goal, PlanningProblem, plan
 from energyplan.planning.search.lattice import joined
+from energyplan.planning.several import along
 from energyplan.planning.space.compiled import CompiledProblem, compiled
-from energyplan.planning.space.motions import motion_cost
 from energyplan.steering.forwards import forward_energies
 from energyplan.steering.kernels import steer_energies
 
@@ -163,15 +163,7 @@ def _steered(
 ) -> FloatArray:
     """Return what a path costs from other poses at its start to other poses at its end."""
     setting = query.setting
-    step = CHOOSING.reach * setting.reach / CHOOSING.poses
-    fine = path.subdivide(step, step / setting.half_track)
-    motions = query.of_centre(fine.ds, fine.dtheta)
-    poses = [query.centre(Pose(*at)) for at in fine.vertices.tolist()]
-    parts = [
-        motion_cost(setting, *motion)
-        for motion in zip(poses, motions.ds.tolist(), motions.dtheta.tolist(), strict=False)
-    ]
-    came = np.concatenate([[0.0], np.cumsum(parts)])
+    _, poses, came = along(query, path, CHOOSING.reach * setting.reach / CHOOSING.poses)
     half = (len(poses) + 1) // 2
     few = np.arange(min(CHOOSING.poses, half))
     last = len(poses) - 1 - few

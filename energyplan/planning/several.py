@@ -356,6 +356,28 @@ class _Ways(NamedTuple):
         return best
 
 
+class Along(NamedTuple):
+    """A path in short segments."""
+
+    path: Path
+    poses: list[Pose]  # of the treads' centre, at the ends of the segments
+    came: FloatArray  # cost up to each of them
+
+
+def along(query: CompiledProblem, path: Path, step: float) -> Along:
+    """Cut a path into segments of a length at most [m]."""
+    setting = query.setting
+    fine = path.subdivide(step, step / setting.half_track)
+    motions = query.of_centre(fine.ds, fine.dtheta)
+    poses = [query.centre(Pose(*at)) for at in fine.vertices.tolist()]
+    parts = [
+        motion_cost(setting, *motion)
+        for motion in zip(poses, motions.ds.tolist(), motions.dtheta.tolist(), strict=False)
+    ]
+    came = np.concatenate([[0.0], np.cumsum(parts)])
+    return Along(fine, poses, came)
+
+
 def ended(
     problem: PlanningProblem, single: PlanningProblem, path: Path, goal: Goal, budget: Budget
 ) -> Path | None:
@@ -367,17 +389,9 @@ def ended(
     setting = query.setting
     if len(path) == 0:
         return None
-    step = SEVERAL.near * setting.reach / SEVERAL.ends
-    fine = path.subdivide(step, step / setting.half_track)
-    motions = query.of_centre(fine.ds, fine.dtheta)
-    poses = [query.centre(Pose(*at)) for at in fine.vertices.tolist()]
-    parts = [
-        motion_cost(setting, *motion)
-        for motion in zip(poses, motions.ds.tolist(), motions.dtheta.tolist(), strict=False)
-    ]
-    came = np.concatenate([[0.0], np.cumsum(parts)])
-    along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
-    late = np.flatnonzero(along >= along[-1] - SEVERAL.near * setting.reach)
+    fine, poses, came = along(query, path, SEVERAL.near * setting.reach / SEVERAL.ends)
+    driven = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])
+    late = np.flatnonzero(driven >= driven[-1] - SEVERAL.near * setting.reach)
     late = np.unique(late[np.linspace(0, len(late) - 1, SEVERAL.ends).round().astype(int)])
     late = np.union1d([0], late)  # the start too, for the exact motion from there
     ways = _Ways(query, np.array(poses)[late], came[late], budget)
