@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -20,8 +21,10 @@ Reader = Callable[[Path], Recording | None]
 
 def read_recorded(path: str | Path, clock: Column | None = None) -> Recording:
     """Read what a file holds: by a reader of another package that knows it, else as a table."""
-    file = Path(path)
-    if file.exists():  # what is missing, or several files, is a matter of the reader of tables
+    file, there = Path(path), False
+    with suppress(OSError, ValueError):  # a name that no file can have
+        there = file.exists()
+    if there:  # what is missing, or several files, is a matter of the reader of tables
         for name, reader in _readers(entry_points, tuple(sys.path)):
             if (found := _read_by(name, reader, file)) is not None:
                 return found

@@ -16,7 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.errors import GoalInCollisionError, OutsideMapError, PlanningError
+from energyplan.errors import (
+    GoalInCollisionError,
+    OutsideMapError,
+    PlanningError,
+    TimeLimitError,
+)
 from energyplan.path import FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.bound.goals import least_to_goal
 from energyplan.planning.budget import SHARES, UNITS, Budget
@@ -216,6 +221,8 @@ def _first(
             failed.append(error)
         if budget.over:
             break
+    if isinstance(failed[0], TimeLimitError) and not budget.over:  # with all that is left, then
+        return _to_pose(problem, solver, aims[0], budget.part(1.0))
     raise failed[0]
 
 

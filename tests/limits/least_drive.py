@@ -31,7 +31,7 @@ def least_energy(path: Path, cost: EnergyCost) -> float:
     motor = MotorLimits(speed=cost.vehicle.motor.speed)
     model = replace(cost.model, vehicle=replace(cost.vehicle, motor=motor))
     free = replace(cost, model=model, speed="cheapest", time_value=0.0)
-    x, y, _ = free._moving(path)
+    x, y, *_ = free._moving(path)
     limit = free._admissible_rate(x, y)
 
     def energy(rate: FloatArray) -> FloatArray:

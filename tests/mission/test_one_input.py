@@ -125,12 +125,12 @@ def along() -> Mission:
 
 
 def shared() -> Mission:
-    """Two robots, the nearer one without the skill; both have to charge at one place."""
+    """Two robots with a skill each; both have to charge at one place."""
     robots = (
-        Robot("near", changes={"start": (2.6, 3.5, 0.0)}),
+        Robot("near", ("eye",), {"start": (2.6, 3.5, 0.0)}),
         Robot("far", ("arm",), {"start": (5.0, 4.0, 0.0), "soc": 0.4}),
     )
-    look = Task("look", (3.0, 2.5, 0.0), dwell=500.0, power=150.0)
+    look = Task("look", (3.0, 2.5, 0.0), dwell=500.0, power=150.0, needs=("eye",))
     wash = Task("wash", (2.6, 3.5, 0.5), dwell=500.0, power=150.0, needs=("arm",))
     return replace(charging(), tasks=(look, wash), robots=robots)
 
@@ -260,7 +260,7 @@ PARTS = [
     }),
     Part(mission, ("surfaces", "surfaces", 0), Surface, {
         "area": lambda: shapely.box(0, 0, 2.2, 5), "model": lambda: model(0.7, "rough"),
-        **like(name="other"),
+        **like(name="other", second=200.0, turning_radius=0.6),
     }, {"name": LABEL}),
     Part(mission, ("surfaces", "speed_limits", 0), SpeedLimit, {
         "area": lambda: shapely.box(4.0, 0, 8, 5), **like(speed=0.3, relative=True),

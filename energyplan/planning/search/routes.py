@@ -93,7 +93,7 @@ def cheapest_routes(
             break
         if blocked:
             penalties = penalised(penalties, places, np.array(blocked), reach, ROUTES.blocked)
-        found = cheapest_route(to_go, setting, penalties, most)
+        found = cheapest_route(to_go, setting, penalties, most, False)
         budget.spend(UNITS.state * found.looked)
         if len(found.chain) == 0:
             break
@@ -128,7 +128,7 @@ def straight_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> 
 
 @njit
 def cheapest_route(
-    to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int, any_heading: bool = False
+    to_go: CostToGo, setting: KernelProblem, penalties: Floats, most: int, any_heading: bool
 ) -> PricedRoute:
     """Return the nodes along the way that is cheapest by its length and its turns.
 

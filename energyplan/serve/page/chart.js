@@ -20,7 +20,7 @@ export class Chart {
     this.map.getContainer().addEventListener("keydown", (event) => {
       if (event.key !== "Enter" || event.target !== this.map.getContainer()) return;
       const { lat, lng } = this.map.getCenter();
-      onClick(lng, lat);
+      onClick(lng, lat, true);
     });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.repaint());
   }

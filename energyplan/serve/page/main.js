@@ -123,8 +123,9 @@ function begins(each) {
   [start] = robots;
 }
 
-function place(x, y) {
-  if (chart.blocked(x, y)) return say("There is a wall, or no map: click on free ground.", true);
+// Place what comes next; with the keyboard it begins in the middle, wherever that is.
+function place(x, y, keys = false) {
+  if (!keys && chart.blocked(x, y)) return say("There is a wall, or no map: click on free ground.", true);
   if (!start) {
     begins([{ start: [x, y, 0] }]);
     say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
