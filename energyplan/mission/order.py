@@ -64,7 +64,9 @@ class Ordering(NamedTuple):
     levels: int = 3  # payloads at which legs are priced where there are many
     most_loads: int = 1024  # payloads that are distinguished at most
     each: int = 64  # most payloads of a problem, and most that each leg is priced with
-    alike: float = 0.01  # part of their range by which payloads differ that are priced as one
+    alike: float = (
+        1e-3  # part of the range of payloads by which those differ that are priced as one
+    )
     same: float = 1e-6  # part of an energy by which orders differ that count as one
     # parts of a charge whose mean power counts; those after the first one where time presses
     paces: tuple[tuple[float, float], ...] = ((0.0, 1.0), (0.0, 0.5), (0.5, 1.0))

@@ -443,7 +443,7 @@ class _OfCurve(Within):
 
 def _offered(value: Any) -> float | tuple[tuple[float, float], ...]:
     """Read the power of a charger: a number, or pairs of a state of charge and a power."""
-    words = "a power, or pairs [state of charge, power], as [[0, 400], [0.8, 400], [1, 50]]"
+    words = "a power (W, kW), or pairs [state of charge, power], as [[0, 400], [0.8, 400], [1, 50]]"
     if isinstance(value, str | int | float | np.number):
         return float(_read("power", value, words))
     if not hasattr(value, "__len__") or hasattr(value, "keys") or len(value) < 2:
