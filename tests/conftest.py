@@ -82,8 +82,8 @@ def little_effort(monkeypatch: pytest.MonkeyPatch) -> None:
 FEW = ("hotel_load", "grade", "tilted_plane", "viscous_loss", "linear_inertia")
 """Effects to choose from where what the search finds is not what is tried."""
 ENOUGH = 2000
-"""Units of work of a plan that is asked for many more: enough for a route to one of several goals."""
-PART = 20
+"""Units of work of a plan that is asked for many more: also for one of several goals."""
+PART = 15
 """Of work that is asked for, one unit in so many is done."""
 
 
