@@ -149,7 +149,7 @@ def test_what_a_charger_draws_from_the_mains_is_reported() -> None:
         ([[0.5, 400], [0.2, 300]], "ascend"),
         ([[0, 400], [1, 0]], "power[1][1] is 0.0; give 0.1 to 1e+06 W"),
         ([[0, 400], [1, "fast"]], "pairs"),
-        ("fast", "a power, or pairs"),
+        ("fast", "a power (W, kW), or pairs"),
     ],
 )
 def test_a_curve_that_is_none_is_refused_with_its_place(power: object, words: str) -> None:
