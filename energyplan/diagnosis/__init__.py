@@ -237,13 +237,12 @@ class _Case:
         entries: Sequence[Effect],
     ) -> None:
         self.entries = tuple(entries)
-        slight = any(one.on_demand for one in entries)  # they look like a border, or like a change
         self.logs = (tuple(train), tuple(holdout))
         self.name = name_of(vehicle, self.logs[0])
         self.notes: list[str] = []
         self.limits: list[str] = []  # of what these drives can show: said before anything else
         train, holdout = (self._in_step(logs) for logs in self.logs)
-        self.problem = problem_of(train, vehicle, self.entries, slight_turns=slight)
+        self.problem = problem_of(train, vehicle, self.entries)
         self.paper, self.identified = self._identified(train, vehicle)
         self.before = [
             predict(self.paper, (), Drive.of(log, self.paper.vehicle)) for log in holdout
@@ -254,7 +253,7 @@ class _Case:
             vehicle = vehicle.with_mass(vehicle.mass, cog).with_icr(
                 fit_icr(train, vehicle.icr, asymmetric=True).icr
             )
-            self.problem = problem_of(train, vehicle, self.entries, slight_turns=slight)
+            self.problem = problem_of(train, vehicle, self.entries)
         breakaway = self.problem.drives[0].breakaway
         self.held = [replace(Drive.of(log, vehicle), breakaway=breakaway) for log in holdout]
         self.starts = [float(log.t[0]) for log in holdout]

@@ -433,12 +433,12 @@ def with_signs(
 
 def problem_of(
     logs: Sequence[DriveLog], vehicle: Vehicle, effects: Sequence[Effect],
-    drives: Sequence[Drive] | None = None, slight_turns: bool = True,
+    drives: Sequence[Drive] | None = None,
 ) -> Problem:  # fmt: skip
     """Return drives as they are fitted: each side an equation, where it slides and has its sign.
 
     Slight turns that speeds hardly show look like another surface, or another load, from some place
-    or time on: totals are searched for them unless `slight_turns` is false.
+    or time on: totals are searched for them.
     """
     drives = prepared(logs, vehicle) if drives is None else drives
     problem, terms = Problem(drives, vehicle), _usual_terms(effects)
@@ -446,7 +446,7 @@ def problem_of(
         return problem.of_totals
     if problem is not problem.of_totals:
         return with_sides(problem, terms)
-    return with_slight_turns(problem, terms) if slight_turns else problem
+    return with_slight_turns(problem, terms)
 
 
 def _usual_terms(effects: Sequence[Effect]) -> list[Term]:

@@ -101,7 +101,6 @@ def test_identify_and_diagnose_are_one_core(case: str) -> None:
 
 @pytest.mark.parametrize("measured", by_day(["sides", "total"], ["total"]))
 def test_identify_fits_windows_as_diagnosis_does(measured: Any) -> None:
-    """Of totals identify searches for slight turns too, as diagnosis does with borders alone."""
     entries = [catalogue()[name] for name in ("hotel_load", "viscous_loss", "linear_inertia")]
     terms = [SLIP, TRACTION, *(term for entry in entries for term in entry.terms)]
     model = _robot(1)
@@ -115,10 +114,8 @@ def test_identify_fits_windows_as_diagnosis_does(measured: Any) -> None:
     assert found.method == "windows"
     for term in terms:
         value, error = told.coefficient(term.name), told.std_error(term.name)
-        same = {"rel": 1e-9} if measured == "sides" else {"abs": 0.5 * error}
-        assert found.model.coefficient(term.name) == pytest.approx(value, **same)
-        rel = 1e-9 if measured == "sides" else 0.2
-        assert found.std_error[term.name] == pytest.approx(error, rel=rel)
+        assert found.model.coefficient(term.name) == pytest.approx(value, rel=1e-9)
+        assert found.std_error[term.name] == pytest.approx(error, rel=1e-9)
 
 
 @pytest.mark.shared
