@@ -22,10 +22,8 @@ from energyplan.mission.types import Mission, Option, Task
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.planning import Goal, PlanningProblem, plan
 from energyplan.planning.search.lattice import joined
-from energyplan.planning.several import along
+from energyplan.planning.several import along, least_costs
 from energyplan.planning.space.compiled import CompiledProblem, compiled
-from energyplan.steering.forwards import forward_energies
-from energyplan.steering.kernels import steer_energies
 
 
 class Choosing(NamedTuple):
@@ -136,22 +134,11 @@ class _Ways:
         return _direct(query, begin, end, best)
 
 
-def _energies(query: CompiledProblem, starts: FloatArray, goals: FloatArray) -> FloatArray:
-    """Return the least costs from each pose to each other one, obstacles or not, shape (n, m)."""
-    out = np.empty(len(starts) * len(goals))
-    solve = steer_energies if query.setting.gear == 0 else forward_energies
-    solve(
-        np.repeat(starts, len(goals), 0), np.tile(goals, (len(starts), 1)), query.setting.steering,
-        out,
-    )  # fmt: skip
-    return out.reshape(len(starts), len(goals))
-
-
 def _direct(
     query: CompiledProblem, starts: FloatArray, goals: FloatArray, best: FloatArray
 ) -> FloatArray:
     """Return costs, lowered where an exact motion is free."""
-    least = _energies(query, starts, goals)
+    least = least_costs(query, starts, goals)
     for i, j in zip(*np.nonzero(least < best * (1.0 - 1e-6)), strict=True):
         _, cost = joined(query.setting, Pose(*starts[i].tolist()), Pose(*goals[j].tolist()))
         best[i, j] = min(best[i, j], cost)
@@ -168,9 +155,9 @@ def _steered(
     few = np.arange(min(CHOOSING.poses, half))
     last = len(poses) - 1 - few
     at = np.array(poses)
-    out = _ends(_energies(query, starts, at[few]) + (came[-1] - came[few]), starts, at[few],
+    out = _ends(least_costs(query, starts, at[few]) + (came[-1] - came[few]), starts, at[few],
                 lambda a, b: joined(setting, a, b)[1], came[-1] - came[few])  # fmt: skip
-    back = _ends((_energies(query, at[last], goals) + came[last][:, None]).T, goals, at[last],
+    back = _ends((least_costs(query, at[last], goals) + came[last][:, None]).T, goals, at[last],
                  lambda a, b: joined(setting, b, a)[1], came[last])  # fmt: skip
     return np.asarray(out[:, None] + back[None, :] - came[-1])
 

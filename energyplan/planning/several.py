@@ -342,10 +342,7 @@ class _Ways(NamedTuple):
         query, setting = self.query, self.query.setting
         centres = np.array([query.centre(Pose(*end)) for end in ends.tolist()])
         n, m = len(self.poses), len(ends)
-        least = np.empty(n * m)
-        solve = steer_energies if setting.gear == 0 else forward_energies
-        solve(np.repeat(self.poses, m, 0), np.tile(centres, (n, 1)), setting.steering, least)
-        least += np.repeat(self.came, m)
+        least = (least_costs(query, self.poses, centres) + self.came[:, None]).ravel()
         self.budget.spend(UNITS.steer * len(least))
         blocked = np.zeros(n, int)
         for k in np.argsort(least, kind="stable").tolist():
@@ -361,6 +358,17 @@ class _Ways(NamedTuple):
                 cost = float(self.came[begin] + cost)
                 best = _End(cost, begin, Pose(*ends[end].tolist()), motions)
         return best
+
+
+def least_costs(query: CompiledProblem, starts: FloatArray, goals: FloatArray) -> FloatArray:
+    """Return the least costs from each pose to each other one, obstacles or not, shape (n, m)."""
+    out = np.empty(len(starts) * len(goals))
+    solve = steer_energies if query.setting.gear == 0 else forward_energies
+    solve(
+        np.repeat(starts, len(goals), 0), np.tile(goals, (len(starts), 1)), query.setting.steering,
+        out,
+    )  # fmt: skip
+    return out.reshape(len(starts), len(goals))
 
 
 class Along(NamedTuple):
