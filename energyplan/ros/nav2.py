@@ -155,12 +155,12 @@ def request_to_problems(
     else:
         raise errors.FrameError("the robot's pose is not known; give a start, and set use_start")
     stops = [start, *(pose(goal) for goal in goals)]
-    heading = HEADING_MODES[heading_mode]
+
+    def goal(there: Pose) -> Any:
+        return Goal(*there, heading=HEADING_MODES[heading_mode], radius=tolerance)
+
     return tuple(
-        PlanningProblem(
-            grid, cost, here, Goal(*there, heading=heading, radius=tolerance), **options
-        )
-        for here, there in pairwise(stops)
+        PlanningProblem(grid, cost, here, goal(there), **options) for here, there in pairwise(stops)
     )
 
 
