@@ -30,6 +30,7 @@ from energyplan.logs.compass import Recorded, counts_from_north
 from energyplan.logs.consistency import POWERS, correlation
 from energyplan.logs.guess import (
     ENCODER,
+    electric,
     guess,
     guess_ahead,
     guess_encoders,
@@ -60,22 +61,31 @@ from energyplan.path import FloatArray
 from energyplan.units import RATES
 
 
+def _measured(recording: Recording, name: str) -> bool:
+    """Return whether a series holds a reading; a power that is zero all along is none."""
+    values = recording.columns[name]
+    known = np.isfinite(values)
+    return bool(known.any() and (np.any(values[known]) or not electric(name, recording.columns)))
+
+
 def _refuse_blank(recording: Recording, needed: Sequence[str]) -> None:
     """Refuse a log whose column for what is needed holds no reading at all."""
     for channel in needed:
         ways = (channel,) if channel != "power" else ("power", "current", "p_left", "voltage")
         found = guess(recording.columns)
         for one in (found[way] for way in ways if way in found):
-            if not np.isfinite(recording.column(one.field)).any():
+            if not _measured(recording, one.field):
+                known = np.isfinite(recording.column(one.field)).any()
                 raise DriveLogError(
-                    f"{recording.source}: {one.field} is never measured: it is nan in all rows, as "
+                    f"{recording.source}: {one.field} is never measured: it is "
+                    f"{'0' if known else 'nan'} in all rows, as "
                     "of a driver without that sensor; log one that measures it, or map another "
                     f"column, as in --columns {one.channel}=NAME"
                 )
 
 
 _CONSUMED = {
-    "current": {"ah", "mah", "charge", "amphours"},
+    "current": {"ah", "mah", "charge", "amphours", "coulomb", "coulombs"},
     "power": {"wh", "kwh", "energy", "joule", "joules", "consumed", "used"},
 }
 """Words of counters of charge and of energy."""
@@ -95,31 +105,35 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
         names = [name for name in names if "rpm" in words(name)]
         columns = {name: columns[name] for name in names}
         hint = f"; {' or '.join(kinds)} holds it: have the flight controller log that"
+    lost = [note for topic, note in recording.notes.items() if topic not in recording.kinds]
+    hint += "".join(f"; {note}" for note in lost[:3])
     for name, cell in recording.text.items():
         if "t" in needed and re.search(r"is '\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", cell):
             recording.column(name)  # says how to write instants
     for name in names:
         bare, unit = split_unit(name)
-        if unit and not is_unit(unit) and {*guess([bare])} & {*needed, "p_left", "p_right"}:
+        wanted = {*needed, "p_left", "p_right"}
+        wanted |= {"voltage", "current"} if "power" in needed else set()
+        if unit and not is_unit(unit) and {*guess([bare])} & wanted:
             hint += f"; the unit of {name!r} is not known: give its factor, as in NAME[*0.01]"
             break
     if {"v_left", "v_right"} & set(needed):
         hint += "; v_left and v_right are the speeds of the left and right wheels"
         counted = [name for name in names if ENCODER & set(words(name))]
         numbered = numbered_speeds(names)
-        electric = electrical_rates(recording)
-        electric += [name for name in names if "erpm" in words(name)]
-        if numbered and not electric:
+        rates = electrical_rates(recording)
+        rates += [name for name in names if "erpm" in words(name)]
+        if numbered and not rates:
             first, second = numbered[:2]
             hint += (
                 f"; of {', '.join(map(repr, numbered[:4]))} nobody but you knows which side each "
                 f'is: give --columns "v_left={first}[UNIT],v_right={second}[UNIT]", with UNIT such '
                 "as rpm*RADIUS, rev/s*RADIUS, or ticks*METRES_PER_COUNT (ticks*1 of metres gone)"
             )
-        elif electric:
+        elif rates:
             hint += (
-                f"; {electric[0]!r} seems to be a motor's electrical rate: give v_left="
-                f"{electric[0]}[rpm*F], with F the wheel radius over gear ratio times pole pairs, "
+                f"; {rates[0]!r} seems to be a motor's electrical rate: give v_left="
+                f"{rates[0]}[rpm*F], with F the wheel radius over gear ratio times pole pairs, "
                 "and v_right alike"
             )
         elif counted:
@@ -265,10 +279,8 @@ def draft(recording: Recording, known: Given) -> Draft:
     own = known.topics if recording.kinds else None
     stock = {} if own is None else held_of(recording, TOPIC_MAPS[own])
     if {*SPEEDS} <= {*stock} and any(set(way) <= {*stock} for way in POWER_WAYS):
-        electric = {*POWERS, "voltage"}  # one of these that is named by hand replaces all
-        stock = {
-            c: one for c, one in stock.items() if not electric & {*columns} or c not in electric
-        }
+        powers = {*POWERS, "voltage"}  # one of these that is named by hand replaces all
+        stock = {c: one for c, one in stock.items() if not powers & {*columns} or c not in powers}
         if isfinite(known.wheel_radius):
             rate = f"rad/s*{known.wheel_radius:.6g}"
             stock |= {channel: stock[channel].changed(unit=rate) for channel in SPEEDS}
@@ -447,8 +459,7 @@ def _guesses(
 ) -> dict[str, Column]:  # fmt: skip
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
     names = [
-        name for name in there
-        if name not in taken and np.isfinite(recording.columns[name]).any()
+        name for name in there if name not in taken and _measured(recording, name)
     ]  # fmt: skip
     counters = {name for name in names if grows(recording.columns[name][:SOME])}
     names += [name for name in quaternions(recording.columns) if np.ptp(
