@@ -501,9 +501,9 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
         first = file.suffix.lower() == ".bag"
         own = get_typestore(Stores.EMPTY)
         # Bags of ROS 2 before Iron do not carry their message definitions.
-        usual = get_typestore(Stores.EMPTY if first else Stores.ROS2_HUMBLE)
+        stock = get_typestore(Stores.EMPTY if first else Stores.ROS2_HUMBLE)
         for kind, text in definitions.items():
-            usual.register(get_types_from_msg(text, kind))
+            stock.register(get_types_from_msg(text, kind))
         with (rosbag1.Reader if first else rosbag2.Reader)(file) as reader:
             if isinstance(reader, rosbag1.Reader):
                 reader.chunks = {
@@ -514,16 +514,16 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
             for one in reader.connections:
                 try:
                     _define(own, one)
-                    if one.msgtype not in own.types and one.msgtype in usual.types:
-                        _check_digest(usual, one)
+                    if one.msgtype not in own.types and one.msgtype in stock.types:
+                        _check_digest(stock, one)
                 except unsound as problem:
                     lost[one.topic] = f"its type {one.msgtype} cannot be read: {said(problem)}"
-                if one.msgtype not in own.types and one.msgtype not in usual.types:
+                if one.msgtype not in own.types and one.msgtype not in stock.types:
                     lost.setdefault(
                         one.topic, f"the bag does not hold the definition of {one.msgtype}; record "
                         "it where its package is installed, or republish it as a type of ROS"
                     )  # fmt: skip
-            yield Bag(file.name, reader, (own, usual), lost)
+            yield Bag(file.name, reader, (own, stock), lost)
     except EnergyPlanError:
         raise
     except unsound as problem:

@@ -435,6 +435,16 @@ def candidates(
     return found
 
 
+def reasons(channel: str, chosen: Iterable[str], names: Iterable[str]) -> str:
+    """Say why each of some names among all may serve as a channel, and how well it fits."""
+    rated = {one.column.field: one for one in candidates(names).get(channel, ())}
+    return ", ".join(
+        f"{name} {rated[name].reason} (score {rated[name].score:g})" if name in rated
+        else f"{name} by its side, number or readings"
+        for name in dict.fromkeys(chosen)
+    )  # fmt: skip
+
+
 def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column]:
     """Guess which name is which channel, and in which unit if it says so."""
     every = list(names)

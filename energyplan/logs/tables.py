@@ -543,7 +543,7 @@ class Columns:
         }
         numbers = {n: np.where(np.abs(v) < ANY[1], v, np.nan) for n, v in numbers.items()}
         numbers = {
-            name: _over_midnight(values) if name in self._of_day else _counted_on(values)
+            name: _over_midnight(values) if name in self._of_day else _unwrapped(values)
             for name, values in numbers.items()
         }
         # Where lines end with a separator, a column without a name holds nothing.
@@ -608,7 +608,7 @@ def _over_midnight(seconds: FloatArray) -> FloatArray:
     return counted
 
 
-def _counted_on(values: FloatArray) -> FloatArray:
+def _unwrapped(values: FloatArray) -> FloatArray:
     """Return a clock that counts on where it started again at zero; else the same values.
 
     It must increase but for that, and go on there after one of `_PERIODS` as from row to row.
@@ -620,11 +620,11 @@ def _counted_on(values: FloatArray) -> FloatArray:
     if not 0 < count <= len(steps) // _FEWEST or values[known].min() < 0.0:
         return values
     forward = steps[steps > 0]
-    usual = float(np.median(forward)) if len(forward) else 0.0
+    step = float(np.median(forward)) if len(forward) else 0.0
     for period in _PERIODS:
         over = steps[back] + period
         # The last row before may be followed by a row that came late.
-        if values[known].max() <= period and np.all((over > 0) & (over <= _LATE_ROWS * usual)):
+        if values[known].max() <= period and np.all((over > 0) & (over <= _LATE_ROWS * step)):
             found = values.copy()
             found[known] += period * np.cumsum(np.append(False, back))
             return found
@@ -1056,47 +1056,14 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     with needs_extra("logs", f"reading {file}, a table of more than numbers,"):
         import pandas as pd
 
-    # before 3.1 pandas is wrong in the last bit of one number of six by default
-    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
-    exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     parts: list[pd.DataFrame] | None = []  # of one reading a row
-    try:
-        with warnings.catch_warnings():
-            # Rows wider than the header would lose their surplus with no more than a warning.
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            for frame in pd.read_csv(
-                io.BytesIO(data),
-                header=None,
-                names=range(len(names)),
-                sep=dialect.separator,
-                decimal=dialect.decimal,
-                encoding=dialect.encoding,
-                encoding_errors="replace",  # in text; a number has no such letters
-                na_values=list(_MISSING),
-                index_col=False,
-                skip_blank_lines=False,  # so that rows keep their line numbers
-                skipinitialspace=True,
-                low_memory=False,
-                chunksize=_CHUNK,  # the parser's memory is several times that of the numbers
-                **exact,
-            ):
-                frame.columns = names
-                if columns.rows == 0 and not parts and turned(frame, names, file, error) is None:
-                    parts = None
-                if parts is not None:
-                    parts.append(frame)
-                    continue
-                columns.add(frame)
-    except pd.errors.EmptyDataError:
-        pass
-    except pd.errors.ParserWarning:
-        raise error(
-            f"{file}: rows have more cells than the {len(names)} names of line "
-            f"{max(dialect.line - 1, 1)}; name every column, and write decimals with a point "
-            "where commas separate cells"
-        ) from None
-    except pd.errors.ParserError as problem:
-        raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
+    for frame in _frames(data, dialect, file, error):
+        if columns.rows == 0 and not parts and turned(frame, names, file, error) is None:
+            parts = None
+        if parts is not None:
+            parts.append(frame)
+            continue
+        columns.add(frame)
     wide = turned(pd.concat(parts), names, file, error) if parts else None
     if wide is not None:
         columns = Columns(list(map(str, wide)), 1, "instant")
@@ -1116,6 +1083,53 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     for values in table.columns.values():
         values[short] = np.nan  # which of the cells are missing is not known
     return table
+
+
+def _frames(
+    data: bytes, dialect: Dialect, file: Path, error: type[InvalidInputError]
+) -> Iterator[pd.DataFrame]:
+    """Yield the rows of a table, some at a time, under its names."""
+    import pandas as pd
+
+    # before 3.1 pandas is wrong in the last bit of one number of six by default
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+    exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+    try:
+        reader = pd.read_csv(
+            io.BytesIO(data),
+            header=None,
+            names=range(len(dialect.names)),
+            sep=dialect.separator,
+            decimal=dialect.decimal,
+            encoding=dialect.encoding,
+            encoding_errors="replace",  # in text; a number has no such letters
+            na_values=list(_MISSING),
+            index_col=False,
+            skip_blank_lines=False,  # so that rows keep their line numbers
+            skipinitialspace=True,
+            low_memory=False,
+            chunksize=_CHUNK,  # the parser's memory is several times that of the numbers
+            **exact,
+        )
+        while True:
+            with warnings.catch_warnings():
+                # Rows wider than the header would lose their surplus with no more than a warning.
+                warnings.simplefilter("error", pd.errors.ParserWarning)
+                frame = next(reader, None)
+            if frame is None:
+                return
+            frame.columns = dialect.names
+            yield frame
+    except pd.errors.EmptyDataError:
+        pass
+    except pd.errors.ParserWarning:
+        raise error(
+            f"{file}: rows have more cells than the {len(dialect.names)} names of line "
+            f"{max(dialect.line - 1, 1)}; name every column, and write decimals with a point "
+            "where commas separate cells"
+        ) from None
+    except pd.errors.ParserError as problem:
+        raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
 
 
 def _with_line(problem: str, first: int) -> str:
