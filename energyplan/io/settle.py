@@ -43,6 +43,7 @@ from energyplan.logs.guess import (
 )
 from energyplan.logs.mapping import (
     COUNTS,
+    UNITS,
     Column,
     known_unit,
     scale_of,
@@ -182,7 +183,7 @@ def _ask_for_the_whole(
     sided = factor or (f"*{volts.field}" if kind == "current" and volts is not None else "")
     given = "power" if factor else one.channel
     every = [one.field, *one.plus, *names]
-    summed = f"({'+'.join(every)}){factor}" if factor else "+".join(every)
+    summed = f"({'+'.join(every)}){factor}" if factor else _sum_of(every, kind)
     which = " or ".join(f"--columns '{given}={name}{factor}'" for name in names)
     if source := [name for name in names if feeds(name)]:
         loads = [name for name in every if name not in source and not rank(name)]
@@ -203,6 +204,16 @@ def _ask_for_the_whole(
         f"{recording.source}: {' and '.join((one.field, *names))} could each be the {kind} of the "
         f"whole robot, and differ; {how}; {_why(draft, kind, (one.field, *names))}"
     )
+
+
+def _sum_of(names: Sequence[str], kind: str) -> str:
+    """Write a sum of powers or currents, each with its factor where their units differ."""
+    sizes = [scale_of(kind, unit_in(kind, name).unit).factor for name in names]
+    if len({*sizes}) == 1:
+        return "+".join(names)
+    unit = next(iter(UNITS[kind]))
+    terms = (f"{size:g}*{name}" for size, name in zip(sizes, names, strict=True))
+    return f"{'+'.join(terms)}[{unit}]"
 
 
 def _why(draft: Draft, channel: str, names: Iterable[str]) -> str:
@@ -633,6 +644,7 @@ def _ask_for_given(recording: Recording, draft: Draft, known: Given) -> None:
         if (
             stated
             and named
+            and not one.weights  # which may be factors of units
             and abs(np.log(_size_of(channel, named) / _size_of(channel, stated))) > 0.01
         ):
             size = one.conversion.factor / _size_of(channel, stated)

@@ -109,6 +109,12 @@ def spelled(name: str, names: Collection[str]) -> str:
     return _TAG.sub(side, name)
 
 
+_QUANTITY = "speed|velocity|vel|rpm|wheel|motor|power|current|voltage"
+_SIDE = "left|right|port|starboard"
+_JOINED = re.compile(rf"({_QUANTITY})({_SIDE})|({_SIDE})({_QUANTITY})")
+"""A quantity and a side without a sign between them."""
+
+
 def words(name: str) -> list[str]:
     """Split a name into its words, in small letters; ``r1`` alone may be anything, and is none."""
     found: list[str] = []
@@ -118,6 +124,9 @@ def words(name: str) -> list[str]:
             found.append(word)
             continue
         short = re.fullmatch(r"(v|w|p|i|u|rpm|vel|cur|omega|n)(l|r)", word)
+        if joined := _JOINED.fullmatch(word):
+            found += [part for part in joined.groups() if part]
+            continue
         plural = len(word) > _SHORTEST and word not in _KNOWN and word.removesuffix("s") in _KNOWN
         found += [short[1], short[2]] if short else [word.removesuffix("s") if plural else word]
     return found
@@ -181,7 +190,7 @@ def _score(channel: str, name: str) -> float:
     if counting(channel, unit_in(channel, name).unit):  # of charge or energy, which its unit says
         other = other - {"charge", "capacity", "count"}
     if channel.startswith("v_") and unit_in(channel, name).unit in SPEED:  # of no count
-        other = other - {"encoder"}
+        other = other - {"encoder", "min"}
     wanted = bool(said & other) or stated[-1:] == ["status"]
     wanted = wanted or ("input" in said and not any(has[kind] for kind in _ELECTRIC))
     quantity, _, side = channel.partition("_")
@@ -219,7 +228,7 @@ def _score(channel: str, name: str) -> float:
     if channel == "yaw_rate":
         named = has["yaw"] and said & {"rate", "vel", "velocity", "speed", "dot"}
         z = "z" in said and has["turn"]
-        alone = said & {"yawrate", "wz", "gz"}
+        alone = said & {"yawrate", "wz", "gz", "gierrate", "drehrate"}
         named = named or ("turn" in said and said & {"rate", "speed", "velocity"})
         return 3.0 * bool(named) + 2.0 * bool(z) + 2.0 * bool(alone)
     if channel == "accel_x":

@@ -579,7 +579,9 @@ def _unit_of(channel: str, found: Formula) -> str:
         }  # fmt: skip
         units = {"" if one == 1.0 else f"*{one:.10g}" for one in sizes}
     else:
+        plain = next(iter(UNITS.get(channel, {"": 1.0})))
         units = {unit_in(channel, name).unit for name in names}
+        units = {""} if units <= {"", plain} else units
     if len(units) == 1:
         return units.pop()
     raise DriveLogError(

@@ -617,7 +617,8 @@ def _unwrapped(values: FloatArray) -> FloatArray:
     steps = np.diff(values[known])
     back = steps < 0
     count = np.count_nonzero(back)
-    if not 0 < count <= len(steps) // _FEWEST or values[known].min() < 0.0:
+    clock = 0 < count <= len(steps) // _FEWEST and np.mean(steps > 0) > _STEADY
+    if not clock or values[known].min() < 0.0:
         return values
     forward = steps[steps > 0]
     step = float(np.median(forward)) if len(forward) else 0.0
@@ -631,6 +632,7 @@ def _unwrapped(values: FloatArray) -> FloatArray:
     return values
 
 
+_STEADY = 0.9  # share of steps in which a clock must increase
 _LATE_ROWS = 3.0  # steps from row to row within which a clock that started again goes on
 
 
@@ -690,8 +692,8 @@ _BEGINNINGS = {
     "folder with its metadata.yaml",
     rb"BZh": "compressed; bunzip2 FILE unpacks it",
     rb"\xfd7zXZ": "compressed; unxz FILE unpacks it",
-    rb"\x1f\x8b": "compressed; gunzip FILE unpacks it, and a table is read as it is if its name "
-    "ends with .csv.gz",
+    rb"\x1f\x8b": "compressed; gunzip FILE unpacks it; a table is read as it is by the "
+    "ending .csv.gz",
     rb"\x04\x22\x4d\x18": "compressed; unlz4 FILE unpacks it",
     rb"7z\xbc\xaf": "an archive; 7z x FILE unpacks it",
     rb"Rar!": "an archive; unrar x FILE unpacks it",

@@ -5,6 +5,7 @@ Each is read right by `start`, or refused with the way.
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from pathlib import Path
 
@@ -49,6 +50,10 @@ COLUMNS: dict[str, dict[str, object]] = {
     "encoders in mm/s": {"t [ns]": np.round(1e9 * (EPOCH + AT.t)),
                          "front_leftEncoder_mm_s": 1e3 * AT.left,
                          "front_rightEncoder_mm_s": 1e3 * AT.right, **DRAWN},
+    "metres a minute": {"time": AT.t, "left.speed_m_min": 60.0 * AT.left,
+                        "right.speed_m_min": 60.0 * AT.right, "gyro_z": AT.yaw_rate, **DRAWN},
+    "joined words": {"time": AT.t, "speedleft [km/h]": 3.6 * AT.left,
+                     "speedright [km/h]": 3.6 * AT.right, "gyro_z": AT.yaw_rate, **DRAWN},
     # languages
     "French": {"Temps (s)": AT.t, "Vitesse gauche (m/s)": AT.left,
                "Vitesse droite (m/s)": AT.right, "Tension batterie (V)": AT.volts,
@@ -182,3 +187,27 @@ def test_a_packed_bag_is_refused_with_the_way(
     file = tmp_path / f"log{suffix}"
     file.write_bytes(head + bytes(90))
     assert way in said_of(file)
+
+
+def test_a_question_says_why_and_what_answers_it(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    parts = {"traction_power_W": 0.8 * AT.power, "hotel_power": 0.2 * AT.power}
+    pd.DataFrame({**CLOCKED, **parts}).to_csv(file, index=False)
+    question = said_of(file)
+    assert "traction_power_W by its name, in [W] (score 3), hotel_power by its name (score 2)" in (
+        question
+    )
+    ways = re.findall(r"--columns '([^']+)'", question)
+    assert "power=traction_power_W+hotel_power" in ways
+    check_right(file, columns="power=traction_power_W+hotel_power")
+    for way in ways:  # each can be typed
+        start(file, Given(**ROVER.measures, columns=way))
+
+
+def test_parts_in_several_units_are_added_by_their_sizes(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    parts = {"traction_power_kW": 0.8e-3 * AT.power, "hotel_power_W": 0.2 * AT.power}
+    pd.DataFrame({**CLOCKED, **parts}).to_csv(file, index=False)
+    way = "power=1000*traction_power_kW+1*hotel_power_W[W]"
+    assert f"--columns '{way}'" in said_of(file)
+    check_right(file, columns=way)
