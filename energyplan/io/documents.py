@@ -362,8 +362,8 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
     for begin, what in _BEGINS.items():
         if re.match(begin, head):
             raise error(f"{source} is {what}")
-    if isinstance(content, bytes):  # ros2 topic echo ends a message so
-        content = content.rstrip().removesuffix(b"\n---")
+    if isinstance(content, bytes) and content.rstrip().endswith(b"\n---"):
+        content = content.rstrip()[:-3]  # ros2 topic echo ends a message so
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:
