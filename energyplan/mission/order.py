@@ -925,7 +925,7 @@ def attempt(sim: Simulation, state: Status, task: int) -> Attempt:
     found = best_stops(sim, state, (task,))
     ways = sim.legs.ways(task)
     for at in (k for k, stop in enumerate(found.stops) if stop in ways):
-        ready, _ = sim.follow(state, found.stops[:at], found.hurried[:at], found.stops[at])
+        ready, _ = sim.follow(state, found.stops[:at], found.hurried[: at + 1], found.stops[at])
         done = best if ready is None else sim.attempt(ready, found.stops[at], found.hurried[at])
         if done.reason == "none":
             return done
