@@ -41,8 +41,9 @@ ALIKE = 0.02
 
 
 def replayed_energy(model: PowerModel, log: DriveLog) -> float:
-    """Return the energy that a model predicts for the motion of a log [J]."""
-    return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
+    """Return the energy that a model predicts for a log, freed of noise as in a fit [J]."""
+    prepared = Drive.of(log, model.vehicle)
+    return float(prepared.weights @ model.battery_side().power(prepared.motion))
 
 
 class Steered(NamedTuple):
@@ -63,9 +64,14 @@ def ratio(
     drive: Steered, model: PowerModel, priced: PlanningProblem, heights: HeightMap | None
 ) -> float:
     """Return the energy that a drive took, over what a model says of it."""
-    icr = model.vehicle.icr
+    icr, law = model.vehicle.icr, priced.cost.model
     apart = np.subtract(astuple(icr), astuple(drive.icr))
-    predicted = predicted_energy(drive.reference, priced)
+    # A tread that was to stand stands with the ICRs that it was steered by; with others it creeps,
+    # against all of its resistance.
+    as_steered = replace(law, vehicle=law.vehicle.with_icr(drive.icr))
+    predicted = predicted_energy(
+        drive.reference, replace(priced, cost=replace(priced.cost, model=as_steered))
+    )
     if np.abs(apart).max() > ALIKE * icr.half_track:
         on_slopes = model if heights is None else with_weight(model)
         with suppress(MissingChannelError):  # a sensor less than the model asks for
@@ -328,7 +334,8 @@ def close_loop(
             steered.append(Steered(trajectory, log, model.vehicle.icr))
         else:
             log = source[k]
-            motion, weights = log.motion(model.vehicle.icr), log.weights
+            prepared = Drive.of(log, model.vehicle)
+            motion, weights = prepared.motion, prepared.weights
             energy = replayed_energy(model, log)
             known = [one.energy / replayed_energy(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
