@@ -294,14 +294,7 @@ def close_loop(
     progress: Progress | None = None,
 ) -> Loop:
     """Plan, drive, diagnose with all logs so far, and plan again."""
-    if rounds < 1 or not tolerance >= 0 or not survey >= 0:
-        raise InvalidInputError(
-            f"rounds is {rounds}, tolerance {tolerance} and survey {survey}; give rounds >= 1, and "
-            "neither of the others below 0"
-        )
-    count = rounds if isinstance(source, EngineDrives) else min(rounds, len(source))
-    if count == 0:
-        raise InvalidInputError("there is no log to close the loop with; give one or more")
+    count = _count(source, rounds, tolerance, survey)
     report = progress or (lambda fraction, text: None)
     model = problem.cost.model
     base = problem.vehicle or problem.cost.vehicle
@@ -340,17 +333,14 @@ def close_loop(
             known = [one.energy / replayed_energy(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
         beyond = RunEffect.of(known if model is not problem.cost.model else (), model.residual)
-        told = with_interval(energy, beyond, model, motion, weights)
-        energy *= 1.0 + beyond.mean
-        within = None if told is None else told[1:]
+        interval = with_interval(energy, beyond, model, motion, weights)
         logs.append(log)
         now = Round(
-            energy, within, log.energy, planned, model, (), log, driven, overhead=beyond.mean
-        )
-        right = now.within or abs(now.error) <= tolerance
-        if right:
-            done.append(now)
-            return Loop(tuple(done), model, True)
+            energy * (1.0 + beyond.mean), None if interval is None else interval[1:], log.energy,
+            planned, model, (), log, driven, overhead=beyond.mean,
+        )  # fmt: skip
+        if now.within or abs(now.error) <= tolerance:
+            return Loop((*done, now), model, True)
         report((k + 0.6) / count, f"round {k + 1}: diagnosing")
         learned = learn(logs, base)
         if isinstance(source, EngineDrives) and survey and not any(r.survey for r in done):
@@ -366,6 +356,19 @@ def close_loop(
         model = learned.model or model
         done.append(replace(now, effects=learned.effects, note=learned.note))
     return Loop(tuple(done), model, False)
+
+
+def _count(source: Source, rounds: int, tolerance: float, survey: float) -> int:
+    """Return how many rounds there are; refuse options that no loop has."""
+    if rounds < 1 or not tolerance >= 0 or not survey >= 0:
+        raise InvalidInputError(
+            f"rounds is {rounds}, tolerance {tolerance} and survey {survey}; give rounds >= 1, and "
+            "neither of the others below 0"
+        )
+    count = rounds if isinstance(source, EngineDrives) else min(rounds, len(source))
+    if count == 0:
+        raise InvalidInputError("there is no log to close the loop with; give one or more")
+    return count
 
 
 def _survey(
