@@ -5,8 +5,8 @@ moved, removed and inserted at random. The path is free of collisions and costs 
 each step, so it can stop at any time.
 
 `Portfolio` divides the budget among several paths. How cheap a path becomes shows only when it is
-refined, and a path that starts cheaper often ends more expensive. So all of them are refined a
-little, the better ones more, and the best few to the end.
+refined, and a path that starts cheaper often ends more expensive. So each of them is refined a
+little, and the best to the end.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from energyplan.compilation import Flags, Floats, FloatTable, Words, inner, njit
 from energyplan.path import Path, Pose
-from energyplan.planning.budget import UNITS, Budget, Work, do_together, side_by_side
+from energyplan.planning.budget import UNITS, Budget, Work, do_together
 from energyplan.planning.settings import REFINING
 from energyplan.planning.space.compiled import Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at, put_pose
@@ -149,12 +149,15 @@ def _copy(chain: Chain, k: int, other: int) -> None:
 
 @inner
 def _try_move(
-    chain: Chain, setting: KernelProblem, k: int, pose: Pose, ds: Floats, dtheta: Floats
-) -> bool:
-    """Move pose `k` of the chain if that is cheaper and free."""
-    old = chain.cost[k - 1] + chain.cost[k]
+    chain: Chain, setting: KernelProblem, k: int, left_out: int, pose: Pose, ds: Floats,
+    dtheta: Floats,
+) -> bool:  # fmt: skip
+    """Move pose `k` of the chain, and leave out some poses after it, if that is cheaper and free."""
+    old = 0.0
+    for i in range(k - 1, k + 1 + left_out):
+        old += chain.cost[i]
     a = pose_at(chain.poses, k - 1)
-    b = pose_at(chain.poses, k + 1)
+    b = pose_at(chain.poses, k + 1 + left_out)
     steering = setting.steering
     before = steer_energy(pose.x - a.x, pose.y - a.y, a.yaw, pose.yaw, steering)
     rest = steer_energy(b.x - pose.x, b.y - pose.y, pose.yaw, b.yaw, steering)
@@ -177,6 +180,21 @@ def _try_move(
     chain.kept[k - 1] = False
     chain.kept[k] = False
     return True
+
+
+@inner
+def _between(chain: Chain, setting: KernelProblem, k: int, state: Words) -> Pose:
+    """Return a pose near pose `k` and the next one, turned to where it is reached from or left to.
+
+    What is driven straight there or from there needs no turn, so that it ends with one stop fewer.
+    """
+    share = random_number(state)
+    here = pose_at(chain.poses, k)
+    there = pose_at(chain.poses, k + 1)
+    step = chain.step[k] + 0.5 * hypot(there.x - here.x, there.y - here.y)
+    x = here.x + share * (there.x - here.x) + step * (2.0 * random_number(state) - 1.0)
+    y = here.y + share * (there.y - here.y) + step * (2.0 * random_number(state) - 1.0)
+    return _facing(chain, k, Pose(x, y, here.yaw), state)
 
 
 @inner
@@ -430,20 +448,17 @@ class Refiner:
 
 
 class Portfolio:
-    """The best motions known, and those that may still become better."""
+    """The best motions known, and those that have not been refined yet."""
 
     def __init__(self, setting: KernelProblem, seed: int) -> None:
         self.setting = setting
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf
-        self.others: list[Segments] = []
-        """What has become of those that stayed to the end."""
-        self.rounds = 0
         self.seed = seed
         self._entered: list[float] = []
         self._fresh: list[Refiner] = []
         self._grown = False
-        self._kept: list[Refiner] = []
+        self._leading: Refiner | None = None
 
     def enter(self, motions: Segments) -> None:
         """Take in motions from the start to the goal, free of collisions."""
@@ -456,13 +471,11 @@ class Portfolio:
         self._fresh.append(entrant)
 
     def _offer(self, entrant: Refiner) -> None:
+        """Take in what a path was refined to."""
+        if self._leading is None or entrant.cost < self._leading.cost:
+            self._leading = entrant
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, entrant.segments
-
-    @property
-    def known(self) -> list[Segments]:
-        """The best few."""
-        return [entrant.segments for entrant in self._kept] or self.others
 
     @property
     def waiting(self) -> bool:
@@ -470,7 +483,7 @@ class Portfolio:
         return bool(self._fresh) or self._grown
 
     def turns(self, enough: float) -> list[Work]:
-        """Return what refines, a little, every path entered since, and the best of those kept."""
+        """Return what refines, a little, every path entered since, and the best of the others."""
 
         def turn(entrant: Refiner, first: bool, own: Budget) -> None:
             if first:
@@ -478,56 +491,30 @@ class Portfolio:
             entrant.polish(own, enough=enough, most=REFINING.trials)
 
         fresh, self._fresh = self._fresh, []
-        leading = self._kept[: REFINING.leading] if self._grown else []
+        leading = [self._leading] if self._grown and self._leading else []
         self._grown = bool(fresh)
-        self._kept = self._kept + fresh
+
+        def work(entrant: Refiner, first: bool, units: float) -> Work:
+            return Work(partial(turn, entrant, first), units, lambda _: self._offer(entrant))
+
         return [
-            *(Work(partial(turn, one, True), REFINING.opening, self._settle) for one in fresh),
-            *(Work(partial(turn, one, False), REFINING.turns, self._settle) for one in leading),
+            *(work(entrant, True, REFINING.opening) for entrant in fresh),
+            *(work(entrant, False, REFINING.turns) for entrant in leading),
         ]
 
-    def _settle(self, _: None) -> None:
-        """Keep the best few."""
-        self._kept = sorted(self._kept, key=lambda entrant: entrant.cost)[: REFINING.kept]
-        for entrant in self._kept:
-            self._offer(entrant)
-
     def run(self, budget: Budget, enough: float) -> None:
-        """Refine every path entered a little, the better ones more, and keep the best few."""
+        """Refine every path entered a little, and the best one once more."""
         while self.waiting and not budget.over:
             do_together(budget, self.turns(enough))
 
     def finish(self, budget: Budget, enough: float) -> None:
-        """Refine those kept until little is gained, side by side; see `run`."""
-        if budget.over or self.cost <= enough:
+        """Refine the best until little is gained; see `run`."""
+        entrant = self._leading
+        if entrant is None or self.cost <= enough:
             return
-        hopeful = [entrant for entrant in self._kept if entrant.cost <= REFINING.hope * self.cost]
-        self._finish(hopeful, budget, enough)
-        self.others = [entrant.segments for entrant in self._kept]
-        self._kept = []
-
-    def improve(self, budget: Budget, enough: float) -> None:
-        """Refine the best path until the budget is over or that gains nothing any more."""
-        gains = True
-        while gains and not budget.over and self.cost > enough:
-            before = self.cost
-            entrants = []
-            for _ in range(REFINING.leading):
-                self.rounds += 1
-                entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
-            self._finish(entrants, budget, enough)
-            gains = self.rounds <= REFINING.rounds or self.cost <= before * (1 - 1e-5)
-
-    def _finish(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
-        """Refine some paths until little is gained."""
-
-        def run(entrant: Refiner, own: Budget) -> None:
-            entrant.shortcut(own)
-            entrant.polish(own, enough=enough)
-            if not own.over:
-                entrant.again(own)
-            entrant.polish(own, enough=enough)
-
-        side_by_side(budget, [partial(run, entrant) for entrant in entrants], budget.left)
-        for entrant in entrants:
-            self._offer(entrant)
+        entrant.shortcut(budget)
+        entrant.polish(budget, enough=enough)
+        if not budget.over:
+            entrant.again(budget)
+        entrant.polish(budget, enough=enough)
+        self._offer(entrant)
