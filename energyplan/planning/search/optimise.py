@@ -11,15 +11,16 @@ little, and the best to the end.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
-from math import hypot, inf
+from math import atan2, cos, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 
 from energyplan.compilation import Flags, Floats, FloatTable, Words, inner, njit
 from energyplan.path import Path, Pose
-from energyplan.planning.budget import UNITS, Budget, Work, do_together
+from energyplan.planning.budget import UNITS, Budget, Work
 from energyplan.planning.settings import REFINING
 from energyplan.planning.space.compiled import Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at, put_pose
@@ -76,6 +77,8 @@ def shortcut(
             if UNITS.steer * steered + UNITS.join * tested >= most:
                 break
             limit = best[j] - best[i] - 1e-9 - setting.stop
+            if setting.stop > 0.0:  # of equal ways that of fewer poses, which move as one
+                limit += 2e-9
             if limit <= 0:
                 continue
             a = pose_at(chain.poses, i)
@@ -152,7 +155,7 @@ def _try_move(
     chain: Chain, setting: KernelProblem, k: int, left_out: int, pose: Pose, ds: Floats,
     dtheta: Floats,
 ) -> bool:  # fmt: skip
-    """Move pose `k` of the chain, and leave out some poses after it, if that is cheaper and free."""
+    """Move pose `k` and leave out some poses after it, if that is cheaper and free."""
     old = 0.0
     for i in range(k - 1, k + 1 + left_out):
         old += chain.cost[i]
@@ -194,7 +197,21 @@ def _between(chain: Chain, setting: KernelProblem, k: int, state: Words) -> Pose
     step = chain.step[k] + 0.5 * hypot(there.x - here.x, there.y - here.y)
     x = here.x + share * (there.x - here.x) + step * (2.0 * random_number(state) - 1.0)
     y = here.y + share * (there.y - here.y) + step * (2.0 * random_number(state) - 1.0)
-    return _facing(chain, k, Pose(x, y, here.yaw), state)
+    return _facing(chain, k, Pose(x, y, here.yaw), 1, state)
+
+
+@inner
+def _facing(chain: Chain, k: int, pose: Pose, left_out: int, state: Words) -> Pose:
+    """Return a place for pose `k`, facing along the straight line from or to its neighbour."""
+    if random_number(state) < 0.5:
+        other = pose_at(chain.poses, k - 1)
+        yaw = atan2(pose.y - other.y, pose.x - other.x)
+    else:
+        other = pose_at(chain.poses, k + 1 + left_out)
+        yaw = atan2(other.y - pose.y, other.x - pose.x)
+    if cos(yaw - pose.yaw) < 0.0:
+        yaw += pi
+    return Pose(pose.x, pose.y, yaw)
 
 
 @inner
@@ -254,6 +271,14 @@ def _along(
     return here
 
 
+@inner
+def _without(chain: Chain, count: int, k: int) -> int:
+    """Leave out pose `k`, whatever motions cost then; return the new number."""
+    for i in range(k, count - 1):
+        _copy(chain, i, i + 1)
+    return count - 1
+
+
 @njit
 def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state: Words) -> int:
     """Move, remove and insert poses at random where that is cheaper; return their number."""
@@ -277,11 +302,17 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
             limit = old * (1 + 1e-12)
             cost, _ = join(setting, a, b, limit, ds, dtheta)
             if cost < inf:
-                for i in range(k, count - 1):
-                    _copy(chain, i, i + 1)
+                count = _without(chain, count, k)
                 chain.cost[k - 1] = cost
                 chain.kept[k - 1] = False
-                count -= 1
+            continue
+        if setting.stop > 0.0 and k < count - 2 and what > 1.0 - REFINING.merge:
+            pose = _between(chain, setting, k, state)
+            if _try_move(chain, setting, k, 1, pose, ds, dtheta):
+                cost = chain.cost[k]
+                count = _without(chain, count, k + 1)
+                chain.cost[k] = cost
+                chain.kept[k] = False
             continue
         step = chain.step[k]
         x = chain.poses[k, 0]
@@ -293,7 +324,10 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
             y += step * (2.0 * random_number(state) - 1.0)
         if kind > 1.0 - REFINING.turn:
             yaw += step / setting.half_track * (2.0 * random_number(state) - 1.0)
-        if _try_move(chain, setting, k, Pose(x, y, yaw), ds, dtheta):
+        pose = Pose(x, y, yaw)
+        if setting.stop > 0.0 and random_number(state) < 0.5:
+            pose = _facing(chain, k, pose, 0, state)
+        if _try_move(chain, setting, k, 0, pose, ds, dtheta):
             chain.step[k] = min(step * REFINING.longer, REFINING.largest)
         else:
             chain.step[k] = max(step * REFINING.shorter, REFINING.smallest)
@@ -402,12 +436,6 @@ class Refiner:
                 reach *= 2
         self._shortcut(REFINING.apart, budget)
 
-    def with_fewer_stops(self, budget: Budget, most: int) -> Segments:
-        """Return the motions that are cheapest with the stops of the problem, refined a little."""
-        self.shortcut(budget)
-        self.polish(budget, most=most)
-        return self.segments
-
     def _shortcut(self, apart: int, budget: Budget) -> None:
         # few poses take little work, and a path whose first part alone is shortened gains less
         most = budget.left if self.count > REFINING.apart else np.inf
@@ -423,28 +451,30 @@ class Refiner:
         if self.cost > before[2]:
             self.chain, self.count = before[0], before[1]
 
-    def polish(
-        self,
-        budget: Budget,
-        patience: int = REFINING.patience,
-        enough: float = 0.0,
-        most: int | None = None,
-    ) -> None:
-        """Move poses until the budget is over, the cost is `enough`, or little is gained."""
-        mark, since, spent = self.cost, 0, 0
-        while not budget.over and self.cost > enough:
-            self.count = int(
-                polish(self.chain, self.setting, self.count, REFINING.trials, self._state)
-            )
-            budget.spend(UNITS.join * REFINING.trials)
-            since += REFINING.trials
-            spent += REFINING.trials
-            if self.count < 3 or (most is not None and spent >= most):
+    def polish(self, budget: Budget, enough: float = 0.0, most: int = REFINING.trials) -> None:
+        """Move poses, so many times at most, until the budget is over or the cost is `enough`."""
+        for _ in range(0, most, REFINING.trials):
+            if budget.over or self.cost <= enough or self.count < 3:
                 break
-            if self.cost < mark * (1.0 - REFINING.gain):
-                mark, since = self.cost, 0
-            elif since >= patience:
-                break
+            trials = REFINING.trials
+            self.count = int(polish(self.chain, self.setting, self.count, trials, self._state))
+            budget.spend(UNITS.join * trials)
+
+    def improved(self, budget: Budget) -> Iterator[Refiner]:
+        """Improve the path step by step, until little is gained."""
+        self.shortcut(budget)
+        for anew in (False, True):
+            if anew:
+                self.again(budget)
+            mark, since = self.cost, 0
+            while since < REFINING.patience:
+                yield self
+                self.polish(budget)
+                since += REFINING.trials
+                if self.count < 3:
+                    break
+                if self.cost < mark * (1.0 - REFINING.gain):
+                    mark, since = self.cost, 0
 
 
 class Portfolio:
@@ -459,6 +489,7 @@ class Portfolio:
         self._fresh: list[Refiner] = []
         self._grown = False
         self._leading: Refiner | None = None
+        self._improving: tuple[Refiner, Iterator[Refiner]] | None = None
 
     def enter(self, motions: Segments) -> None:
         """Take in motions from the start to the goal, free of collisions."""
@@ -469,6 +500,12 @@ class Portfolio:
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, motions
         self._fresh.append(entrant)
+
+    def priced(self, stop: float) -> Portfolio:
+        """Return a portfolio of the best motions in which every stop has a price."""
+        other = Portfolio(self.setting._replace(stop=stop), self.seed)
+        other.enter(self.best)
+        return other
 
     def _offer(self, entrant: Refiner) -> None:
         """Take in what a path was refined to."""
@@ -488,7 +525,7 @@ class Portfolio:
         def turn(entrant: Refiner, first: bool, own: Budget) -> None:
             if first:
                 entrant.shortcut(own)
-            entrant.polish(own, enough=enough, most=REFINING.trials)
+            entrant.polish(own, enough)
 
         fresh, self._fresh = self._fresh, []
         leading = [self._leading] if self._grown and self._leading else []
@@ -502,19 +539,14 @@ class Portfolio:
             *(work(entrant, False, REFINING.turns) for entrant in leading),
         ]
 
-    def run(self, budget: Budget, enough: float) -> None:
-        """Refine every path entered a little, and the best one once more."""
-        while self.waiting and not budget.over:
-            do_together(budget, self.turns(enough))
-
-    def finish(self, budget: Budget, enough: float) -> None:
-        """Refine the best until little is gained; see `run`."""
-        entrant = self._leading
-        if entrant is None or self.cost <= enough:
-            return
-        entrant.shortcut(budget)
-        entrant.polish(budget, enough=enough)
-        if not budget.over:
-            entrant.again(budget)
-        entrant.polish(budget, enough=enough)
-        self._offer(entrant)
+    def improve(self, budget: Budget) -> bool:
+        """Refine the best path by a step; return whether there was one that may have gained."""
+        leading = self._leading
+        if leading is None:
+            return False
+        if self._improving is None or self._improving[0] is not leading:
+            self._improving = leading, leading.improved(budget)
+        if next(self._improving[1], None) is None:
+            return False
+        self._offer(leading)
+        return True
