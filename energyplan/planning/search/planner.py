@@ -83,7 +83,7 @@ def plan(
     stages = _Stages(paths, budget, known)
     stages.run()
     if base is not query:
-        path = min([*stages.shortest, *known, stages.answered()[0]], key=query.value)
+        path = stages.shortest.best()
         least = Bounding(query)
         if bound is not None:
             least.know(bound - query.potential(problem.goal))
@@ -95,7 +95,7 @@ def plan(
     left = min(budget.left, SHARES.aside * (budget.limit or 0))
     do_together(budget, paths.bounding.work(beyond, left) if left > 0 else [])
     value = query.potential(problem.goal) + paths.bounding.value
-    return Candidate(path, value, first, next(iter(stages.shortest), None), driven)
+    return Candidate(path, value, first, stages.shortest.path, driven)
 
 
 class _EffortOverError(Exception):
@@ -114,11 +114,9 @@ class _Stages:
         self.paths, self.budget, self.known = paths, budget, known
         self.begun = budget.spent
         self.answer = Answer(query, stops_count(query.problem))
-        self.shortest: list[Path] = []
         self.short_query = compiled(query.problem.shortest)
-        self.short = (
-            None if is_length(query.problem) else Portfolio(self.short_query.setting, 1)
-        )
+        self.shortest = Answer(self.short_query, driven=False)
+        self.short = None if is_length(query.problem) else Portfolio(self.short_query.setting, 1)
         self.short_open = self.short is not None
         self.open = {"routes", "straight", "compared", "turning", "passages"}
         self.varied = -1.0
@@ -173,15 +171,18 @@ class _Stages:
     def _begin(self) -> None:
         """Refine the first path a little, drive it, and price its stops."""
         paths, answer = self.paths, self.answer
+        # these steps are done whatever is left: so they are the same with any budget
         works = paths.portfolio.turns(paths.enough)
-        fits = sum(work.units for work in works) <= self.budget.left
-        do_together(self.budget, works if fits else [])
-        answer.weigh(_finished(paths.query, paths.portfolio.best), self.budget)
+        own = Budget(effort=1 + round(sum(work.units for work in works)))
+        do_together(own, works)
+        self.budget.spend(own.spent)
+        first = _finished(paths.query, paths.portfolio.best)
+        answer.weigh(first, self.budget)
         if answer.path is None:  # the motors drive it at no speed
-            answer.drives = False
-            answer.weigh(paths.query.path(paths.portfolio.best), self.budget)
-        if not fits:
-            raise _EffortOverError
+            self.answer = answer = Answer(paths.query, driven=False)
+            answer.weigh(first, self.budget)
+        for path in [first, *self.known]:
+            self.shortest.weigh(path, self.budget)
         for path in self.known:
             self._need(UNITS.drive if answer.drives else 0.0)
             answer.weigh(path, self.budget)
@@ -255,8 +256,9 @@ class _Stages:
             return
         base, of = paths.query, self.short_query
         self._need(STAGES.short * size + (UNITS.drive if self.answer.drives else 0.0))
-        known = [Refiner(of.setting, of.motions_of(base, one)) for one in paths.entered]
-        short.enter(min(known, key=lambda one: one.cost).segments)
+        known = (of.motions_of(base, one) for one in [*paths.entered, paths.portfolio.best])
+        every = [Refiner(of.setting, one) for one in known]
+        short.enter(min(every, key=lambda one: one.cost).segments)
         enough = Bounding(of).value * (1.0 + paths.gap)
 
         def run(own: Budget) -> None:
@@ -270,8 +272,9 @@ class _Stages:
         self._do([Work(run, STAGES.short * size, lambda _: None)])
         self.short_open = self.short_open and short.cost > enough
         with suppress(PlanningError):
-            self.shortest = [_finished(of, short.best)]
-            self.answer.weigh(self.shortest[0], self.budget)
+            found = _finished(of, short.best)
+            self.shortest.weigh(found, self.budget)
+            self.answer.weigh(found, self.budget)
             paths.enter(base.motions_of(of, short.best))
 
     def _improve(self, size: float) -> bool:
@@ -308,12 +311,9 @@ class _Stages:
     def answered(self) -> tuple[Path, DrivenPath | None]:
         """Return the best path, and its drive where paths were driven."""
         answer, query = self.answer, self.paths.query
-        if not answer.drives and isinstance(
-            query.problem.cost.steering_parameters, StaticSteering
-        ):
+        if not answer.drives and isinstance(query.problem.cost.steering_parameters, StaticSteering):
             answer.weigh(_finished(query, self.paths.portfolio.best), self.budget)
-        assert answer.path is not None
-        return answer.path, answer.driven
+        return answer.best(), answer.driven
 
 
 def _compared(paths: Paths, units: float) -> Work:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from energyplan.errors import InfeasibleMotionError, InvalidInputError
+from energyplan.errors import InfeasibleMotionError, InvalidInputError, PlanningError
 from energyplan.path import Path
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.driven import DrivenPath, drive_plan, driven_share
@@ -45,6 +45,12 @@ class Answer:
             value = self._query.driven_value(path, drive)
         if self.path is None or value < self.value:
             self.path, self.driven, self.value = path, drive, value
+
+    def best(self) -> Path:
+        """Return the path."""
+        if self.path is None:
+            raise PlanningError("no path was weighed; please report this map")
+        return self.path
 
     def _drive(self, path: Path, budget: Budget) -> DrivenPath | None:
         """Return the drive of a path, None where the motors cannot drive it."""
