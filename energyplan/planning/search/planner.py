@@ -170,26 +170,30 @@ class _Stages:
 
     def _begin(self) -> None:
         """Refine the first path a little, drive it, and price its stops."""
-        paths, answer = self.paths, self.answer
         # these steps are done whatever is left: so they are the same with any budget
-        works = paths.portfolio.turns(paths.enough)
-        own = Budget(effort=1 + round(sum(work.units for work in works)))
-        do_together(own, works)
-        self.budget.spend(own.spent)
+        paths, answer = self.paths, self.answer
+        self._refine_first()
         first = _finished(paths.query, paths.portfolio.best)
         answer.weigh(first, self.budget)
         if answer.path is None:  # the motors drive it at no speed
             self.answer = answer = Answer(paths.query, driven=False)
             answer.weigh(first, self.budget)
-        for path in [first, *self.known]:
-            self.shortest.weigh(path, self.budget)
+        self.shortest.weigh(first, self.budget)
         for path in self.known:
-            self._need(UNITS.drive if answer.drives else 0.0)
+            self.shortest.weigh(path, self.budget)
             answer.weigh(path, self.budget)
         if answer.each:
             paths.price_stops(answer.each)
-            self._turns()
-            self._weigh()
+            self._refine_first()
+            answer.weigh(_finished(paths.query, paths.portfolio.best), self.budget)
+            self.driven_at = self.done
+
+    def _refine_first(self) -> None:
+        """Refine the paths that are known a little, whatever is left."""
+        works = self.paths.portfolio.turns(self.paths.enough)
+        own = Budget(effort=1 + round(sum(work.units for work in works)))
+        do_together(own, works)
+        self.budget.spend(own.spent)
 
     def _turns(self) -> None:
         """Refine, a little, every path that was entered."""
