@@ -80,7 +80,7 @@ def plan(
         paths.bounding.know(bound - query.potential(problem.goal))
     find_first(paths, budget)
     first = budget.elapsed
-    stages = _Stages(paths, budget, known)
+    stages = _Stages(paths, budget, known, length=base is not query)
     stages.run()
     if base is not query:
         path = stages.shortest.best()
@@ -95,7 +95,7 @@ def plan(
     left = min(budget.left, SHARES.aside * (budget.limit or 0))
     do_together(budget, paths.bounding.work(beyond, left) if left > 0 else [])
     value = query.potential(problem.goal) + paths.bounding.value
-    return Candidate(path, value, first, stages.shortest.path, driven)
+    return Candidate(path, value, first, None if stages.exact else stages.shortest.path, driven)
 
 
 class _EffortOverError(Exception):
@@ -109,8 +109,11 @@ class _Stages:
     more. So a plan of more effort is never worse.
     """
 
-    def __init__(self, paths: Paths, budget: Budget, known: Sequence[Path]) -> None:
+    def __init__(
+        self, paths: Paths, budget: Budget, known: Sequence[Path], *, length: bool = False
+    ) -> None:
         query = paths.query
+        self.length = length  # whether the shortest path is the answer
         self.paths, self.budget, self.known = paths, budget, known
         self.begun = budget.spent
         self.answer = Answer(query, stops_count(query.problem))
@@ -182,6 +185,7 @@ class _Stages:
         for path in self.known:
             self.shortest.weigh(path, self.budget)
             answer.weigh(path, self.budget)
+        self._shorten_by(REFINING.opening)
         if answer.each:
             paths.price_stops(answer.each)
             self._refine_first()
@@ -248,33 +252,38 @@ class _Stages:
     @property
     def shortening(self) -> bool:
         """Whether the shortest path may become shorter yet."""
-        return self.short is not None and self.short_open
+        return self.short is not None and self.short_open and not self.exact
+
+    @property
+    def exact(self) -> bool:
+        """Whether no path is better, so that the shortest one does not matter."""
+        paths = self.paths
+        least = paths.bounding.value * (1.0 + REFINING.same)
+        return not self.length and paths.stop == 0.0 and paths.cost <= least
 
     def _shorten(self, size: float) -> None:
         """Shorten the shortest of the paths found a little more."""
+        if self.short is not None and not self.exact:
+            self._need(STAGES.short * size + (UNITS.drive if self.answer.drives else 0.0))
+            self._shorten_by(STAGES.short * size)
+
+    def _shorten_by(self, units: float) -> None:
+        """Shorten the shortest of the paths found by so many units of work, whatever is left."""
         paths, short = self.paths, self.short
-        if short is None:
-            return
-        if not paths.stop and paths.cost <= paths.bounding.value * (1.0 + REFINING.same):
-            self.short_open = False
+        if short is None or self.exact:
             return
         base, of = paths.query, self.short_query
-        self._need(STAGES.short * size + (UNITS.drive if self.answer.drives else 0.0))
         known = (of.motions_of(base, one) for one in [*paths.entered, paths.portfolio.best])
         every = [Refiner(of.setting, one) for one in known]
         short.enter(min(every, key=lambda one: one.cost).segments)
         enough = Bounding(of).value * (1.0 + paths.gap)
-
-        def run(own: Budget) -> None:
-            while short.waiting and not own.over:
-                do_together(own, short.turns(enough))
-            while not own.over and short.cost > enough:
-                if not short.improve(own):
-                    self.short_open = False
-                    break
-
-        self._do([Work(run, STAGES.short * size, lambda _: None)])
+        own = Budget(effort=round(units))
+        while short.waiting and not own.over:
+            do_together(own, short.turns(enough))
+        while self.short_open and not own.over and short.cost > enough:
+            self.short_open = short.improve(own)
         self.short_open = self.short_open and short.cost > enough
+        self.budget.spend(own.spent)
         with suppress(PlanningError):
             found = _finished(of, short.best)
             self.shortest.weigh(found, self.budget)
