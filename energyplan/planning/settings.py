@@ -43,7 +43,7 @@ class LatticeSearch(NamedTuple):
 
     tolerance: float = 0.15  # error of the first heading of the route [rad]
     headings: int = 32  # headings of the coarsest lattice
-    most_headings: int = 512  # headings of the finest lattice
+    most_headings: int = 512  # headings of a finer lattice, at most
     cell: float = 0.2  # size of a cell over the body's reach, where the map's are smaller [1]
     step: float = 1.5  # length of a straight motion [cells]
     far_scale: float = 1.5  # cell and step of the search for many goals, over those for one [1]
@@ -56,7 +56,6 @@ class LatticeSearch(NamedTuple):
     hope: float = 1.08  # cost over the best path's that refinement may still make up for [1]
     slice: int = 500  # expansions between two looks at the budget
     weight: float = 2.0  # factor on the heuristic where any path will do
-    finest: float = 0.0625  # scale of the finest lattice
 
 
 LATTICE = LatticeSearch()
@@ -89,8 +88,7 @@ class Refining(NamedTuple):
     opening: float = 500.0  # units of work of a path's first turn, with its shortcuts
     turns: float = 200.0  # units of work of each turn that follows
     kept: int = 4  # paths that stay in the portfolio
-    leading: int = 2  # how many of them get another turn, and copies of the best refined at once
-    rounds: int = 3  # how often the best is refined anew although that may be in vain
+    leading: int = 2  # how many of them get another turn
     hope: float = 1.03  # cost over the best one above which a path is given up [1]
     same: float = 1e-9  # share of the cost by which paths differ that count as two
 

@@ -328,12 +328,6 @@ class Search:
         """Cost of the cheapest node that is still open; infinite where none is."""
         return float(self.tree.heap_f[0]) if int(self.tree.counts[1]) else np.inf
 
-    @property
-    def nearest(self) -> tuple[float, float]:
-        """The place reached from which the goal seems to be nearest, x and y [m]."""
-        node = int(np.argmin(self.tree.h[: int(self.tree.counts[0])]))
-        return float(self.tree.x[node]), float(self.tree.y[node])
-
     def cheapest(self, budget: Budget, limit: float) -> Segments | None:
         """Return the cheapest motions to the goal, if they cost less than `limit`."""
         best = None

@@ -6,7 +6,8 @@ each step, so it can stop at any time.
 
 `Portfolio` divides the budget among several paths. How cheap a path becomes shows only when it is
 refined, and a path that starts cheaper often ends more expensive. So all of them are refined a
-little, the better ones more, and the best few to the end.
+little, the better ones more, and the best four to the end: with two of them, a plan of effort
+50,000 costs up to 1.2 % more at steady speeds, and 2.3 % as driven.
 """
 
 from __future__ import annotations
@@ -436,9 +437,6 @@ class Portfolio:
         self.setting = setting
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf
-        self.others: list[Segments] = []
-        """What has become of those that stayed to the end."""
-        self.rounds = 0
         self.seed = seed
         self._entered: list[float] = []
         self._fresh: list[Refiner] = []
@@ -462,7 +460,7 @@ class Portfolio:
     @property
     def known(self) -> list[Segments]:
         """The best few."""
-        return [entrant.segments for entrant in self._kept] or self.others
+        return [entrant.segments for entrant in self._kept]
 
     @property
     def waiting(self) -> bool:
@@ -502,24 +500,6 @@ class Portfolio:
         if budget.over or self.cost <= enough:
             return
         hopeful = [entrant for entrant in self._kept if entrant.cost <= REFINING.hope * self.cost]
-        self._finish(hopeful, budget, enough)
-        self.others = [entrant.segments for entrant in self._kept]
-        self._kept = []
-
-    def improve(self, budget: Budget, enough: float) -> None:
-        """Refine the best path until the budget is over or that gains nothing any more."""
-        gains = True
-        while gains and not budget.over and self.cost > enough:
-            before = self.cost
-            entrants = []
-            for _ in range(REFINING.leading):
-                self.rounds += 1
-                entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
-            self._finish(entrants, budget, enough)
-            gains = self.rounds <= REFINING.rounds or self.cost <= before * (1 - 1e-5)
-
-    def _finish(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
-        """Refine some paths until little is gained."""
 
         def run(entrant: Refiner, own: Budget) -> None:
             entrant.shortcut(own)
@@ -528,6 +508,6 @@ class Portfolio:
                 entrant.again(own)
             entrant.polish(own, enough=enough)
 
-        side_by_side(budget, [partial(run, entrant) for entrant in entrants], budget.left)
-        for entrant in entrants:
+        side_by_side(budget, [partial(run, entrant) for entrant in hopeful], budget.left)
+        for entrant in hopeful:
             self._offer(entrant)
