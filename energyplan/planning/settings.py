@@ -248,7 +248,8 @@ class Escaping(NamedTuple):
     spare: float = 0.999  # part of a free motion that is driven, so that no rounding makes it touch
     doubling: float = 4.0  # path length that doubling the room makes up for [reaches]
     fineness: float = 0.25  # cells in which poses are one, over what the corners can move [1]
-    clearing: float = 16.0  # doublings of the room that gaining the whole clearance makes up for
+    # longer ways that gaining the whole clearance makes up for, tried in turn [reaches]
+    clearing: tuple[float, ...] = (0.5, 2.0, 16.0)
     parts_of_clearance: int = 5  # halvings, until what a pose has of the clearance is known
     turn: float = 0.2  # turn on the spot, both ways together, that makes room [rad]
     ways: int = 6  # paths out of an end, of which the best is used
