@@ -88,6 +88,9 @@ class Refining(NamedTuple):
     gain: float = 1e-4  # share of the cost that counts as one
     opening: float = 500.0  # units of work of a path's first turn, with its shortcuts
     turns: float = 200.0  # units of work of each turn that follows
+    kept: int = 4  # paths that stay in the portfolio
+    leading: int = 2  # how many of them get another turn
+    hope: float = 1.03  # cost over the best one above which a path is given up [1]
     same: float = 1e-9  # share of the cost by which paths differ that count as two
 
 
@@ -115,6 +118,7 @@ class Stages(NamedTuple):
     aside: float = 0.075  # part for straight routes, and for the coarse lattice
     passages: float = 0.25  # part for narrow passages
     bound: float = 0.25  # part for the lower bound
+    least_bound: float = 200.0  # units for the lower bound at first, whatever is left
     short: float = 0.25  # part for shortening the shortest path
     enough: float = 0.2  # part of its units up to which a search had enough of them
     step: float = 300.0  # units that a step of refining a path takes at most
@@ -263,7 +267,8 @@ class Escaping(NamedTuple):
     spare: float = 0.999  # part of a free motion that is driven, so that no rounding makes it touch
     doubling: float = 4.0  # path length that doubling the room makes up for [reaches]
     fineness: float = 0.25  # cells in which poses are one, over what the corners can move [1]
-    clearing: float = 16.0  # doublings of the room that gaining the whole clearance makes up for
+    # longer ways that gaining the whole clearance makes up for, tried in turn [reaches]
+    clearing: tuple[float, ...] = (0.5, 2.0, 16.0)
     parts_of_clearance: int = 5  # halvings, until what a pose has of the clearance is known
     turn: float = 0.2  # turn on the spot, both ways together, that makes room [rad]
     ways: int = 6  # paths out of an end, of which the best is used

@@ -5,13 +5,13 @@ moved, removed and inserted at random. The path is free of collisions and costs 
 each step, so it can stop at any time.
 
 `Portfolio` divides the budget among several paths. How cheap a path becomes shows only when it is
-refined, and a path that starts cheaper often ends more expensive. So each of them is refined a
-little, and the best to the end.
+refined, and a path that starts cheaper often ends more expensive. So all of them are refined a
+little, the best to the end, and after it those of the best four that are not much worse.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from math import atan2, cos, hypot, inf, pi
 from typing import NamedTuple
@@ -460,19 +460,14 @@ class Refiner:
             self.count = int(polish(self.chain, self.setting, self.count, trials, self._state))
             budget.spend(UNITS.join * trials)
 
-    def improved(self, budget: Budget) -> Iterator[Refiner]:
-        """Improve the path step by step, until little is gained."""
-        self.shortcut(budget)
-        for anew in (False, True):
-            if anew:
-                self.again(budget)
+    def steps(self) -> Iterator[Callable[[Budget], None]]:
+        """Yield the steps that make the path better, until little is gained."""
+        for shorten in (self.shortcut, self.again):
+            yield shorten
             mark, since = self.cost, 0
-            while since < REFINING.patience:
-                yield self
-                self.polish(budget)
+            while since < REFINING.patience and self.count >= 3:
+                yield self.polish
                 since += REFINING.trials
-                if self.count < 3:
-                    break
                 if self.cost < mark * (1.0 - REFINING.gain):
                     mark, since = self.cost, 0
 
@@ -488,8 +483,8 @@ class Portfolio:
         self._entered: list[float] = []
         self._fresh: list[Refiner] = []
         self._grown = False
-        self._leading: Refiner | None = None
-        self._improving: tuple[Refiner, Iterator[Refiner]] | None = None
+        self._kept: list[Refiner] = []
+        self._steps: dict[Refiner, Iterator[Callable[[Budget], None]]] = {}
 
     def enter(self, motions: Segments) -> None:
         """Take in motions from the start to the goal, free of collisions."""
@@ -509,8 +504,6 @@ class Portfolio:
 
     def _offer(self, entrant: Refiner) -> None:
         """Take in what a path was refined to."""
-        if self._leading is None or entrant.cost < self._leading.cost:
-            self._leading = entrant
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, entrant.segments
 
@@ -528,25 +521,32 @@ class Portfolio:
             entrant.polish(own, enough)
 
         fresh, self._fresh = self._fresh, []
-        leading = [self._leading] if self._grown and self._leading else []
+        leading = self._kept[: REFINING.leading] if self._grown else []
         self._grown = bool(fresh)
+        self._kept += fresh
 
         def work(entrant: Refiner, first: bool, units: float) -> Work:
-            return Work(partial(turn, entrant, first), units, lambda _: self._offer(entrant))
+            return Work(partial(turn, entrant, first), units, lambda _: self._settle(entrant))
 
         return [
             *(work(entrant, True, REFINING.opening) for entrant in fresh),
             *(work(entrant, False, REFINING.turns) for entrant in leading),
         ]
 
+    def _settle(self, entrant: Refiner) -> None:
+        """Take in what a path was refined to, and keep the best few."""
+        self._offer(entrant)
+        self._kept = sorted(self._kept, key=lambda one: one.cost)[: REFINING.kept]
+
     def improve(self, budget: Budget) -> bool:
-        """Refine the best path by a step; return whether there was one that may have gained."""
-        leading = self._leading
-        if leading is None:
-            return False
-        if self._improving is None or self._improving[0] is not leading:
-            self._improving = leading, leading.improved(budget)
-        if next(self._improving[1], None) is None:
-            return False
-        self._offer(leading)
-        return True
+        """Refine a path by a step, the best first; return whether there was one that gained yet."""
+        self._kept.sort(key=lambda one: one.cost)
+        for entrant in self._kept:
+            if entrant.cost > REFINING.hope * self.cost:
+                break
+            step = next(self._steps.setdefault(entrant, entrant.steps()), None)
+            if step is not None:
+                step(budget)
+                self._offer(entrant)
+                return True
+        return False

@@ -6,15 +6,14 @@
    between the poses with room.
 2. `find_first`: the shortest route through the free configurations is tracked by exact
    minimum-energy motions, and shortened to a first plan; other searches where that fails.
-3. `_find_more`: up to four routes, each cheapest by its length and turns and the later ones away
-   from the former, are tracked as well, a coarse lattice compares routes through open ground, and
-   narrow passages are searched. A lower bound on every path's cost is computed in parallel.
-4. `_shorten`: the shortest of all paths found is shortened with a part of what is left. It is
-   the answer where length is the objective, and a plan of least energy costs no more.
-5. `Portfolio.finish`: the best path is refined. Planning ends when the budget is over, the gap to
-   the bound is closed, or nothing is gained any more.
-6. `_with_fewer_stops`: where stops take energy or time, paths are compared by what driving them
-   takes. Where they take much, it comes in place of the step before.
+3. `_Stages`: the first path is refined a little and driven, where stops take energy or time, so
+   that a stop has a price from then on. Then come stages of growing work: routes, each cheapest by
+   its length and turns and the later ones away from the former, are tracked, a coarse lattice
+   compares routes through open ground, and narrow passages are searched; in parallel a lower bound
+   on every path's cost is computed. The shortest of all paths is shortened: it is the answer where
+   length is the objective, and a plan of least energy costs no more. The best paths are refined,
+   and driven from time to time. Planning ends when the budget is over, the gap to the bound is
+   closed, or nothing is gained any more.
 
 Each path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
 quicker: a single spin replaces pivots back and forth.
@@ -186,6 +185,8 @@ class _Stages:
             self.shortest.weigh(path, self.budget)
             answer.weigh(path, self.budget)
         self._shorten_by(REFINING.opening)
+        bounding = paths.bounding.work(paths.cost, STAGES.least_bound)
+        do_together(Budget(effort=round(STAGES.least_bound)), bounding)
         if answer.each:
             paths.price_stops(answer.each)
             self._refine_first()
