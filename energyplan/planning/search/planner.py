@@ -185,8 +185,9 @@ class _Stages:
             self.shortest.weigh(path, self.budget)
             answer.weigh(path, self.budget)
         self._shorten_by(REFINING.opening)
-        bounding = paths.bounding.work(paths.cost, STAGES.least_bound)
-        do_together(Budget(effort=round(STAGES.least_bound)), bounding)
+        own = Budget(effort=round(STAGES.least_bound))
+        do_together(own, paths.bounding.work(paths.cost, STAGES.least_bound))
+        self.budget.spend(own.spent)
         if answer.each:
             paths.price_stops(answer.each)
             self._refine_first()
