@@ -67,7 +67,7 @@ class Printed(NamedTuple):
 
 WILLOW = "planners.py --pairs-file DATA/maps/willow_pairs.json --effort 5000 50000"
 PAIRS = "planners.py --pairs-file PAIRS --effort 5000 50000"
-ORDERS = "orders.py 36"
+ORDERS, PLACES = "orders.py 36", "places.py 20"
 UNCERTAIN, CHAIN, SPEED = "uncertainty.py 2000", "chain.py 500", "speed.py 100"
 HIDDEN = "calibration.py hidden 200 --first 910000"
 EMPTY = "calibration.py empty 200 --first 910000"
@@ -117,6 +117,10 @@ GATES = (
     Gate("orders of tasks: proven", ORDERS, r"^(\d+) of 36 proven", 36),
     Gate("orders of tasks: median CPU", ORDERS, r"median ([\d.]+) s of CPU", most=0.5, unit=" s"),
     Gate("missions: draws above the bound", UNCERTAIN, r"([\d.]+) % of \d+ above", 93, 97, " %"),
+    Gate("missions of places: most over brute force", PLACES, r"largest \| ([\d.-]+) %", most=1,
+         unit=" %"),
+    Gate("missions of places: mean below heading 0", PLACES, r"0, mean \| ([\d.-]+) %", 3,
+         unit=" %"),
     Gate("missions: remedies that hold", "remedies.py 200", r"remedies: (\d+) of 200 hold", 200),
     Gate("from path to energy: profiles accepted", CHAIN, r"500 cases: (\d+) profiles", 500),
     Gate("from path to energy: largest difference", CHAIN, r"integrated energy: ([\de.+-]+)",

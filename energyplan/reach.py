@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import contourpy
 import numpy as np
@@ -16,11 +16,13 @@ from numpy.typing import ArrayLike
 from energyplan.battery import SAGS, Battery
 from energyplan.cost import EnergyCost
 from energyplan.errors import InvalidInputError
-from energyplan.path import ROUNDING, FloatArray, Pose, as_pose
+from energyplan.path import ROUNDING, FloatArray, Pose
 from energyplan.planning.budget import Budget
+from energyplan.planning.goal import Goal
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.search import lattice as kernels
 from energyplan.planning.search.lattice import Search, coarse_lattice
+from energyplan.planning.several import none_free
 from energyplan.planning.space import prices
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.planning.space.cost_to_go import no_cost_to_go
@@ -167,12 +169,14 @@ class EnergyMap:
     start : Pose
         Where the robot sets out.
     back : Pose or None
-        Where it has to get back to.
+        Where it has to get back to; one of the poses that `goals` allow where there are several.
     complete_to : float
         What takes up to this energy is on the map [J]; infinite where all places are.
     confidence : float or None
         Probability with which each place takes no more than its `energy`; None where that is what
         the model expects.
+    goals : tuple of Goal
+        The goals of which it has to get back to one; empty where that is a single pose.
     """
 
     energy: FloatArray
@@ -182,6 +186,7 @@ class EnergyMap:
     back: Pose | None
     complete_to: float
     confidence: float | None = None
+    goals: tuple[Goal, ...] = ()
 
     @checked()
     def reachable(self, energy: float) -> float:
@@ -262,7 +267,7 @@ def energy_map(
     problem: PlanningProblem,
     *,
     energy: float = np.inf,
-    back: ArrayLike | None = None,
+    back: Any = None,
     confidence: float | None = None,
     coefficient_spread: float = 0.0,
     effort: int = 20_000_000,
@@ -279,9 +284,11 @@ def energy_map(
         The problem; its goal and its costmap are not used.
     energy : float
         Energy beyond which places are of no interest [J].
-    back : array_like, shape (3,), optional
-        Pose that the robot has to reach afterwards, such as a charger's. Then the energy of a
-        place is that to the place and on to this pose, at the heading with the least sum.
+    back : array_like, shape (3,) or (2,), Goal, or a list of these, optional
+        Pose that the robot has to reach afterwards, such as a charger's; the place ``(x, y)``, at
+        any heading; or one of several, the one that costs least from each place (see `Goal`). Then
+        the energy of a place is that to the place and on from there, at the heading with the least
+        sum.
     confidence : float, optional
         Probability, for each place, that getting there takes no more than the energy given, such
         as 0.95. It follows from the model's covariance, its error on hold-out drives, and from how
@@ -299,8 +306,8 @@ def energy_map(
 
     Raises
     ------
-    StartInCollisionError, OutsideMapError
-        If the start, or the pose to get back to, cannot be; the message names the pose.
+    StartInCollisionError, GoalInCollisionError, OutsideMapError
+        If the start, or all poses to get back to, cannot be; the message names the pose.
     InvalidInputError
         If the objective is another than energy, the energy is not positive, or a confidence is
         requested of a model without a known uncertainty.
@@ -339,17 +346,22 @@ def energy_map(
     out = _search(priced(there.setting), lattice, energy - lowest, effort)
     table = _table(out, lattice, spacing, there.setting)
     complete = out.frontier + lowest
-    target = None
+    target: Pose | None = None
+    goals: tuple[Goal, ...] = ()
     if back is None:
         energies = table.min(axis=0) + rise
     else:
-        target = as_pose(back, "the pose to get back to")
-        home = compiled(replace(problem, start=target, goal=target))
-        ways = _search(_reversed(priced(home.setting)), lattice, energy - lowest, effort)
+        several = replace(problem, goal=back)
+        target, goals = several.goal, several.goals
+        ways = np.full_like(table, np.inf)
+        for home in _homes(several, lattice):
+            setting = _reversed(priced(home.query.setting))
+            search = _search(setting, lattice, energy - lowest, effort, home.roots)
+            np.minimum(ways, _table(search, lattice, spacing, setting), out=ways)
+            complete = min(complete, search.frontier + lowest)
         # the energy of climbing on the way out returns on the way home, but for the two ends
         level = there.height_potential(target) - there.height_potential(problem.start)
-        energies = (table + _table(ways, lattice, spacing, home.setting)).min(axis=0) + level
-        complete = min(complete, ways.frontier + lowest)
+        energies = (table + ways).min(axis=0) + level
     if upper is not None:
         energies = upper.whole(energies)
     cut = np.any(energies[np.isfinite(energies)] > energy)
@@ -358,13 +370,69 @@ def energy_map(
     return EnergyMap(
         energy=np.where(energies <= energy, energies, np.inf), resolution=spacing,
         origin=there.grid.origin, start=problem.start, back=target, complete_to=complete,
-        confidence=confidence,
+        confidence=confidence, goals=goals,
     )  # fmt: skip
 
 
-def _search(setting: KernelProblem, lattice: kernels.Lattice, limit: float, effort: int) -> Search:
+class _Home(NamedTuple):
+    """Poses to get back to whose headings are on one lattice."""
+
+    query: CompiledProblem  # whose start is one of them
+    roots: tuple[kernels.Root, ...]  # all of them; none where that is the only one
+
+
+def _homes(problem: PlanningProblem, lattice: kernels.Lattice) -> Iterator[_Home]:
+    """Yield the free poses of the problem's goals; each costs the climb to it from the goal."""
+    if not problem.goals:
+        yield _Home(compiled(replace(problem, start=problem.goal)), ())
+        return
+    grid, turn, found = problem.terrain.obstacles, lattice.turn, False
+    yaws = [goal.yaw for goal in problem.goals if goal.yaw is not None] or [0.0]
+    for k, offset in enumerate(dict.fromkeys(yaw % turn for yaw in yaws)):
+        fitting = [
+            _poses(goal, lattice, offset)
+            for goal in problem.goals
+            if (k == 0 if goal.yaw is None else goal.yaw % turn == offset)
+        ]
+        each = np.concatenate(fitting)
+        each = each[grid.inside(each[:, :2])]
+        each = each[grid.footprint_free(each, problem.robot)]
+        if len(each) == 0:
+            continue
+        found = True
+        poses = [Pose(*one) for one in each.tolist()]
+        query = compiled(replace(problem, start=poses[0], goal=poses[0], goals=()))
+        level = query.height_potential(problem.goal)
+        headings = np.round((each[:, 2] - poses[0].yaw) / turn).astype(int) % lattice.headings
+        roots = (
+            kernels.Root(*query.centre(pose)[:2], heading, query.height_potential(pose) - level)
+            for pose, heading in zip(poses, headings.tolist(), strict=True)
+        )
+        yield _Home(query, tuple(roots))
+    if not found:
+        raise none_free(problem)
+
+
+def _poses(goal: Goal, lattice: kernels.Lattice, offset: float) -> FloatArray:
+    """Return poses of a goal, shape (n, 3): of a circle, those all over it."""
+    rings = np.append(np.arange(lattice.cell, goal.radius, lattice.cell), goal.radius)
+    return np.concatenate([
+        replace(goal, radius=radius).samples(
+            lattice.headings, int(np.ceil(2.0 * np.pi * radius / lattice.cell)), offset
+        )
+        for radius in rings.tolist()
+    ])  # fmt: skip
+
+
+def _search(
+    setting: KernelProblem,
+    lattice: kernels.Lattice,
+    limit: float,
+    effort: int,
+    roots: Sequence[kernels.Root] = (),
+) -> Search:
     """Return a search grown up to an energy."""
-    search = Search(setting, no_cost_to_go(), lattice, 0.0)
+    search = Search(setting, no_cost_to_go(), lattice, 0.0, roots)
     budget, status = Budget(effort=effort), kernels.RUNNING
     while status == kernels.RUNNING and search.frontier <= limit and not budget.over:
         status = search.run(budget, STRIDE)

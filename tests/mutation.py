@@ -14,9 +14,10 @@ fault of the program; texts compared by the alphabet, and `is` in place of `==`,
 change is left out because it seems to mean the same: that is for its reader to judge.
 
 `--executed` first runs the suite once and keeps which tests execute which line, so that a change is
-tried against these alone, the quickest first; without it, a change is tried against the tests of
-its part. All tests are collected once. A change inside a function is tried in a fork of that
-process, which receives the function's new code; others, and changes of kernels, in a new process.
+tried against these alone, the quickest first; `--executed tests/io` runs those tests, and adds them
+to what is kept. Without either, a change is tried against the tests of its part. All tests are
+collected once. A change inside a function is tried in a fork of that process, which receives the
+function's new code; others, and changes of kernels, in a new process.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
 from inspect import CO_OPTIMIZED
 from itertools import accumulate, islice
 from pathlib import Path
 from types import CodeType, FunctionType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -196,15 +197,46 @@ def _own(code: CodeType) -> tuple[object, ...]:
     return code.co_code, code.co_names, repr(consts)
 
 
+Tests = dict[str, list[int]]
+"""Numbers of the tests that execute a line, or call a kernel."""
+
+
 class Executed:
     """Which tests execute a line or call a kernel, and how long they take."""
 
-    def __init__(self, file: Path) -> None:
-        found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    def __init__(self, found: Mapping[str, Any]) -> None:
         self.times: dict[str, float] = found.get("times", {})
         self.names = list(self.times)
-        self.lines: dict[str, dict[str, list[int]]] = found.get("lines", {})
-        self.kernels: dict[str, list[int]] = found.get("kernels", {})
+        self.lines: dict[str, Tests] = found.get("lines", {})
+        self.kernels: Tests = found.get("kernels", {})
+
+    @classmethod
+    def read(cls) -> Executed:
+        """Return what is kept."""
+        return cls(json.loads(EXECUTED.read_text("utf-8")) if EXECUTED.is_file() else {})
+
+    def add(self, other: Executed) -> None:
+        """Add what other tests execute, in place of what is known of the same tests."""
+        old = [name for name in self.names if name not in other.times]
+        kept = {self.names.index(name): number for number, name in enumerate(old)} | {-1: -1}
+        new = {number: number + len(old) for number in range(len(other.times))} | {-1: -1}
+
+        def joined(known: Tests, added: Tests) -> Tests:
+            return {
+                place: sorted(
+                    {kept[each] for each in known.get(place, []) if each in kept}
+                    | {new[each] for each in added.get(place, [])}
+                )
+                for place in known | added
+            }
+
+        self.times = {name: self.times[name] for name in old} | other.times
+        self.names = list(self.times)
+        self.lines = {
+            module: joined(self.lines.get(module, {}), other.lines.get(module, {}))
+            for module in self.lines | other.lines
+        }
+        self.kernels = joined(self.kernels, other.kernels)
 
     def at(self, module: str, row: int, source: str, kernels: Sequence[str]) -> list[str]:
         """Return the tests of a place in a module, quickest first; -1 stands for an import."""
@@ -283,8 +315,10 @@ class Recording:
             name: sorted(number[test] for test in tests if test in self.times)
             for name, tests in self.kernels.items()
         }
+        found = Executed.read()
+        found.add(Executed({"times": self.times, "lines": lines, "kernels": kernels}))
         EXECUTED.parent.mkdir(exist_ok=True)
-        text = json.dumps({"times": self.times, "lines": lines, "kernels": kernels})
+        text = json.dumps({"times": found.times, "lines": found.lines, "kernels": found.kernels})
         EXECUTED.write_text(text, encoding="utf-8")
 
 
@@ -292,7 +326,7 @@ class Trial:
     """Runs tests of a collected suite against changes, in forks."""
 
     def __init__(self, work: Callable[[Trial], None]) -> None:
-        self.work, self.executed, self.pipe = work, Executed(EXECUTED), -1
+        self.work, self.executed, self.pipe = work, Executed.read(), -1
         self.items: dict[str, pytest.Item] = {}
         self.digests: dict[str, str] = {}
         self.functions: dict[tuple[str, str, int], list[FunctionType]] = {}
@@ -489,7 +523,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--record", action="store_true", help="write what became of the changes")
     parser.add_argument("--recheck", action="store_true", help="fail where a record is not kept")
-    parser.add_argument("--executed", action="store_true", help="first find what tests execute")
+    parser.add_argument(
+        "--executed", nargs="?", const="", metavar="TESTS", help="first find what tests execute"
+    )
     parser.add_argument("--file", type=Path, default=RECORD, help="of the record")
     given = parser.parse_args(arguments)
     given.file = given.file.resolve()
@@ -534,10 +570,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
             with suppress(shutil.Error):  # what another process is writing is compiled anew
                 shutil.copytree(kept, kernels)
         os.environ[FOLDER_VARIABLE] = str(kernels)
-        if given.executed:
+        if given.executed is not None:
+            if not given.executed:
+                EXECUTED.unlink(missing_ok=True)
             if (child := os.fork()) == 0:  # the tests of changes need a process without its marks
                 quick = ["-q", "-p", "no:cacheprovider", "-m", "not nightly and not slow"]
-                os._exit(pytest.main(quick, plugins=[Recording()]))
+                places = given.executed.split()
+                os._exit(pytest.main([*quick, *places], plugins=[Recording()]))
             os.waitpid(child, 0)
         trial = Trial(work)
         code = pytest.main(["-qq", "-s", "-p", "no:cacheprovider"], plugins=[trial])

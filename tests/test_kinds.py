@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import importlib
 import inspect
 import math
 import pickle
@@ -449,3 +450,41 @@ def test_temperatures_are_written_in_degrees_of_either_spelling(text: str) -> No
     assert records.amount("temperature", "268.15 K") == pytest.approx(-5.0)
     with pytest.raises(ValueError, match="one of degC, K, degF, °C, C, or none for degC"):
         records.amount("temperature", "268 R")
+
+
+CHECKED = """
+Battery.larger Battery.of Battery.simulate Battery.usable_energy Battery.from_units
+DriveLog.blocks DriveLog.motion DriveLog.read DriveLog.resample DriveLog.segment DriveLog.shifted
+EnergyCost.breakdown EnergyCost.energy EnergyCost.from_coefficients EnergyCost.lower_bound
+EnergyCost.per_metre EnergyCost.per_radian EnergyMap.contours EnergyMap.reachable
+HeightMap.rise Identification.energy Identification.interval Mission.resume Mission.resume_robots
+Mission.with_remedy Motion.from_trajectory OccupancyGrid.from_polygons OccupancyGrid.updated
+OccupancyGrid.with_mask OnlineIdentifier.__init__ OnlineIdentifier.run Path.__add__ Path.from_poses
+Path.subdivide PowerModel.paper PowerModel.with_term Terrain.price Trajectory.scaled
+Vehicle.from_geometry Vehicle.with_mass check compare diagnose energy_map evaluate feasible_region
+identify plan profile read_costmap read_heights read_map read_mission read_model read_site
+read_speed_mask read_surfaces read_vehicle replan simulate.drive simulate.identification_drive
+simulate.validation_drive steering.energy steering.path watch write_model
+"""
+ELSEWHERE = ("energyplan.io.sites", "energyplan.io.maps", "energyplan.planning.replanning",
+             "energyplan.limits.feasibility",
+             "energyplan.terrain", "energyplan.fit.identification", "energyplan.reach")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CHECKED.split())
+def test_the_first_argument_that_is_wrong_is_named(name: str) -> None:
+    owner, _, method = name.rpartition(".")
+    places = [ep, *map(importlib.import_module, ELSEWHERE)]
+    first = (owner or name).split(".")[0]
+    found = next(getattr(place, first) for place in places if hasattr(place, first))
+    function = getattr(found, method) if owner else found
+    given, options = list[object](), dict[str, object]()
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
+            options[parameter.name] = object()
+        elif parameter.kind is inspect.Parameter.VAR_KEYWORD:
+            options["p_left"] = object()
+        else:
+            given.append(object())
+    with pytest.raises(EnergyPlanError, match=r"^\w+(\[0\])? is an? \w+; give "):
+        function(*given, **options)

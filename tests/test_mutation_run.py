@@ -99,12 +99,10 @@ def test_what_is_outside_of_functions_needs_a_new_process() -> None:
     assert changed(SOURCE + "y = 3\n") is None
 
 
-def test_tests_of_a_line_are_those_that_execute_its_statement(tmp_path: Path) -> None:
-    file = tmp_path / "executed.json"
+def test_tests_of_a_line_are_those_that_execute_its_statement() -> None:
     lines = {"a.py": {"1": [-1], "2": [-1], "3": [0], "4": [1, 2]}}
     times = {"slow": 2.0, "quick": 0.5, "usual": 1.0}
-    file.write_text(json.dumps({"times": times, "lines": lines, "kernels": {"a.k": [0]}}))
-    executed = mutation.Executed(file)
+    executed = mutation.Executed({"times": times, "lines": lines, "kernels": {"a.k": [0]}})
     source = "x = 1\ndef f():\n    if (1\n    and 2):\n        pass\n"
     assert executed.at("a.py", 3, source, []) == ["quick", "usual", "slow"]
     source = "x = 1\ndef f():\n    if 1:\n        pass\n"
@@ -112,6 +110,21 @@ def test_tests_of_a_line_are_those_that_execute_its_statement(tmp_path: Path) ->
     assert executed.at("b.py", 1, "x = 1", ["a.k"]) == ["slow"]
     assert executed.at("a.py", 1, source, []) == ["quick", "usual", "slow"]  # by all its tests
     assert executed.imported("a.py", 2) and not executed.imported("a.py", 3)
+
+
+def test_what_some_tests_execute_is_added_to_what_is_known_of_the_others() -> None:
+    lines = {"a.py": {"1": [-1], "2": [0, 1], "3": [0]}}
+    known = mutation.Executed(
+        {"times": {"a": 1.0, "b": 2.0}, "lines": lines, "kernels": {"k": [0]}}
+    )
+    lines = {"a.py": {"2": [1], "4": [0]}, "b.py": {"1": [-1, 0]}}
+    known.add(mutation.Executed({"times": {"c": 3.0, "a": 0.1}, "lines": lines}))
+    assert known.times == {"b": 2.0, "c": 3.0, "a": 0.1}
+    source = "\n".join("1234")
+    found = [known.at("a.py", row, source, []) for row in range(1, 5)]
+    assert found == [["a", "b", "c"], ["a", "b"], ["a", "b", "c"], ["c"]]
+    assert known.at("b.py", 1, source, ["k"]) == ["c"]
+    assert known.imported("b.py", 1)
 
 
 @pytest.mark.nightly

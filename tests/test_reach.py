@@ -14,12 +14,14 @@ import shapely
 from refusals import check_refusal, lines
 from worlds import COST, room
 
-from energyplan import EnergyCost, PlanningProblem, Pose, energy_map, plan, steering
+from energyplan import EnergyCost, Goal, PlanningProblem, Pose, energy_map, plan, steering
 from energyplan.errors import MapError, PlanningError
 from energyplan.io.tables import write_contours, write_energies
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.power import USUAL_RUN_SPREAD, Residual
+from energyplan.power.effects import with_weight
 from energyplan.reach import upper_prices
+from energyplan.terrain import HeightMap
 
 HALL = room(90, 120, 0.1, np.s_[30:90, 58:62])
 
@@ -73,6 +75,73 @@ def test_there_and_back_takes_more_and_a_limit_cuts_off(found):
     assert np.array_equal(np.isfinite(near.energy), found.energy <= 1500.0)
     assert near.complete_to == 1500.0
     assert near.reachable(1500.0) == found.reachable(1500.0) < found.reachable(3000.0)
+
+
+NEAR, FAR = (3, 6, 1.0), (10, 7, -0.4)
+
+
+def ways_back(back, **more):
+    """Return what each place takes, there and back to some goals."""
+    return energy_map(problem(**more), back=back).energy
+
+
+def check_alike(found, expected):
+    """Check that places take the same, but for what a lattice that is laid otherwise does.
+
+    A few beside walls are reached on one of the lattices alone.
+    """
+    both = np.isfinite(found) & np.isfinite(expected) & (expected > 0.0)
+    assert np.sum(np.isfinite(found) ^ np.isfinite(expected)) < 0.02 * both.sum()
+    ratio = found[both] / expected[both]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.01)
+    assert np.quantile(ratio, [0.02, 0.98]) == pytest.approx(1.0, abs=0.06)
+
+
+def test_of_several_docks_the_one_that_costs_least_counts():
+    """What a place takes is the least of what it takes with either dock."""
+    either = np.minimum(ways_back(NEAR), ways_back(FAR))
+    found = energy_map(problem(), back=[NEAR, FAR])
+    np.testing.assert_allclose(found.energy, either, rtol=1e-9)
+    assert [goal.pose for goal in found.goals] == [NEAR, FAR]
+    assert found.back == NEAR
+    alike = np.minimum(ways_back(NEAR), ways_back((10, 7, 1.0)))  # headings of one lattice
+    check_alike(ways_back([NEAR, (10, 7, 1.0)]), alike)
+
+
+def test_a_free_heading_takes_what_the_best_heading_does():
+    """A place at any heading, and a pose either way round, against single poses."""
+    turned = [(3, 6, 1.0 + k * np.pi / 12) for k in range(24)]
+    single = [ways_back(pose) for pose in turned[::6]]
+    free, both = ways_back((3, 6)), ways_back(Goal(3, 6, 1.0, "either"))
+    reached = np.isfinite(free) & np.all(np.isfinite(single), axis=0)
+    assert reached.sum() > 800
+    slack = float(COST.segment_energy(0.0, np.pi / 12))
+    more = free[reached] - np.min(single, axis=0)[reached]
+    assert np.quantile(more, 0.98) <= slack
+    check_alike(both, np.minimum(single[0], single[2]))
+    reached &= np.isfinite(both)
+    assert free[reached].sum() < 0.985 * both[reached].sum()
+
+
+def test_a_circle_is_reached_anywhere_in_it():
+    """Who is within it need not drive back; who is not saves about its radius of the way."""
+    there = energy_map(problem(start=(3, 2, 0.5)))
+    ring = energy_map(problem(start=(3, 2, 0.5)), back=Goal(3, 6, radius=1.5))
+    inside = [(3, 6), (3.5, 6.5), (2.2, 5.5), (3, 7.2)]
+    step = float(COST.segment_energy(0.5, 0.0))
+    np.testing.assert_array_less(ring.energy_at(inside), there.energy_at(inside) + step)
+    place = energy_map(problem(start=(3, 2, 0.5)), back=(3, 6))
+    saved = place.energy_at((10, 2)) - ring.energy_at((10, 2))
+    assert saved == pytest.approx(float(COST.segment_energy(1.5, 0.0)), rel=0.25)
+
+
+def test_docks_at_different_heights_are_compared_with_the_climb():
+    """The climb to each dock counts, as in single maps."""
+    rise = np.tile(0.02 * np.arange(0.0, 12.5, 0.5), (19, 1))
+    climbing = replace(COST, model=with_weight(COST.model))
+    hilly = {"cost": climbing, "heights": HeightMap(rise, 0.5)}
+    either = np.minimum(ways_back(NEAR, **hilly), ways_back((10, 7, 1.0), **hilly))
+    check_alike(ways_back([NEAR, (10, 7, 1.0)], **hilly), either)
 
 
 def test_contours_hold_one_another_and_their_places():
@@ -158,6 +227,9 @@ def test_a_coefficient_spread_stands_for_what_is_not_known_of_a_model(found):
 LOST = Residual(20.0, 15.0, 0.0, energy_error=-np.inf)
 REFUSED = r"""
 InvalidInputError: energy_map(problem(), energy=0.0) | positive
+GoalInCollisionError: energy_map(problem(), back=(6.0, 6.0)) | every pose of the goal
+OutsideMapError: energy_map(problem(), back=[(60.0, 6.0), (-9, 1, 0)]) | outside the map
+InvalidInputError: energy_map(problem(), back="home") | is neither X,Y,YAW nor X,Y
 InvalidInputError: energy_map(problem(objective="time")) | objective
 StartInCollisionError: energy_map(problem(start=(6.0, 6.0, 0.0))) | start
 InvalidInputError: energy_map(problem(doubtful(np.eye(2), LOST)), confidence=0.95) | measured none

@@ -15,6 +15,7 @@ from typer import Argument, Option
 from energyplan.errors import InvalidInputError, needs_extra
 
 if TYPE_CHECKING:
+    from energyplan.path import Pose
     from energyplan.planning import Goal
 
 OUTPUTS = "energyplan.outputs"
@@ -227,6 +228,45 @@ class GoalOptions:
             )
         heading, radius = self.goal_heading or "", self.goal_radius
         return tuple(goal for text in self.goal for goal in as_goals(text, heading, radius))
+
+
+@dataclass(frozen=True)
+class ReturnOptions:
+    """Where a robot has to get back to."""
+
+    back: Annotated[bool, Option("--return", help="It must still get back to the start.")] = False
+    return_to: Annotated[
+        list[str] | None,
+        Option(
+            metavar="X,Y[,YAW]",
+            help="It must still get back to this pose, or place at any heading. Given several "
+            "times, or with --return, to the one that costs least.",
+        ),
+    ] = None
+    return_heading: Annotated[
+        Literal["given", "either", "any"] | None,
+        Option(help="The heading at --return-to, as --goal-heading of plan."),
+    ] = None
+    return_radius: Annotated[
+        float,
+        Option(min=0.0, help="How far from --return-to it may be then [m]."),
+    ] = 0.0
+
+    def goals(self, start: Pose) -> tuple[Goal, ...]:
+        """Return the goals, of which it has to get back to one; none where it need not."""
+        from energyplan.planning.goal import as_goals
+
+        if not self.return_to and (self.return_heading or self.return_radius):
+            raise InvalidInputError(
+                "--return-heading and --return-radius say how to arrive at --return-to; give that"
+            )
+        heading = self.return_heading or ""
+        known = [
+            goal
+            for text in self.return_to or ()
+            for goal in as_goals(text, heading, self.return_radius)
+        ]
+        return (*(as_goals(start) if self.back else ()), *known)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,14 @@ from energyplan.cli.answers import (
     write_report,
 )
 from energyplan.cli.app import app
-from energyplan.cli.options import DriveOptions, Effort, GoalOptions, SiteOptions, number
+from energyplan.cli.options import (
+    DriveOptions,
+    Effort,
+    GoalOptions,
+    ReturnOptions,
+    SiteOptions,
+    number,
+)
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
@@ -375,6 +382,7 @@ def reach(
     map_file: opt.MapFile,
     model: opt.ModelName,
     start: opt.PoseText,
+    home: ReturnOptions,
     energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None,
     battery: Annotated[
         str | None,
@@ -398,7 +406,6 @@ def reach(
     spread: Annotated[
         float | None, Option(help="Relative spread of the model's coefficients, as 0.05.")
     ] = None,
-    back: Annotated[bool, Option("--return", help="It must still get back to the start.")] = False,
     out: Annotated[
         Path | None, opt.output("Write energies [J] to this ASCII grid.", ".asc")
     ] = None,
@@ -411,7 +418,8 @@ def reach(
 ) -> None:
     """Find how far a given energy takes the robot.
 
-    Computes the energy that it takes to reach each place of a map, and to come back with --return.
+    Computes the energy that it takes to reach each place of a map, and to come back with
+    --return or --return-to.
     """
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, text
@@ -446,7 +454,7 @@ def reach(
     with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
-            back=pose if back else None, confidence=confidence, coefficient_spread=spread or 0.0,
+            back=home.goals(pose) or None, confidence=confidence, coefficient_spread=spread or 0.0,
         )  # fmt: skip
     areas = found.areas(usable)
     if out:

@@ -78,7 +78,7 @@ def plan_to_several(
     ranking = budget.part(SEVERAL.ranking)
     aims = [aim for goal in problem.goals for aim in _aims(problem, goal, ranking)]
     if not aims:
-        raise _none_free(problem)
+        raise none_free(problem)
     aims.sort(key=lambda aim: aim.cost)
     units = SEVERAL.trial * budget.left
     found = [_first(problem, solver, aims, units, budget)]
@@ -186,7 +186,7 @@ def _routed(
     return found or [Aim(inf, goal, middle)]
 
 
-def _none_free(problem: PlanningProblem) -> PlanningError:
+def none_free(problem: PlanningProblem) -> PlanningError:
     """Return the error that says that the robot can be at no pose of the goals."""
     grid = problem.terrain.obstacles
     inside = [goal for goal in problem.goals if bool(grid.inside((goal.x, goal.y)))]

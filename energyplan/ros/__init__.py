@@ -18,6 +18,7 @@ from energyplan.ros.messages import (
     write_recording,
 )  # fmt: skip
 from energyplan.ros.nav2 import (
+    HEADING_MODES,
     Answer,
     DriveFeed,
     ThroughPosesError,
@@ -36,7 +37,7 @@ from energyplan.ros.nav2 import (
 )  # fmt: skip
 
 __all__ = [
-    "Answer", "DriveFeed", "ThroughPosesError", "ToPoseError", "aborted", "answer",
+    "HEADING_MODES", "Answer", "DriveFeed", "ThroughPosesError", "ToPoseError", "aborted", "answer",
     "blocked_poses", "costs_from_message", "diagnostics_message", "error_code", "fill_result",
     "footprint_from_message", "grid_from_message", "mission_answer", "model_values",
     "note_of_keepout", "path_to_message", "plan_values", "pose_from_message",

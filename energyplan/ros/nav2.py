@@ -31,7 +31,7 @@ from energyplan.logs.clean import POWER_WAYS, total_power
 from energyplan.mission import evaluate
 from energyplan.output import documents
 from energyplan.path import Pose
-from energyplan.planning import Plan, PlanningProblem, cancellable, plan, planners
+from energyplan.planning import Goal, Plan, PlanningProblem, cancellable, plan, planners
 from energyplan.planning.budget import EFFORT
 from energyplan.planning.driven import drive_plan
 from energyplan.planning.ends import checked_ends
@@ -99,8 +99,11 @@ def error_code(
     return codes["UNKNOWN"]
 
 
+HEADING_MODES = {"DEFAULT": "given", "BIDIRECTIONAL": "either", "ALL_DIRECTION": "any"}
+"""Which heading of a `Goal` each value of Smac's ``goal_heading_mode`` stands for."""
+
 _SHARED = ("cost", "surfaces", "vehicle", "heights", "costmap")
-_EQUAL = ("goal", "objective", "clearance", "costmap_weight", "turning")
+_EQUAL = ("goals", "objective", "clearance", "costmap_weight", "turning")
 
 
 def request_to_problems(
@@ -111,9 +114,20 @@ def request_to_problems(
     frame: str = "map",
     base: str = "base_link",
     lookup: Callable[[str], Any] | None = None,
+    heading_mode: str = "DEFAULT",
+    tolerance: float = 0.0,
     **options: Any,
 ) -> tuple[PlanningProblem, ...]:
-    """Return what a goal of ComputePathToPose or ComputePathThroughPoses asks for."""
+    """Return what a goal of ComputePathToPose or ComputePathThroughPoses asks for.
+
+    A path ends within the tolerance of each goal [m], at a heading that the mode (of
+    `HEADING_MODES`) allows. Where that leaves a choice, `answer` has the next path begin where the
+    one before ends.
+    """
+    if heading_mode not in HEADING_MODES:
+        raise errors.InvalidInputError(
+            f"the goal_heading_mode is {heading_mode!r}; give one of {', '.join(HEADING_MODES)}"
+        )
 
     def pose(message: Any) -> Pose:
         try:
@@ -141,8 +155,12 @@ def request_to_problems(
     else:
         raise errors.FrameError("the robot's pose is not known; give a start, and set use_start")
     stops = [start, *(pose(goal) for goal in goals)]
+
+    def goal(there: Pose) -> Any:
+        return Goal(*there, heading=HEADING_MODES[heading_mode], radius=tolerance)
+
     return tuple(
-        PlanningProblem(grid, cost, here, there, **options) for here, there in pairwise(stops)
+        PlanningProblem(grid, cost, here, goal(there), **options) for here, there in pairwise(stops)
     )
 
 
@@ -214,10 +232,13 @@ def answer(
         name = planner_of(str(field(request, "planner_id")), planner)
         problems = request_to_problems(request, grid, cost, **options)
         for problem in problems:
-            checked_ends(problem)
+            if not problem.goals:  # where there is a choice, planning checks
+                checked_ends(problem)
         share = max((EFFORT if effort is None else effort) // len(problems), 1)
         with cancellable(unwanted):
             for leg, problem in enumerate(problems):
+                if plans and problems[leg - 1].goals:
+                    problem = replace(problem, start=plans[-1].path.end)
                 known = _known(problem, len(problems) - leg, former) if name == "lattice" else None
                 make: Callable[..., Plan] = partial(plan, problem, name)
                 if known is not None:
@@ -285,6 +306,7 @@ def _known(
         return None
     same = [getattr(before, name) is getattr(problem, name) for name in _SHARED]
     same += [getattr(before, name) == getattr(problem, name) for name in _EQUAL]
+    same.append(bool(problem.goals) or before.goal == problem.goal)  # one of several, or the pose
     return (before, found) if all(same) else None
 
 

@@ -115,7 +115,7 @@ class PlanRequest(_OnSite):
 class RangeRequest(_OnSite):
     """From where, and what there is: an energy [J], or the charge of a battery."""
 
-    back: PoseRow | None = Field(None, description="a pose to get back to, such as a charger's")
+    back: Goals | None = Field(None, description="where to get back to, such as a charger, as goal")
     energy: float | None = Field(None, gt=0)
     pack: Name | dict[str, Any] | None = Field(None, description="battery, as a mission's file has")
     soc: float = Field(1.0, gt=0, le=1)

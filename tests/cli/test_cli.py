@@ -132,7 +132,11 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     assert asc.read_text().startswith("ncols ")
     assert picture.read_text().count("<svg") == 1
     both = run(*options, "--energy", 1500, "--return")
-    assert both.json["area"] < result.json["area"]
+    docks = run(*options, "--energy", 1500, "--return", "--return-to", "1.2,5,80deg",
+                "--return-heading", "either", "--return-radius", 0.5)  # fmt: skip
+    assert both.json["area"] < docks.json["area"] < result.json["area"]
+    alone = run(*options, "--energy", 1500, "--return-radius", 0.2)
+    assert alone.code == 2 and "give that" in alone.err
 
 
 def test_range_takes_what_a_battery_holds_above_the_reserve(run: Run) -> None:

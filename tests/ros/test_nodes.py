@@ -315,6 +315,24 @@ def test_a_failed_goal_leaves_the_former_plan(active: Running) -> None:
     assert active.node.answered.plans[0].effort == 0
 
 
+def test_a_goal_is_reached_as_its_parameters_say(active: Running) -> None:
+    """The goal's heading is against the way; a robot that may choose comes as it drives."""
+    goal = stamped(6, 3)
+    goal.pose.orientation.w, goal.pose.orientation.z = 0.0, 1.0
+
+    def end() -> Any:
+        return active.plan(goal, stamped(2, 3)).path.poses[-1].pose
+
+    assert end().orientation.z ** 2 == pytest.approx(1.0, abs=1e-6)
+    modes = [Parameter("goal_heading_mode", value="BIDIRECTIONAL"),
+             Parameter("goal_tolerance", value=0.5)]  # fmt: skip
+    for one in modes:
+        assert active.node.set_parameters([one])[0].successful
+    last = end()
+    assert last.orientation.z == pytest.approx(0.0, abs=1e-6)
+    assert last.position.x == pytest.approx(5.5, abs=0.01)
+
+
 def test_open_cells_of_a_mask_are_said_once(active: Running, capfd: Any) -> None:
     cells = WALLED.copy()
     cells[:30, 40], cells[30:, 41] = 99, -1
@@ -579,6 +597,8 @@ def test_results_are_kept_for_seconds(start: Start, monkeypatch: pytest.MonkeyPa
         ("occupied_from", "500", "out of range"),
         ("transform_tolerance", "0.0", "out of range"),
         ("planner", "smac", "no planner 'smac'; known: "),
+        ("goal_tolerance", "-0.1", "out of range"),
+        ("goal_heading_mode", "any", "give one of DEFAULT, BIDIRECTIONAL, ALL_DIRECTION"),
     ],
 )
 def test_a_parameter_that_cannot_be_is_said_in_a_line(
@@ -595,7 +615,8 @@ def test_a_parameter_that_cannot_be_is_said_in_a_line(
 
 def test_parameters_change_at_run_time_or_say_that_they_need_a_restart(start: Start) -> None:
     node = start(spun=False).node
-    values = {"time_limit": 5.0, "effort": 7000, "clearance": 0.2, "transform_tolerance": 2.0}
+    values = {"time_limit": 5.0, "effort": 7000, "clearance": 0.2, "transform_tolerance": 2.0,
+              "goal_heading_mode": "BIDIRECTIONAL", "goal_tolerance": 0.3}  # fmt: skip
 
     def changed(name: str, value: Any) -> Any:
         (result,) = node.set_parameters([Parameter(name, value=value)])
@@ -604,7 +625,9 @@ def test_parameters_change_at_run_time_or_say_that_they_need_a_restart(start: St
     for name, value in values.items():
         assert changed(name, value).successful
         assert node.settings[name] == value
-    for name, value in (("time_limit", -1.0), ("clearance", 2), ("effort", -1)):
+    wrong = {"time_limit": -1.0, "clearance": 2, "effort": -1, "goal_tolerance": -1.0,
+             "goal_heading_mode": "any"}  # fmt: skip
+    for name, value in wrong.items():
         assert not changed(name, value).successful
         assert node.settings[name] == values[name]
     for name in set(node.settings) - set(values):

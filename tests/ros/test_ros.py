@@ -274,6 +274,62 @@ def test_goals_are_driven_through_in_order(wire: Wire) -> None:
     np.testing.assert_allclose(ends, [(4, 2, 0), (4, 4, 1.57)], atol=1e-6)
 
 
+ASIDE = np.pi / 2  # across the way to the goal
+
+
+@pytest.mark.parametrize(
+    ("mode", "headings"),
+    [("DEFAULT", [2.5]), ("BIDIRECTIONAL", [2.5, 2.5 - np.pi]), ("ALL_DIRECTION", [])],
+)
+def test_goals_have_the_headings_that_smacs_modes_name(
+    wire: Wire, mode: str, headings: list[float]
+) -> None:
+    """What a mode leaves open saves turns, and the same request again is planned on."""
+    request = wire.sent(wire.to_pose(wire.stamped(5, 2, 2.5), wire.stamped(2, 2, 0)))
+    given = ros.answer(request, GRID, COST, effort=5000)
+    found = ros.answer(request, GRID, COST, effort=5000, heading_mode=mode)
+    end = found.plans[0].path.end
+    assert end[:2] == pytest.approx((5, 2), abs=1e-6)
+    off = [abs(float(wrap_angle(end.yaw - yaw))) for yaw in headings]
+    assert not off or min(off) < 1e-6
+    assert found.energy <= (1.0 if mode == "DEFAULT" else 0.99) * given.energy
+    again = ros.answer(request, GRID, COST, effort=5000, heading_mode=mode, former=found)
+    assert again.plans[0].effort == 0
+    assert again.energy == pytest.approx(found.energy, rel=1e-6)
+    other = wire.sent(wire.to_pose(wire.stamped(5, 4, 2.5), wire.stamped(2, 2, 0)))
+    elsewhere = ros.answer(other, GRID, COST, effort=5000, heading_mode=mode, former=found)
+    assert elsewhere.plans[0].path.end.y == pytest.approx(4.0, abs=1e-6)
+
+
+def test_goals_of_free_headings_are_driven_through_as_one_path(wire: Wire) -> None:
+    """Each leg begins where the one before it ends, and one within the tolerance is there."""
+    goals = [wire.stamped(4, 2, ASIDE), wire.stamped(4, 4, 0)]
+    request = wire.sent(wire.through(goals, wire.stamped(2, 2, 0)))
+    free = {"heading_mode": "ALL_DIRECTION", "tolerance": 0.3}
+    found = ros.answer(request, GRID, COST, effort=10_000, **free)
+    assert found.code == ros.ThroughPosesError.NONE, found.message
+    first, then = (one.path for one in found.plans)
+    assert then.start == pytest.approx(first.end)
+    for path, goal in ((first, (4, 2)), (then, (4, 4))):
+        assert np.hypot(path.end.x - goal[0], path.end.y - goal[1]) == pytest.approx(0.3, abs=0.01)
+    given = ros.answer(request, GRID, COST, effort=10_000)
+    assert found.energy < 0.8 * given.energy
+    assert ros.answer(request, GRID, COST, effort=10_000, former=found, **free).energy == (
+        pytest.approx(found.energy, rel=1e-6)
+    )
+    here = wire.sent(wire.to_pose(wire.stamped(4, 2, 0), wire.stamped(3.9, 2, 0)))
+    near = ros.answer(here, GRID, COST, **free)
+    assert near.code == ros.ToPoseError.NONE and near.energy == 0.0
+    assert len(wire.result(near).path.poses) == 1
+
+
+def test_a_heading_mode_that_smac_lacks_is_named(wire: Wire) -> None:
+    request = wire.to_pose(wire.stamped(4, 2, 0), wire.stamped(2, 2, 0))
+    found = ros.answer(request, GRID, COST, heading_mode="any")
+    assert found.code == 200
+    assert "'any'; give one of DEFAULT, BIDIRECTIONAL, ALL_DIRECTION" in found.message
+
+
 def test_viapoints_of_newer_goals_come_before_the_goal(jazzy: Wire) -> None:
     request = SimpleNamespace(
         goal=jazzy.stamped(4, 4, 0), start=jazzy.stamped(2, 2, 0), planner_id="", use_start=True,
@@ -328,15 +384,16 @@ WALLED[:, 40] = 100
         ((2, 2, 0), [], "", 309),
     ],
 )
+@pytest.mark.parametrize("mode", ros.HEADING_MODES)
 def test_what_cannot_be_has_nav2s_code(
-    jazzy: Wire, start: Any, goals: Any, planner: str, code: int
+    jazzy: Wire, start: Any, goals: Any, planner: str, code: int, mode: str
 ) -> None:
     """Behind a wall, where nothing else is wrong."""
     grid = ros.grid_from_message(jazzy.map(WALLED if code == 208 else HALL))
     there, ends = jazzy.stamped(*start), [jazzy.stamped(*goal) for goal in goals]
     one = len(ends) == 1
     request = jazzy.to_pose(*ends, there, planner) if one else jazzy.through(ends, there)
-    found = ros.answer(jazzy.sent(request), grid, COST, effort=50_000)
+    found = ros.answer(jazzy.sent(request), grid, COST, effort=50_000, heading_mode=mode)
     assert (found.code, found.plans) == (code, ()) and found.message
     result = jazzy.result(found)
     assert result.error_code == code and len(result.path.poses) == 0

@@ -134,6 +134,8 @@ def test_a_range_holds_the_places_that_plans_reach(client: TestClient) -> None:
     assert areas[-1].contains(shapely.Point(5, 2)) is (plan["energy"] < 4000.0)
     back = client.post("/api/range", json={**asked, "back": [2, 2, 0]}).json()
     assert back["area"] < told["area"]
+    docks = {**asked, "back": [[2, 2, 0], {"x": 6, "y": 2, "radius": 0.5}]}
+    assert back["area"] < client.post("/api/range", json=docks).json()["area"] < told["area"]
     charged = {**asked, "energy": None, "pack": "quadriga", "soc": 0.5}
     assert client.post("/api/range", json=charged).json()["area"] > told["area"]
     neither = client.post("/api/range", json={**asked, "energy": None})

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
     from energyplan.mission import MissionReport
-    from energyplan.planning import Plan, PlanningProblem
+    from energyplan.path import Pose
+    from energyplan.planning import Goal, Plan, PlanningProblem
     from energyplan.reach import EnergyMap
     from energyplan.terrain import OccupancyGrid
 
@@ -108,11 +109,14 @@ def energy_map(found: EnergyMap, grid: OccupancyGrid, levels: int = 8) -> Figure
             along, up, energy, most * np.arange(1, levels) / levels, colors="white",
             linewidths=0.8, zorder=3, transform=turn + ax.transData,
         )  # fmt: skip
-    ends = [("start", "o", style.ORANGE, found.start)]
-    if found.back is not None and found.back != found.start:
-        ends.append(("back at", "s", style.RED, found.back))
-    for name, marker, color, pose in ends:
-        ax.plot(pose.x, pose.y, marker, color=color, mec="white", ms=7, zorder=4, label=name)
+    ends: list[tuple[str, str, str, Pose | Goal]] = [("start", "o", style.ORANGE, found.start)]
+    if found.back is not None and (found.goals or found.back != found.start):
+        for place in found.goals or (found.back,):
+            name = "" if len(ends) > 1 else "back at"
+            ends.append((name, "s", style.RED, place))
+    for name, marker, color, place in ends:
+        label = name or None
+        ax.plot(place.x, place.y, marker, color=color, mec="white", ms=7, zorder=4, label=label)
     style.legend(ax, above=True)
     ways = "to get there" if found.back is None else "to get there and back"
     sure = "" if found.confidence is None else f", at {100 * found.confidence:g} % confidence"

@@ -7,6 +7,7 @@ straight along the heading, a pivot about either tread's ICR, or a spin.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, floor, hypot, inf
 from typing import NamedTuple
@@ -64,6 +65,15 @@ class Tree(NamedTuple):
     counts: Ints  # (5,)
 
 
+class Root(NamedTuple):
+    """Where a search without a goal begins, at which cost."""
+
+    x: float  # [m]
+    y: float  # [m]
+    heading: int  # index of its heading, from that of the problem's start on
+    cost: float
+
+
 @inner
 def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
     """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
@@ -107,6 +117,38 @@ def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, h
 
 
 @njit
+def plant(
+    tree: Tree,
+    space_x: float,
+    space_y: float,
+    lattice: Lattice,
+    x: float,
+    y: float,
+    heading: int,
+    g: float,
+    f: float,
+) -> None:
+    """Open a node that no other leads to; of several in one cell that of the least cost counts."""
+    key = _key(space_x, space_y, lattice, x, y, heading)
+    slot = slot_of(tree.table, tree.key, key)
+    other = int(tree.table[slot])
+    if other >= 0:
+        if g >= tree.g[other]:
+            return
+        tree.g[other] = -inf
+    new = int(tree.counts[0])
+    tree.counts[0] += 1
+    tree.table[slot] = new
+    tree.x[new] = x
+    tree.y[new] = y
+    tree.heading[new] = heading
+    tree.g[new] = g
+    tree.parent[new] = -1
+    tree.key[new] = key
+    tree.counts[1] = push(tree.heap_f, tree.heap_node, tree.counts[1], f, new)
+
+
+@njit
 def grow(
     tree: Tree,
     setting: KernelProblem,
@@ -125,17 +167,10 @@ def grow(
     to_ds = np.empty(MAX_SEGMENTS)
     to_dtheta = np.empty(MAX_SEGMENTS)
     if counts[0] == 0:
-        tree.x[0] = setting.start.x
-        tree.y[0] = setting.start.y
-        tree.heading[0] = 0
-        tree.g[0] = 0.0
-        if weight > 0:
-            tree.h[0] = _estimate(setting, to_go, setting.start)
-        tree.parent[0] = -1
-        tree.key[0] = _key(space.x, space.y, lattice, tree.x[0], tree.y[0], 0)
-        tree.table[slot_of(tree.table, tree.key, tree.key[0])] = 0
-        counts[0] = 1
-        counts[1] = push(tree.heap_f, tree.heap_node, 0, weight * tree.h[0], 0)
+        start = setting.start
+        h = _estimate(setting, to_go, start) if weight > 0 else 0.0
+        plant(tree, space.x, space.y, lattice, start.x, start.y, 0, 0.0, weight * h)
+        tree.h[0] = h
     for _ in range(expansions):
         if counts[1] == 0:
             return EXHAUSTED
@@ -273,6 +308,7 @@ class Search:
     to_go: CostToGo  # distance to go
     lattice: Lattice  # resolution
     weight: float = LATTICE.weight  # factor on the estimated cost to go
+    roots: Sequence[Root] = ()  # where it begins; at the problem's start where there are none
 
     def __post_init__(self) -> None:
         nodes = 1 << 14
@@ -283,6 +319,11 @@ class Search:
         self.tree = Tree(
             x, y, heading, g, h, parent, ds, dtheta, key, table, heap_f, heap_node, counts
         )
+        for root in self.roots:
+            if int(self.tree.counts[0]) + 1 >= len(self.tree.x):
+                self._enlarge()
+            space = self.setting.space
+            plant(self.tree, space.x, space.y, self.lattice, *root, root.cost)
         self._grow(0, np.inf)
 
     def _enlarge(self) -> None:

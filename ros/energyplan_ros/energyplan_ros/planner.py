@@ -55,6 +55,8 @@ PARAMETERS = {
     "effort": 0,  # units of work for a request; 0: as many as the library usually does
     "time_limit": 60.0,  # after which a request's planning stops [s]
     "clearance": 0.0,
+    "goal_heading_mode": "DEFAULT",  # or BIDIRECTIONAL or ALL_DIRECTION, as of Nav2's Smac
+    "goal_tolerance": 0.0,  # how far from a goal a path may end [m]
     "reverse": True,  # whether it may drive backwards, where the model's vehicle may
     "to_pose_action": "compute_path_to_pose",
     "through_poses_action": "compute_path_through_poses",
@@ -70,8 +72,13 @@ RANGES = {
     "effort": (0, 10**9),
     "time_limit": (0.01, 3600.0),
     "clearance": (0.0, 100.0),
+    "goal_tolerance": (0.0, 100.0),
 }
-CHANGING = ("transform_tolerance", "effort", "time_limit", "clearance")
+CHOICES = {"goal_heading_mode": tuple(ros.HEADING_MODES)}
+CHANGING = (
+    "transform_tolerance", "effort", "time_limit", "clearance", "goal_heading_mode",
+    "goal_tolerance",
+)  # fmt: skip
 """Parameters that can be changed at run time; they count from the next goal on."""
 
 RESULT_TIMEOUT = 10
@@ -89,7 +96,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         (change,) = (one for one in self.services if one.srv_type is ChangeState)
         change.callback = partial(self.on_change_state, change.callback)
-        self.settings = declared(self, PARAMETERS, RANGES, CHANGING)
+        self.settings = declared(self, PARAMETERS, RANGES, CHANGING, CHOICES)
         planner_of(self.settings["planner"])
         self.active = self.ending = False
         self.cost: ep.EnergyCost | None = None
@@ -435,6 +442,8 @@ class PlannerNode(LifecycleNodeMixin, Node):
                 effort=settings["effort"] or None,
                 time_limit=settings["time_limit"],
                 clearance=settings["clearance"],
+                heading_mode=settings["goal_heading_mode"],
+                tolerance=settings["goal_tolerance"],
                 unwanted=unwanted,
                 former=self.answered,
                 missing=self.missing,

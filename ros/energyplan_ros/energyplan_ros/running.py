@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from types import MappingProxyType
 from typing import Any
 
 import rclpy
@@ -27,7 +28,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
-from energyplan.errors import EnergyPlanError
+from energyplan.errors import EnergyPlanError, InvalidInputError
 
 THREADS = 8
 """Callbacks at once: goals, of which one is planned and others wait, and all that is quick."""
@@ -79,8 +80,14 @@ def declared(
     parameters: Mapping[str, Any],
     ranges: Mapping[str, tuple[Any, Any]],
     changing: Collection[str] = (),
+    choices: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Declare parameters, and return their values, of which those in `changing` follow changes."""
+
+    def fault(name: str, value: Any) -> str:
+        known = choices.get(name, (value,))
+        return "" if value in known else f"{name} is {value!r}; give one of {', '.join(known)}"
+
     for name, value in parameters.items():
         descriptor = ParameterDescriptor()
         if name in ranges:
@@ -92,6 +99,9 @@ def declared(
                 descriptor.floating_point_range = [between]
         node.declare_parameter(name, value, descriptor)
     settings = {name: node.get_parameter(name).value for name in parameters}
+    for name, value in settings.items():
+        if wrong := fault(name, value):
+            raise InvalidInputError(wrong)
 
     def check(wanted: list[Any]) -> SetParametersResult:
         for one in wanted:
@@ -101,6 +111,8 @@ def declared(
                     reason=f"{one.name} is read when the node starts; start it again with the new "
                     f"value (at run time: {', '.join(changing) or 'none'})",
                 )
+            if wrong := fault(one.name, one.value):
+                return SetParametersResult(successful=False, reason=wrong)
         return SetParametersResult(successful=True)
 
     def follow(changed: list[Any]) -> None:
