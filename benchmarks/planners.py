@@ -270,7 +270,8 @@ def sizes(largest: int, plot: str | None) -> None:
             seconds.loglog(area, rows[:, column], look, ms=5, color=color, label=label)
         seconds.loglog(area, rows[-1, 2] * area / area[-1], "k:", label="linear in the area")
         seconds.set_ylabel("CPU time [s]")
-        megabytes.loglog(area, rows[:, 4], "o-", ms=5, color=plots.PURPLE, label="peak of the process")
+        peak = {"color": plots.PURPLE, "label": "peak of the process"}
+        megabytes.loglog(area, rows[:, 4], "o-", ms=5, **peak)
         megabytes.loglog(area, rows[-1, 4] * area / area[-1], "k:", label="linear in the area")
         megabytes.set_ylim(bottom=100.0)
         megabytes.set_ylabel("memory [MB]")
