@@ -548,6 +548,8 @@ class Battery(ByValue, html.Readable):
         kind = chemistry_of(chemistry)
         if kind is None:
             raise UnknownNameError("battery chemistry", chemistry, CHEMISTRIES)
+        _require(series >= 1 and parallel >= 1, f"{series} x {parallel} units; give 1 or more")
+        _require(unit_capacity > 0, f"unit_capacity is {unit_capacity} C; give more than 0")
         notes: tuple[str, ...] = ()
         if unit_resistance is None:
             unit_resistance = kind.typical_resistance * 3600.0 / unit_capacity
@@ -557,7 +559,6 @@ class Battery(ByValue, html.Readable):
                 f"chemistry and capacity; others have from {500 * ohms:.3g} to "
                 f"{2e3 * ohms:.3g} mohm, so give it where you know it",
             )
-        _require(series >= 1 and parallel >= 1, f"{series} x {parallel} units; give 1 or more")
         capacity = unit_capacity * parallel
         resistance = unit_resistance * series / parallel
         return cls(

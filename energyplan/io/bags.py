@@ -589,9 +589,9 @@ def _database_kind(file: Path) -> str:
             "is an SQLite database, and no bag: it has no table of messages; sqlite3 -header -csv "
             f"{file.name} 'select * from TABLE' > log.csv makes a table of it"
         )
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeError):  # what is broken may not even be text
         return ""
-    if first is not None and bytes(first[0])[:4] == b"\x28\xb5\x2f\xfd":
+    if first is not None and isinstance(first[0], bytes) and first[0][:4] == b"\x28\xb5\x2f\xfd":
         return (
             "holds messages that are compressed one by one, which its metadata.yaml alone says: "
             "give the folder with both"

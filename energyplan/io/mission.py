@@ -230,14 +230,15 @@ def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
         if not any({*task.needs} <= {*entry.skills} for entry in entries):
             message = f"no robot has {', '.join(task.needs)}; give it to one"
             raise document.fail(("tasks", j, "needs"), message)
+    for k, extra in enumerate(extras):
+        for key in extra.keys() - {*OWN}:
+            message = f"a robot has no such key; it may have name, skills, {', '.join(OWN)}"
+            raise document.fail(("robots", k, key), message)
     own = {"start", *(key for extra in extras for key in extra)} - {"vehicle"}
     if "model" in own or any("vehicle" in extra for extra in extras):
         own |= {"model", "surfaces", "heights"}  # what a model knows of the ground is laid out
     robots: list[Robot] = []
     for k, (entry, extra) in enumerate(zip(entries, extras, strict=True)):
-        for key in extra.keys() - {*OWN}:
-            message = f"a robot has no such key; it may have name, skills, {', '.join(OWN)}"
-            raise document.fail(("robots", k, key), message)
         able = [j for j, task in enumerate(tasks) if {*task.needs} <= {*entry.skills}]
         if tasks and not able:
             message = f"robot {entry.name!r} has the skills for no task; leave it out"

@@ -15,6 +15,7 @@ from refusals import check_refusal, lines
 from energyplan import Battery
 from energyplan.battery import BatteryRun
 from energyplan.battery._kernel import discharge
+from energyplan.errors import BatteryError
 
 
 def plain(**changes: Any) -> Battery:
@@ -361,3 +362,12 @@ BatteryError: Battery.of("nuclear") | unknown battery 'nuclear'.*husky_a200
 @pytest.mark.parametrize("case", lines(REFUSED))
 def test_bad_input_is_refused(case: str) -> None:
     check_refusal(case, globals())
+
+
+@pytest.mark.parametrize("wrong", [{"unit_capacity": 0.0}, {"parallel": 0}, {"series": 0}])
+def test_a_pack_of_nothing_is_refused_before_its_resistance_is_estimated(
+    wrong: dict[str, Any],
+) -> None:
+    values: dict[str, Any] = {"series": 2, "parallel": 1, "unit_capacity": 3600.0}
+    with pytest.raises(BatteryError, match=r"give (1 or )?more"):
+        Battery.from_units("a", "lead_acid", **values | wrong)
